@@ -1,0 +1,5 @@
+"""`python -m rtdenoise`."""
+
+from .cli import main
+
+main()

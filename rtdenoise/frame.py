@@ -1,0 +1,136 @@
+"""The named buffers of one frame, what is carried to the next, and the conventions that all of it obeys.
+
+Conventions (stated here once; every other module refers to this page)
+----------------------------------------------------------------------
+Images      tensors `[B, C, H, W]`, float32 unless said. Row 0 on top, x right, y down, pixel centres at +0.5.
+Radiance    linear, scene-referred, unbounded HDR.
+Albedo      in [0, 1]. Normals in world space, in [-1, 1], not half-encoded.
+Depth       linear distance from the camera, > 0; 0 (or inf) where nothing was hit.
+motion      `[B, 2, H, W]` = (x, y) in pixels, previous minus current: the surface that is at pixel p now was at
+            `p + motion(p)` in the previous frame.
+motion_next next minus current: the surface that is at p now will be at `p + motion_next(p)` in the next frame.
+id          integer per object; 0 where nothing was hit. Stable over a sequence.
+
+A *signal* is what is denoised: `color` (the beauty) or `indirect` (light that bounced at least once on its way).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+CHANNELS = {
+    "radiance": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
+    "position": 3, "id": 1, "reference": 3, "reference_half": 3,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The buffers of one frame. `None` where the sequence does not have the layer.
+
+    Only `radiance` is always there. What a denoiser needs and does not find it asks for with `require`.
+    """
+
+    radiance: Tensor  # [B, 3, H, W] the noisy signal
+    albedo: Tensor | None = None  # [B, 3, H, W]
+    normal: Tensor | None = None  # [B, 3, H, W]
+    depth: Tensor | None = None  # [B, 1, H, W]
+    motion: Tensor | None = None  # [B, 2, H, W] previous - current, pixels
+    motion_next: Tensor | None = None  # [B, 2, H, W] next - current, pixels
+    position: Tensor | None = None  # [B, 3, H, W] world space
+    id: Tensor | None = None  # [B, 1, H, W]
+    reference: Tensor | None = None  # [B, 3, H, W] the converged signal, for training and evaluation only
+    reference_half: Tensor | None = None  # [B, 3, H, W] mean of half of the reference's samples, independent of the rest
+    number: int = 0  # frame number, as in the file name
+    name: str = ""  # where it came from, for messages
+
+    def __post_init__(self) -> None:
+        size = (self.radiance.shape[0], *self.radiance.shape[2:])
+        for layer, tensor in self.layers():
+            expected = (size[0], CHANNELS[layer], *size[1:])
+            if tuple(tensor.shape) != expected:
+                raise ValueError(f"{self.name or 'frame'}: expected {layer} {expected}, got {tuple(tensor.shape)}")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.radiance.shape[2], self.radiance.shape[3]
+
+    def layers(self) -> list[tuple[str, Tensor]]:
+        """(name, tensor) of every buffer that is there."""
+        return [(f.name, t) for f in fields(self) if isinstance(t := getattr(self, f.name), Tensor)]
+
+    def map(self, function) -> Frame:
+        """The same frame with `function` applied to every tensor."""
+        return replace(self, **{layer: function(tensor) for layer, tensor in self.layers()})
+
+    def to(self, *args, **kwargs) -> Frame:
+        """Moved to a device or dtype, as `Tensor.to`."""
+        return self.map(lambda tensor: tensor.to(*args, **kwargs))
+
+    def crop(self, top: int, left: int, height: int, width: int) -> Frame:
+        """A window of the frame; motion stays valid because it is relative."""
+        return self.map(lambda tensor: tensor[..., top : top + height, left : left + width])
+
+
+@dataclass(frozen=True)
+class History:
+    """What one step hands to the next. Passed in and returned, never hidden."""
+
+    radiance: Tensor  # [B, 3, H, W] the denoised previous frame
+    motion_next: Tensor | None  # [B, 2, H, W] of the previous frame; None: no dual motion next time
+    depth: Tensor | None  # [B, 1, H, W] of the previous frame
+    normal: Tensor | None  # [B, 3, H, W] of the previous frame
+    length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
+
+    def to(self, *args, **kwargs) -> History:
+        return replace(self, **{f.name: t.to(*args, **kwargs) for f in fields(self) if (t := getattr(self, f.name)) is not None})
+
+    def detach(self) -> History:
+        """Cut from the autograd graph (truncated back-propagation)."""
+        return replace(self, **{f.name: t.detach() for f in fields(self) if (t := getattr(self, f.name)) is not None})
+
+
+def stack(frames: list[Frame]) -> Frame:
+    """Frames of the same size and layers as one batch."""
+    names = [layer for layer, _ in frames[0].layers()]
+    return Frame(**{n: torch.cat([getattr(f, n) for f in frames]) for n in names}, number=frames[0].number)
+
+
+def sanitise(frame: Frame) -> Frame:
+    """Replace what no filter can use, once, before anything else sees it. Finite, valid frames come back unchanged to the bit.
+
+    | layer                 | found                 | becomes |
+    |-----------------------|-----------------------|---------|
+    | radiance              | NaN, ±Inf or negative | 0       |
+    | albedo, normal        | NaN or ±Inf           | 0       |
+    | depth                 | NaN, ±Inf or negative | 0 (nothing hit) |
+    | motion, motion_next   | NaN or ±Inf           | 1e6: off the screen, so no history is taken |
+
+    `non_finite` counts what this will replace.
+    """
+
+    def clean(tensor: Tensor | None, bad: float, lowest: float | None = None) -> Tensor | None:
+        if tensor is None:
+            return None
+        tensor = torch.where(tensor.isfinite(), tensor, bad)
+        return tensor if lowest is None else tensor.clamp(min=lowest)
+
+    return replace(
+        frame,
+        radiance=clean(frame.radiance, 0.0, lowest=0.0),
+        albedo=clean(frame.albedo, 0.0),
+        normal=clean(frame.normal, 0.0),
+        depth=clean(frame.depth, 0.0, lowest=0.0),
+        motion=clean(frame.motion, 1e6),
+        motion_next=clean(frame.motion_next, 1e6),
+    )
+
+
+def non_finite(frame: Frame) -> dict[str, int]:
+    """Number of pixels per layer that hold NaN or Inf; layers without any are left out."""
+    counts = {layer: int((~tensor.isfinite()).any(dim=1).sum()) for layer, tensor in frame.layers()}
+    return {layer: count for layer, count in counts.items() if count}
