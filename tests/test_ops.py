@@ -1,0 +1,163 @@
+"""Each op against its index equation: one lit pixel first, then gradients, odd sizes and awkward input."""
+
+import math
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, upsample, warp
+
+SIZES = [(1, 1), (1, 9), (5, 17), (16, 12)]
+
+
+def impulse(height, width, y, x):
+    image = torch.zeros(1, 1, height, width)
+    image[0, 0, y, x] = 1
+    return image
+
+
+
+
+@pytest.mark.parametrize("tap", range(25))
+def test_apply_kernel_gathers_from_the_tap_of_its_equation(tap):
+    dy, dx = divmod(tap, 5)
+    logits = torch.full((1, 25, 9, 11), -1e4)
+    logits[:, tap] = 0
+    out = apply_kernel(impulse(9, 11, 4, 6), logits)
+    # out[y, x] = image[y + dy - 2, x + dx - 2], so the lit pixel (4, 6) appears at (4 - dy + 2, 6 - dx + 2).
+    assert torch.equal(out, impulse(9, 11, 6 - dy, 8 - dx))
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("K", [1, 3, 5])
+def test_apply_kernel_is_its_index_equation(size, K):
+    H, W = size
+    image, logits = torch.randn(2, 3, H, W), torch.randn(2, K * K, H, W)
+    expected = torch.zeros_like(image)
+    for y in range(H):
+        for x in range(W):
+            taps = [(dy * K + dx, y + dy - K // 2, x + dx - K // 2) for dy in range(K) for dx in range(K)]
+            taps = [(k, v, u) for k, v, u in taps if 0 <= v < H and 0 <= u < W]
+            weights = logits[:, [k for k, _, _ in taps], y, x].softmax(1)
+            expected[:, :, y, x] = sum(weights[:, i : i + 1] * image[:, :, v, u] for i, (_, v, u) in enumerate(taps))
+    torch.testing.assert_close(apply_kernel(image, logits), expected)
+
+
+@pytest.mark.parametrize("fill", [0.0, 1e4, -1e4])
+def test_apply_kernel_keeps_a_constant_image_whatever_the_logits(fill):
+    logits = torch.full((1, 25, 6, 7), fill)
+    logits[:, 3] = -fill
+    image = torch.full((1, 3, 6, 7), 0.7)
+    torch.testing.assert_close(apply_kernel(image, logits), image)
+
+
+def test_apply_kernel_ignores_layout_and_half_logits():
+    image, logits = torch.rand(1, 3, 8, 9), torch.randn(1, 25, 8, 9)
+    expected = apply_kernel(image, logits)
+    strided = torch.rand(1, 3, 9, 8).transpose(2, 3).copy_(image)
+    torch.testing.assert_close(apply_kernel(strided, logits.to(memory_format=torch.channels_last)), expected)
+    assert apply_kernel(image, logits.half()).dtype == torch.float32
+    torch.testing.assert_close(apply_kernel(image, logits.half()), expected, atol=2e-3, rtol=2e-3)
+
+
+def test_apply_kernel_gradients():
+    image = torch.randn(1, 2, 4, 5, dtype=torch.float64, requires_grad=True)
+    logits = torch.randn(1, 9, 4, 5, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(apply_kernel, (image, logits))
+
+
+def test_warp_shows_at_p_what_was_at_p_plus_motion():
+    motion = torch.zeros(1, 2, 7, 9)
+    motion[:, 0], motion[:, 1] = 2, -1
+    assert torch.equal(warp(impulse(7, 9, 3, 5), motion), impulse(7, 9, 4, 3))
+    assert torch.equal(fetch(impulse(7, 9, 3, 5), motion), impulse(7, 9, 4, 3))
+
+
+def test_warp_between_pixels_is_bilinear():
+    motion = torch.zeros(1, 2, 1, 4)
+    motion[:, 0] = 0.25
+    out = warp(torch.tensor([0.0, 4.0, 8.0, 8.0]).reshape(1, 1, 1, 4), motion)
+    assert out.flatten().tolist() == [1, 5, 8, 8]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_warp_agrees_with_grid_sample(size):
+    H, W = size
+    image, motion = torch.randn(2, 3, H, W), 4 * torch.randn(2, 2, H, W)
+    y, x = torch.meshgrid(torch.arange(H) + 0.5, torch.arange(W) + 0.5, indexing="ij")
+    grid = torch.stack([(x + motion[:, 0]) / W * 2 - 1, (y + motion[:, 1]) / H * 2 - 1], dim=-1)
+    expected = F.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    torch.testing.assert_close(warp(image, motion), expected, atol=1e-4, rtol=1e-4)
+
+
+def test_warp_by_whole_pixels_is_exact_and_bad_motion_is_none():
+    image = torch.rand(1, 3, 6, 5)
+    assert torch.equal(warp(image, torch.zeros(1, 2, 6, 5)), image)
+    bad = torch.full((1, 2, 6, 5), math.nan)
+    bad[:, :, 3:] = math.inf
+    assert torch.equal(warp(image, bad), image)
+    far = torch.full((1, 2, 6, 5), 1e6)
+    assert torch.equal(warp(image, far), image[:, :, -1:, -1:].expand_as(image))
+
+
+def test_warp_gradients():
+    image = torch.randn(1, 2, 4, 5, dtype=torch.float64, requires_grad=True)
+    motion = (torch.randint(-3, 3, (1, 2, 4, 5)) + 0.1 + 0.8 * torch.rand(1, 2, 4, 5)).double().requires_grad_()
+    assert torch.autograd.gradcheck(warp, (image, motion))
+    assert torch.autograd.gradcheck(lambda i: fetch(i, motion.detach()), (image,))
+
+
+def test_downsample_of_one_lit_pixel():
+    assert torch.equal(downsample(impulse(6, 6, 3, 4)), impulse(3, 3, 1, 2) / 4)
+    assert torch.equal(downsample(impulse(6, 6, 3, 4), "max"), impulse(3, 3, 1, 2))
+    assert torch.equal(downsample(impulse(5, 5, 4, 4)), impulse(3, 3, 2, 2))  # the corner cell holds one pixel
+
+
+def test_upsample_of_one_lit_pixel():
+    row = upsample(torch.tensor([0.0, 1.0, 0.0]).reshape(1, 1, 1, 3), (1, 5)).flatten().tolist()
+    assert row == [0, 0.25, 0.75, 0.75, 0.25]
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("pool", ["mean", "max"])
+def test_compose_is_equation_4(size, pool):
+    H, W = size
+    fine, coarse = torch.rand(1, 3, H, W), torch.rand(1, 3, -(-H // 2), -(-W // 2))
+    alpha = torch.rand(1, 1, *coarse.shape[2:])
+    expected = fine - upsample(alpha * downsample(fine, pool), size) + upsample(alpha * coarse, size)
+    torch.testing.assert_close(compose(fine, coarse, alpha, pool), expected)
+    assert torch.equal(compose(fine, coarse, torch.zeros_like(alpha), pool), fine)
+
+
+def test_pyramid_gradients():
+    fine = torch.randn(1, 2, 5, 4, dtype=torch.float64, requires_grad=True)
+    coarse = torch.randn(1, 2, 3, 2, dtype=torch.float64, requires_grad=True)
+    alpha = torch.rand(1, 1, 3, 2, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(compose, (fine, coarse, alpha))
+    assert torch.autograd.gradcheck(downsample, (fine,))
+    assert torch.autograd.gradcheck(lambda c: upsample(c, (5, 4)), (coarse,))
+
+
+def test_blend_is_equation_1_and_has_gradients():
+    spatial, temporal = torch.tensor([4.0]).reshape(1, 1, 1, 1), torch.tensor([8.0]).reshape(1, 1, 1, 1)
+    assert blend(spatial, temporal, torch.full((1, 1, 1, 1), 0.25)).item() == 7
+    inputs = [torch.rand(1, c, 3, 4, dtype=torch.float64, requires_grad=True) for c in (3, 3, 1)]
+    assert torch.autograd.gradcheck(blend, inputs)
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (lambda: apply_kernel(torch.zeros(1, 3, 4, 4), torch.zeros(1, 24, 4, 4)), "got \\(1, 24, 4, 4\\)"),
+        (lambda: apply_kernel(torch.zeros(1, 3, 4, 4), torch.zeros(1, 16, 4, 4)), "K odd"),
+        (lambda: apply_kernel(torch.zeros(3, 4, 4), torch.zeros(1, 25, 4, 4)), "\\[B, C, H, W\\]"),
+        (lambda: warp(torch.zeros(1, 3, 4, 4), torch.zeros(1, 2, 4, 5)), "got \\(1, 2, 4, 5\\)"),
+        (lambda: fetch(torch.zeros(1, 3, 4, 4), torch.zeros(2, 2, 4, 4)), "got \\(2, 2, 4, 4\\)"),
+        (lambda: downsample(torch.zeros(1, 3, 4, 4), "median"), "'median'"),
+        (lambda: upsample(torch.zeros(1, 3, 4, 4), (5, 5)), "coarse image of 3×3"),
+    ],
+)
+def test_wrong_shapes_are_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
