@@ -1,0 +1,67 @@
+"""Weights on disk: safetensors with the configuration inside. Never pickle, which can run code."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from ..errors import InputError
+from .temporal_kpn import Config, TemporalKPN
+
+_SHIPPED = resources.files("rtdenoise") / "weights"
+
+
+def available() -> list[str]:
+    """Names of the models whose weights are shipped."""
+    return sorted(path.name.removesuffix(".safetensors") for path in _SHIPPED.iterdir() if path.name.endswith(".safetensors"))
+
+
+def load(model: str | Path = "paper", device: str | torch.device = "cpu", **overrides) -> TemporalKPN:
+    """A denoiser with its weights, ready for inference.
+
+    `model` is a shipped name (`available()`) or the path of a .safetensors file that `rtdenoise train` wrote. `overrides` replace
+    fields of the stored configuration that do not change the network, e.g. `motion="traditional"` for ablations.
+
+    Raises InputError for an unknown name, an unreadable file, and weights that do not fit their configuration.
+    """
+    name = str(model)
+    shipped = name in available()
+    path = Path(str(_SHIPPED / f"{name}.safetensors")) if shipped else Path(name)
+    if not shipped and not path.is_file():
+        raise InputError(f"no model {name!r}: expected one of {', '.join(available())} or the path of a .safetensors file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {key: file.get_tensor(key).float() for key in file.keys()}  # noqa: SIM118 (not a dict)
+    except (SafetensorError, OSError) as error:
+        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+    if "config" not in metadata:
+        raise InputError(f"{path}: no model configuration in its metadata; expected a file written by `rtdenoise train`")
+    try:
+        config = Config(**{**json.loads(metadata["config"]), **overrides})
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: its configuration is not one of this version: {error}") from None
+    denoiser = TemporalKPN(config)
+    expected = {key: tuple(tensor.shape) for key, tensor in denoiser.state_dict().items()}
+    found = {key: tuple(tensor.shape) for key, tensor in tensors.items()}
+    if expected != found:
+        key = sorted(k for k in expected.keys() | found.keys() if expected.get(k) != found.get(k))[0]
+        raise InputError(
+            f"{path}: weights do not fit the configuration: {key} is {found.get(key, 'missing')}, expected {expected.get(key, 'none')}"
+        )
+    denoiser.load_state_dict(tensors)
+    return denoiser.eval().requires_grad_(False).to(device)
+
+
+def save(denoiser: TemporalKPN, path: str | Path, half: bool = False, **metadata: str) -> None:
+    """Write weights and configuration; `half` stores float16. Written under a temporary name first, so never half a file."""
+    tensors = {k: (v.half() if half else v).detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
+    temporary = Path(f"{path}.tmp")
+    save_file(tensors, temporary, metadata={"config": json.dumps(asdict(denoiser.config)), **metadata})
+    temporary.replace(path)

@@ -1,0 +1,5 @@
+"""Network building blocks."""
+
+from .unet import UNet
+
+__all__ = ["UNet"]

@@ -1,0 +1,52 @@
+"""Dependencies point one way, and inference pulls in neither training nor rendering nor plotting."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent / "rtdenoise"
+# A room may import the rooms above it in this list, and its own.
+ORDER = [
+    ("errors",), ("frame", "color"), ("ops",), ("motion",), ("nets",), ("models",),
+    ("baselines", "glsl", "losses", "metrics", "data", "augment"),
+    ("train", "denoise", "evaluate", "preview", "inspect"), ("demo",), ("cli",), ("__main__",),
+]  # fmt: skip
+RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
+
+
+def imported_rooms(path):
+    package = ("rtdenoise", *path.relative_to(ROOT).parts)[:-1]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            names = [(*base, *(node.module or "").split(".")) if node.module else (*base, alias.name) for alias in node.names]
+        elif isinstance(node, ast.Import):
+            names = [tuple(alias.name.split(".")) for alias in node.names]
+        else:
+            continue
+        for name in names:
+            if name[0] == "rtdenoise" and len(name) > 1 and name[1] in RANK:
+                yield name[1]
+
+
+def test_dependencies_point_one_way():
+    for path in ROOT.rglob("*.py"):
+        room = path.relative_to(ROOT).parts[0].removesuffix(".py")
+        if room == "__init__":
+            continue
+        assert room in RANK, f"{path.name}: place the room {room} in ORDER"
+        for other in imported_rooms(path):
+            same = other == room
+            assert same or RANK[other] < RANK[room], f"{path.relative_to(ROOT)} imports {other}, which is not below {room}"
+
+
+def test_inference_imports_no_training_rendering_or_plotting():
+    code = (
+        "import sys, rtdenoise, rtdenoise.denoise\n"
+        "bad = {'mitsuba', 'drjit', 'matplotlib', 'skimage', 'rtdenoise.train', 'rtdenoise.evaluate', 'rtdenoise.data.render'}\n"
+        "found = sorted(bad & set(sys.modules))\n"
+        "sys.exit(f'imported: {found}' if found else 0)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr

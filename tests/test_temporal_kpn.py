@@ -1,0 +1,178 @@
+"""What the one-frame step promises, whatever the weights."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from rtdenoise.errors import InputError
+from rtdenoise.frame import Frame, non_finite, sanitise
+from rtdenoise.models import PRESETS, Config, TemporalKPN, available, load, save
+
+SMALL = Config(widths=(8, 8, 8, 8))
+
+
+def make_frame(H=24, W=32, seed=0):
+    g = torch.Generator().manual_seed(seed)
+
+    def rand(c):
+        return torch.rand(1, c, H, W, generator=g)
+
+    return Frame(
+        radiance=rand(3) ** 4 * 8, albedo=rand(3), normal=rand(3) * 2 - 1, depth=rand(1) * 5 + 1,
+        motion=rand(2) * 4 - 2, motion_next=rand(2) * 4 - 2,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def denoiser():
+    torch.manual_seed(1)
+    return TemporalKPN(SMALL).eval().requires_grad_(False)
+
+
+def test_paper_preset_has_the_papers_inputs_outputs_and_size():
+    model = TemporalKPN(PRESETS["paper"])
+    assert model.unet.encoder[0][0].in_channels == 13
+    assert [head.out_channels for head in model.heads] == [51, 26, 26]
+    assert sum(p.numel() for p in model.parameters()) <= 1_000_000
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 2), (17, 5), (37, 41), (16, 32)])
+def test_any_size_goes_in_and_comes_out(denoiser, size):
+    frame = make_frame(*size)
+    image, history = denoiser.step(frame)
+    again, _ = denoiser.step(frame, history)
+    assert image.shape == again.shape == frame.radiance.shape
+    assert again.isfinite().all()
+
+
+@pytest.mark.parametrize("exposure", [1e-4, 1e4])
+def test_scaling_the_radiance_scales_the_output(denoiser, exposure):
+    frames = [make_frame(seed=s) for s in range(3)]
+    history = history_scaled = None
+    for frame in frames:
+        image, history = denoiser.step(frame, history)
+        scaled, history_scaled = denoiser.step(replace(frame, radiance=frame.radiance * exposure), history_scaled)
+    torch.testing.assert_close(scaled / exposure, image, rtol=1e-3, atol=1e-5)
+
+
+def test_grey_stays_grey_and_the_output_is_not_negative(denoiser):
+    frame = make_frame()
+    image, _ = denoiser.step(replace(frame, radiance=frame.radiance[:, :1].expand(-1, 3, -1, -1)))
+    torch.testing.assert_close(image[:, :1].expand_as(image), image)
+    assert image.min() >= 0
+
+
+def test_constant_radiance_is_kept(denoiser):
+    frame = replace(make_frame(), radiance=torch.full((1, 3, 24, 32), 0.3))
+    image, history = denoiser.step(frame)
+    torch.testing.assert_close(image, frame.radiance)
+    torch.testing.assert_close(denoiser.step(frame, history)[0], frame.radiance)
+
+
+def test_off_screen_history_leaves_no_trace(denoiser):
+    frame = replace(make_frame(), motion=torch.full((1, 2, 24, 32), 1e3))
+    _, history = denoiser.step(make_frame(seed=5))
+    assert torch.equal(denoiser.step(frame, history)[0], denoiser.step(frame, None)[0])
+
+
+def test_dual_and_traditional_motion_differ_only_where_something_was_uncovered():
+    motion = torch.zeros(1, 2, 24, 32)
+    occluder = torch.zeros(1, 2, 24, 32)
+    occluder[:, 0, :, 16:] = 3.0  # what was in the right half has moved on by three pixels
+    frame = replace(make_frame(), motion=motion)
+    dual, traditional = TemporalKPN(SMALL), TemporalKPN(replace(SMALL, motion="traditional"))
+    _, history = dual.step(replace(make_frame(seed=3), motion_next=occluder))
+    assert torch.equal(traditional.reprojection(frame, history), motion)
+    assert torch.equal(dual.reprojection(frame, history), -occluder)
+    assert torch.equal(dual.reprojection(frame, replace(history, motion_next=None)), motion)
+
+
+@pytest.mark.parametrize("layer", ["radiance", "albedo", "normal", "depth", "motion", "motion_next"])
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_bad_pixels_never_reach_output_or_history(denoiser, layer, bad):
+    frame = make_frame()
+    broken = getattr(frame, layer).clone()
+    broken[:, :, 5, 7] = bad
+    frame = replace(frame, **{layer: broken})
+    assert non_finite(frame) == {layer: 1}
+    _, history = denoiser.step(frame, None)
+    image, history = denoiser.step(frame, history)
+    assert image.isfinite().all()
+    assert all(t.isfinite().all() for t in (history.radiance, history.motion_next, history.depth, history.normal))
+
+
+def test_sanitising_changes_nothing_that_is_valid():
+    frame = make_frame()
+    for (layer, before), (_, after) in zip(frame.layers(), sanitise(frame).layers(), strict=True):
+        assert torch.equal(before, after), layer
+
+
+def test_black_frame_stays_black(denoiser):
+    frame = replace(make_frame(), radiance=torch.zeros(1, 3, 24, 32))
+    image, history = denoiser.step(frame)
+    assert image.max() == 0 and denoiser.step(frame, history)[0].max() == 0
+
+
+def test_gradients_reach_every_parameter_through_the_recurrence():
+    torch.manual_seed(0)
+    model, history = TemporalKPN(SMALL), None
+    for seed in range(3):
+        image, history = model.step(make_frame(seed=seed), history)
+    image.square().mean().backward()
+    assert all(p.grad is not None and p.grad.isfinite().all() for p in model.parameters())
+    assert any(p.grad.abs().max() > 0 for p in model.heads[0].parameters())
+
+
+@pytest.mark.parametrize("layer", ["albedo", "normal", "depth"])
+def test_a_missing_layer_is_named(denoiser, layer):
+    with pytest.raises(InputError, match=f"layer {layer} is missing"):
+        denoiser.step(replace(make_frame(), **{layer: None}))
+
+
+def test_missing_motion_matters_only_with_history(denoiser):
+    frame = replace(make_frame(), motion=None)
+    _, history = denoiser.step(frame)
+    with pytest.raises(InputError, match="layer motion is missing"):
+        denoiser.step(frame, history)
+
+
+def test_history_of_another_size_is_refused(denoiser):
+    _, history = denoiser.step(make_frame())
+    with pytest.raises(InputError, match="pass history=None"):
+        denoiser.step(make_frame(16, 16), history)
+
+
+def test_weights_round_trip(tmp_path, denoiser):
+    path = tmp_path / "small.safetensors"
+    save(denoiser, path)
+    loaded = load(path)
+    assert loaded.config == SMALL
+    assert torch.equal(loaded.step(make_frame())[0], denoiser.step(make_frame())[0])
+    assert load(path, motion="traditional").config.motion == "traditional"
+
+
+def test_unusable_weights_are_named(tmp_path, denoiser):
+    with pytest.raises(InputError, match="no model 'nosuch'"):
+        load("nosuch")
+    (tmp_path / "text.safetensors").write_text("hello, this is no weights file")
+    with pytest.raises(InputError, match="not a readable safetensors file"):
+        load(tmp_path / "text.safetensors")
+    save_file({"x": torch.zeros(1)}, tmp_path / "bare.safetensors")
+    with pytest.raises(InputError, match="no model configuration"):
+        load(tmp_path / "bare.safetensors")
+    state = denoiser.state_dict()
+    save_file(state, tmp_path / "other.safetensors", metadata={"config": json.dumps({"widths": [8, 8, 8, 16]})})
+    with pytest.raises(InputError, match="do not fit the configuration"):
+        load(tmp_path / "other.safetensors")
+    save_file(state, tmp_path / "future.safetensors", metadata={"config": json.dumps({"wings": 2})})
+    with pytest.raises(InputError, match="not one of this version"):
+        load(tmp_path / "future.safetensors")
+
+
+def test_every_shipped_model_loads():
+    for name in available():
+        assert load(name).step(make_frame())[0].isfinite().all()
