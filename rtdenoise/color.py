@@ -8,7 +8,8 @@ from torch.nn import functional as F
 
 
 def compress(radiance: Tensor) -> Tensor:
-    """`log(1 + x)`: what the network sees and the loss is taken in, so that fireflies do not rule. Inverse: `expand`."""
+    """`log(1 + x)`: what the network sees and the loss is taken in, so that fireflies do not rule. Inverse:
+    `expand`."""
     return torch.log1p(radiance)
 
 
@@ -34,11 +35,13 @@ def luminance(rgb: Tensor) -> Tensor:
 
 
 def exposure(radiance: Tensor, block: int = 8) -> Tensor:
-    """One over the brightness of a frame, `[B, 3, H, W] -> [B, 1, 1, 1]`, by a statistic that single pixels cannot move.
+    """One over the brightness of a frame, `[B, 3, H, W] -> [B, 1, 1, 1]`, by a statistic that single pixels cannot
+    move.
 
-    Brightness is the mean of the block means below their 90th percentile. Block means, because at 1 spp most pixels of indirect
-    light are black, so that no percentile of the pixels themselves says how bright the frame is; the cut, because one firefly
-    moves its own block only. Frames darker than 1e-8 count as black and get the exposure of that brightness.
+    Brightness is the mean of the block means below their 90th percentile. Block means, because at 1 spp most pixels of
+    indirect light are black, so that no percentile of the pixels themselves says how bright the frame is; the cut,
+    because one firefly moves its own block only. Frames darker than 1e-8 count as black and get the exposure of that
+    brightness.
     """
     means = F.avg_pool2d(luminance(radiance), block, ceil_mode=True, count_include_pad=False).flatten(1)
     kept = means.sort(dim=1).values[:, : max(1, int(means.shape[1] * 0.9))]

@@ -4,6 +4,6 @@
 class InputError(ValueError):
     """Something outside the program is wrong: a file, a layer, a size, an option, a missing driver.
 
-    The message is one line that names the thing, what was found, what was expected and what to do. The command line prints
-    it and exits with 2; library users catch it as a `ValueError`.
+    The message is one line that names the thing, what was found, what was expected and what to do. The command line
+    prints it and exits with 2; library users catch it as a `ValueError`.
     """

@@ -43,7 +43,7 @@ class Frame:
     position: Tensor | None = None  # [B, 3, H, W] world space
     id: Tensor | None = None  # [B, 1, H, W]
     reference: Tensor | None = None  # [B, 3, H, W] the converged signal, for training and evaluation only
-    reference_half: Tensor | None = None  # [B, 3, H, W] mean of half of the reference's samples, independent of the rest
+    reference_half: Tensor | None = None  # [B, 3, H, W] the mean of one half of the reference's samples
     number: int = 0  # frame number, as in the file name
     name: str = ""  # where it came from, for messages
 
@@ -87,7 +87,9 @@ class History:
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
 
     def to(self, *args, **kwargs) -> History:
-        return replace(self, **{f.name: t.to(*args, **kwargs) for f in fields(self) if (t := getattr(self, f.name)) is not None})
+        return replace(
+            self, **{f.name: t.to(*args, **kwargs) for f in fields(self) if (t := getattr(self, f.name)) is not None}
+        )
 
     def detach(self) -> History:
         """Cut from the autograd graph (truncated back-propagation)."""
@@ -101,7 +103,8 @@ def stack(frames: list[Frame]) -> Frame:
 
 
 def sanitise(frame: Frame) -> Frame:
-    """Replace what no filter can use, once, before anything else sees it. Finite, valid frames come back unchanged to the bit.
+    """Replace what no filter can use, once, before anything else sees it. Finite, valid frames come back unchanged to
+    the bit.
 
     | layer                 | found                 | becomes |
     |-----------------------|-----------------------|---------|

@@ -32,8 +32,9 @@ def temporal_kpn_loss(
 ) -> Loss:
     """L = L1(I, R) + L1(I_i - I_{i-1}, R_i - R_{i-1}) + L1(I ⊙ Σ w_k M_k, R ⊙ Σ w_k M_k).
 
-    The domain is `color.compress` of the exposed radiance: in linear radiance a handful of fireflies would be the whole loss.
-    The weights of eq. 5 are applied after the compression, so they mean the same in dark and in bright places.
+    The domain is `color.compress` of the exposed radiance: in linear radiance a handful of fireflies would be the
+    whole loss. The weights of eq. 5 are applied after the compression, so they mean the same in dark and in bright
+    places.
     """
     image, reference = compress(image * scale), compress(reference * scale)
     spatial = F.l1_loss(image, reference)

@@ -1,4 +1,5 @@
-"""Image errors, over the frame or inside a mask. Display metrics see what a screen shows; relMSE sees linear radiance."""
+"""Image errors, over the frame or inside a mask. Display metrics see what a screen shows; relMSE sees linear
+radiance."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ def psnr(
 
 
 def ssim(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
-    """Structural similarity (Wang et al. 2004; scikit-image, 7×7 window) on the display transform, arguments as in `psnr`.
+    """Structural similarity (Wang et al. 2004; scikit-image, 7×7 window) on the display transform, arguments as in
+    `psnr`.
 
     Frames smaller than the window have none: NaN.
     """
@@ -45,8 +47,8 @@ def relmse(
 ) -> float:
     """Mean of (a - r)² / (r² + 0.01) on linear, exposed radiance (Rousselle et al. 2011), arguments as in `psnr`.
 
-    With one half r₁ of the reference's samples the other is r₂ = 2r - r₁, and (a - r)² becomes (a - r₁)(a - r₂): its mean does not
-    contain the reference's own noise. It can be slightly negative for an image as good as its reference.
+    With one half r₁ of the reference's samples the other is r₂ = 2r - r₁, and (a - r)² becomes (a - r₁)(a - r₂): its
+    mean does not contain the reference's own noise. It can be slightly negative for an image as good as its reference.
     """
     a, r = image * scale, reference * scale
     half = r if reference_half is None else reference_half * scale

@@ -10,8 +10,9 @@ from torch import Tensor
 from .frame import Frame
 from .ops import fetch
 
-# Pixels by which dual and traditional motion must differ before a pixel counts as uncovered. Where nothing was uncovered they
-# differ only because motion_next is fetched at the nearest pixel: by the motion's own gradient times half a pixel at most.
+# Pixels by which dual and traditional motion must differ before a pixel counts as uncovered. Where nothing was
+# uncovered they differ only because motion_next is fetched at the nearest pixel: by the motion's own gradient times
+# half a pixel at most.
 OCCLUSION_THRESHOLD = 0.5
 
 
@@ -22,7 +23,8 @@ def dual_motion(
     """Motion that leads an uncovered pixel to background instead of to what covered it (eq. 2; Zeng et al. 2021).
 
     The surface at x was at y = x + motion(x). If it was hidden there, y held the occluder, which has since moved to
-    z = y + motion_next_previous(y). The background that is now as far from the occluder as x is from z was at y + (x - z), so
+    z = y + motion_next_previous(y). The background that is now as far from the occluder as x is from z was at y + (x -
+    z), so
 
         dual(x) = y + (x - z) - x = -motion_next_previous(x + motion(x)),        fetched at the nearest pixel
 
@@ -41,9 +43,10 @@ def motion_between(
 
         p' = W_there W_here⁻¹ p,    motion = project_there(p') - project_here(p)
 
-    with W an object's object-to-world matrix (absent: it does not move) and project the frame's world-to-pixel matrix. Where
-    nothing was hit the point is at infinity along the pixel's ray, so only the camera's rotation counts. Points behind the other
-    frame's camera get a motion that leaves the screen. Computed in float64, returned in the dtype of `position`.
+    with W an object's object-to-world matrix (absent: it does not move) and project the frame's world-to-pixel matrix.
+    Where nothing was hit the point is at infinity along the pixel's ray, so only the camera's rotation counts. Points
+    behind the other frame's camera get a motion that leaves the screen. Computed in float64, returned in the dtype of
+    `position`.
     """
     B, _, H, W = position.shape
     to64 = {"dtype": torch.float64, "device": position.device}
@@ -59,7 +62,9 @@ def motion_between(
     moved = point
     for key in here["object_to_world"].keys() & there["object_to_world"].keys():
         W_here, W_there = (torch.tensor(entry["object_to_world"][key], **to64) for entry in (here, there))
-        moved = torch.where(id == int(key), torch.einsum("ij,bjhw->bihw", W_there @ torch.linalg.inv(W_here), point), moved)
+        moved = torch.where(
+            id == int(key), torch.einsum("ij,bjhw->bihw", W_there @ torch.linalg.inv(W_here), point), moved
+        )
 
     def project(matrix: Tensor, points: Tensor) -> Tensor:
         xyw = torch.einsum("ij,bjhw->bihw", matrix, points)
@@ -70,10 +75,11 @@ def motion_between(
 
 
 def motion_from_scene(frame: Frame, scene: dict) -> Frame:
-    """The frame with those of `motion` and `motion_next` that it lacks, computed from `position`, `id` and `scene.json`.
+    """The frame with those of `motion` and `motion_next` that it lacks, computed from `position`, `id` and
+    `scene.json`.
 
-    `scene` is the parsed scene.json: its `frames` must hold the frame's number and, for each motion, the number before or after.
-    What cannot be computed stays None.
+    `scene` is the parsed scene.json: its `frames` must hold the frame's number and, for each motion, the number before
+    or after. What cannot be computed stays None.
     """
     entries = {entry["number"]: entry for entry in scene["frames"]}
     here = entries.get(frame.number)
@@ -96,7 +102,8 @@ def on_screen(motion: Tensor) -> Tensor:
 
 
 def occlusion_mask(dual: Tensor, motion: Tensor, threshold: float = OCCLUSION_THRESHOLD) -> Tensor:
-    """M of eq. 5: True where a moving object has just uncovered the pixel, `[B, 1, H, W]` bool: ‖dual - motion‖ > threshold."""
+    """M of eq. 5: True where a moving object has just uncovered the pixel, `[B, 1, H, W]` bool: ‖dual - motion‖ >
+    threshold."""
     return (dual - motion).square().sum(1, keepdim=True) > threshold**2
 
 
@@ -115,10 +122,11 @@ def same_surface(
     depth_tolerance: float = 0.1,
     normal_tolerance: float = 0.5,
 ) -> Tensor:  # [B, 1, H, W] bool
-    """Whether history was fetched from a surface like the one that is here now (the geometric part of history validity).
+    """Whether history was fetched from a surface like the one that is here now (the geometric part of history
+    validity).
 
-    Relative depth difference ≤ `depth_tolerance` and cosine between the normals ≥ `normal_tolerance`, both looked up at the nearest
-    pixel; two misses are alike, a hit and a miss are not.
+    Relative depth difference ≤ `depth_tolerance` and cosine between the normals ≥ `normal_tolerance`, both looked up
+    at the nearest pixel; two misses are alike, a hit and a miss are not.
     """
     before, facing = fetch(depth_previous, motion), fetch(normal_previous, motion)
     hit, was_hit = depth > 0, before > 0

@@ -81,13 +81,15 @@ def test_dual_motion_is_equation_2_where_the_sphere_uncovered_the_plane():
     uncovered = was & ~is_
     assert uncovered.sum() > 100
 
-    # Static plane, static camera: y = x. The sphere's point seen at y moved by FOCAL · SPEED / z(y), so dual = -(that, 0).
+    # Static plane, static camera: y = x. The sphere's point seen at y moved by FOCAL · SPEED / z(y), so dual = -(that,
+    # 0).
     expected = -FOCAL * SPEED / before.depth
     torch.testing.assert_close(dual[:, :1][uncovered], expected[uncovered], atol=1e-5, rtol=1e-5)
     assert dual[:, 1:][uncovered].abs().max() == 0
     assert torch.equal(occlusion_mask(dual, now.motion) & ~is_, uncovered)
 
-    # Where nothing was uncovered dual is the traditional motion: exactly on the plane, up to the nearest fetch on the sphere.
+    # Where nothing was uncovered dual is the traditional motion: exactly on the plane, up to the nearest fetch on the
+    # sphere.
     assert torch.equal(dual[:, :1][~was & ~is_], now.motion[:, :1][~was & ~is_])
     inside = is_ & (torch.nn.functional.avg_pool2d(is_.float(), 9, 1, 4) == 1)
     assert (dual - now.motion).abs()[inside.expand(-1, 2, -1, -1)].max() < 0.5

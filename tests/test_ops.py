@@ -17,8 +17,6 @@ def impulse(height, width, y, x):
     return image
 
 
-
-
 @pytest.mark.parametrize("tap", range(25))
 def test_apply_kernel_gathers_from_the_tap_of_its_equation(tap):
     dy, dx = divmod(tap, 5)

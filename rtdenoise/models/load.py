@@ -19,14 +19,17 @@ _SHIPPED = resources.files("rtdenoise") / "weights"
 
 def available() -> list[str]:
     """Names of the models whose weights are shipped."""
-    return sorted(path.name.removesuffix(".safetensors") for path in _SHIPPED.iterdir() if path.name.endswith(".safetensors"))
+    return sorted(
+        path.name.removesuffix(".safetensors") for path in _SHIPPED.iterdir() if path.name.endswith(".safetensors")
+    )
 
 
 def load(model: str | Path = "paper", device: str | torch.device = "cpu", **overrides) -> TemporalKPN:
     """A denoiser with its weights, ready for inference.
 
-    `model` is a shipped name (`available()`) or the path of a .safetensors file that `rtdenoise train` wrote. `overrides` replace
-    fields of the stored configuration that do not change the network, e.g. `motion="traditional"` for ablations.
+    `model` is a shipped name (`available()`) or the path of a .safetensors file that `rtdenoise train` wrote.
+    `overrides` replace fields of the stored configuration that do not change the network, e.g. `motion="traditional"`
+    for ablations.
 
     Raises InputError for an unknown name, an unreadable file, and weights that do not fit their configuration.
     """
@@ -34,7 +37,9 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
     shipped = name in available()
     path = Path(str(_SHIPPED / f"{name}.safetensors")) if shipped else Path(name)
     if not shipped and not path.is_file():
-        raise InputError(f"no model {name!r}: expected one of {', '.join(available())} or the path of a .safetensors file")
+        raise InputError(
+            f"no model {name!r}: expected one of {', '.join(available())} or the path of a .safetensors file"
+        )
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -42,7 +47,9 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
     except (SafetensorError, OSError) as error:
         raise InputError(f"{path}: not a readable safetensors file ({error})") from None
     if "config" not in metadata:
-        raise InputError(f"{path}: no model configuration in its metadata; expected a file written by `rtdenoise train`")
+        raise InputError(
+            f"{path}: no model configuration in its metadata; expected a file written by `rtdenoise train`"
+        )
     try:
         config = Config(**{**json.loads(metadata["config"]), **overrides})
     except (TypeError, ValueError) as error:
@@ -53,14 +60,15 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
     if expected != found:
         key = sorted(k for k in expected.keys() | found.keys() if expected.get(k) != found.get(k))[0]
         raise InputError(
-            f"{path}: weights do not fit the configuration: {key} is {found.get(key, 'missing')}, expected {expected.get(key, 'none')}"
+            f"{path}: weights do not fit the configuration: {key} is {found.get(key, 'missing')}, "
+            f"expected {expected.get(key, 'none')}"
         )
     denoiser.load_state_dict(tensors)
     return denoiser.eval().requires_grad_(False).to(device)
 
 
 def save(denoiser: TemporalKPN, path: str | Path, half: bool = False, **metadata: str) -> None:
-    """Write weights and configuration; `half` stores float16. Written under a temporary name first, so never half a file."""
+    """Write weights (float16 if `half`) and configuration, under a temporary name first: never half a file."""
     tensors = {k: (v.half() if half else v).detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
     temporary = Path(f"{path}.tmp")
     save_file(tensors, temporary, metadata={"config": json.dumps(asdict(denoiser.config)), **metadata})

@@ -1,7 +1,7 @@
 """The denoiser: multi-scale kernel prediction with temporal kernels on dual motion vectors.
 
-Zeng, Wang, Xu, Meng: Neural Temporal Denoising for Indirect Illumination ("the paper"). Read `TemporalKPN.step` first: it is the
-whole method on one page; everything it calls is in `motion`, `ops` and `nets`.
+Zeng, Wang, Xu, Meng: Neural Temporal Denoising for Indirect Illumination ("the paper"). Read `TemporalKPN.step` first:
+it is the whole method on one page; everything it calls is in `motion`, `ops` and `nets`.
 """
 
 from __future__ import annotations
@@ -78,15 +78,15 @@ class TemporalKPN(nn.Module):
     def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
         """Denoise one frame: `[B, 3, H, W]` linear radiance, and the history for the next one.
 
-        `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion. `history=None` starts a sequence or
-        resets after a cut. Without `motion_next` in the previous frame traditional motion is used.
+        `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion. `history=None` starts a
+        sequence or resets after a cut. Without `motion_next` in the previous frame traditional motion is used.
 
         Raises InputError where a layer is missing or the history is of another size.
         """
         frame = sanitise(frame)
         _check(frame, history)
 
-        # Reproject the previous output; pixels whose history is off the screen start from the noise, like a first frame.
+        # Reproject the previous output; where that is off the screen start from the noise, like a first frame.
         if history is None:
             warped = frame.radiance
         else:
@@ -112,19 +112,22 @@ class TemporalKPN(nn.Module):
         return output, History(output, frame.motion_next, frame.depth, frame.normal)
 
     def reprojection(self, frame: Frame, history: History) -> Tensor:
-        """The motion that history is fetched with, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere."""
+        """The motion that fetches history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere."""
         if self.config.motion == "traditional" or history.motion_next is None:
             return frame.motion
         dual = dual_motion(frame.motion, history.motion_next)
         return torch.where(occlusion_mask(dual, frame.motion), dual, frame.motion)
 
     def features(self, frame: Frame, warped: Tensor) -> Tensor:
-        """The network's input `[B, 13, H, W]`: radiance compressed at a common exposure, depth as nearness in [0, 1)."""
+        """The network's input `[B, 13, H, W]`: radiance compressed at one exposure, depth as nearness in [0, 1)."""
         scale = exposure(frame.radiance)
         hit = frame.depth > 0
-        typical = (frame.depth.sum((1, 2, 3), keepdim=True) / hit.sum((1, 2, 3), keepdim=True).clamp(min=1)).clamp(min=1e-12)
+        hits = hit.sum((1, 2, 3), keepdim=True).clamp(min=1)
+        typical = (frame.depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)  # mean distance
         nearness = torch.where(hit, typical / (typical + frame.depth), 0.0)
-        return torch.cat([compress(frame.radiance * scale), frame.albedo, frame.normal, nearness, compress(warped * scale)], dim=1)
+        return torch.cat(
+            [compress(frame.radiance * scale), frame.albedo, frame.normal, nearness, compress(warped * scale)], dim=1
+        )
 
     def predict(self, features: Tensor) -> Heads:
         """Run the network. Logits are handed on in float32 whatever the autocast dtype."""
@@ -138,9 +141,11 @@ class TemporalKPN(nn.Module):
 def _check(frame: Frame, history: History | None) -> None:
     for layer in ("albedo", "normal", "depth") + (("motion",) if history is not None else ()):
         if getattr(frame, layer) is None:
-            raise InputError(f"{frame.name or 'frame'}: layer {layer} is missing; the denoiser needs albedo, normal, depth and motion")
+            raise InputError(
+                f"{frame.name or 'frame'}: layer {layer} is missing; the denoiser needs albedo, normal, depth, motion"
+            )
     if history is not None and history.radiance.shape != frame.radiance.shape:
         raise InputError(
-            f"{frame.name or 'frame'}: history is {tuple(history.radiance.shape)}, the frame {tuple(frame.radiance.shape)}; "
-            "pass history=None to start anew"
+            f"{frame.name or 'frame'}: history is {tuple(history.radiance.shape)}, the frame "
+            f"{tuple(frame.radiance.shape)}; pass history=None to start anew"
         )

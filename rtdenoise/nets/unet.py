@@ -8,10 +8,11 @@ from torch.nn import functional as F
 
 
 class UNet(nn.Module):
-    """Encoder-decoder with skip connections (Ronneberger et al. 2015): two 3×3 convolutions a level, max pooling down, nearest up.
+    """Encoder-decoder with skip connections (Ronneberger et al. 2015): two 3×3 convolutions a level, max pooling down,
+    nearest up.
 
-    `widths[l]` channels at 1/2^l of the input size. Any size goes in: the image is padded to whole cells of the coarsest level by
-    repeating its border, and the padding is cropped away on every scale.
+    `widths[l]` channels at 1/2^l of the input size. Any size goes in: the image is padded to whole cells of the
+    coarsest level by repeating its border, and the padding is cropped away on every scale.
     """
 
     def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
@@ -20,7 +21,8 @@ class UNet(nn.Module):
         self.decoder = nn.ModuleList(_double(a + b, b) for a, b in zip(widths[1:], widths, strict=False))
 
     def forward(self, x: Tensor, scales: int) -> list[Tensor]:
-        """`[B, inputs, H, W]` to decoder features of the `scales` finest levels, finest first: `[B, widths[l], ⌈H/2^l⌉, ⌈W/2^l⌉]`."""
+        """`[B, inputs, H, W]` to decoder features of the `scales` finest levels, finest first: `[B, widths[l],
+        ⌈H/2^l⌉, ⌈W/2^l⌉]`."""
         H, W = x.shape[2:]
         cell = 2 ** (len(self.encoder) - 1)
         x = F.pad(x, (0, -W % cell, 0, -H % cell), mode="replicate")

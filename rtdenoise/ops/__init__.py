@@ -1,4 +1,5 @@
-"""The kernel-apply operations: plain torch with gradients. Each module states its index equation and is its specification.
+"""The kernel-apply operations: plain torch with gradients. Each module states its index equation and is its
+specification.
 
 Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, x right, y down.
 """

@@ -20,17 +20,17 @@ def apply_kernel(
         w[b,k,y,x]   = softmax_k logits[b,k,y,x], over the taps k = dy·K + dx that lie inside the image
         out[b,c,y,x] = Σ_{dy,dx ∈ 0..K-1} w[b, dy·K+dx, y, x] · image[b, c, y+dy-r, x+dx-r],    r = ⌊K/2⌋
 
-    It gathers. Weights are positive and sum to 1 at borders too, so a constant image stays as it is, the output lies between the
-    least and the greatest tap, and grey stays grey. Softmax subtracts the maximum and accumulates in float32 (or float64) whatever
-    the dtype of `logits`; the result has the dtype of `image`.
+    It gathers. Weights are positive and sum to 1 at borders too, so a constant image stays as it is, the output lies
+    between the least and the greatest tap, and grey stays grey. Softmax subtracts the maximum and accumulates in
+    float32 (or float64) whatever the dtype of `logits`; the result has the dtype of `image`.
 
     Raises ValueError where the shapes do not fit or K is even.
     """
     if image.ndim != 4 or logits.ndim != 4:
         raise ValueError(f"expected image and logits [B, C, H, W], got {tuple(image.shape)} and {tuple(logits.shape)}")
-    B, C, H, W = image.shape
+    B, _, H, W = image.shape
     K = math.isqrt(logits.shape[1])
-    if K * K != logits.shape[1] or K % 2 == 0 or (logits.shape[0], *logits.shape[2:]) != (B, H, W):
+    if logits.shape[1] != K**2 or K % 2 == 0 or (logits.shape[0], *logits.shape[2:]) != (B, H, W):
         raise ValueError(f"expected logits [{B}, K², {H}, {W}] with K odd, got {tuple(logits.shape)}")
 
     dtype = torch.promote_types(torch.float32, image.dtype)
@@ -40,7 +40,8 @@ def apply_kernel(
 
 
 class _Gather(torch.autograd.Function):
-    """The weighted sum over taps. Written out both ways because autograd would keep and zero a full-size buffer a tap."""
+    """The weighted sum over taps. Written out both ways because autograd would keep and zero a full-size buffer a
+    tap."""
 
     @staticmethod
     def forward(ctx, weights: Tensor, padded: Tensor, K: int) -> Tensor:

@@ -12,8 +12,8 @@ def downsample(
 ) -> Tensor:  # [B, C, ⌈H/2⌉, ⌈W/2⌉]
     """D of eq. 4: 2×2 pooling, `out[b,c,y,x] = mean or max of image[b, c, 2y..2y+1, 2x..2x+1]`.
 
-    At an odd border the cell holds what exists of it. The paper prints max pooling; on unbounded Monte Carlo noise the maximum
-    is biased upwards, so `mean` is the default. Raises ValueError for another `pool`.
+    At an odd border the cell holds what exists of it. The paper prints max pooling; on unbounded Monte Carlo noise the
+    maximum is biased upwards, so `mean` is the default. Raises ValueError for another `pool`.
     """
     if pool == "mean":
         return F.avg_pool2d(image, 2, ceil_mode=True, count_include_pad=False)
@@ -28,12 +28,14 @@ def upsample(
 ) -> Tensor:  # [B, C, H, W]
     """U of eq. 4: bilinear ×2 on the same geometry as `downsample`.
 
-    Fine pixel x samples the coarse row at u = clamp((x + ½)/2 - ½, 0, ·): weights ¾ and ¼, borders repeated. Odd sizes crop the
-    last row or column. Raises ValueError where `size` is not that of the finer level.
+    Fine pixel x samples the coarse row at u = clamp((x + ½)/2 - ½, 0, ·): weights ¾ and ¼, borders repeated. Odd sizes
+    crop the last row or column. Raises ValueError where `size` is not that of the finer level.
     """
     H, W = size
     if tuple(image.shape[2:]) != ((H + 1) // 2, (W + 1) // 2):
-        raise ValueError(f"expected a coarse image of {(H + 1) // 2}×{(W + 1) // 2} for {H}×{W}, got {tuple(image.shape[2:])}")
+        raise ValueError(
+            f"expected a coarse image of {(H + 1) // 2}×{(W + 1) // 2} for {H}×{W}, got {tuple(image.shape[2:])}"
+        )
     return F.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)[:, :, :H, :W]
 
 

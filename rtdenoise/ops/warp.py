@@ -1,5 +1,5 @@
-"""Look up an image where the motion vectors point: bilinear (`warp`, for radiance) or nearest (`fetch`, for everything that
-must not be mixed across silhouettes: motion, depth, normals, ids)."""
+"""Look up an image where the motion vectors point: bilinear (`warp`, for radiance) or nearest (`fetch`, for everything
+that must not be mixed across silhouettes: motion, depth, normals, ids)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def warp(
         out[b,c,y,x] = (1-g)·((1-f)·image[b,c,y0,x0] + f·image[b,c,y0,x1])
                      +    g ·((1-f)·image[b,c,y1,x0] + f·image[b,c,y1,x1])
 
-    Targets off the screen take the nearest border pixel (`motion.on_screen` says which they are); a motion that is not finite
-    counts as zero. Whole-pixel motion, zero included, is exact to the bit, so a static picture does not drift.
+    Targets off the screen take the nearest border pixel (`motion.on_screen` says which they are); a motion that is not
+    finite counts as zero. Whole-pixel motion, zero included, is exact to the bit, so a static picture does not drift.
     Differentiable in `image` and, almost everywhere, in `motion`.
 
     Raises ValueError where the shapes do not fit.
