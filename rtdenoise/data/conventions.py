@@ -1,0 +1,239 @@
+"""Which convention do these motion vectors follow? Found by warping the previous frame with every likely reading.
+
+A reading is: which field (`motion`, or `motion_next` under the wrong name), which component is x, which sign each
+component has, and in which unit it is. The right one makes the previous frame look like the current one:
+
+    error(reading) = mean over textured, moving pixels p of min(|cur(p) - prev(p + m_reading(p))|, cap)
+
+Two readings are compared where they point to different pixels. One is clearly better when the mean difference of the
+errors there exceeds both 3 standard errors (tiles of the picture in several pairs of frames are the independent
+samples) and 2 % of the error itself. Otherwise they are tied; where they hardly differ they are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import product
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from rtdenoise.frame import Frame
+
+MOVING = 0.25  # pixels of motion from which a pixel counts as moving, and by which readings must differ to matter
+TEXTURED = 0.02  # change of a feature in [0, 1] from pixel to pixel from which a pixel counts as textured
+ENOUGH = 200  # textured, moving pixels that a verdict needs
+SAMPLES = 20_000  # pixels per pair of frames that are looked at, at most
+TILES = 8  # the picture is cut into TILES × TILES tiles; errors inside one are not taken as independent
+STANDARD_ERRORS, MARGIN = 3.0, 0.02
+UNITS = {"pixels": (1.0, "", ""), "UV": (1.0, "W·", "H·"), "NDC": (0.5, "W/2·", "H/2·")}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read the two numbers of a motion vector. The default is this project's convention."""
+
+    source: str = "motion"  # or "motion_next": the two fields are swapped
+    swapped: bool = False  # (y, x) instead of (x, y)
+    signs: tuple[int, int] = (1, 1)  # of x and y
+    unit: str = "pixels"  # "UV": fractions of the picture's size; "NDC": of half its size
+
+    def apply(
+        self,
+        field: Tensor,  # [..., 2] of `source`, as stored
+        size: tuple[int, int],  # (H, W) of the picture
+    ) -> Tensor:  # [..., 2]
+        """Motion as this project means it."""
+        H, W = size
+        factor = UNITS[self.unit][0]
+        scale = (1, 1) if self.unit == "pixels" else (W * factor, H * factor)
+        return (field.flip(-1) if self.swapped else field) * torch.tensor(self.signs) * torch.tensor(scale)
+
+    @property
+    def changes(self) -> int:
+        """How far from this project's convention: among tied readings the nearest one is named."""
+        flips = 0 if self.signs == (1, 1) else 1 if self.signs in ((-1, -1), (1, -1)) else 2
+        return flips + 2 * self.swapped + 2 * (self.unit != "pixels") + 3 * (self.source != "motion")
+
+    @property
+    def formula(self) -> str:
+        """`motion = (W·X, -H·Y)`, in the components of the layer as it was read."""
+        _, *scales = UNITS[self.unit]
+        components = "YX" if self.swapped else "XY"
+        x, y = (("-" if s < 0 else "") + k + c for s, k, c in zip(self.signs, scales, components, strict=True))
+        return f"motion = {'' if self.source == 'motion' else 'motion_next '}({x}, {y})"
+
+    def __str__(self) -> str:
+        """What it looks like and what to do."""
+        signs = {
+            (-1, -1): "current - previous: negate it",
+            (1, -1): "y up: flip y",
+            (-1, 1): "current - previous with y up: flip x",
+        }
+        parts = [
+            "the content of motion_next: read that layer" if self.source != "motion" else "",
+            "(row, column): swap the components" if self.swapped else "",
+            f"{self.unit} units: multiply by {'(W, H)' if self.unit == 'UV' else '(W/2, H/2)'}"
+            * (self.unit != "pixels"),
+            signs.get(self.signs, ""),
+        ]
+        return f"{'; '.join(p for p in parts if p) or 'previous - current, pixels, y down'} [{self.formula}]"
+
+
+READINGS = tuple(
+    Reading(source, swapped, signs, unit)
+    for source, swapped, signs, unit in product(
+        ("motion", "motion_next"), (False, True), ((1, 1), (-1, -1), (1, -1), (-1, 1)), UNITS
+    )
+)
+DECLARED = Reading()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the check found."""
+
+    status: str  # "ok", "wrong" or "ambiguous"
+    message: str  # one line
+    best: Reading | None = None  # the reading that fits; None where nothing could be compared
+    tied: tuple[Reading, ...] = ()  # further readings that fit as well
+    errors: dict[str, float] | None = None  # "declared", "best", "no motion" -> error in [0, 1]
+    feature: str = ""  # the layer that was compared
+    pixels: int = 0  # textured, moving pixels that were compared
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Errors at the sampled pixels of every pair."""
+
+    errors: Tensor  # [R + 1, N] of every reading and, last, of no motion
+    groups: Tensor  # [N] tile of a pair that a pixel belongs to
+    motions: Tensor  # [R + 1, N, 2] pixels
+
+
+def check_motion(pairs: Iterable[tuple[Frame, Frame]]) -> Verdict:
+    """Judge whether `motion` of the second frame of each pair (previous, current) follows the convention of `frame.py`.
+
+    Compares albedo; where that does not settle it, the reference; then the noisy radiance. Frames must have `motion`.
+    """
+    pairs = list(pairs)
+    verdicts = []
+    for feature in ("albedo", "reference", "radiance"):
+        if samples := _collect(pairs, feature):
+            verdicts.append(_judge(samples, feature))
+            if verdicts[-1].status != "ambiguous":
+                return verdicts[-1]
+    return verdicts[0] if verdicts else Verdict("ambiguous", "there are no two consecutive frames to compare")
+
+
+def _collect(pairs: list[tuple[Frame, Frame]], feature: str) -> _Samples | None:
+    """Errors of all readings on up to `SAMPLES` pixels of each pair; None where a frame lacks the feature."""
+    readings = [r for r in READINGS if all(getattr(current, r.source) is not None for _, current in pairs)]
+    errors, groups, motions = [], [], []
+    for index, (previous, current) in enumerate(pairs):
+        here, before = _feature(current, feature), _feature(previous, feature)
+        if here is None or before is None:
+            return None
+        y, x = _choose_pixels(here, current)
+        names = {r.source for r in readings}
+        sources = {name: getattr(current, name)[0, :, y, x].T.nan_to_num(0, 0, 0) for name in names}
+        fields = torch.stack([r.apply(sources[r.source], current.size) for r in readings] + [torch.zeros(len(x), 2)])
+        errors.append((here[0, :, y, x] - _sample(before, x + fields[..., 0], y + fields[..., 1])).abs().mean(1))
+        H, W = current.size
+        groups.append((index * TILES + y * TILES // H) * TILES + x * TILES // W)
+        motions.append(fields)
+    if not errors:
+        return None
+    return _Samples(torch.cat(errors, 1), torch.cat(groups), torch.cat(motions, 1))
+
+
+def _feature(frame: Frame, name: str) -> Tensor | None:
+    """An image `[1, 3, H, W]` in [0, 1] in which corresponding pixels look alike.
+
+    It is blurred, because at one sample a pixel features are noisy too: with the same jitter in every frame their noise
+    stays in place, which speaks for no motion; otherwise interpolation averages it, which speaks for any motion.
+    """
+    image = getattr(frame, name)
+    if image is None:
+        return None
+    image = torch.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).clamp(min=0)
+    if name != "albedo":
+        image = image / (image + image.median().clamp(min=1e-6))
+    for _ in range(2):
+        image = F.avg_pool2d(image, 5, stride=1, padding=2, count_include_pad=False)
+    return image
+
+
+def _choose_pixels(image: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
+    """(y, x) of pixels with texture that move, the same for every reading."""
+    texture = torch.zeros(frame.size)
+    texture[:, 1:-1] += (image[0, :, :, 2:] - image[0, :, :, :-2]).abs().amax(0) / 2
+    texture[1:-1] += (image[0, :, 2:] - image[0, :, :-2]).abs().amax(0) / 2
+    finite = frame.motion[0].isfinite().all(0)
+    textured = (texture > TEXTURED) & finite
+    length = torch.hypot(*frame.motion[0])
+    moving = textured & (length > MOVING)
+    if moving.sum() < 0.05 * (textured & (length > 0)).sum():  # hardly anything moves: perhaps the unit is not pixels
+        moving = textured & (length * max(frame.size) > MOVING)
+    y, x = moving.nonzero(as_tuple=True)
+    order = torch.randperm(len(x), generator=torch.Generator().manual_seed(0))[:SAMPLES]
+    return y[order], x[order]
+
+
+def _sample(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Bilinear lookup as `ops.warp` does it, at points `[R, N]` only (pixel (0, 0) is at 0); gives `[R, C, N]`."""
+    H, W = image.shape[2:]
+    grid = torch.stack([(2 * x + 1) / W - 1, (2 * y + 1) / H - 1], -1)
+    return F.grid_sample(image, grid[None], padding_mode="border", align_corners=False)[0].transpose(0, 1)
+
+
+def _judge(samples: _Samples, feature: str) -> Verdict:
+    """Compare the declared reading with the best one."""
+    if (count := samples.groups.numel()) < ENOUGH:
+        message = f"too little moves: {count} textured pixels move more than {MOVING} px, {ENOUGH} are needed"
+        return Verdict("ambiguous", message, feature=feature, pixels=count)
+    # What no motion costs is the scale of the errors; beyond twice that they are outliers (uncovered, off-screen).
+    samples = replace(samples, errors=samples.errors.clamp(max=2 * samples.errors[-1].mean()))
+    mean = samples.errors.mean(1)
+    readings = READINGS[: len(mean) - 1]
+    best = int(mean[:-1].argmin())
+    values = {"declared": mean[0].item(), "best": mean[best].item(), "no motion": mean[-1].item()}
+    shared = {"errors": values, "feature": feature, "pixels": count}
+    if _compare(samples, best, len(readings)) != "better":
+        message = f"no reading of the motion explains how {feature} changes any better than no motion at all"
+        return Verdict("ambiguous", message, **shared)
+
+    fitting = [i for i in range(len(readings)) if i == best or _compare(samples, best, i) != "better"]
+    fitting.sort(key=lambda i: readings[i].changes)
+    nearest, *others = fitting
+    tied = tuple(readings[i] for i in others)
+    same = f"; not to be told apart here: {', '.join(r.formula for r in tied)}" if tied else ""
+    if nearest != 0:
+        message = (
+            f"looks like {readings[nearest]}; error {values['best']:.4f}, as declared {values['declared']:.4f}{same}"
+        )
+        return Verdict("wrong", message, readings[nearest], tied, **shared)
+    # -motion_next differs from motion by the acceleration alone: a tie with it leaves no doubt about the convention.
+    rivals = [i for i in others if readings[i].source == "motion" and _compare(samples, 0, i) != "same"]
+    if rivals:
+        message = f"as declared fits, but as well does: {' | '.join(str(readings[i]) for i in rivals)}"
+        return Verdict("ambiguous", message, readings[0], tied, **shared)
+    message = f"{readings[0]}; error {values['declared']:.4f}, without motion {values['no motion']:.4f}{same}"
+    return Verdict("ok", message, readings[0], tied, **shared)
+
+
+def _compare(samples: _Samples, a: int, b: int) -> str:
+    """Reading a against b, where they differ: "better" (clearly), "same" (they differ almost nowhere) or "tied"."""
+    apart = torch.linalg.vector_norm(samples.motions[a] - samples.motions[b], dim=-1) > MOVING
+    if apart.sum() < max(ENOUGH, 0.01 * len(apart)):
+        return "same"
+    error = samples.errors[a, apart]
+    gain = samples.errors[b, apart] - error
+    # Standard error of a ratio estimator: every tile weighs as many pixels as it has. One tile alone proves nothing.
+    count = torch.bincount(samples.groups[apart])
+    residual = torch.bincount(samples.groups[apart], gain) - gain.mean() * count
+    tiles = (count > 0).sum()
+    standard_error = (residual.square().sum() * tiles / (tiles - 1)).sqrt() / len(gain) if tiles > 1 else torch.inf
+    return "better" if gain.mean() > max(STANDARD_ERRORS * standard_error, MARGIN * error.mean()) else "tied"

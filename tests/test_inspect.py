@@ -1,0 +1,256 @@
+"""Inspection: facts are counted right, and motion vectors in the wrong convention are called by its name."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+import torch
+
+from rtdenoise.data.conventions import READINGS, Reading
+from rtdenoise.data.exr import write_layers
+from rtdenoise.errors import InputError
+from rtdenoise.inspect import inspect, render_text
+from rtdenoise.ops import warp
+
+H, W, FRAMES = 72, 110, 4
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    """The pictures are tiny: on a busy machine several threads wait for each other ten times as long as they work."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def texture(x, y):
+    """A smooth pattern on the plane, [..., 3] in [0, 1]."""
+    phases = np.arange(3) * 2.1
+    waves = np.sin(x[..., None] * 0.31 + phases) * np.cos(y[..., None] * 0.37 - phases) + np.sin(
+        (x + 2 * y)[..., None] * 0.11
+    )
+    return 0.5 + 0.25 * waves
+
+
+def cameras(kind):
+    """2×3 matrices from pixel to plane, of frames -1 … FRAMES."""
+    matrices = []
+    for number in range(-1, FRAMES + 1):
+        angle, zoom, shift = 0.0, 1.0, (0.0, 0.0)
+        if kind == "moving":
+            angle, zoom, shift = 0.02 * number, 1 + 0.01 * number, (1.3 * number + 0.2 * number**2, -2.1 * number)
+        elif kind == "horizontal":
+            shift = (1.7 * number, 0.0)
+        c, s = zoom * np.cos(angle), zoom * np.sin(angle)
+        matrices.append(np.array([[c, -s, shift[0]], [s, c, shift[1]]]))
+    return matrices
+
+
+def frames(kind="moving", noise=0.0):
+    """Layers of each frame; motion is exact and in this project's convention."""
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[:H, :W] + 0.5
+    pixels = np.stack([x, y], -1)
+    matrices = cameras(kind)
+    made = []
+    for k in range(1, FRAMES + 1):
+        plane = pixels @ matrices[k][:, :2].T + matrices[k][:, 2]
+        before, after = (
+            (plane - m[:, 2]) @ np.linalg.inv(m[:, :2]).T - pixels for m in (matrices[k - 1], matrices[k + 1])
+        )
+        albedo = texture(plane[..., 0], plane[..., 1])
+        color = 3 * albedo * (1 + noise * (rng.exponential(size=(H, W, 1)) - 1))
+        made.append({"color": color, "albedo": albedo, "normal": np.broadcast_to([0.0, 0, 1], (H, W, 3)),
+                     "depth": np.ones((H, W, 1)), "motion": before, "motion_next": after})  # fmt: skip
+    return made
+
+
+def write(folder, layers_of_frames, change=lambda layers: layers):
+    for number, layers in enumerate(layers_of_frames, start=1):
+        write_layers(folder / f"{number:03d}.exr", change(layers))
+    return folder
+
+
+def verdict_on(folder, change, kind="moving", **options):
+    return inspect(write(folder, frames(kind, **options), lambda layers: {**layers, **change(layers)})).convention
+
+
+def test_the_synthetic_motion_is_right():
+    made = frames()
+    as_tensor = [torch.from_numpy(np.ascontiguousarray(f["albedo"])).permute(2, 0, 1)[None] for f in made]
+    motion = torch.from_numpy(made[2]["motion"]).permute(2, 0, 1)[None]
+    error = (warp(as_tensor[1], motion) - as_tensor[2])[..., 12:-12, 12:-12].abs()
+    assert error.max() < 0.02
+
+
+# --- the convention check ---------------------------------------------------------------------------------------------
+
+
+def scaled(field, *factors):
+    return {"motion": field * np.array(factors)}
+
+
+WRONG = {  # how the file is wrong -> (what is written as motion, the reading that is to be found, words of the message)
+    "negated": (lambda f: scaled(f["motion"], -1, -1), Reading(signs=(-1, -1)), "current - previous: negate it"),
+    "y up": (lambda f: scaled(f["motion"], 1, -1), Reading(signs=(1, -1)), "y up: flip y"),
+    "negated, y up": (lambda f: scaled(f["motion"], -1, 1), Reading(signs=(-1, 1)), "flip x [motion = (-X, Y)]"),
+    "row, column": (lambda f: {"motion": f["motion"][..., ::-1]}, Reading(swapped=True), "swap the components"),
+    "UV": (lambda f: scaled(f["motion"], 1 / W, 1 / H), Reading(unit="UV"), "UV units: multiply by (W, H)"),
+    "UV, negated": (lambda f: scaled(f["motion"], -1 / W, -1 / H), Reading(unit="UV", signs=(-1, -1)), "(-W·X, -H·Y)"),
+    "NDC, y up": (lambda f: scaled(f["motion"], 2 / W, -2 / H), Reading(unit="NDC", signs=(1, -1)), "(W/2·X, -H/2·Y)"),
+    "layers swapped": (
+        lambda f: {"motion": f["motion_next"], "motion_next": f["motion"]},
+        Reading(source="motion_next"),
+        "the content of motion_next: read that layer [motion = motion_next (X, Y)]",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_convention_is_named(tmp_path, name):
+    change, reading, words = WRONG[name]
+    verdict = verdict_on(tmp_path, change)
+    assert (verdict.status, verdict.best) == ("wrong", reading)
+    assert words in verdict.message and "\n" not in verdict.message
+    assert verdict.errors["best"] < 0.5 * verdict.errors["declared"]
+
+
+def test_the_right_convention_is_ok(tmp_path):
+    verdict = verdict_on(tmp_path, lambda f: {})
+    assert (verdict.status, verdict.best, verdict.feature) == ("ok", Reading(), "albedo")
+    assert verdict.tied == () and verdict.pixels > 1000
+
+
+@pytest.mark.parametrize(("name", "status"), [("right", "ok"), ("negated", "wrong"), ("UV", "wrong")])
+def test_noisy_radiance_alone_is_enough(tmp_path, name, status):
+    change = WRONG[name][0] if name in WRONG else lambda f: {}
+    made = [{k: v for k, v in f.items() if k != "albedo"} for f in frames(noise=1.0)]
+    verdict = inspect(write(tmp_path, made, lambda f: {**f, **change(f)})).convention
+    assert (verdict.status, verdict.feature) == (status, "radiance")
+
+
+def test_nothing_moves(tmp_path):
+    verdict = verdict_on(tmp_path, lambda f: {}, kind="static")
+    assert verdict.status == "ambiguous" and verdict.best is None
+    assert verdict.message == "too little moves: 0 textured pixels move more than 0.25 px, 200 are needed"
+
+
+def test_nothing_has_texture(tmp_path):
+    flat = {"albedo": np.full((H, W, 3), 0.5), "color": np.ones((H, W, 3))}
+    verdict = verdict_on(tmp_path, lambda f: flat)
+    assert verdict.status == "ambiguous" and "0 textured pixels" in verdict.message
+
+
+def test_motion_that_explains_nothing(tmp_path):
+    verdict = verdict_on(tmp_path, lambda f: {"motion": f["motion"] + 2.5}, kind="static")
+    assert verdict.status == "ambiguous"
+    assert verdict.message == "no reading of the motion explains how albedo changes any better than no motion at all"
+
+
+def test_noise_explains_nothing(tmp_path):
+    """Interpolation averages noise, so pure noise looks better with any motion than without: no proof."""
+    rng = np.random.default_rng(3)
+    verdict = verdict_on(tmp_path, lambda f: {"albedo": rng.random((H, W, 3)), "color": rng.random((H, W, 3))})
+    assert verdict.status == "ambiguous" and verdict.best is None
+
+
+def test_horizontal_motion_cannot_tell_which_way_is_up(tmp_path):
+    verdict = verdict_on(tmp_path, lambda f: {}, kind="horizontal")
+    assert verdict.status == "ok" and Reading(signs=(1, -1)) in verdict.tied
+    assert all(r.signs[0] == (1 if r.source == "motion" else -1) and not r.swapped for r in verdict.tied)
+    assert "not to be told apart here: motion = (X, -Y)" in verdict.message
+
+
+def test_horizontal_motion_still_tells_its_sign(tmp_path):
+    verdict = verdict_on(tmp_path, lambda f: scaled(f["motion"], -1, -1), kind="horizontal")
+    assert verdict.status == "wrong" and verdict.best.signs[0] == -1
+    assert {"motion = (-X, Y)", "motion = (-X, -Y)"} == {
+        r.formula for r in (verdict.best, *verdict.tied) if r.source == "motion"
+    }
+
+
+def test_a_repeating_pattern_is_ambiguous(tmp_path):
+    """Stripes that move by half their period look the same with either sign."""
+    made = frames("static")
+    x = np.mgrid[:H, :W][1]
+    for number, layers in enumerate(made):
+        stripes = 0.5 + 0.5 * np.sin((x + 8 * number) * np.pi / 8)
+        layers["albedo"] = layers["color"] = np.repeat(stripes[:, :, None], 3, 2)
+        layers["motion"] = np.broadcast_to([8.0, 0.0], (H, W, 2))
+    verdict = inspect(write(tmp_path, made)).convention
+    assert verdict.status == "ambiguous"
+    assert (
+        "as declared fits, but as well does: " in verdict.message and "current - previous: negate it" in verdict.message
+    )
+
+
+def test_readings_undo_what_they_name():
+    """Applied to wrongly written motion, a reading gives this project's motion back."""
+    rng = np.random.default_rng(0)
+    right = rng.normal(size=(H, W, 2))
+    for name, (change, reading, _) in WRONG.items():
+        fields = change({"motion": right, "motion_next": rng.normal(size=(H, W, 2))})
+
+        stored = torch.from_numpy(np.ascontiguousarray(fields[reading.source]))
+        np.testing.assert_allclose(reading.apply(stored, (H, W)), right, atol=1e-6, err_msg=name)
+    assert len({reading.formula for reading in READINGS}) == len(READINGS) == 48
+
+
+# --- facts ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_facts(tmp_path):
+    made = frames()
+    made[1]["color"][3, 4] = np.nan
+    made[2]["motion"] = made[2]["motion"].copy()
+    made[2]["motion"][0, :5] = np.inf
+    for layers in made:
+        layers["extra"] = np.ones((H, W, 1))
+        del layers["normal"]
+    write(tmp_path, made)
+    (tmp_path / "004.exr").rename(tmp_path / "006.exr")
+    with pytest.raises(InputError, match="missing: 4 to 5"):
+        inspect(tmp_path)
+    found = inspect(tmp_path, allow_gaps=True)
+    assert (found.files, found.numbers, found.gaps, found.size) == (4, (1, 6), (4, 5), (H, W))
+    assert (found.preset, found.signal, found.demodulated, found.scene) == ("native", "color", False, False)
+    assert {layer.name: layer.dtype for layer in found.layers} == {
+        "radiance": "half", "albedo": "half", "depth": "float", "motion": "float", "motion_next": "float"
+    }  # fmt: skip
+    assert found.missing == {"normal": "write it as normal.X, normal.Y, normal.Z"}
+    assert found.ignored == ("extra.V",) and found.computed == ()
+    assert found.examined == (1, 2, 3)  # 6 has no neighbour
+    assert found.non_finite == {"radiance": 1, "motion": 5}
+    assert found.convention.status == "ok"
+    json.dumps(asdict(found))
+
+    text = render_text(found)
+    assert "4 files, 110×72, numbers 1 to 6; 2 missing: 4, 5" in text and "native; signal color" in text
+    assert "radiance 1, motion 5 (pixels)" in text and "extra.V" in text and "write it as normal.X" in text
+    assert "OK: previous - current, pixels, y down" in text and "albedo.R, albedo.G" in text
+
+
+def test_motion_statistics(tmp_path):
+    """Every pixel but the left tenth comes from 3 px to the right and 4 px below; a box hides a part of that."""
+    motion = np.broadcast_to([3.0, 4.0], (H, W, 2)).copy()
+    motion[:, :11] = 0
+    motion_next = -motion
+    motion_next[40:50, 40:60] = [7.0, -4.0]
+    layers = {"color": np.ones((H, W, 3)), "motion": motion, "motion_next": motion_next}
+    found = inspect(write(tmp_path, [layers] * 3)).motion
+    assert found.mean == pytest.approx(4.5) and (found.p50, found.p99, found.max) == (5.0, 5.0, 5.0)
+    assert found.still == pytest.approx(0.1)
+    assert found.off_screen == pytest.approx(1 - (W - 3 - 11) * (H - 4) / (W * H) - 11 / W)
+    assert found.uncovered == pytest.approx((10 * 20 + 3 * H - 3 * 4) / (W * H), abs=0.03)
+
+
+def test_without_motion(tmp_path):
+    write_layers(tmp_path / "1.exr", {"color": np.ones((H, W, 3))})
+    found = inspect(tmp_path)
+    assert found.motion is None and found.convention is None and found.examined == (1,)
+    assert {"motion", "motion_next"} <= found.missing.keys()
+    assert "not checked: it takes motion in two consecutive frames" in render_text(found)
