@@ -1,0 +1,60 @@
+"""Small noisy sequences with known motion, as frames and as EXR files, without a renderer."""
+
+import math
+from dataclasses import replace
+
+import torch
+
+from rtdenoise.data.exr import write_layers
+from rtdenoise.frame import Frame
+from rtdenoise.models import Config
+
+TINY = Config(widths=(4, 4, 4, 4))  # a network that runs in no time
+
+
+def make_frames(count=4, H=24, W=32, seed=0, noise=1.0):
+    """A square slides over a textured wall by 2 px a frame; both are lit evenly, and the noise is exponential."""
+    g = torch.Generator().manual_seed(seed)
+    y, x = torch.meshgrid(torch.arange(H).float(), torch.arange(W).float(), indexing="ij")
+    frames = []
+    for number in range(count):
+        left = 6 + 2 * number
+        inside = (x >= left) & (x < left + 8) & (y >= 6) & (y < 16)
+        wall = 0.5 + 0.4 * torch.sin(x * 1.3) * torch.sin(y * 0.9)
+        square = 0.3 + 0.2 * torch.cos((x - left) * 1.7)
+        albedo = torch.where(inside, square, wall)[None, None].expand(1, 3, H, W).contiguous()
+        speed = torch.where(inside, 2.0, 0.0)
+        still = torch.zeros_like(speed)
+        reference = albedo * 2
+        frames.append(Frame(
+            radiance=reference * (1 + noise * (torch.empty(1, 3, H, W).exponential_(generator=g) - 1)),
+            albedo=albedo,
+            normal=torch.where(inside, 1.0, 0.0)[None, None] * torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1),
+            depth=torch.where(inside, 3.0, 8.0)[None, None],
+            motion=torch.stack([-speed, still])[None],
+            motion_next=torch.stack([speed, still])[None],
+            reference=reference,
+            reference_half=reference,
+            number=number,
+        ))  # fmt: skip
+    return frames
+
+
+def write_sequence(folder, frames, without=()):
+    """Write frames in the native layout as frame.0000.exr ..., both signals alike."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame in frames:
+        layers = {layer: tensor[0].permute(1, 2, 0).numpy() for layer, tensor in frame.layers() if layer not in without}
+        layers["color"] = layers.pop("radiance")
+        layers["indirect"] = layers["color"]
+        if "reference" in layers:
+            layers["indirect_reference"] = layers["reference"]
+            layers["half_reference"] = layers["half_indirect_reference"] = layers.pop("reference_half")
+        write_layers(folder / f"frame.{frame.number:04d}.exr", layers, dtypes={"color": "float"})
+    return folder
+
+
+def with_bad_pixels(frame):
+    radiance = frame.radiance.clone()
+    radiance[..., 3, 3], radiance[..., 4, 9] = math.nan, math.inf
+    return replace(frame, radiance=radiance)

@@ -1,0 +1,160 @@
+"""Training: it learns, repeats itself to the bit, resumes to the same curve, and refuses what does not fit."""
+
+import json
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import TINY, make_frames
+
+from rtdenoise.augment import augment
+from rtdenoise.data.dataset import ClipDataset, clip_path, write_clip
+from rtdenoise.errors import InputError
+from rtdenoise.models import PRESETS, load
+from rtdenoise.ops import warp
+from rtdenoise.train import TrainConfig, Trainer, _batch, train
+
+
+def test_augmentation_turns_motion_with_the_picture():
+    """In every mirror image the previous reference, warped, must still be the current one (the moving square is
+    rigid)."""
+    frames = make_frames(2, noise=0.0)
+    for seed in range(16):
+        before, now = augment(frames, np.random.default_rng(seed))
+        inside = now.depth == 3
+        error = (warp(before.reference, now.motion) - now.reference).abs() * inside
+        assert error.max() < 1e-5, seed
+        assert now.radiance.shape[2] in (24, 32)
+
+
+def test_augmentation_is_a_function_of_the_generator():
+    frames = make_frames(2)
+    first, second = (augment(frames, np.random.default_rng(4)) for _ in range(2))
+    assert all(torch.equal(a.radiance, b.radiance) for a, b in zip(first, second, strict=True))
+    shapes = {tuple(augment(frames, np.random.default_rng(s))[0].radiance.shape) for s in range(8)}
+    assert len(shapes) == 2  # some are transposed
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """Five clips of four frames in the format that rendering writes."""
+    folder = tmp_path_factory.mktemp("clips")
+    for index in range(5):
+        frames = []
+        for frame in make_frames(4, H=24, W=24, seed=index):
+            layers = {layer: t[0].permute(1, 2, 0).numpy() for layer, t in frame.layers()}
+            layers["color"] = layers["indirect"] = layers.pop("radiance")
+            layers["indirect_reference"] = layers["reference"]
+            layers["indirect_reference_half"] = layers["reference_half"]
+            layers["id"] = np.ones((24, 24, 1))
+            frames.append(layers)
+        write_clip(clip_path(folder, index), frames, {"seed": index})
+    return folder
+
+
+@pytest.fixture
+def config(clips, tmp_path, monkeypatch):
+    monkeypatch.setitem(PRESETS, "tiny", TINY)
+    return TrainConfig(
+        data=clips,
+        out=tmp_path / "run",
+        val=clips,
+        preset="tiny",
+        steps=6,
+        batch=2,
+        frames=3,
+        size=16,
+        amp=False,
+        validate_every=3,
+    )
+
+
+def log(run):
+    return [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
+
+
+def test_a_run_explains_itself_and_its_weights_denoise(config):
+    weights = train(config)
+    assert json.loads((config.out / "config.json").read_text())["options"]["steps"] == 6
+    rows = log(config.out)
+    assert [row["step"] for row in rows if "validation" in row] == [3, 6]
+    assert {"loss", "spatial", "temporal", "occlusion", "grad_norm", "lr", "seconds"} <= rows[-2].keys()
+    denoiser = load(weights)
+    assert denoiser.config == TINY
+    assert denoiser.step(make_frames(1)[0])[0].isfinite().all()
+
+
+def test_same_seed_same_weights_other_seed_others(config, tmp_path):
+    first = load(train(config)).state_dict()
+    again = load(train(replace(config, out=tmp_path / "again"))).state_dict()
+    other = load(train(replace(config, out=tmp_path / "other", seed=1))).state_dict()
+    assert all(torch.equal(first[k], again[k]) for k in first)
+    assert not all(torch.equal(first[k], other[k]) for k in first)
+
+
+def test_a_killed_run_resumes_to_the_same_weights(config, tmp_path, monkeypatch):
+    whole = load(train(config)).state_dict()
+    interrupted = replace(config, out=tmp_path / "interrupted")
+    step = Trainer.train_step
+
+    def interrupt_at_four(self, clip):
+        row = step(self, clip)
+        if row["step"] == 4:
+            signal.raise_signal(signal.SIGTERM)
+        return row
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "train_step", interrupt_at_four)
+        train(interrupted)
+    assert torch.load(interrupted.out / "checkpoint.pt", weights_only=True)["step"] == 4
+    resumed = load(train(interrupted)).state_dict()
+    assert all(torch.equal(whole[k], resumed[k]) for k in whole)
+
+
+def test_occlusion_loss_comes_in_the_second_half(config):
+    trainer = Trainer(config)
+    data = ClipDataset(config.data)
+    rows = [trainer.train_step(_batch(data, config, step)) for step in range(6)]
+    assert all(row["occlusion"] == 0 for row in rows[:3])
+    assert all(row["occlusion"] > 0 for row in rows[3:])
+    off = Trainer(replace(config, occlusion_loss=False))
+    assert all(off.train_step(_batch(data, config, step))["occlusion"] == 0 for step in range(6))
+
+
+def test_it_learns(config):
+    trainer = Trainer(replace(config, steps=10_000, lr=0.05))  # warming up: 0.01 in the last step
+    clip = _batch(ClipDataset(config.data), config, 0)
+    losses = [trainer.train_step(clip)["loss"] for _ in range(60)]
+    assert np.mean(losses[-5:]) < 0.8 * losses[0]
+
+
+def test_a_poisoned_clip_leaves_the_weights_finite(config):
+    trainer = Trainer(config)
+    clip = _batch(ClipDataset(config.data), config, 0)
+    poisoned = [replace(frame, reference=frame.reference * float("nan")) for frame in clip]
+    trainer.train_step(poisoned)
+    trainer.train_step(clip)
+    assert all(p.isfinite().all() for p in trainer.model.parameters())
+
+
+def test_every_clip_is_seen_once_an_epoch(config):
+    data = ClipDataset(config.data)
+    one = replace(config, batch=1, size=24, frames=4)
+    means = [round(_batch(data, one, step)[0].radiance.mean().item(), 6) for step in range(10)]
+    assert len(set(means[:5])) == 5 and set(means[:5]) == set(means[5:])
+
+
+def test_what_does_not_fit_is_refused(config, tmp_path):
+    train(config)
+    with pytest.raises(InputError, match="started with lr"):
+        train(replace(config, lr=1.0))
+    with pytest.raises(InputError, match="unknown preset 'nosuch'"):
+        train(replace(config, out=tmp_path / "p", preset="nosuch"))
+    with pytest.raises(InputError, match="no clips"):
+        train(replace(config, data=tmp_path))
+    with pytest.raises(InputError, match="at least"):
+        train(replace(config, out=tmp_path / "big", size=512))
+    with pytest.raises(InputError, match="unknown signal"):
+        train(replace(config, out=tmp_path / "s", signal="glossy"))
