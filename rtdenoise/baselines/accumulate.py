@@ -1,0 +1,29 @@
+"""Plain temporal accumulation (the paper's eq. 1): a running mean along traditional motion, and no filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..frame import Frame, History, sanitise
+from ..motion import on_screen
+from ..ops import blend, fetch, warp
+
+
+@dataclass(frozen=True)
+class Accumulate:
+    """`out = a · noisy + (1 - a) · history`, a = max(1 / n, α) in the n-th frame of a pixel; off-screen history starts
+    anew."""
+
+    alpha: float = 0.1
+
+    def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
+        """As `TemporalKPN.step`."""
+        frame = sanitise(frame)
+        output, length = frame.radiance, torch.ones_like(frame.radiance[:, :1])
+        if history is not None:
+            length = torch.where(on_screen(frame.motion), fetch(history.length, frame.motion), 0.0) + 1
+            output = blend(frame.radiance, warp(history.radiance, frame.motion), (1 / length).clamp(min=self.alpha))
+        return output, History(output, frame.motion_next, frame.depth, frame.normal, length)

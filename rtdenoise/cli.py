@@ -1,0 +1,128 @@
+"""The command line. Every command is a dataclass whose comments are its help; what is wrong with the input is one line
+and exit 2."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import OmitArgPrefixes, Positional
+
+from .denoise import Options
+from .errors import InputError
+from .train import TrainConfig, train
+
+
+@dataclass(frozen=True)
+class Denoise:
+    """Denoise a sequence of EXR files: one file of the same name each, the result in R,G,B."""
+
+    source: Positional[str]
+    """Folder of EXR files, or a glob in quotes."""
+    out: Path
+    """Folder for the denoised files; never the input's."""
+    options: OmitArgPrefixes[Options] = field(default_factory=Options)
+    overwrite: bool = False
+    """Start anew, whatever is in --out."""
+    preview: bool = False
+    """Also write preview.png and an animation: noisy | denoised | reference."""
+
+    def run(self) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        from .denoise import denoise
+
+        with Progress(TextColumn("denoising"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as progress:
+            task = progress.add_task("denoise", total=None)
+            summary = denoise(
+                self.source, self.out, self.options, self.overwrite,
+                lambda done, total: progress.update(task, completed=done, total=total),
+            )  # fmt: skip
+        print(f"{self.out}: {summary.written} frames written, {summary.skipped} were there")
+        if summary.written:
+            print(f"denoiser: {1000 * summary.seconds / summary.written:.0f} ms a frame")
+        for layer, count in (summary.replaced or {}).items():
+            print(f"{layer}: {count} pixels were NaN or Inf and have been replaced")
+        if self.preview:
+            from .data.sequences import open_sequence
+            from .preview import preview
+
+            o = self.options
+            sequence = open_sequence(
+                self.source, signal=o.signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
+            )
+            print("preview:", ", ".join(str(path) for path in preview(sequence, self.out)))
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Print what a sequence holds: layers, preset, motion statistics, and whether its motion vectors follow the
+    convention."""
+
+    source: Positional[str]
+    """Folder of EXR files, or a glob in quotes."""
+    signal: str = "color"
+    """'color' or 'indirect'."""
+    preset: str = "auto"
+    """Layout of the files: 'auto', 'native', 'cycles', 'mitsuba'."""
+    allow_gaps: bool = False
+    """Accept missing frame numbers."""
+
+    def run(self) -> None:
+        from .inspect import inspect, render_text
+
+        print(render_text(inspect(self.source, signal=self.signal, preset=self.preset, allow_gaps=self.allow_gaps)))
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a model on rendered clips; a run directory that is there is resumed."""
+
+    config: OmitArgPrefixes[TrainConfig]
+
+    def run(self) -> None:
+        print(f"weights: {train(self.config)}")
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Denoise the bundled sequence, print errors and times, and write pictures."""
+
+    out: Path = Path("demo")
+    """Folder for the pictures and numbers."""
+    source: Path | None = None
+    """Another sequence with reference."""
+    signal: str = "indirect"
+    """'color' or 'indirect'."""
+
+    def run(self) -> None:
+        from .demo import SAMPLE, demo
+
+        demo(self.out, self.source or SAMPLE, self.signal)
+
+
+Command = (
+    Annotated[Denoise, tyro.conf.subcommand("denoise")]
+    | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Demo, tyro.conf.subcommand("demo")]
+)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of `rtdenoise`. Exit codes: 0 done, 2 something is wrong with the input (one line on stderr), 130
+    interrupted."""
+    command = tyro.cli(
+        Command, args=arguments, prog="rtdenoise", description="Real-time denoising of path-traced animations."
+    )
+    try:
+        command.run()
+    except InputError as error:
+        print(f"rtdenoise: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("rtdenoise: interrupted; run the same command again to go on", file=sys.stderr)
+        sys.exit(130)
