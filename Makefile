@@ -1,0 +1,37 @@
+# make demo, make test: everything is set up on the way, on a machine that has Python 3.11 or later and make.
+#
+#   PYTHON=…   the interpreter to build .venv with (default: the first that is recent enough)
+#   TORCH=…    what pip installs as PyTorch (default: the CPU build, or CUDA where an NVIDIA GPU is found)
+
+VENV   := .venv
+PYTHON ?=
+TORCH  ?=
+export PYTHON TORCH
+
+# Threads that spin while they wait slow each other down wherever other processes run too.
+export OMP_WAIT_POLICY ?= passive
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint wheel clean
+
+help:  ## show this list
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+demo: $(VENV)/.ready-demo  ## denoise the bundled sequence: errors, times and pictures in demo/
+	$(VENV)/bin/rtdenoise demo --out demo
+
+test: $(VENV)/.ready-test  ## run all the tests; one that is skipped fails
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m pytest -p no:cacheprovider --no-skips
+
+lint: $(VENV)/.ready-test  ## ruff
+	$(VENV)/bin/ruff check
+
+wheel: $(VENV)/.ready-test  ## build dist/*.whl
+	$(VENV)/bin/python -m build --wheel
+
+clean:  ## remove .venv and whatever was built
+	rm -rf $(VENV) build dist demo tests/failures
+
+$(VENV)/.ready-%: pyproject.toml tools/setup.sh
+	@sh tools/setup.sh $*
+	@touch $@

@@ -1,0 +1,105 @@
+"""What every benchmark shares: the correctness gate, timing in turn, and a JSON file that says where numbers are from.
+
+The contract is in bench/README.md.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+# Before torch is loaded: its threads spin while they wait, which on a shared CPU can cost torch, and what is measured
+# beside it, many times the work itself.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import numpy as np
+import torch
+
+ROOT = Path(__file__).parent.parent
+sys.path.append(str(ROOT / "tests"))
+from tolerances import TOLERANCES  # noqa: E402 (the one table of tolerances)
+
+LIBRARIES = ("torch", "numpy", "moderngl")
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Of one method: milliseconds a call."""
+
+    median_ms: float
+    iqr_ms: float  # between the first and the third quartile
+    calls: int
+
+
+def check(name: str, result: np.ndarray, reference: np.ndarray, tolerance: str) -> float:
+    """The greatest absolute error of `result`. A method that is wrong gets no time: the program ends with 1."""
+    relative, absolute = TOLERANCES[tolerance]
+    error = np.abs(result.astype(np.float64) - reference)
+    if result.shape != reference.shape or not (error <= absolute + relative * np.abs(reference)).all():
+        sys.exit(f"{name} is wrong: greatest error {error.max():.3g}, not within '{tolerance}'. No times are reported.")
+    return float(error.max())
+
+
+def measure(methods: dict[str, Callable[[], object]], calls: int = 30, warmup: int = 3) -> dict[str, Timing]:
+    """Time the methods in turn, call by call, so that whatever else the machine does falls on all of them alike.
+
+    Each must return only when its work is done (synchronise inside).
+    """
+    seconds: dict[str, list[float]] = {name: [] for name in methods}
+    for i in range(warmup + calls):
+        for name, method in methods.items():
+            start = time.perf_counter()
+            method()
+            if i >= warmup:
+                seconds[name].append(time.perf_counter() - start)
+
+    def timing(values: list[float]) -> Timing:
+        first, median, third = np.percentile(values, [25, 50, 75]) * 1000
+        return Timing(round(median, 3), round(third - first, 3), len(values))
+
+    return {name: timing(values) for name, values in seconds.items()}
+
+
+def origin(devices: dict[str, str]) -> dict[str, object]:
+    """Where numbers come from: command, commit, devices, library versions."""
+    return {
+        "command": " ".join(["python", *sys.argv]),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "commit": _commit(),
+        "devices": devices,
+        "omp_wait_policy": os.environ["OMP_WAIT_POLICY"],
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in LIBRARIES},
+    }
+
+
+def cpu() -> str:
+    """The processor and how many threads torch uses of it."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f"{models[0] if models else platform.processor()}, {torch.get_num_threads()} of {os.cpu_count()} threads"
+
+
+def write(path: Path, **content: object) -> None:
+    """Write a result as JSON, under a temporary name first. Timings become dictionaries."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(json.dumps(content, indent=1, default=asdict) + "\n")
+    temporary.replace(path)
+    print(f"written: {path}")
+
+
+def _commit() -> str:
+    """The commit, with -dirty where the working tree differs from it; `unknown` outside a repository."""
+    git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude", "*"]
+    run = subprocess.run(git, capture_output=True, text=True)
+    return run.stdout.strip() or "unknown"

@@ -1,0 +1,101 @@
+"""The OpenGL context that the shaders run in, and arrays that live in its memory."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+
+from ..errors import InputError
+
+PACKAGES = "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"  # Debian and Ubuntu; a vendor's own driver serves as well
+
+_thread = threading.local()
+
+
+def create_context() -> moderngl.Context:
+    """A context without a window: OpenGL 4.3 or later, through EGL on Linux. It belongs to the thread that creates it.
+
+    Raises InputError where no driver offers that.
+    """
+    backend = {"backend": "egl"} if sys.platform.startswith("linux") else {}
+    try:
+        ctx = moderngl.create_standalone_context(require=430, **backend)
+    except Exception as error:  # glcontext raises bare `Exception`
+        raise InputError(
+            f"no OpenGL with compute shaders: expected 4.3 or later through EGL, found {_found(backend, error)}; "
+            f"on Debian or Ubuntu type: apt install {PACKAGES}"
+        ) from None
+    ctx.gc_mode = "auto"  # buffers are freed with the Python objects that own them
+    return ctx
+
+
+def _found(backend: dict[str, str], error: Exception) -> str:
+    """What there is instead of OpenGL 4.3."""
+    try:
+        older = moderngl.create_standalone_context(**backend)
+    except Exception:
+        return f"none ({error})"
+    found = f"{older.version_code / 100:.1f} ({older.info['GL_RENDERER']})"
+    older.release()
+    return found
+
+
+def default_context() -> moderngl.Context:
+    """The context that operations on numpy arrays use: one per thread, created on first use."""
+    if not hasattr(_thread, "ctx"):
+        _thread.ctx = create_context()
+    return _thread.ctx
+
+
+def storage_limit(ctx: moderngl.Context) -> int:
+    """Bytes that a shader can see of one buffer (128 MiB in Mesa's llvmpipe, 2 GiB and more on most GPUs)."""
+    return ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
+
+
+@dataclass(frozen=True)
+class GpuArray:
+    """A C-contiguous array in a shader storage buffer.
+
+    float16 lies as packed halves: value i is the low (i even) or high (i odd) half of the 32-bit word ⌊i/2⌋, which is
+    how numpy has it in memory too; an odd count is padded to a whole word.
+    """
+
+    buffer: moderngl.Buffer
+    shape: tuple[int, ...]
+    dtype: np.dtype  # float32 or float16
+
+    @classmethod
+    def empty(cls, ctx: moderngl.Context, shape: tuple[int, ...], dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
+        """An array of unspecified content.
+
+        Raises InputError where it is larger than a shader can see of one buffer.
+        """
+        dtype = np.dtype(dtype)
+        if dtype not in (np.float32, np.float16):
+            raise ValueError(f"expected float32 or float16, got {dtype}")
+        size, limit = math.prod(shape) * dtype.itemsize, storage_limit(ctx)
+        if size > limit:
+            raise InputError(
+                f"array {list(shape)} {dtype} is {size / 1e6:.1f} MB, but a buffer may have {limit / 1e6:.1f} MB here "
+                f"(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, {ctx.info['GL_RENDERER']}): use float16 or several arrays"
+            )
+        return cls(ctx.buffer(reserve=-(-size // 4) * 4), tuple(shape), dtype)
+
+    @classmethod
+    def upload(cls, ctx: moderngl.Context, values: np.ndarray, dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
+        """A copy of `values`, stored as `dtype`. Raises InputError as `empty`."""
+        values = np.ascontiguousarray(values, dtype)
+        array = cls.empty(ctx, values.shape, dtype)
+        array.buffer.write(values)
+        return array
+
+    def read(self) -> np.ndarray:
+        """A copy in main memory; waits until everything that writes the array is done."""
+        values = np.empty(self.shape, self.dtype)
+        self.buffer.read_into(values, values.nbytes)
+        return values

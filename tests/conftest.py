@@ -1,0 +1,93 @@
+"""What all tests share: the same random numbers in every run, no silent skips, a GL context, evidence of failures."""
+
+import os
+import random
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from tolerances import TOLERANCES
+
+FAILURES = Path(__file__).parent / "failures"
+
+
+def pytest_addoption(parser):
+    parser.addoption("--no-skips", action="store_true", help="a skipped test fails (so it does with CI=true)")
+
+
+def _skips_fail(config):
+    return config.getoption("--no-skips") or os.environ.get("CI", "").lower() in ("1", "true")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    report = yield
+    return _failed_if_skipped(item.config, report)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    report = yield
+    return _failed_if_skipped(collector.config, report)
+
+
+def _failed_if_skipped(config, report):
+    if report.skipped and not hasattr(report, "wasxfail") and _skips_fail(config):
+        report.outcome = "failed"
+        report.longrepr = f"skipped, and here nothing may be: {report.longrepr[2]}"
+    return report
+
+
+@pytest.fixture(autouse=True)
+def seed():
+    random.seed(0)
+    np.random.seed(0)  # noqa: NPY002 (what libraries draw from)
+    torch.manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def gl():
+    """The OpenGL context of the tests. Where there is none, tests that need it fail with what to install."""
+    from rtdenoise import glsl
+
+    return glsl.default_context()
+
+
+@pytest.fixture
+def assert_images_close(request):
+    """`assert_images_close(result, reference, "row of tolerances.py")` for arrays or tensors of one shape.
+
+    On failure tests/failures/<test>/ holds both and their difference: values.npz, and for [B, C, H, W] with 1 or 3
+    channels PNGs of the first image, on one scale.
+    """
+
+    def check(result, reference, tolerance):
+        result, reference = np.asarray(result), np.asarray(reference)
+        assert result.shape == reference.shape, f"shape {result.shape}, expected {reference.shape}"
+        relative, absolute = TOLERANCES[tolerance]
+        difference = np.abs(result.astype(np.float64) - reference)
+        wrong = ~(difference <= absolute + relative * np.abs(reference))  # NaN is wrong
+        if wrong.any():
+            folder = FAILURES / re.sub(r"[^\w.-]+", "_", request.node.name)
+            _leave(folder, {"result": result, "reference": reference, "difference": difference})
+            at = tuple(int(i) for i in np.argwhere(wrong)[0])
+            pytest.fail(
+                f"{wrong.sum()} of {wrong.size} values are not within '{tolerance}' (relative {relative}, absolute "
+                f"{absolute}); the first at {list(at)}: {result[at]}, expected {reference[at]}. See {folder}"
+            )
+
+    return check
+
+
+def _leave(folder, images):
+    folder.mkdir(parents=True, exist_ok=True)
+    np.savez(folder / "values.npz", **images)
+    if images["reference"].ndim == 4 and images["reference"].shape[1] in (1, 3):
+        scale = max(float(np.nanmax(np.abs(images["reference"]))), 1e-12)
+        for name, image in images.items():
+            picture = np.nan_to_num(image[0].astype(np.float64) / scale, nan=1, posinf=1, neginf=0).clip(0, 1)
+            picture = np.broadcast_to(np.moveaxis(picture, 0, -1), (*picture.shape[1:], 3))
+            Image.fromarray((picture ** (1 / 2.2) * 255).round().astype(np.uint8)).save(folder / f"{name}.png")

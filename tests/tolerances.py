@@ -1,0 +1,22 @@
+"""How close is close: the one table for parity between backends, dtypes and devices.
+
+A result passes where |result - reference| ≤ absolute + relative · |reference|, value by value. Each row says what the
+difference may come from; a test that needs more has found something, or adds a row that explains itself.
+"""
+
+from typing import NamedTuple
+
+
+class Tolerance(NamedTuple):
+    relative: float
+    absolute: float
+
+
+TOLERANCES = {
+    # Copies, maxima, and arithmetic that is the same operation by operation.
+    "exact": Tolerance(0, 0),
+    # The same float32 sums in another order, fused multiply-adds, an exp that is right to some units in the last place.
+    "float32": Tolerance(1e-5, 1e-6),
+    # Kernel logits stored as float16: |logit| < 8 is rounded by at most 2⁻⁹, one weight against another by at most 2⁻⁸.
+    "float16 logits": Tolerance(4e-3, 1e-6),
+}
