@@ -99,7 +99,10 @@ def write(path: Path, **content: object) -> None:
 
 
 def _commit() -> str:
-    """The commit, with -dirty where the working tree differs from it; `unknown` outside a repository."""
-    git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude", "*"]
-    run = subprocess.run(git, capture_output=True, text=True)
-    return run.stdout.strip() or "unknown"
+    """The commit, with -dirty where the working tree differs from it in any file; `unknown` outside a repository."""
+
+    def git(*command: str) -> str:
+        return subprocess.run(["git", "-C", str(ROOT), *command], capture_output=True, text=True).stdout.strip()
+
+    commit = git("rev-parse", "--short", "HEAD") or "unknown"
+    return f"{commit}-dirty" if git("status", "--porcelain") else commit

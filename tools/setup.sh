@@ -96,7 +96,7 @@ has_mitsuba() { .venv/bin/python -c 'import mitsuba' 2>/dev/null; }
 
 has_llvm() {
     [ -n "${DRJIT_LIBLLVM_PATH-}" ] ||
-        .venv/bin/python -c 'import sys; from rtdenoise.data.render import find_llvm; sys.exit(not find_llvm())'
+        find /usr/lib /usr/lib64 -name 'libLLVM*.so*' 2>/dev/null | grep -Eq 'libLLVM(-|\.so\.)(1[6-9]|[2-9][0-9])'
 }
 
 install_llvm() {

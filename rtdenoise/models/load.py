@@ -19,9 +19,8 @@ _SHIPPED = resources.files("rtdenoise") / "weights"
 
 def available() -> list[str]:
     """Names of the models whose weights are shipped."""
-    return sorted(
-        path.name.removesuffix(".safetensors") for path in _SHIPPED.iterdir() if path.name.endswith(".safetensors")
-    )
+    names = [path.name for path in _SHIPPED.iterdir()] if _SHIPPED.is_dir() else []
+    return sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))
 
 
 def load(model: str | Path = "paper", device: str | torch.device = "cpu", **overrides) -> TemporalKPN:
