@@ -78,6 +78,57 @@ class Inspect:
 
 
 @dataclass(frozen=True)
+class Render:
+    """Render with Mitsuba 3: noisy frames, features, exact motion both ways and references, as EXR or as training clips."""
+
+    out: Path
+    """Folder for the frames or clips; what is there already is kept."""
+    scene: Positional[str] = "procedural"
+    """'sample', 'procedural:SEED', or a Mitsuba scene file (.xml)."""
+    motion: Path | None = None
+    """TOML file that moves camera and objects of a scene file."""
+    clips: int = 0
+    """Render this many training clips of procedural scenes instead, with the seeds --seed, --seed + 1 ..."""
+    frames: int | None = None
+    """Frames of the sequence, or of each clip (default: 12, clips 10)."""
+    width: int | None = None
+    """Pixels (default: 320, clips 128)."""
+    height: int | None = None
+    """Pixels (default: 180, clips 128)."""
+    spp: int = 1
+    """Samples per pixel of the noisy frames."""
+    reference_spp: int | None = None
+    """Samples per pixel of the references (default: 256; clips 64, more in noisier scenes and fewer in cleaner ones)."""
+    max_depth: int = 6
+    """Longest light path, in edges."""
+    seed: int = 0
+    """Of the noise; with --clips, of the first scene."""
+    workers: int = 2
+    """Processes that render clips."""
+
+    def run(self) -> None:
+        if self.clips:
+            from .data.clips import ClipOptions, render_clips
+
+            size = (self.height or 128, self.width or 128)
+            render_clips(
+                self.out,
+                ClipOptions(
+                    self.clips, size, self.frames or 10, self.seed, self.spp, self.reference_spp or 64, self.max_depth,
+                    self.workers,
+                ),
+            )  # fmt: skip
+        else:
+            from .data.draw import open_scene
+            from .data.render import RenderOptions, render_sequence
+
+            size = (self.height or 180, self.width or 320)
+            spp = 256 if self.reference_spp is None else self.reference_spp
+            options = RenderOptions(size, self.spp, spp, self.max_depth, self.seed)
+            render_sequence(open_scene(self.scene, self.motion), self.out, self.frames or 12, options)
+
+
+@dataclass(frozen=True)
 class Train:
     """Train a model on rendered clips; a run directory that is there is resumed."""
 
@@ -107,6 +158,7 @@ class Demo:
 Command = (
     Annotated[Denoise, tyro.conf.subcommand("denoise")]
     | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+    | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
 )

@@ -1,0 +1,91 @@
+"""Training clips of procedural scenes: draw, check cheaply, render, write; several processes, resumable."""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import shlex
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from rtdenoise.data import procedural
+from rtdenoise.data.dataset import clip_path, write_card, write_clip
+from rtdenoise.data.draw import draw
+from rtdenoise.data.render import RenderOptions, render_frame
+from rtdenoise.data.stage import start_mitsuba
+
+CLIPS_A_PROCESS = 32  # then it is replaced, which bounds what a renderer may leak
+
+
+@dataclass(frozen=True)
+class ClipOptions:
+    """What a set of clips is made of."""
+
+    count: int = 200  # clips
+    size: tuple[int, int] = (128, 128)  # height, width
+    frames: int = procedural.CLIP_FRAMES
+    seed: int = 0  # scene seed of clip 0; clip i is scene seed + i
+    spp: int = 1  # samples per pixel of the noisy frames
+    reference_spp: int = 128  # of an averagely noisy scene; half for clean ones, half as much again for the noisiest
+    max_depth: int = 6  # path edges
+    workers: int = 2  # processes of one thread each
+
+
+def render_clip(path: Path, seed: int, options: ClipOptions) -> dict:
+    """Render one clip to a file. Returns its facts."""
+    started = time.perf_counter()
+    stage, facts = draw(seed, options.frames)
+    effort = np.clip(np.sqrt(facts["noise"] / 2), 0.5, 1.5)
+    reference_spp = max(2 * round(options.reference_spp * effort / 2), 2)
+    render = RenderOptions(options.size, options.spp, reference_spp, options.max_depth, seed)
+    frames = []
+    for number in range(options.frames):
+        layers = render_frame(stage, number, render)
+        layers["reference_half"] = layers.pop("half_reference")
+        layers["indirect_reference_half"] = layers.pop("half_indirect_reference")
+        frames.append(layers)
+    facts |= {
+        "seed": seed, "generator": procedural.VERSION, "frames": options.frames, "size": list(options.size),
+        "spp": options.spp, "reference_spp": reference_spp, "max_depth": options.max_depth,
+        "seconds": time.perf_counter() - started, "versions": _versions(),
+    }  # fmt: skip
+    write_clip(path, frames, facts)
+    del stage
+    gc.collect()  # Mitsuba scenes are cycles; a left-over one would be part of the next one's kernels
+    return facts
+
+
+def render_clips(out: Path, options: ClipOptions, progress=print) -> dict:
+    """Render clips 0 … count − 1 into a folder, with a data card. Clips that are there already are kept."""
+    start_mitsuba()  # fails here, in one line, rather than in every process
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    missing = [i for i in range(options.count) if not clip_path(out, i).exists()]
+    pool = ProcessPoolExecutor(
+        options.workers, multiprocessing.get_context("spawn"), start_mitsuba, (1,), max_tasks_per_child=CLIPS_A_PROCESS
+    )
+    with pool:
+        jobs = {pool.submit(render_clip, clip_path(out, i), options.seed + i, options): i for i in missing}
+        for done, job in enumerate(as_completed(jobs), 1):
+            facts = job.result()
+            progress(
+                f"clip {jobs[job]}: {facts['kind']}, {facts['place']}, uncovered {100 * facts['uncovered']:.1f} %, "
+                f"{facts['reference_spp']} spp, {facts['seconds']:.1f} s ({done} of {len(missing)})"
+            )
+    return write_card(out, shlex.join(["python", *sys.argv]))
+
+
+def _versions() -> dict[str, str]:
+    def installed(name: str) -> str:
+        try:
+            return version(name)
+        except PackageNotFoundError:
+            return "unknown"
+
+    return {name: installed(name) for name in ("rtdenoise", "mitsuba", "drjit")}

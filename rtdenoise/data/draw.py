@@ -1,0 +1,79 @@
+"""Choose scenes: draw a seed until it makes a good clip, judged cheaply, and find scenes by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from rtdenoise.data import procedural
+from rtdenoise.data.render import calibrate, features, uncovered
+from rtdenoise.data.sample_scene import sample
+from rtdenoise.data.scene_file import open_file
+from rtdenoise.data.scenes import Scene
+from rtdenoise.data.stage import Stage
+from rtdenoise.errors import InputError
+
+UNCOVERING = 0.015  # least share of uncovered pixels in a clip that is drawn to uncover
+ATTEMPTS = 12
+
+
+def open_scene(name: str, motion: str | Path | None = None) -> Scene:
+    """`sample`, `procedural:SEED` as it is drawn for training, or a Mitsuba XML file, set in motion by a TOML file."""
+    if name.endswith(".xml"):
+        scene = open_file(name, motion)
+        return _exposed(scene) if "brightness" in scene.facts else scene
+    if motion:
+        raise InputError(f"{motion}: a motion file goes with a Mitsuba XML scene, not with '{name}'")
+    kind, _, seed = name.partition(":")
+    if name == "sample":
+        return sample()
+    if kind == "procedural" and seed.isdecimal():
+        stage, facts = draw(int(seed))
+        return replace(stage.scene, exposure=stage.exposure, facts=facts)
+    raise InputError(f"unknown scene '{name}'; expected sample, procedural:SEED with a whole number, or a .xml file")
+
+
+def _exposed(scene: Scene) -> Scene:
+    stage = Stage(scene)
+    if not np.isfinite(calibrate(stage, scene.facts["brightness"])["noise"]):
+        raise InputError(f"{scene.file}: nothing lit is seen in frame 0; move the camera's start")
+    return replace(scene, exposure=stage.exposure)
+
+
+def probe(stage: Stage, frames: int) -> dict[str, float]:
+    """Facts of a clip from its features alone, at 64×64: nothing is traced beyond the first hit.
+
+    `uncovered`: share of pixels that were hidden in the previous frame, a mean over the frames; `sky`: share of pixels
+    without a hit; `near`: distance of the nearest twentieth; `speed`: of the fastest hundredth, in widths a frame.
+    """
+    size = (64, 64)
+    seen = [features(stage, n, size) for n in range(frames)]
+    one_pixel = size[1] / procedural.PIXELS
+    shares = [uncovered(b["motion"], a["motion_next"], one_pixel).mean() for a, b in pairwise(seen)]
+    depth = np.concatenate([f["depth"].ravel() for f in seen])
+    speed = np.concatenate([np.linalg.norm(f["motion"], axis=-1).ravel() for f in seen]) / size[1]
+    return {
+        "uncovered": float(np.mean(shares)),
+        "sky": float((depth == 0).mean()),
+        "near": float(np.quantile(depth[depth > 0], 0.05)) if (depth > 0).any() else 0.0,
+        "speed": float(np.quantile(speed, 0.99)),
+    }
+
+
+def draw(seed: int, frames: int = procedural.CLIP_FRAMES) -> tuple[Stage, dict]:
+    """The first drawing of a seed's scene that makes a good clip, loaded and exposed, and its facts."""
+    for attempt in range(ATTEMPTS):
+        scene = procedural.procedural(seed, attempt)
+        stage = Stage(scene)
+        facts = scene.facts | probe(stage, frames)
+        wanted = UNCOVERING if facts["kind"] == "uncovering" else 0.0
+        good = facts["uncovered"] >= wanted and facts["sky"] < 0.75 and facts["near"] > 0.3 and facts["speed"] < 0.25
+        last = attempt == ATTEMPTS - 1
+        if good or last:
+            facts |= calibrate(stage, facts["brightness"], frames // 2)
+            if (facts["evenness"] > 0.12 and facts["noise"] < 5.5) or last:
+                return stage, facts
+    raise AssertionError("unreachable")
