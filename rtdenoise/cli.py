@@ -79,7 +79,7 @@ class Inspect:
 
 @dataclass(frozen=True)
 class Render:
-    """Render with Mitsuba 3: noisy frames, features, exact motion both ways and references, as EXR or as training clips."""
+    """Render with Mitsuba 3: noisy frames, features, exact motion both ways, references; as EXR or training clips."""
 
     out: Path
     """Folder for the frames or clips; what is there already is kept."""
@@ -98,7 +98,7 @@ class Render:
     spp: int = 1
     """Samples per pixel of the noisy frames."""
     reference_spp: int | None = None
-    """Samples per pixel of the references (default: 256; clips 64, more in noisier scenes and fewer in cleaner ones)."""
+    """Samples per pixel of the references (default: 256; clips 64, more in noisier scenes, fewer in cleaner ones)."""
     max_depth: int = 6
     """Longest light path, in edges."""
     seed: int = 0

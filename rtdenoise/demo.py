@@ -14,7 +14,7 @@ from .errors import InputError
 from .evaluate import METRICS, REGIONS, Result, evaluate, uncovered
 from .preview import animate, strip
 
-SAMPLE = Path(__file__).parent.parent / "samples" / "sideboard"
+SAMPLE = Path(__file__).parent.parent / "samples" / "mural"
 METHODS = ["noisy", "accumulate", "paper-traditional", "paper"]
 
 

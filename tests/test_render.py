@@ -383,6 +383,7 @@ XML = """<scene version="3.0.0">
     <bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
   <shape type="cube" id="crate_wood">
     <transform name="to_world"><scale value="0.4"/><translate y="0.5"/></transform></shape>
+  <shape type="sphere" id="ball"><float name="radius" value="0.2"/></shape>
   <emitter type="constant"/>
 </scene>"""
 TOML = """brightness = 0.5
@@ -401,7 +402,9 @@ def test_mitsuba_file_is_set_in_motion(tmp_path):
     file.write_text(XML)
     motion.write_text(TOML)
     scene = open_scene(str(file), motion)
-    assert [(o.name, o.shapes) for o in scene.objects] == [("crate", ("crate_wood",)), ("floor", ("floor",))]
+    assert [(o.name, o.shapes) for o in scene.objects] == [
+        ("crate", ("crate_wood",)), ("floor", ("floor",)), ("ball", ("ball",)),
+    ]  # fmt: skip
     assert scene.camera(0).fov == pytest.approx(60) and scene.camera(3).to_world[1, 3] == pytest.approx(1.3)
     loaded = Stage(scene)
     beauty, _ = radiance(loaded, 0, (24, 32), 32, 0, 0, 6)
@@ -421,7 +424,7 @@ def test_mitsuba_file_is_set_in_motion(tmp_path):
         motion.write_text(text)
         with pytest.raises(InputError, match=complaint):
             open_scene(str(file), motion)
-    motion.write_text("[[object]]\nshapes = ['floor']")
+    motion.write_text("[[object]]\nshapes = ['ball']")
     with pytest.raises(InputError, match="only meshes can move"):
         Stage(open_scene(str(file), motion))
     with pytest.raises(InputError, match="no such scene file"):

@@ -85,7 +85,7 @@ def first_hit(scene, ray, sampler, object_ids):
     metal = hit & ~diffuse & ~glass
     _, weight = bsdf.sample(mi.BSDFContext(), si, sampler.next_1d(), sampler.next_2d(), metal)
     tinted = bsdf.has_attribute("specular_reflectance", metal)
-    specular = dr.select(tinted, bsdf.eval_attribute_3("specular_reflectance", si, metal & tinted), weight)
+    specular = dr.select(tinted, bsdf.eval_attribute("specular_reflectance", si, metal & tinted), weight)
     albedo = dr.select(diffuse, bsdf.eval_diffuse_reflectance(si, hit & diffuse), dr.select(glass, 1, specular))
     emission = si.emitter(scene).eval(si)
     shape = dr.select(hit, dr.reinterpret_array(mi.UInt32, si.shape), 0)

@@ -1,6 +1,7 @@
 """How renderers name and scale their channels, and how each is brought to the conventions of `frame.py`.
 
-native   what this project writes: `R,G,B`, `indirect.{R,G,B}`, `albedo.{R,G,B}`, `normal.{X,Y,Z}`, `depth.Z`, …
+native   what this project writes: `R,G,B` (or `color.{R,G,B}`, as in a part named color), `indirect.{R,G,B}`,
+         `albedo.{R,G,B}`, `normal.{X,Y,Z}`, `depth.Z`, …
 cycles   Blender/Cycles 3.x-5.x, multilayer EXR: `<ViewLayer>.<Pass>.<Channel>`. `Vector` holds previous − current in
          X,Y and current − next in Z,W, in pixels with y up. `Diffuse Indirect` is already divided by `Diffuse Color`.
          `Denoising Normal` is in camera space and `Normal` in world space, so `Normal` is preferred.
@@ -87,7 +88,7 @@ def _rule(names: str, components: str, signs: tuple[int, ...] = (), miss: float 
 NATIVE = Preset(
     "native",
     {
-        "color": _rule("", "RGB"),
+        "color": _rule("|color", "RGB"),
         "indirect": _rule("indirect", "RGB"),
         "albedo": _rule("albedo", "RGB"),
         "normal": _rule("normal", "XYZ"),

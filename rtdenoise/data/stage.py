@@ -68,11 +68,12 @@ class Stage:
         table = np.zeros(1 << 12, np.uint32)  # of a fixed size, for the kernel cache
         for shape in self.mitsuba.shapes():
             table[dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]] = owner[shape.id()].id
-            if shape.id() in moving and not shape.is_mesh():
-                raise InputError(f"shape '{shape.id()}' of '{owner[shape.id()].name}' is no mesh: only meshes can move")
         self.object_ids = mi.UInt32(table)
 
         self._parameters = mi.traverse(self.mitsuba) if moving else {}
+        for name, o in moving.items():
+            if f"{name}.vertex_positions" not in self._parameters:
+                raise InputError(f"shape '{name}' of object '{o.name}' is no mesh: only meshes can move")
         self._rest = [
             (o, key, np.array(self._parameters[key]).reshape(-1, 3))
             for name, o in moving.items()
@@ -96,10 +97,16 @@ class Stage:
 def load_file(path: Path):
     """The Mitsuba scene of an XML file, its shapes unmerged: merged ones would lose their ids."""
     mi = start_mitsuba()
+    import drjit as dr
+
+    threads = dr.thread_count()
+    dr.set_thread_count(max(threads, 2))  # with one thread Mitsuba 3.9 waits for itself on some files, parallel or not
     try:
         return mi.load_file(str(path), optimize=False)
     except RuntimeError as error:
         raise InputError(f"{path}: Mitsuba cannot load it: {str(error).strip().splitlines()[-1]}") from error
+    finally:
+        dr.set_thread_count(threads)
 
 
 def _build(mi, scene: Scene):

@@ -1,0 +1,70 @@
+"""The bundled sequence and the shipped weights: what `make demo` shows, asserted."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from rtdenoise.cli import main
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.demo import SAMPLE, demo
+from rtdenoise.evaluate import uncovered
+from rtdenoise.inspect import inspect
+from rtdenoise.models import available
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """(folder, {method: errors}) of the demo."""
+    folder = tmp_path_factory.mktemp("demo")
+    return folder, {result.method: result.errors for result in demo(folder)}
+
+
+def test_the_sample_is_what_its_readme_says():
+    sequence = open_sequence(SAMPLE, signal="indirect", layers=("reference", "reference_half"))
+    assert len(sequence) == 12 and sequence.size == (180, 320)
+    frames = list(sequence)
+    assert all(frame.reference is not None and frame.reference_half is not None for frame in frames)
+    assert sum(mask.float().mean().item() for mask in uncovered(frames)[1:]) / 11 > 0.01
+    assert sum(path.stat().st_size for path in SAMPLE.rglob("*")) < 10e6
+
+
+def test_its_motion_follows_the_convention():
+    assert inspect(SAMPLE).convention.status == "ok"
+
+
+def test_denoising_gains_8_db_and_beats_accumulation_in_both_regions(shown):
+    _, errors = shown
+    assert errors["paper"]["frame"]["psnr"] > errors["noisy"]["frame"]["psnr"] + 8
+    for region in ("frame", "uncovered"):
+        assert errors["paper"][region]["psnr"] > errors["accumulate"][region]["psnr"]
+        assert errors["paper"][region]["ssim"] > errors["accumulate"][region]["ssim"]
+        assert errors["paper"][region]["relmse"] < errors["accumulate"][region]["relmse"]
+
+
+def test_dual_motion_beats_traditional_where_something_was_uncovered(shown):
+    _, errors = shown
+    assert errors["paper"]["uncovered"]["psnr"] > errors["paper-traditional"]["uncovered"]["psnr"]
+    assert errors["paper"]["uncovered"]["relmse"] < errors["paper-traditional"]["uncovered"]["relmse"]
+
+
+def test_the_demo_leaves_pictures_and_numbers(shown):
+    folder, errors = shown
+    written = json.loads((folder / "demo.json").read_text())
+    assert [row["method"] for row in written["results"]] == list(errors)
+    assert {path.suffix for path in folder.iterdir()} >= {".png", ".json"}
+
+
+def test_denoise_from_the_command_line(tmp_path, capsys):
+    main(["denoise", str(SAMPLE), "--out", str(tmp_path / "clean"), "--signal", "indirect", "--preview"])
+    assert len(list((tmp_path / "clean").glob("frame.*.exr"))) == 12
+    assert (tmp_path / "clean" / "preview.png").exists()
+    assert "12 frames written" in capsys.readouterr().out
+
+
+def test_shipped_weights_are_small_and_have_a_card():
+    for name in available():
+        assert (ROOT / "rtdenoise" / "weights" / f"{name}.safetensors").stat().st_size < 4e6
+        assert (ROOT / "docs" / "models" / f"{name}.md").is_file()
