@@ -21,6 +21,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
+OFF_SCREEN = 1e4  # pixels: the motion of what was nowhere on the other frame, in any direction; half floats hold it
 CHANNELS = {
     "radiance": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
     "position": 3, "id": 1, "reference": 3, "reference_half": 3,
@@ -111,7 +112,7 @@ def sanitise(frame: Frame) -> Frame:
     | radiance              | NaN, ±Inf or negative | 0       |
     | albedo, normal        | NaN or ±Inf           | 0       |
     | depth                 | NaN, ±Inf or negative | 0 (nothing hit) |
-    | motion, motion_next   | NaN or ±Inf           | 1e6: off the screen, so no history is taken |
+    | motion, motion_next   | NaN or ±Inf           | `OFF_SCREEN`, so no history is taken |
 
     `non_finite` counts what this will replace.
     """
@@ -128,8 +129,8 @@ def sanitise(frame: Frame) -> Frame:
         albedo=clean(frame.albedo, 0.0),
         normal=clean(frame.normal, 0.0),
         depth=clean(frame.depth, 0.0, lowest=0.0),
-        motion=clean(frame.motion, 1e6),
-        motion_next=clean(frame.motion_next, 1e6),
+        motion=clean(frame.motion, OFF_SCREEN),
+        motion_next=clean(frame.motion_next, OFF_SCREEN),
     )
 
 

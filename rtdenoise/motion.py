@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from .frame import Frame
+from .frame import OFF_SCREEN, Frame
 from .ops import fetch
 
 # Pixels by which dual and traditional motion must differ before a pixel counts as uncovered. Where nothing was
@@ -46,13 +46,13 @@ def motion_between(
 
     with W an object's object-to-world matrix (absent: it does not move) and project the frame's world-to-pixel matrix.
     Where nothing was hit the point is at infinity along the pixel's ray, so only the camera's rotation counts. Points
-    behind the other frame's camera get a motion that leaves the screen. Computed in float64, returned in the dtype of
+    behind the other frame's camera get `OFF_SCREEN`. Computed in float64, returned in the dtype of
     `position`.
     """
     B, _, H, W = position.shape
     to64 = {"dtype": torch.float64, "device": position.device}
     # Rows x·w, y·w and w of world-to-pixel; the row that holds depth plays no part.
-    to_here, to_there = (torch.tensor(entry["world_to_pixel"], **to64)[[0, 1, 3]] for entry in (here, there))
+    to_here, to_there = (torch.as_tensor(entry["world_to_pixel"], **to64)[[0, 1, 3]] for entry in (here, there))
 
     v, u = torch.meshgrid(torch.arange(H, **to64) + 0.5, torch.arange(W, **to64) + 0.5, indexing="ij")
     ray = torch.einsum("ij,jhw->ihw", torch.linalg.inv(to_here[:, :3]), torch.stack([u, v, torch.ones_like(u)]))
@@ -62,17 +62,14 @@ def motion_between(
 
     moved = point
     for key in here["object_to_world"].keys() & there["object_to_world"].keys():
-        W_here, W_there = (torch.tensor(entry["object_to_world"][key], **to64) for entry in (here, there))
+        W_here, W_there = (torch.as_tensor(entry["object_to_world"][key], **to64) for entry in (here, there))
         moved = torch.where(
             id == int(key), torch.einsum("ij,bjhw->bihw", W_there @ torch.linalg.inv(W_here), point), moved
         )
 
-    def project(matrix: Tensor, points: Tensor) -> Tensor:
-        xyw = torch.einsum("ij,bjhw->bihw", matrix, points)
-        behind = xyw[:, 2:] <= 1e-9
-        return torch.where(behind, 1e6, xyw[:, :2] / torch.where(behind, 1.0, xyw[:, 2:]))
-
-    return (project(to_there, moved) - project(to_here, point)).to(position.dtype)
+    before, after = torch.einsum("ij,bjhw->bihw", to_here, point), torch.einsum("ij,bjhw->bihw", to_there, moved)
+    motion = after[:, :2] / after[:, 2:] - before[:, :2] / before[:, 2:]
+    return torch.where(after[:, 2:] > 1e-6, motion, OFF_SCREEN).to(position.dtype)
 
 
 def motion_from_scene(frame: Frame, scene: dict) -> Frame:

@@ -14,7 +14,6 @@ from rtdenoise.data.draw import UNCOVERING, open_scene, probe
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.data.motions import CameraPath, Motion
 from rtdenoise.data.render import (
-    OFF_SCREEN,
     RenderOptions,
     describe_frame,
     features,
@@ -27,6 +26,7 @@ from rtdenoise.data.sample_scene import sample
 from rtdenoise.data.scenes import Material, Object, Scene
 from rtdenoise.data.stage import Stage, find_llvm, start_mitsuba
 from rtdenoise.errors import InputError
+from rtdenoise.frame import OFF_SCREEN
 
 SIZE = (64, 96)
 OPTIONS = RenderOptions(size=SIZE, reference_spp=64, seed=3)

@@ -15,13 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 
+from rtdenoise import motion
 from rtdenoise.data.scenes import Scene
 from rtdenoise.data.stage import Stage, start_mitsuba
 
 WAVEFRONT = 1 << 21  # rays in flight; bounds memory
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-OFF_SCREEN = 1e4  # motion, in pixels, of what is behind the other frame's camera
 NOISY, FIRST_HALF, SECOND_HALF, PROBE = range(4)  # random streams of a frame
 LAYERS = (
     "color", "indirect", "albedo", "normal", "depth", "motion", "motion_next", "position", "id",
@@ -55,43 +56,22 @@ def describe_frame(scene: Scene, number: int, size: tuple[int, int]) -> dict:
 
 
 def motion_between(position: np.ndarray, id: np.ndarray, frame_i: dict, frame_j: dict) -> np.ndarray:
-    """[H, W, 2] pixels: where the surfaces seen in frame i are in frame j, minus where they are in frame i.
-
-    position [H, W, 3] world, id [H, W] or [H, W, 1]; the frames are entries of `scene.json`. A point p of an object
-    that moves by W goes to p_j = W_j W_i⁻¹ p. Where nothing was hit, the point is infinitely far behind the pixel's
-    centre, and only the camera's rotation counts.
-    """
-    height, width = position.shape[:2]
-    id = np.asarray(id).reshape(height, width)
-    project_i, project_j = (np.asarray(f["world_to_pixel"], np.float64) for f in (frame_i, frame_j))
-    here = np.concatenate([position, np.ones((height, width, 1))], -1).astype(np.float64)
-    there = here.copy()
-    for k, pose in frame_i["object_to_world"].items():
-        move = np.asarray(frame_j["object_to_world"][k]) @ np.linalg.inv(pose)
-        there[id == int(k)] = here[id == int(k)] @ move.T
-    if (miss := id == 0).any():
-        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        far = np.stack([x, y, np.zeros_like(x), np.ones_like(x)], -1)[miss]  # third row: 1/distance = 0
-        here[miss] = there[miss] = far @ np.linalg.inv(project_i).T
-    a, b = here @ project_i.T, there @ project_j.T
-    visible = b[..., 3:] > 1e-6
-    target = b[..., :2] / np.where(visible, b[..., 3:], 1)
-    return np.where(visible, target - a[..., :2] / a[..., 3:], OFF_SCREEN).astype(np.float32)
+    """`rtdenoise.motion.motion_between` from frame i to frame j for one image: [H, W, 3], [H, W, 1] to [H, W, 2]."""
+    return _array(motion.motion_between(_tensor(position), _tensor(id), frame_i, frame_j))
 
 
-def uncovered(motion: np.ndarray, previous_motion_next: np.ndarray, threshold: float = 1.0) -> np.ndarray:
-    """[H, W] bool: pixels that something hid in the previous frame, by their dual motion vectors ([H, W, 2] each).
+def uncovered(motion_now: np.ndarray, previous_motion_next: np.ndarray, threshold: float = 1.0) -> np.ndarray:
+    """[H, W] bool: `rtdenoise.motion.occlusion_mask` by the motion of a frame and `motion_next` of the one before."""
+    now = _tensor(motion_now)
+    return _array(motion.occlusion_mask(motion.dual_motion(now, _tensor(previous_motion_next)), now, threshold))[..., 0]
 
-    The surface at x was at y = x + motion(x); whatever was seen at y moved by m = motion_next(y). Where the two belong
-    to the same surface, m = −motion(x).
-    """
-    height, width = motion.shape[:2]
-    y, x = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
-    column = np.floor(x + 0.5 + motion[..., 0]).astype(int)
-    row = np.floor(y + 0.5 + motion[..., 1]).astype(int)
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    there = previous_motion_next[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
-    return inside & (np.linalg.norm(there + motion, axis=-1) > threshold)
+
+def _tensor(image: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(image).permute(2, 0, 1)[None]
+
+
+def _array(image: torch.Tensor) -> np.ndarray:
+    return np.ascontiguousarray(image[0].permute(1, 2, 0).numpy())
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------
