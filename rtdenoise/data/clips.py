@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import multiprocessing.connection
+import os
 import shlex
 import sys
+import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -19,8 +22,6 @@ from rtdenoise.data.dataset import clip_path, write_card, write_clip
 from rtdenoise.data.draw import draw
 from rtdenoise.data.render import RenderOptions, render_frame
 from rtdenoise.data.stage import start_mitsuba
-
-CLIPS_A_PROCESS = 32  # then it is replaced, which bounds what a renderer may leak
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,7 @@ def render_clips(out: Path, options: ClipOptions, progress=print) -> dict:
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     missing = [i for i in range(options.count) if not clip_path(out, i).exists()]
-    pool = ProcessPoolExecutor(
-        options.workers, multiprocessing.get_context("spawn"), start_mitsuba, (1,), max_tasks_per_child=CLIPS_A_PROCESS
-    )
-    with pool:
+    with ProcessPoolExecutor(options.workers, multiprocessing.get_context("spawn"), _start_worker) as pool:
         jobs = {pool.submit(render_clip, clip_path(out, i), options.seed + i, options): i for i in missing}
         for done, job in enumerate(as_completed(jobs), 1):
             facts = job.result()
@@ -78,7 +76,14 @@ def render_clips(out: Path, options: ClipOptions, progress=print) -> dict:
                 f"clip {jobs[job]}: {facts['kind']}, {facts['place']}, uncovered {100 * facts['uncovered']:.1f} %, "
                 f"{facts['reference_spp']} spp, {facts['seconds']:.1f} s ({done} of {len(missing)})"
             )
-    return write_card(out, shlex.join(["python", *sys.argv]))
+    return write_card(out, shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
+
+
+def _start_worker() -> None:
+    """One rendering thread, and an end when the parent ends, however it does: nobody would read what comes after."""
+    parent = multiprocessing.parent_process().sentinel
+    threading.Thread(target=lambda: multiprocessing.connection.wait([parent]) and os._exit(1), daemon=True).start()
+    start_mitsuba(1)
 
 
 def _versions() -> dict[str, str]:
