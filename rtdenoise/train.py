@@ -130,8 +130,7 @@ class Trainer:
         path.with_suffix(".tmp").replace(path)
 
     def load(self, path: Path) -> None:
-        """Go on from a checkpoint. The order of clips depends on the step alone, so the curve is the uninterrupted
-        one."""
+        """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one."""
         state = torch.load(path, map_location=self.config.device, weights_only=True)
         self.step = state["step"]
         self.model.load_state_dict(state["model"])
@@ -140,8 +139,7 @@ class Trainer:
 
 
 def train(config: TrainConfig) -> Path:
-    """Run or resume `config`; returns the path of the weights. Raises InputError for unusable data or a changed
-    configuration."""
+    """Run or resume; returns the path of the weights. Raises InputError for unusable data or changed options."""
     data = ClipDataset(config.data)
     validation = ClipDataset(config.val) if config.val else None
     out = Path(config.out)
@@ -151,17 +149,13 @@ def train(config: TrainConfig) -> Path:
     trainer = Trainer(config)
     if (out / "checkpoint.pt").exists():
         trainer.load(out / "checkpoint.pt")
+        _forget_after(out / "log.jsonl", trainer.step)
     stopping: list[int] = []
     previous_handlers = {
         s: signal.signal(s, lambda number, _: stopping.append(number)) for s in (signal.SIGINT, signal.SIGTERM)
     }
-    progress = Progress(
-        TextColumn("training"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[loss]}"),
-    )
+    columns = TextColumn("training"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    progress = Progress(*columns, TextColumn("{task.fields[loss]}"))
     try:
         with progress, (out / "log.jsonl").open("a") as log, ThreadPoolExecutor(1) as reader:
             task = progress.add_task("train", total=config.steps, completed=trainer.step, loss="")
@@ -259,6 +253,14 @@ def _same_config(config: TrainConfig, path: Path) -> None:
                 )
     else:
         path.write_text(json.dumps({"version": __version__, "options": options}, indent=1) + "\n")
+
+
+def _forget_after(path: Path, step: int) -> None:
+    """Drop from the log what a killed run did after its last checkpoint: it will be done again."""
+    if path.exists():
+        lines = path.read_text().splitlines(keepends=True)
+        kept = [line for line in lines if line.endswith("\n") and json.loads(line)["step"] <= step]
+        path.write_text("".join(kept))
 
 
 def _write(log, row: dict) -> None:

@@ -109,8 +109,11 @@ def test_a_killed_run_resumes_to_the_same_weights(config, tmp_path, monkeypatch)
         patch.setattr(Trainer, "train_step", interrupt_at_four)
         train(interrupted)
     assert torch.load(interrupted.out / "checkpoint.pt", weights_only=True)["step"] == 4
+    with (interrupted.out / "log.jsonl").open("a") as rows:  # as after a kill later than the last checkpoint
+        rows.write('{"step": 5, "loss": 1.0}\n{"step": 6, "lo')
     resumed = load(train(interrupted)).state_dict()
     assert all(torch.equal(whole[k], resumed[k]) for k in whole)
+    assert [row["step"] for row in log(interrupted.out)] == [row["step"] for row in log(config.out)]
 
 
 def test_occlusion_loss_comes_in_the_second_half(config):
@@ -126,8 +129,8 @@ def test_occlusion_loss_comes_in_the_second_half(config):
 def test_it_learns(config):
     trainer = Trainer(replace(config, steps=10_000, lr=0.05))  # warming up: 0.01 in the last step
     clip = _batch(ClipDataset(config.data), config, 0)
-    losses = [trainer.train_step(clip)["loss"] for _ in range(60)]
-    assert np.mean(losses[-5:]) < 0.8 * losses[0]
+    losses = [trainer.train_step(clip)["loss"] for _ in range(80)]
+    assert np.mean(losses[-5:]) < 0.85 * losses[0]
 
 
 def test_a_poisoned_clip_leaves_the_weights_finite(config):
