@@ -7,7 +7,7 @@ from pathlib import Path
 
 import harness
 
-from rtdenoise.demo import demo
+from rtdenoise.demo import METHODS, demo
 
 
 def main() -> None:
@@ -16,7 +16,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             results[signal] = [
                 {"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)}
-                for r in demo(Path(folder), signal=signal)
+                for r in demo(Path(folder), signal=signal, methods=(*METHODS, "oidn"))
             ]
     origin = harness.origin({"torch": harness.cpu()})
     harness.write(harness.ROOT / "bench" / "results" / "sample.json", **origin, results=results)

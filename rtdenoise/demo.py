@@ -15,10 +15,12 @@ from .evaluate import METRICS, REGIONS, Result, evaluate, uncovered
 from .preview import animate, strip
 
 SAMPLE = Path(__file__).parent.parent / "samples" / "mural"
-METHODS = ["noisy", "accumulate", "paper-traditional", "paper"]
+METHODS = ("noisy", "accumulate", "paper-traditional", "paper")
 
 
-def demo(out: Path, source: Path = SAMPLE, signal: str = "indirect") -> list[Result]:
+def demo(
+    out: Path, source: Path = SAMPLE, signal: str = "indirect", methods: tuple[str, ...] = METHODS
+) -> list[Result]:
     """Run the demo on `source` and write `strip.png`, an animation and `demo.json` into `out`; prints the table.
 
     Raises InputError where the sample is not there: it comes with the repository, not with the wheel.
@@ -28,7 +30,7 @@ def demo(out: Path, source: Path = SAMPLE, signal: str = "indirect") -> list[Res
             f"{source}: the sample sequence is not there; it comes with the repository (or name one with --source)"
         )
     frames = list(open_sequence(source, signal=signal, layers=("reference", "reference_half")))
-    results = evaluate(frames, METHODS)
+    results = evaluate(frames, methods)
     out.mkdir(parents=True, exist_ok=True)
 
     scale = display_exposure(frames[0].reference)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .baselines import Accumulate
+from .baselines import Accumulate, Oidn
 from .color import display_exposure
 from .errors import InputError
 from .frame import Frame, sanitise
@@ -23,6 +23,7 @@ Step = Callable[[Frame, object], tuple[Tensor, object]]
 METHODS: dict[str, Callable[[], Step]] = {
     "noisy": lambda: lambda frame, history: (sanitise(frame).radiance, None),
     "accumulate": lambda: Accumulate().step,
+    "oidn": lambda: Oidn().step,
     "paper": lambda: load("paper").step,
     "paper-traditional": lambda: load("paper", motion="traditional").step,  # the same weights, without dual motion
 }
@@ -42,7 +43,7 @@ class Result:
 
 
 @torch.inference_mode()
-def evaluate(frames: list[Frame], methods: list[str], skip: int = 1) -> list[Result]:
+def evaluate(frames: list[Frame], methods: Sequence[str], skip: int = 1) -> list[Result]:
     """Run every method over `frames` (consecutive, with `reference`) and measure it against the reference.
 
     The first `skip` frames are run but not measured: they have no history yet. Display metrics use one exposure for
