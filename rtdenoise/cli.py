@@ -175,6 +175,9 @@ def main(arguments: list[str] | None = None) -> None:
     except InputError as error:
         print(f"rtdenoise: {error}", file=sys.stderr)
         sys.exit(2)
+    except OSError as error:  # a disk that is full, a folder that may not be written to
+        print(f"rtdenoise: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt:
         print("rtdenoise: interrupted; run the same command again to go on", file=sys.stderr)
         sys.exit(130)

@@ -13,7 +13,7 @@ import signal
 import time
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +79,7 @@ class Trainer:
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
-        self.model = TemporalKPN(_model_config(config)).to(config.device)
+        self.model = TemporalKPN(replace(PRESETS[config.preset], motion=config.motion)).to(config.device)
         self.model.unet.to(memory_format=torch.channels_last)
         self.average = deepcopy(self.model).eval().requires_grad_(False)
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=config.lr)
@@ -140,6 +140,7 @@ class Trainer:
 
 def train(config: TrainConfig) -> Path:
     """Run or resume; returns the path of the weights. Raises InputError for unusable data or changed options."""
+    _check(config)
     data = ClipDataset(config.data)
     validation = ClipDataset(config.val) if config.val else None
     out = Path(config.out)
@@ -229,10 +230,16 @@ def _batch(data: ClipDataset, config: TrainConfig, step: int) -> list[Frame]:
     return [stack(list(frames)) for frames in zip(*chosen, strict=True)]
 
 
-def _model_config(config: TrainConfig):
+def _check(config: TrainConfig) -> None:
+    for name in ("steps", "batch", "frames", "size", "validate_every"):
+        if getattr(config, name) < 1:
+            raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
     if config.preset not in PRESETS:
         raise InputError(f"unknown preset {config.preset!r}; expected one of {', '.join(PRESETS)}")
-    return type(PRESETS[config.preset])(**{**asdict(PRESETS[config.preset]), "motion": config.motion})
+    if config.motion not in ("dual", "traditional"):
+        raise InputError(f"unknown motion {config.motion!r}; expected 'dual' or 'traditional'")
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda: no CUDA device was found; use --device cpu")
 
 
 def _plain(config: TrainConfig) -> dict:

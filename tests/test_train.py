@@ -153,8 +153,11 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
     train(config)
     with pytest.raises(InputError, match="started with lr"):
         train(replace(config, lr=1.0))
-    with pytest.raises(InputError, match="unknown preset 'nosuch'"):
-        train(replace(config, out=tmp_path / "p", preset="nosuch"))
+    for wrong, message in {"preset": "unknown preset 'x'", "motion": "unknown motion 'x'"}.items():
+        with pytest.raises(InputError, match=message):
+            train(replace(config, **{wrong: "x"}))
+    with pytest.raises(InputError, match="steps: expected 1 or more, got 0"):
+        train(replace(config, steps=0))
     with pytest.raises(InputError, match="no clips"):
         train(replace(config, data=tmp_path))
     with pytest.raises(InputError, match="at least"):
