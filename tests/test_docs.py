@@ -1,0 +1,40 @@
+"""What the documents say is what was measured, and what they name is there."""
+
+import importlib
+import json
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", ROOT / "bench" / "README.md", *(ROOT / "docs").rglob("*.md")]
+
+
+def test_the_tables_are_those_of_the_results(monkeypatch):
+    monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "bench")])
+    sample = importlib.import_module("sample")
+    document = json.loads(sample.RESULT.read_text())
+    assert sample.table(document, "indirect") in (ROOT / "README.md").read_text()
+    for signal in ("indirect", "color"):
+        assert sample.table(document, signal) in (ROOT / "docs" / "models" / "paper.md").read_text()
+
+
+def test_every_result_says_where_it_is_from():
+    for path in (ROOT / "bench" / "results").glob("*.json"):
+        document = json.loads(path.read_text())
+        assert {"command", "commit", "devices", "date"} <= document.keys(), path.name
+        assert (ROOT / document["command"].split()[1]).is_file(), f"{path.name}: {document['command']}"
+
+
+def test_links_and_commands_of_the_documents_lead_somewhere():
+    for page in PAGES:
+        text = page.read_text()
+        for link in re.findall(r"\]\(([^)#]+)\)", text):
+            assert link.startswith("http") or (page.parent / link).exists(), f"{page.name}: {link}"
+        for script in re.findall(r"python ((?:bench|tools)/\w+\.py)", text):
+            assert (ROOT / script).is_file(), f"{page.name}: {script}"
+
+
+def test_the_readmes_example_runs():
+    (code,) = re.findall(r"```python\n(import rtdenoise.*?)```", (ROOT / "README.md").read_text(), re.S)
+    exec(code.replace('"samples/mural"', repr(str(ROOT / "samples" / "mural"))), {})
