@@ -26,7 +26,7 @@ EVERY = 4  # clips
 EDGES = {"sigma_l": (2.0, 4.0, 8.0), "sigma_n": (4.0, 16.0, 64.0), "sigma_z": (1.0, 3.0, 10.0)}
 HISTORY = {"alpha": (0.2, 0.1, 0.05), "clamp": (None, 1.0, 2.0)}
 GRIDS = {
-    "accumulate-clamped": (Accumulate(clamp=1.0), [{"clamp": (0.5, 1.0, 1.5, 2.0), "window": (3, 5, 7)}]),
+    "accumulate-clamped": (Accumulate(clamp=1.0), [{"clamp": (0.25, 0.5, 1.0, 2.0), "window": (3, 5, 7, 9)}]),
     "svgf": (Svgf(), [EDGES, HISTORY]),
     "trmv": (Trmv(), [EDGES, HISTORY]),
 }
