@@ -16,6 +16,7 @@ from torch.nn import functional as F
 from ..color import luminance
 
 SPLINE = (1 / 16, 1 / 4, 3 / 8, 1 / 4, 1 / 16)  # B3, h of the à-trous filter
+MISS = 1.0  # the kind of a pixel where nothing was hit
 TINY = 1e-20  # below every difference that matters at any exposure: keeps 0 / 0 at weight 1
 
 
@@ -25,36 +26,36 @@ class Surface:
 
     depth: Tensor  # [B, 1, H, W], 0: nothing hit
     normal: Tensor  # [B, 3, H, W]
+    kind: Tensor  # [B, 1, H, W] `MISS`, or what was hit, as the caller tells apart: never mixed, > 0
     slope: Tensor  # [B, 2, H, W] change of depth a pixel along x and y
     sigma_z: float
     sigma_n: float
 
     @classmethod
-    def of(cls, depth: Tensor, normal: Tensor, sigma_z: float, sigma_n: float) -> Surface:
+    def of(cls, depth: Tensor, normal: Tensor, kind: Tensor, sigma_z: float, sigma_n: float) -> Surface:
         """With the slope from the smaller of forward and backward difference, so that a silhouette is not a slope."""
-        return cls(depth, normal, torch.cat([_slope(depth, 3), _slope(depth, 2)], dim=1), sigma_z, sigma_n)
+        return cls(depth, normal, kind, torch.cat([_slope(depth, 3), _slope(depth, 2)], dim=1), sigma_z, sigma_n)
 
     def weights(self, radius: int, spacing: int) -> Iterator[tuple[int, int, Tensor]]:
         """(dy, dx, w) of every tap, w `[B, 1, H, W]` = w_z · w_n of SVGF's eq. 3 and 4 between p and q = p + d:
 
             w_z = exp(-|z(p) - z(q)| / (σ_z · |∇z(p) · d| + 10⁻³ z(p)))        w_n = max(0, n(p) · n(q))^σ_n
 
-        d is `spacing` · (dx, dy) pixels. Two misses are alike: 1; a hit and a miss are not: 0; nor is what lies
-        outside the image. The pixel itself has weight 1 whatever its normal. The share of z(p) is what rounding and
-        curvature may do to the depth of one surface.
+        d is `spacing` · (dx, dy) pixels. Between two misses w = 1; between different kinds, and to what lies outside
+        the image, 0; the pixel itself has 1 whatever its normal. The share of z(p) is what rounding and curvature may
+        do to the depth of one surface.
         """
-        hit = self.depth > 0
-        guides = torch.cat([self.depth, self.normal, torch.ones_like(self.depth)], dim=1)
+        miss = self.kind == MISS
+        guides = torch.cat([self.depth, self.normal, self.kind], dim=1)
         for dy, dx, q in taps(guides, radius, spacing):
             if dy == dx == 0:
                 yield dy, dx, torch.ones_like(self.depth)
                 continue
-            depth, normal, inside = q[:, :1], q[:, 1:4], q[:, 4:]
+            depth, normal, kind = q[:, :1], q[:, 1:4], q[:, 4:]
             step = (spacing * (dx * self.slope[:, :1] + dy * self.slope[:, 1:])).abs()
             near = (-(self.depth - depth).abs() / (self.sigma_z * step + 1e-3 * self.depth + TINY)).exp()
             aligned = (self.normal * normal).sum(1, keepdim=True).clamp(0, 1) ** self.sigma_n
-            was_hit = depth > 0
-            yield dy, dx, inside * torch.where(hit & was_hit, near * aligned, (hit == was_hit).to(near.dtype))
+            yield dy, dx, (kind == self.kind) * torch.where(miss, 1.0, near * aligned)
 
 
 def atrous(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import torch
@@ -13,13 +13,15 @@ from ..errors import InputError
 from ..frame import Frame, sanitise
 from ..motion import dual_motion, occlusion_mask, on_screen, same_surface
 from ..ops import blend, fetch
-from .atrous import Surface, atrous, spatial_variance
+from .atrous import MISS, Surface, atrous, spatial_variance
 from .clamp import clamp_to_neighbourhood
 
 LEVELS = 5
 LONGEST = 32  # frames: the history length is not counted further
 TEMPORAL_FROM = 4  # frames of history from which on variance is estimated over time (SVGF, §4.2)
+LEAST = 1e-3  # sum of bilinear weights that makes a history
 DARK = 0.01  # albedo below which a surface has no texture worth dividing by
+BARE, TEXTURED = 2.0, 3.0  # kinds of surfaces beside MISS: filtered as radiance, filtered as irradiance
 BRIGHTEST = 1e18  # of irradiance: its square is still a float32
 
 
@@ -33,6 +35,7 @@ class SvgfState:
     spread: Tensor  # [B, 1, H, W] Σ w² of the weights of these frames: 1 / n for a plain mean
     depth: Tensor  # [B, 1, H, W]
     normal: Tensor  # [B, 3, H, W]
+    kind: Tensor  # [B, 1, H, W] MISS, BARE or TEXTURED
     motion_next: Tensor | None  # [B, 2, H, W]
 
 
@@ -53,16 +56,17 @@ class Svgf:
         """As `TemporalKPN.step`. Raises InputError where albedo, normal, depth or motion is missing."""
         frame = sanitise(frame)
         _check(frame, history)
-        albedo = modulator(frame)
+        kind = kind_of(frame)
+        albedo = torch.where(kind == TEXTURED, frame.albedo.clamp(min=DARK), 1.0)
         irradiance = (frame.radiance / albedo).clamp(max=BRIGHTEST)
-        surface = Surface.of(frame.depth, frame.normal, self.sigma_z, self.sigma_n)
+        surface = Surface.of(frame.depth, frame.normal, kind, self.sigma_z, self.sigma_n)
 
         # Accumulate irradiance and the moments of its luminance over time.
         light = luminance(irradiance)
         moments, length = torch.cat([light, light.square()], dim=1), torch.ones_like(light)
         spread = torch.ones_like(light)
         if history is not None:
-            old = self.reproject(frame, history, irradiance)
+            old = self.reproject(frame, history, irradiance, kind)
             length = (old.length + 1).clamp(max=LONGEST)
             weight = (1 / length).clamp(min=self.alpha)
             irradiance = blend(irradiance, old.irradiance, weight)
@@ -75,37 +79,32 @@ class Svgf:
         for level in range(LEVELS):
             filtered, variance = atrous(filtered, variance, surface, 2**level, self.sigma_l)
             first = filtered if level == 0 else first
-        state = SvgfState(first, moments, length, spread, frame.depth, frame.normal, frame.motion_next)
+        state = SvgfState(first, moments, length, spread, frame.depth, frame.normal, kind, frame.motion_next)
         return filtered * albedo, state
 
-    def reproject(self, frame: Frame, history: SvgfState, irradiance: Tensor) -> SvgfState:
+    def reproject(self, frame: Frame, history: SvgfState, irradiance: Tensor, kind: Tensor) -> SvgfState:
         """The history of each pixel's surface, of length 0 where there is none (SVGF, §4.1).
 
-        Each of the four bilinear taps counts if it is on the screen and on the same surface (`motion.same_surface`);
-        where none does, the mean of those among the 3×3 pixels around the target that are.
+        Each of the four bilinear taps counts if it is on the screen and on the same surface (`motion.same_surface`) of
+        the same kind; where none does, the mean of those among the 3×3 pixels around the target that are.
         """
         motion = self.reprojection(frame, history)
         stored = torch.cat([history.irradiance, history.moments, history.length, history.spread], dim=1)
         start = motion.floor()  # to a whole pixel, because p is one
-        fraction = motion - start
-        bilinear = {
-            (dx, dy): (fraction[:, :1] if dx else 1 - fraction[:, :1]) * (fraction[:, 1:] if dy else 1 - fraction[:, 1:])
-            for dy, dx in product((0, 1), repeat=2)
-        }
-        total, found = self._gather(frame, history, stored, start, bilinear)
-        box = {(dx, dy): torch.ones_like(total) for dy, dx in product((-1, 0, 1), repeat=2)}
-        fallback_total, fallback = self._gather(frame, history, stored, (motion + 0.5).floor(), box)
-        # Bilinear weights that are next to nothing would only amplify their rounding.
-        lost = total < 1e-3
-        total, found = torch.where(lost, fallback_total, total), torch.where(lost, fallback, found)
-        valid = total >= 1e-3
-        old = torch.where(valid, found / total.clamp(min=1e-3), 0.0)
+        fx, fy = (motion - start).split(1, dim=1)
+        bilinear = {(0, 0): (1 - fx) * (1 - fy), (1, 0): fx * (1 - fy), (0, 1): (1 - fx) * fy, (1, 1): fx * fy}
+        total, found = self._gather(frame, kind, history, stored, start, bilinear)
+        box = dict.fromkeys(product((-1, 0, 1), repeat=2), torch.ones_like(total))
+        box_total, box_found = self._gather(frame, kind, history, stored, (motion + 0.5).floor(), box)
+        # A tap that hardly counts is none: dividing by its weight would only bring out what was rounded.
+        lost = total < LEAST
+        total, found = torch.where(lost, box_total, total), torch.where(lost, box_found, found)
+        valid = total >= LEAST
+        old = torch.where(valid, found / total.clamp(min=LEAST), 0.0)
         color = old[:, :3]
         if self.clamp is not None:
             color = torch.where(valid, clamp_to_neighbourhood(color, irradiance, self.clamp), 0.0)
-        return SvgfState(
-            color, old[:, 3:5], old[:, 5:6], old[:, 6:], history.depth, history.normal, history.motion_next
-        )
+        return replace(history, irradiance=color, moments=old[:, 3:5], length=old[:, 5:6], spread=old[:, 6:])
 
     def reprojection(self, frame: Frame, history: SvgfState) -> Tensor:
         """The motion that fetches history, `[B, 2, H, W]`: with 'dual', the dual one inside uncovered regions."""
@@ -114,8 +113,16 @@ class Svgf:
         dual = dual_motion(frame.motion, history.motion_next)
         return torch.where(occlusion_mask(dual, frame.motion), dual, frame.motion)
 
-    def _gather(self, frame: Frame, history: SvgfState, stored: Tensor, start: Tensor, weights: dict):
-        """Σ w and Σ w · stored over the taps `start` + offset that pass the tests."""
+    def _gather(
+        self,
+        frame: Frame,
+        kind: Tensor,  # [B, 1, H, W]
+        history: SvgfState,
+        stored: Tensor,  # [B, C, H, W]
+        start: Tensor,  # [B, 2, H, W] motion to a whole pixel
+        weights: dict[tuple[int, int], Tensor],  # (dx, dy) from there: [B, 1, H, W]
+    ) -> tuple[Tensor, Tensor]:  # [B, 1, H, W], [B, C, H, W]
+        """Σ w and Σ w · stored over the taps that pass the tests."""
         total, found = torch.zeros_like(frame.depth), torch.zeros_like(stored)
         for offset, weight in weights.items():
             tap = start + start.new_tensor(offset).reshape(1, 2, 1, 1)
@@ -123,19 +130,19 @@ class Svgf:
                 frame.depth, frame.normal, history.depth, history.normal, tap,
                 self.depth_tolerance, self.normal_tolerance,
             )  # fmt: skip
-            weight = weight * (same & on_screen(tap))
+            weight = weight * (same & on_screen(tap) & (fetch(history.kind, tap) == kind))
             total += weight
             found += weight * fetch(stored, tap)
         return total, found
 
 
-def modulator(frame: Frame) -> Tensor:
-    """What radiance is divided by before filtering and multiplied with after, `[B, 3, H, W]`: albedo, at least `DARK`.
+def kind_of(frame: Frame) -> Tensor:
+    """What a pixel shows, `[B, 1, H, W]`: MISS, BARE where no channel of the albedo reaches `DARK`, else TEXTURED.
 
-    1 where nothing was hit or no channel of the albedo reaches `DARK`: there the radiance itself is filtered.
+    Radiance is divided by albedo (at least `DARK`) where TEXTURED and passed on as it is elsewhere. What means
+    different things is not averaged, hence the kinds.
     """
-    textured = (frame.albedo.amax(1, keepdim=True) >= DARK) & (frame.depth > 0)
-    return torch.where(textured, frame.albedo.clamp(min=DARK), 1.0)
+    return torch.where(frame.depth > 0, torch.where(frame.albedo.amax(1, keepdim=True) < DARK, BARE, TEXTURED), MISS)
 
 
 def estimate_variance(moments: Tensor, length: Tensor, spread: Tensor, surface: Surface) -> Tensor:

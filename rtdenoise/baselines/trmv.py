@@ -1,5 +1,5 @@
-"""TRMV for occlusions: SVGF on the dual motion vectors of Zeng et al., *Temporally Reliable Motion Vectors for Real-time
-Ray Tracing*, Computer Graphics Forum 2021."""
+"""TRMV for occlusions: SVGF on dual motion vectors (Zeng et al., *Temporally Reliable Motion Vectors for Real-time Ray
+Tracing*, Computer Graphics Forum 2021)."""
 
 from __future__ import annotations
 
