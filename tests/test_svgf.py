@@ -15,7 +15,7 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.demo import SAMPLE
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, uncovered
-from rtdenoise.frame import Frame
+from rtdenoise.frame import Frame, stack
 
 WALL, SQUARE = 2.0, 10.0  # irradiance of the wall and of the square that passes before it by 2 px a frame
 # Pixels of frame 5 that the square hid in frame 4 with all their neighbours, so that the 3×3 search finds nothing.
@@ -218,6 +218,26 @@ def test_a_missing_layer_is_named():
     frame = replace(flat(torch.ones(1, 3, 8, 8)), normal=None, name="shot/frame.0001.exr")
     with pytest.raises(InputError, match=r"frame\.0001\.exr: layer normal is missing"):
         Svgf().step(frame)
+
+
+def test_history_of_another_size_is_refused():
+    _, state = Svgf().step(flat(torch.ones(1, 3, 8, 8)))
+    with pytest.raises(InputError, match="history=None"):
+        Svgf().step(flat(torch.ones(1, 3, 8, 9)), state)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (5, 3)])
+def test_small_images(size):
+    frame = flat(torch.full((1, 3, *size), 2.0))
+    image, _ = run(Trmv(clamp=1.0), [frame] * 3)
+    torch.testing.assert_close(image, frame.radiance)
+
+
+def test_a_batch_is_its_frames():
+    sequences = [make_frames(3, seed=seed) for seed in (1, 2)]
+    together, _ = run(Trmv(), [stack(list(pair)) for pair in zip(*sequences, strict=True)])
+    alone = torch.cat([run(Trmv(), frames)[0] for frames in sequences])
+    torch.testing.assert_close(together, alone)
 
 
 def test_both_beat_accumulation_on_the_sample_and_trmv_wins_where_something_was_uncovered():

@@ -53,7 +53,11 @@ class Svgf:
     motion: str = "traditional"  # or 'dual': what history is fetched with
 
     def step(self, frame: Frame, history: SvgfState | None = None) -> tuple[Tensor, SvgfState]:
-        """As `TemporalKPN.step`. Raises InputError where albedo, normal, depth or motion is missing."""
+        """As `TemporalKPN.step`.
+
+        Raises InputError where albedo, normal, depth or (with history) motion is missing, or history is of another
+        size.
+        """
         frame = sanitise(frame)
         _check(frame, history)
         kind = kind_of(frame)
@@ -75,10 +79,10 @@ class Svgf:
 
         # Filter in space, guided by the variance; the first level is the next frame's history.
         variance = estimate_variance(moments, length, spread, surface)
-        first = filtered = irradiance
-        for level in range(LEVELS):
+        first, variance = atrous(irradiance, variance, surface, 1, self.sigma_l)
+        filtered = first
+        for level in range(1, LEVELS):
             filtered, variance = atrous(filtered, variance, surface, 2**level, self.sigma_l)
-            first = filtered if level == 0 else first
         state = SvgfState(first, moments, length, spread, frame.depth, frame.normal, kind, frame.motion_next)
         return filtered * albedo, state
 
@@ -166,3 +170,8 @@ def _check(frame: Frame, history: SvgfState | None) -> None:
             raise InputError(
                 f"{frame.name or 'frame'}: layer {layer} is missing; SVGF needs albedo, normal, depth, motion"
             )
+    if history is not None and history.irradiance.shape != frame.radiance.shape:
+        raise InputError(
+            f"{frame.name or 'frame'}: history is {tuple(history.irradiance.shape)}, the frame "
+            f"{tuple(frame.radiance.shape)}; pass history=None to start anew"
+        )
