@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .baselines import Accumulate, Oidn
+from .baselines import Accumulate, Oidn, Svgf, Trmv
 from .color import display_exposure
 from .errors import InputError
 from .frame import Frame, sanitise
@@ -23,6 +23,9 @@ Step = Callable[[Frame, object], tuple[Tensor, object]]
 METHODS: dict[str, Callable[[], Step]] = {
     "noisy": lambda: lambda frame, history: (sanitise(frame).radiance, None),
     "accumulate": lambda: Accumulate().step,
+    "accumulate-clamped": lambda: Accumulate(clamp=1.0).step,
+    "svgf": lambda: Svgf().step,
+    "trmv": lambda: Trmv().step,
     "oidn": lambda: Oidn().step,
     "paper": lambda: load("paper").step,
     "paper-traditional": lambda: load("paper", motion="traditional").step,  # the same weights, without dual motion

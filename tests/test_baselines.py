@@ -1,10 +1,14 @@
-"""What defines each baseline."""
+"""What defines each baseline; SVGF and TRMV have test_svgf.py."""
+
+import math
+from dataclasses import replace
 
 import pytest
 import torch
 from synthetic import make_frames
 
 from rtdenoise.baselines import Accumulate, Oidn
+from rtdenoise.baselines.clamp import clamp_to_neighbourhood
 
 
 def test_accumulation_is_the_running_mean_until_alpha():
@@ -38,3 +42,26 @@ def test_oidn_denoises_and_keeps_the_exposure(quality):
     before, after = ((x - frame.reference).square().mean() for x in (frame.radiance, image))
     assert after < 0.1 * before
     assert image.mean().item() == pytest.approx(frame.reference.mean().item(), rel=0.1)
+
+
+def test_clamping_pulls_history_into_the_range_of_the_neighbourhood():
+    current = torch.tensor([0.0, 2.0]).repeat(1, 3, 6, 3)  # columns of 0 and 2
+    history = torch.full_like(current, 50.0)
+    clamped = clamp_to_neighbourhood(history, current, sigmas=2.0, window=3)
+    mean, deviation = 4 / 3, math.sqrt(8 / 3 - (4 / 3) ** 2)  # two columns of 2, one of 0
+    assert clamped[0, 0, 3, 2].item() == pytest.approx(mean + 2 * deviation)
+    inside = torch.full_like(current, 1.0)
+    assert torch.equal(clamp_to_neighbourhood(inside, current, sigmas=2.0, window=3), inside)
+
+
+def test_clamped_accumulation_leaves_no_ghost_in_a_noiseless_sequence():
+    frames = make_frames(5, noise=0.0)
+    flat = [replace(f, radiance=torch.where(f.depth < 5, 9.0, 1.0).expand(1, 3, 24, 32)) for f in frames]
+    strip = (slice(None), slice(None), slice(8, 14), slice(8, 11))  # uncovered, and not next to the square
+    images = {}
+    for name, method in {"plain": Accumulate(), "clamped": Accumulate(clamp=1.0)}.items():
+        history = None
+        for frame in flat:
+            images[name], history = method.step(frame, history)
+    assert images["plain"][strip].max() > 2
+    torch.testing.assert_close(images["clamped"][strip], torch.ones(1, 3, 6, 3))

@@ -1,6 +1,7 @@
-"""Metrics against closed forms and scikit-image."""
+"""Metrics of one image against closed forms, scikit-image and the publications' own formulas; transfer curves."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import torch
 from skimage import metrics as skimage_metrics
 
 from rtdenoise.color import compress, display, display_exposure, expand, exposure, luminance, srgb_decode, srgb_encode
-from rtdenoise.metrics import psnr, relmse, ssim
+from rtdenoise.errors import InputError
+from rtdenoise.metrics import flip, flip_map, l1, mse, psnr, relmse, smape, ssim
 
 
 @pytest.fixture
@@ -64,6 +66,101 @@ def test_half_references_take_the_references_noise_out_of_relmse():
     unbiased = relmse(image, reference, 1.0, reference_half=halves[0])
     assert naive > 0.0145  # 0.1² and the reference's own 0.1²/2
     assert unbiased == pytest.approx(0.01, abs=0.003)  # but for the noise of r² in the denominator
+
+
+def test_mse_and_l1_are_those_of_the_display_transform(images):
+    image, reference = images
+    expected = skimage_metrics.mean_squared_error(hwc(reference), hwc(image))
+    assert mse(image, reference, 1.0) == pytest.approx(expected, rel=1e-5)
+    assert psnr(image, reference, 1.0) == pytest.approx(-10 * math.log10(expected), abs=1e-4)
+    assert l1(image, reference, 1.0) == pytest.approx(np.abs(hwc(reference) - hwc(image)).mean(), rel=1e-5)
+
+
+def test_smape_of_flat_images():
+    one = torch.ones(1, 3, 4, 4)
+    assert smape(one * 3, one, 2.0) == pytest.approx(4 / 8.01)
+    assert smape(one, one * 3, 2.0) == pytest.approx(4 / 8.01)
+    assert smape(one * 0, one * 0, 1.0) == 0
+
+
+# FLIP's constants (Andersson et al. 2020): linear sRGB to XYZ, white point, and how colour differences are mapped.
+XYZ = np.array([
+    [10135552 / 24577794, 8788810 / 24577794, 4435075 / 24577794],
+    [2613072 / 12288897, 8788810 / 12288897, 887015 / 12288897],
+    [1425312 / 73733382, 8788810 / 73733382, 70074185 / 73733382],
+])  # fmt: skip
+POWER, CUT, MAPPED = 0.7, 0.4, 0.95
+
+
+def flip_of_flat(reference, test):
+    """LDR-FLIP between two flat images of linear RGB: its filters keep them, and there are no features."""
+
+    def hunt(rgb):
+        x = XYZ @ np.asarray(rgb, float) / XYZ.sum(axis=1)
+        f = np.where(x > (6 / 29) ** 3, np.cbrt(x), x / (3 * (6 / 29) ** 2) + 4 / 29)
+        lightness = 116 * f[1] - 16
+        return lightness, 0.01 * lightness * 500 * (f[0] - f[1]), 0.01 * lightness * 200 * (f[1] - f[2])
+
+    def hyab(p, q):
+        (l1, a1, b1), (l2, a2, b2) = hunt(p), hunt(q)
+        return (abs(l1 - l2) + math.hypot(a1 - a2, b1 - b2)) ** POWER
+
+    error, greatest = hyab(reference, test), hyab((0, 1, 0), (0, 0, 1))
+    knee = CUT * greatest
+    return error / knee * MAPPED if error < knee else MAPPED + (error - knee) / (greatest - knee) * (1 - MAPPED)
+
+
+def coloured(rgb, side=32):
+    return torch.tensor(rgb, dtype=torch.float32).reshape(1, 3, 1, 1).expand(1, 3, side, side).contiguous()
+
+
+@pytest.mark.parametrize(
+    ("reference", "test"),
+    [((0.2, 0.2, 0.2), (0.3, 0.3, 0.3)), ((0.8, 0.1, 0.1), (0.1, 0.5, 0.3)), ((0, 0, 0), (1, 1, 1))],
+)
+def test_ldr_flip_of_flat_images_is_the_closed_form(reference, test):
+    assert flip(coloured(test), coloured(reference), 1.0) == pytest.approx(flip_of_flat(reference, test), abs=2e-3)
+
+
+def test_ldr_flip_of_blue_for_green_is_1_and_of_equals_0(images):
+    assert flip(coloured((0.0, 0.0, 1.0)), coloured((0.0, 1.0, 0.0)), 1.0) == pytest.approx(1, abs=1e-3)
+    assert flip(images[0], images[0], 1.0) == 0
+
+
+def test_hdr_flip_is_the_greatest_ldr_flip_over_exposures():
+    import flip_evaluator
+
+    g = torch.Generator().manual_seed(5)
+    reference = torch.empty(1, 3, 24, 24).exponential_(generator=g) * 2
+    image = reference * torch.rand(1, 1, 24, 24, generator=g).mul(0.5).add(0.75)
+    r, a = (x[0].permute(1, 2, 0).contiguous().numpy() for x in (reference, image))
+    _, _, used = flip_evaluator.evaluate(r, a, "HDR", applyMagma=False)
+    assert used["tonemapper"].lower() == "aces"
+
+    def aces(x):  # Narkowicz' fit with the exposure scale that FLIP folds into it
+        x = np.maximum(x, 0) * 0.6
+        return np.clip((x * (2.51 * x + 0.03)) / (x * (2.43 * x + 0.59) + 0.14), 0, 1).astype(np.float32)
+
+    expected = np.zeros((24, 24, 1), np.float32)
+    for exposure_ in np.linspace(used["startExposure"], used["stopExposure"], used["numExposures"]):
+        exposed = (aces(x * 2.0**exposure_) for x in (r, a))
+        error, _, _ = flip_evaluator.evaluate(*exposed, "LDR", inputsRGB=False, applyMagma=False)
+        expected = np.maximum(expected, error)
+    result = flip_map(image, reference, 1.0, "HDR")[0].permute(1, 2, 0)
+    np.testing.assert_allclose(result, expected, atol=2e-3)
+    assert flip(image, reference, 1.0, dynamic_range="HDR") == pytest.approx(expected.mean(), abs=1e-3)
+
+
+def test_flip_in_a_mask_and_what_it_does_not_take(images, monkeypatch):
+    image, reference = images
+    mask = torch.zeros(1, 1, 40, 30, dtype=torch.bool)
+    mask[..., 7, 9] = True
+    assert flip(image, reference, 1.0, mask) == pytest.approx(flip_map(image, reference, 1.0)[0, 0, 7, 9].item())
+    with pytest.raises(ValueError, match="'SDR'"):
+        flip(image, reference, 1.0, dynamic_range="SDR")
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    with pytest.raises(InputError, match="flip-evaluator"):
+        flip(image, reference, 1.0)
 
 
 def test_transfer_curves_undo_each_other():

@@ -2,5 +2,7 @@
 
 from .accumulate import Accumulate
 from .oidn import Oidn
+from .svgf import Svgf
+from .trmv import Trmv
 
-__all__ = ["Accumulate", "Oidn"]
+__all__ = ["Accumulate", "Oidn", "Svgf", "Trmv"]

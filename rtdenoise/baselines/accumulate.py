@@ -10,6 +10,7 @@ from torch import Tensor
 from ..frame import Frame, History, sanitise
 from ..motion import on_screen
 from ..ops import blend, fetch, warp
+from .clamp import clamp_to_neighbourhood
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,8 @@ class Accumulate:
     anew."""
 
     alpha: float = 0.1
+    clamp: float | None = None  # k: history is clamped to the window's mean ± k·σ of the noisy frame; None: it is not
+    window: int = 5  # side of that window, odd
 
     def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
         """As `TemporalKPN.step`."""
@@ -25,5 +28,8 @@ class Accumulate:
         output, length = frame.radiance, torch.ones_like(frame.radiance[:, :1])
         if history is not None:
             length = torch.where(on_screen(frame.motion), fetch(history.length, frame.motion), 0.0) + 1
-            output = blend(frame.radiance, warp(history.radiance, frame.motion), (1 / length).clamp(min=self.alpha))
+            warped = warp(history.radiance, frame.motion)
+            if self.clamp is not None:
+                warped = clamp_to_neighbourhood(warped, frame.radiance, self.clamp, self.window)
+            output = blend(frame.radiance, warped, (1 / length).clamp(min=self.alpha))
         return output, History(output, frame.motion_next, frame.depth, frame.normal, length)

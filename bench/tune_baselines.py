@@ -1,0 +1,79 @@
+"""Choose the parameters of the baselines on validation clips: what their defaults are.
+
+    python bench/tune_baselines.py CLIPS        (clips of `rtdenoise render --clips` that no model was trained on)
+
+Every fourth clip, indirect light, a coarse grid; the greatest mean PSNR of the frame wins, one objective for all
+methods. A stage starts from the best of the stage before it: what reaches over edges and what reaches back in time are
+not multiplied out. Clamping keeps to the windows and ranges that are in use: with small k and large windows it turns
+history into a box filter of the current frame, which gains PSNR and is no longer accumulation.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, replace
+from itertools import product
+from pathlib import Path
+
+import harness
+import numpy as np
+
+from rtdenoise.baselines import Accumulate, Svgf, Trmv
+from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.evaluate import METHODS, METRICS, REGIONS, evaluate
+from rtdenoise.frame import Frame
+
+EVERY = 4  # clips
+EDGES = {"sigma_l": (4.0, 8.0, 16.0, 32.0), "sigma_n": (4.0, 16.0, 64.0), "sigma_z": (1.0, 3.0, 10.0)}
+HISTORY = {"alpha": (0.1, 0.2, 0.4), "clamp": (None, 1.0, 2.0)}
+GRIDS = {
+    "accumulate-clamped": (Accumulate(clamp=1.0), [{"clamp": (0.5, 1.0, 1.5, 2.0), "window": (3, 5)}]),
+    "svgf": (Svgf(), [EDGES, HISTORY]),
+    "trmv": (Trmv(), [EDGES, HISTORY]),
+}
+
+
+def main(folder: Path) -> None:
+    clips = ClipDataset(folder)
+    chosen = range(0, len(clips), EVERY)
+    sequences = [clips.load(index, signal="indirect") for index in chosen]
+    results = {}
+    for name, (best, stages) in GRIDS.items():
+        tried = []
+        for stage in stages:
+            stage_tried = []
+            for values in product(*stage.values()):
+                parameters = dict(zip(stage, values, strict=True))
+                candidate = replace(best, **parameters)
+                errors = mean_errors(candidate, sequences)
+                stage_tried.append((candidate, errors))
+                print(name, parameters, errors["frame"], flush=True)
+            best = max(stage_tried, key=lambda pair: round(pair[1]["frame"]["psnr"], 2))[0]  # of equals the first
+            tried += stage_tried
+        print(name, "chosen:", best)
+        results[name] = {
+            "chosen": asdict(best),
+            "tried": [{"parameters": asdict(candidate), "errors": errors} for candidate, errors in tried],
+        }
+    harness.write(
+        harness.ROOT / "bench" / "results" / "tune_baselines.json",
+        **harness.origin({"torch": harness.cpu()}),
+        clips=list(chosen),
+        signal="indirect",
+        objective="mean PSNR of the frame, to 0.01 dB",
+        results=results,
+    )
+
+
+def mean_errors(method, sequences: list[list[Frame]]) -> dict[str, dict[str, float]]:
+    """Errors as in `evaluate.Result`, mean over the sequences that have any."""
+    METHODS["candidate"] = lambda: method.step
+    errors = [evaluate(frames, ["candidate"])[0].errors for frames in sequences]
+    return {
+        region: {metric: round(float(np.nanmean([e[region][metric] for e in errors])), 4) for metric in METRICS}
+        for region in REGIONS
+    }
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,120 @@
+"""Errors of one image, over the frame or inside a mask.
+
+Display metrics (PSNR, SSIM, L1, MSE, LDR-FLIP) see what a screen shows: `color.display`. relMSE, SMAPE and HDR-FLIP see
+linear radiance, exposed by the same `scale`. Arguments are those of `psnr` throughout.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from skimage.metrics import structural_similarity
+from torch import Tensor
+
+from ..color import display
+from ..errors import InputError
+
+
+def psnr(
+    image: Tensor,  # [1, 3, H, W] linear radiance
+    reference: Tensor,  # [1, 3, H, W]
+    scale: Tensor | float,  # exposure of both (`color.display_exposure`, one for a sequence)
+    mask: Tensor | None = None,  # [1, 1, H, W] bool
+) -> float:
+    """Peak signal-to-noise ratio in dB on the display transform, peak 1. NaN where the mask is empty."""
+    return decibels(mse(image, reference, scale, mask))
+
+
+def mse(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
+    """Mean of (a - r)² on the display transform; in [0, 1]."""
+    return masked_mean((display(image, scale) - display(reference, scale)).square(), mask)
+
+
+def l1(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
+    """Mean of |a - r| on the display transform; in [0, 1]."""
+    return masked_mean((display(image, scale) - display(reference, scale)).abs(), mask)
+
+
+def ssim(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
+    """Structural similarity (Wang et al. 2004; scikit-image, 7×7 window) on the display transform, arguments as in
+    `psnr`.
+
+    Frames smaller than the window have none: NaN.
+    """
+    a, b = (display(x, scale)[0].permute(1, 2, 0).cpu().numpy() for x in (image, reference))
+    if min(a.shape[:2]) < 7:
+        return math.nan
+    _, similarity = structural_similarity(a, b, channel_axis=2, data_range=1.0, full=True)
+    return masked_mean(torch.from_numpy(np.ascontiguousarray(similarity)).permute(2, 0, 1)[None], mask)
+
+
+def relmse(
+    image: Tensor,
+    reference: Tensor,
+    scale: Tensor | float,
+    mask: Tensor | None = None,
+    reference_half: Tensor | None = None,  # [1, 3, H, W] mean of one half of the reference's samples
+) -> float:
+    """Mean of (a - r)² / (r² + 0.01) on linear, exposed radiance (Rousselle et al. 2011), arguments as in `psnr`.
+
+    With one half r₁ of the reference's samples the other is r₂ = 2r - r₁, and (a - r)² becomes (a - r₁)(a - r₂): its
+    mean does not contain the reference's own noise. It can be slightly negative for an image as good as its reference.
+    """
+    a, r = image * scale, reference * scale
+    half = r if reference_half is None else reference_half * scale
+    return masked_mean((a - half) * (a - (2 * r - half)) / (r.square() + 0.01), mask)
+
+
+def smape(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
+    """Symmetric mean absolute percentage error, mean of |a - r| / (|a| + |r| + 0.01) on linear, exposed radiance; in
+    [0, 1).
+
+    As Vogels et al. 2018 use it, with their ε = 0.01, so that black pixels count little instead of fully.
+    """
+    a, r = image * scale, reference * scale
+    return masked_mean((a - r).abs() / (a.abs() + r.abs() + 0.01), mask)
+
+
+def flip(
+    image: Tensor,
+    reference: Tensor,
+    scale: Tensor | float,
+    mask: Tensor | None = None,
+    dynamic_range: str = "LDR",  # LDR | HDR
+) -> float:
+    """Mean of `flip_map`; in [0, 1]."""
+    return masked_mean(flip_map(image, reference, scale, dynamic_range), mask)
+
+
+def flip_map(image: Tensor, reference: Tensor, scale: Tensor | float, dynamic_range: str = "LDR") -> Tensor:
+    """The perceived difference when flipping between both, `[1, 1, H, W]` in [0, 1], at 67 pixels per degree.
+
+    LDR (Andersson et al. 2020) sees the display transform; HDR (Andersson et al. 2021) is the greatest LDR-FLIP over
+    the exposures that FLIP derives from the reference. Computed by `flip_evaluator`; raises InputError where it is not
+    installed and ValueError for another dynamic range.
+    """
+    if dynamic_range not in ("LDR", "HDR"):
+        raise ValueError(f"expected dynamic range 'LDR' or 'HDR', got {dynamic_range!r}")
+    try:
+        import flip_evaluator
+    except ImportError:
+        raise InputError("metric flip needs flip-evaluator: pip install 'rtdenoise[bench]'") from None
+    r, a = (display(x, scale) if dynamic_range == "LDR" else (x * scale).clamp(min=0) for x in (reference, image))
+    r, a = (np.ascontiguousarray(x[0].permute(1, 2, 0).cpu().numpy(), np.float32) for x in (r, a))
+    error, _, _ = flip_evaluator.evaluate(r, a, dynamic_range, applyMagma=False, computeMeanError=False)
+    return torch.from_numpy(np.ascontiguousarray(error)).permute(2, 0, 1)[None]
+
+
+def decibels(mse: float) -> float:
+    """-10 · log₁₀ of a mean squared error with peak 1; inf where it is 0, NaN where it is NaN."""
+    return -10 * math.log10(mse) if mse > 0 else (math.inf if mse == 0 else math.nan)
+
+
+def masked_mean(error: Tensor, mask: Tensor | None) -> float:
+    """Mean of `[1, C, H, W]` over the pixels of `mask` `[1, 1, H, W]`, in float64; NaN where it is empty."""
+    if mask is None:
+        return error.double().mean().item()
+    kept = error.double()[mask.to(error.device).expand_as(error)]
+    return kept.mean().item() if kept.numel() else math.nan

@@ -1,0 +1,120 @@
+"""Errors over time: flicker, ghosts, and what an observer sees of a whole sequence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from ..color import display
+from ..errors import InputError
+from ..motion import on_screen
+from ..ops import fetch
+from .image import decibels, masked_mean
+
+
+def tpsnr(
+    images: tuple[Tensor, Tensor],  # frames i - 1 and i, [1, 3, H, W] linear radiance
+    references: tuple[Tensor, Tensor],
+    scale: Tensor | float,  # exposure of all (`color.display_exposure`, one for a sequence)
+    mask: Tensor | None = None,  # [1, 1, H, W] bool, of frame i
+) -> float:
+    """PSNR of temporal differences in dB, on the display transform D with peak 1:
+
+        tPSNR = -10 · log₁₀ mean((ΔI - ΔR)²),    ΔI = D(I_i) - D(I_{i-1}),    ΔR = D(R_i) - D(R_{i-1})
+
+    at the same pixel, motion not compensated: an error that stays where it is costs nothing, one that flickers does.
+    NaN where the mask is empty.
+    """
+    (before, now), (before_r, now_r) = ([display(x, scale) for x in pair] for pair in (images, references))
+    return decibels(masked_mean(((now - before) - (now_r - before_r)).square(), mask))
+
+
+def temporal_relmae(
+    images: tuple[Tensor, Tensor],
+    references: tuple[Tensor, Tensor],
+    scale: Tensor | float,
+    mask: Tensor | None = None,
+) -> float:
+    """Temporal relative mean absolute error on linear, exposed radiance, arguments as in `tpsnr`:
+
+    mean(|ΔI - ΔR| / (R_i + 0.01)),    ΔI = I_i - I_{i-1},    ΔR = R_i - R_{i-1}
+    """
+    (before, now), (before_r, now_r) = ([x * scale for x in pair] for pair in (images, references))
+    return masked_mean(((now - before) - (now_r - before_r)).abs() / (now_r.abs() + 0.01), mask)
+
+
+def recent_masks(masks: Sequence[Tensor], i: int) -> tuple[Tensor, Tensor, Tensor]:
+    """M⁰, M¹, M² of frame i: the occlusion masks of frames i, i - 1 and i - 2, missing ones taken as M⁰ (the paper,
+    §4.4). Errors inside them tell how a region fares one, two and three frames after it was uncovered."""
+    return tuple(masks[i - k] if i >= k else masks[i] for k in range(3))
+
+
+def ghost_length(
+    images: Sequence[Tensor],  # consecutive frames, [1, 3, H, W] linear radiance
+    references: Sequence[Tensor],
+    motions: Sequence[Tensor],  # [1, 2, H, W] previous - current
+    masks: Sequence[Tensor],  # [1, 1, H, W] bool: M_i, uncovered in frame i
+    scale: Tensor | float,
+    settled: int = 6,  # frames
+) -> float:
+    """Frames until what was uncovered is as good as it gets: 0 where it is so at once.
+
+    The age of a pixel is the number of frames since its surface was uncovered: 0 inside M_i, one more than that of
+    the pixel that `motion` leads to (nearest) elsewhere, none where that has none or is off the screen. E(k) is the
+    mean of the squared display error over all pixels of age k in all frames, E(∞) that over ages ≥ `settled`.
+
+        ghost length = min{k : E(j) ≤ 1.1 · E(∞) for all ages j with k ≤ j < settled}
+
+    and `settled` where E(settled - 1) is still higher. NaN where no pixel reaches that age, or none has an age before
+    it. Ages that no pixel has are passed over.
+    """
+    total, count = torch.zeros(settled + 1, dtype=torch.float64), torch.zeros(settled + 1, dtype=torch.float64)
+    for image, reference, age in zip(images, references, ages(motions, masks), strict=True):
+        error = (display(image, scale) - display(reference, scale)).square().mean(1, keepdim=True).double()
+        known = age.isfinite()
+        index = age[known].clamp(max=settled).long().cpu()
+        total.index_add_(0, index, error[known].cpu())
+        count.index_add_(0, index, torch.ones(len(index), dtype=torch.float64))
+    if count[settled] == 0 or count[:settled].sum() == 0:
+        return math.nan
+    limit = 1.1 * (total / count)[settled]
+    above = [k for k in range(settled) if count[k] and total[k] / count[k] > limit]
+    return float(above[-1] + 1) if above else 0.0
+
+
+def ages(motions: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
+    """Frames since each pixel's surface was uncovered, as `ghost_length` defines it, `[1, 1, H, W]` float; inf: never
+    seen to be."""
+    age, result = torch.full_like(motions[0][:, :1], math.inf), []
+    for i, (motion, mask) in enumerate(zip(motions, masks, strict=True)):
+        if i:
+            age = torch.where(on_screen(motion), fetch(age, motion) + 1, math.inf)
+        age = torch.where(mask, 0.0, age)
+        result.append(age)
+    return result
+
+
+def fovvideovdp(
+    images: Sequence[Tensor],  # consecutive frames, [1, 3, H, W] linear radiance
+    references: Sequence[Tensor],
+    scale: Tensor | float,
+    frames_per_second: float = 30.0,
+) -> float:
+    """Quality of the sequence as an observer sees it, in just-objectionable differences: 10 is perfect, lower is worse.
+
+    FovVideoVDP (Mantiuk et al. 2021) without foveation, on the display transform, for its `standard_4k` display. Raises
+    InputError where `pyfvvdp` is not installed: its licence forbids commercial use, so that no extra brings it along.
+    """
+    try:
+        import pyfvvdp
+    except ImportError:
+        raise InputError("metric fovvideovdp needs pyfvvdp (CC BY-NC 4.0): pip install pyfvvdp") from None
+    test, reference = (torch.cat([display(x, scale) for x in xs]).permute(0, 2, 3, 1) for xs in (images, references))
+    metric = pyfvvdp.fvvdp(display_name="standard_4k", quiet=True, device=torch.device("cpu"))
+    quality, _ = metric.predict(
+        test.cpu().numpy(), reference.cpu().numpy(), dim_order="FHWC", frames_per_second=frames_per_second
+    )
+    return float(quality)
