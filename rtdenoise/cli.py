@@ -51,8 +51,9 @@ class Denoise:
             from .preview import preview
 
             o = self.options
+            signal = "color" if o.recombine else o.signal  # what the noisy panel shows beside the result
             sequence = open_sequence(
-                self.source, signal=o.signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
+                self.source, signal=signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
             )
             print("preview:", ", ".join(str(path) for path in preview(sequence, self.out, o.layout)))
 

@@ -193,7 +193,8 @@ def test_presets_that_do_not_fit(tmp_path):
     )
     write_layers(tmp_path / "1.exr", {"foo": np.ones((H, W, 3)), "bar": np.ones((H, W, 1))})
     found = message(presets.detect, read_header(tmp_path / "1.exr"))
-    assert "no known layout (presets: native, cycles, mitsuba, falcor, bmfr, oidn)" in found and found.endswith("among bar.V, foo.{R,G,B}")
+    assert "no known layout (presets: native, cycles, mitsuba, falcor, bmfr, oidn)" in found
+    assert found.endswith("among bar.V, foo.{R,G,B}")
 
 
 # --- missing layers ---------------------------------------------------------------------------------------------------
