@@ -12,7 +12,7 @@ from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
-from rtdenoise.inspect import inspect
+from rtdenoise.inspect import inspect, render_text
 from rtdenoise.models import TemporalKPN, save
 
 
@@ -107,6 +107,7 @@ def test_falcor(tmp_path, pattern, names):
     assert sequence.paths[2].name == pattern.format(names[0], 2)
     found = inspect(tmp_path)
     assert found.convention.status == "ok" and "motion_next" in found.missing
+    assert "W·mvec.R, H·mvec.G" in render_text(found)
 
 
 def test_falcor_is_denoised_into_its_color_files(tmp_path, model):
@@ -132,6 +133,13 @@ def test_a_glob_picks_frames_by_any_file(tmp_path):
     folder = write_falcor(tmp_path)
     sequence = open_sequence(str(folder / "color_000[12].exr"))
     assert sequence.numbers == (1, 2) and sequence[0].albedo is not None
+    write_layers(folder / "frame.0007.exr", {"color": np.ones((H, W, 3))})
+    assert open_sequence(folder / "frame.0007.exr").preset.name == "native"
+    write(folder / "sub" / "Other.color.3.exr", np.ones((H, W, 3)))
+    write(folder / "sub" / "Mogwai.color.3.exr", np.ones((H, W, 3)))
+    assert message(open_sequence, folder / "sub", preset="falcor").startswith(
+        f"{folder / 'sub' / 'Other.color.3.exr'}: frame number 3 is there twice, Mogwai.color.3.exr has it too; give a"
+    )
     assert message(open_sequence, folder, preset="bmfr") == (
         f"{folder}: no file is named like any of color{{frame}}.exr, albedo{{frame}}.exr, shading_normal{{frame}}.exr, "
         "world_position{frame}.exr"
@@ -190,6 +198,7 @@ def test_oidn_takes_the_lowest_number_of_samples(tmp_path):
                          "reference": b["color"] * 100}.items():  # fmt: skip
         assert is_close(getattr(frame, layer), image), layer
     assert sequence.paths[3].name == "room_003_0001spp.hdr.exr"
+    assert open_sequence(str(tmp_path / "*_0004spp*")).paths[3].name == "room_003_0004spp.hdr.exr"
     assert "no layer 'depth' (oidn layout)" in message(sequence.require, "depth")
 
 

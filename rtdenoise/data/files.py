@@ -105,8 +105,10 @@ def find_files(path_or_glob: str | os.PathLike) -> list[Path]:
 
 
 def fits(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]) -> bool:
-    """Whether two or more of the buffers are there."""
-    return sum(bool(_matches(_folder(path_or_glob), patterns)) for patterns in buffers.values()) > 1
+    """Whether two or more of the buffers are there, and what was given is among their files."""
+    found = [files for patterns in buffers.values() if (files := _candidates(_folder(path_or_glob), patterns))]
+    chosen = _chosen(path_or_glob)
+    return len(found) > 1 and (chosen is None or any(path in chosen for files in found for _, _, path in files))
 
 
 def _single_files(files: list[Path]) -> tuple[FrameFiles, ...]:
@@ -124,12 +126,19 @@ def _single_files(files: list[Path]) -> tuple[FrameFiles, ...]:
 
 
 def _buffers(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]) -> tuple[FrameFiles, ...]:
-    folder, frames = _folder(path_or_glob), {}
+    folder, chosen = _folder(path_or_glob), _chosen(path_or_glob)
+    frames: dict[int, dict[str, Path]] = {}
     for buffer, patterns in buffers.items():
-        for number, file in _matches(folder, patterns).items():
-            frames.setdefault(number, {})[buffer] = file
-    if not Path(path_or_glob).is_dir():
-        chosen = set(find_files(path_or_glob))
+        candidates = _candidates(folder, patterns)
+        if picked := [candidate for candidate in candidates if chosen and candidate[2] in chosen]:
+            candidates = picked
+        for number, files in itertools.groupby(sorted(candidates), key=lambda candidate: candidate[0]):
+            (_, samples, path), *others = files
+            if others and others[0][1] == samples:
+                raise InputError(f"{others[0][2]}: frame number {number} is there twice, {path.name} has it too; "
+                                 "give a glob that fits one of them")  # fmt: skip
+            frames.setdefault(number, {})[buffer] = path
+    if chosen is not None:
         frames = {number: files for number, files in frames.items() if chosen & set(files.values())}
     if not frames:
         names = ", ".join(patterns[0] for patterns in buffers.values())
@@ -142,23 +151,24 @@ def _folder(path_or_glob: str | os.PathLike) -> Path:
     return path if path.is_dir() else path.parent
 
 
-def _matches(folder: Path, patterns: tuple[str, ...]) -> dict[int, Path]:
-    """Frame number -> file, by the first pattern that fits any file."""
+def _chosen(path_or_glob: str | os.PathLike) -> set[Path] | None:
+    """The files that a glob or a file's name gives; None for a folder, which gives all of them."""
+    path = Path(path_or_glob)
+    return None if path.is_dir() else {path} if path.is_file() else set(map(Path, glob(str(path))))
+
+
+def _candidates(folder: Path, patterns: tuple[str, ...]) -> list[tuple[int, int, Path]]:
+    """(frame number, samples, file) of the files that fit the first pattern that fits any."""
     for pattern in patterns:
-        best: dict[int, tuple[int, Path]] = {}
-        for path in sorted(folder.glob(re.sub(r"(\{\w+\}|\*)+", "*", pattern))):
+        found = []
+        for path in folder.glob(re.sub(r"(\{\w+\}|\*)+", "*", pattern)):
             match = re.fullmatch(_expression(pattern), path.relative_to(folder).as_posix())
-            if not match or path.name.startswith("."):
-                continue
-            groups = match.groupdict()
-            number, samples = int(groups.get("frame", 0)), int(groups.get("spp", 0))
-            if number in best and samples == best[number][0]:
-                raise InputError(f"{path}: frame number {number} is there twice, {best[number][1].name} has it too")
-            if number not in best or samples < best[number][0]:
-                best[number] = (samples, path)
-        if best:
-            return {number: path for number, (_, path) in best.items()}
-    return {}
+            if match and not path.name.startswith("."):
+                groups = match.groupdict()
+                found.append((int(groups.get("frame", 0)), int(groups.get("spp", 0)), path))
+        if found:
+            return found
+    return []
 
 
 def _expression(pattern: str) -> str:
