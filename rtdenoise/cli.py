@@ -51,10 +51,11 @@ class Denoise:
             from .preview import preview
 
             o = self.options
+            signal = "color" if o.recombine else o.signal  # what the noisy panel shows beside the result
             sequence = open_sequence(
-                self.source, signal=o.signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
+                self.source, signal=signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
             )
-            print("preview:", ", ".join(str(path) for path in preview(sequence, self.out)))
+            print("preview:", ", ".join(str(path) for path in preview(sequence, self.out, o.layout)))
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Inspect:
     signal: str = "color"
     """'color' or 'indirect'."""
     preset: str = "auto"
-    """Layout of the files: 'auto', 'native', 'cycles', 'mitsuba'."""
+    """Layout of the files: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', or a .toml file."""
     allow_gaps: bool = False
     """Accept missing frame numbers."""
 

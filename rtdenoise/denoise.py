@@ -14,7 +14,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from .data.exr import read_channels, read_header, write_layers
+from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
 from .frame import History, non_finite
@@ -32,7 +32,11 @@ class Options:
     model: str = "paper"
     """Name of a shipped model, or a .safetensors file that `rtdenoise train` wrote."""
     preset: str = "auto"
-    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba'."""
+    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', or a .toml file."""
+    layout: str = "plain"
+    """Of the output: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in its place)."""
+    recombine: bool = False
+    """Put the denoised signal back together with the rest of the light: the result is the beauty."""
     keep: tuple[str, ...] = ()
     """Channels of the input to pass on, by layer name ('albedo', 'depth' ...) or 'all'."""
     float32: bool = False
@@ -61,8 +65,8 @@ def denoise(
     overwrite: bool = False,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> Summary:
-    """Denoise every frame of `source` (folder or glob) into `out`, one file of the same name each, the result in
-    `R,G,B`.
+    """Denoise every frame of `source` (folder or glob) into `out`, one file of the same name each; see `data.output`
+    for what is in it.
 
     Frames that an interrupted run with the same options has finished are skipped, and history goes on from its saved
     state, so the outcome is that of an undisturbed run. `on_frame(done, total)` is called at the start and after each
@@ -72,6 +76,7 @@ def denoise(
     """
     sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
+    check_output(sequence, options.layout, options.recombine, options.keep)
     device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("device cuda: no CUDA device was found; use --device cpu")
@@ -92,7 +97,8 @@ def denoise(
         image, history = denoiser.step(frame.to(device), history)
         image = image.cpu()
         summary.seconds += time.perf_counter() - started
-        _write(out / sequence.paths[i].name, sequence.paths[i], image, options)
+        write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
+                    keep=options.keep, float32=options.float32)  # fmt: skip
         _save_state(out / STATE, history, i + 1, fingerprint)
         summary.written += 1
         on_frame(i + 1, len(sequence))
@@ -101,7 +107,7 @@ def denoise(
 
 def _prepare(out: Path, sequence: Sequence) -> Path:
     """The output folder, made if need be; never one that holds the input."""
-    if out.resolve() in {path.resolve().parent for path in sequence.paths}:
+    if out.resolve() in {path.resolve().parent for path in _inputs(sequence)}:
         raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -113,11 +119,15 @@ def _prepare(out: Path, sequence: Sequence) -> Path:
     return out
 
 
+def _inputs(sequence: Sequence) -> list[Path]:
+    return [path for frame in sequence.files for path in frame.files.values()]
+
+
 def _fingerprint(sequence: Sequence, options: Options) -> str:
     """Tells runs apart that would write different files."""
     model = Path(options.model)
     parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "device"}
-    parts["inputs"] = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in sequence.paths]
+    parts["inputs"] = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in _inputs(sequence)]
     parts["weights"] = hashlib.sha256(model.read_bytes()).hexdigest() if model.is_file() else options.model
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode()).hexdigest()
 
@@ -156,23 +166,3 @@ def _save_state(path: Path, history: History, done: int, fingerprint: str) -> No
     temporary = path.with_suffix(".tmp")
     save_file(tensors, temporary, metadata={"done": str(done), "fingerprint": fingerprint})
     temporary.replace(path)
-
-
-def _write(path: Path, source: Path, image: torch.Tensor, options: Options) -> None:
-    """One output file: the image in `R,G,B`, and what is kept of the input under its own channel names."""
-    layers = {"color": image[0].permute(1, 2, 0).numpy()}
-    dtypes = {"color": "float" if options.float32 else "half"}
-    if options.keep:
-        header = read_header(source)
-        names = [name for name in header.channels if name not in ("R", "G", "B") and _kept(name, options.keep)]
-        if not names:
-            raise InputError(
-                f"{source}: no channel of {', '.join(options.keep)} to keep; the file has {', '.join(header.channels)}"
-            )
-        layers |= read_channels(source, names)
-        dtypes |= {name: header.channels[name] for name in names}
-    write_layers(path, layers, dtypes=dtypes)
-
-
-def _kept(channel: str, keep: tuple[str, ...]) -> bool:
-    return "all" in keep or channel.rpartition(".")[0] in keep or channel in keep

@@ -24,7 +24,7 @@ class Layer:
     """One layer of `Frame` and where it comes from."""
 
     name: str
-    channels: tuple[str, ...]  # with a minus in front where the sign is turned
+    channels: tuple[str, ...]  # with a minus in front where the sign is turned, W· or H· where the unit is UV
     dtype: str  # "half", "float", "uint", or several
     used: bool  # whether a denoiser reads it; the others are for evaluation or to compute motion from
 
@@ -124,7 +124,10 @@ def _layers(sequence: Sequence) -> tuple[Layer, ...]:
     return tuple(
         Layer(
             name=name,
-            channels=tuple(("-" if sign < 0 else "") + c for c, sign in zip(rule.channels, rule.signs, strict=True)),
+            channels=tuple(
+                ("-" if sign < 0 else "") + (unit if rule.scale == "uv" else "") + c
+                for c, sign, unit in zip(rule.channels, rule.signs, ("W·", "H·", ""), strict=False)
+            ),
             dtype=", ".join(dict.fromkeys(types[c] for c in rule.channels)),
             used=name in DEFAULT_LAYERS,
         )
@@ -197,7 +200,7 @@ def _summary(found: Inspection) -> list[tuple[str, str]]:
         ("non-finite", f"{bad} (pixels)"),
     ]
     if found.computed:
-        lines.append(("computed", f"{', '.join(found.computed)} (from position, id and scene.json)"))
+        lines.append(("computed", f"{', '.join(found.computed)} (from positions and the cameras beside the frames)"))
     if m := found.motion:
         uncovered = "unknown without motion_next" if m.uncovered is None else f"{m.uncovered:.2%}"
         lines += [

@@ -13,20 +13,22 @@ from torch import Tensor
 
 from .color import display, display_exposure
 from .data.exr import read_channels
+from .data.output import result_channels
 from .data.sequences import Sequence
 
 FRAMES_PER_SECOND = 12
 
 
-def preview(sequence: Sequence, out: Path, most_frames: int = 240) -> list[Path]:
+def preview(sequence: Sequence, out: Path, layout: str = "plain", most_frames: int = 240) -> list[Path]:
     """Show the frames of `sequence` beside what `denoise` wrote of them into `out`: `preview.png` (the last frame) and
     `preview.mp4`, or `preview.gif` where there is no ffmpeg. Returns the files.
 
     The exposure is that of the last frame, for all frames, so that what flickers is the picture and not the preview.
     """
     scale, strips = None, []
+    names = result_channels(sequence, layout)
     for i in reversed(range(min(len(sequence), most_frames))):
-        frame, image = sequence[i], _read(out / sequence.paths[i].name)
+        frame, image = sequence[i], _read(out / sequence.paths[i].name, names)
         if scale is None:
             scale = display_exposure(image if frame.reference is None else frame.reference)
         panels = {"noisy": frame.radiance, "denoised": image} | (
@@ -53,9 +55,8 @@ def animate(pictures: list[Image.Image], path: Path) -> Path:
     return path.with_suffix(".gif")
 
 
-def _read(path: Path) -> Tensor:
-    channels = read_channels(path, ("R", "G", "B"))
-    return torch.from_numpy(np.stack([channels[c] for c in "RGB"])[None])
+def _read(path: Path, names: tuple[str, ...]) -> Tensor:
+    return torch.from_numpy(np.stack(list(read_channels(path, names).values()))[None])
 
 
 def strip(panels: dict[str, Tensor], scale: Tensor | float) -> Image.Image:

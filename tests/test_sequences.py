@@ -184,7 +184,8 @@ def test_plain_pictures_are_native(tmp_path):
 def test_presets_that_do_not_fit(tmp_path):
     folder = write_native(tmp_path / "s", range(1))
     assert message(open_sequence, folder, preset="cylces") == (
-        "unknown preset 'cylces' (did you mean 'cycles'?): known are auto, native, cycles, mitsuba"
+        "unknown preset 'cylces' (did you mean 'cycles'?): known are auto, native, cycles, mitsuba, falcor, "
+        "bmfr, oidn, or a .toml file"
     )
     assert message(open_sequence, folder, preset="xyz").startswith("unknown preset 'xyz': known are auto")
     assert "no <ViewLayer>.Combined.R as Cycles writes it among R,G,B" in message(
@@ -192,7 +193,8 @@ def test_presets_that_do_not_fit(tmp_path):
     )
     write_layers(tmp_path / "1.exr", {"foo": np.ones((H, W, 3)), "bar": np.ones((H, W, 1))})
     found = message(presets.detect, read_header(tmp_path / "1.exr"))
-    assert "no known layout (presets: native, cycles, mitsuba)" in found and found.endswith("among bar.V, foo.{R,G,B}")
+    assert "no known layout (presets: native, cycles, mitsuba, falcor, bmfr, oidn)" in found
+    assert found.endswith("among bar.V, foo.{R,G,B}")
 
 
 # --- missing layers ---------------------------------------------------------------------------------------------------

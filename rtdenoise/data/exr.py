@@ -30,6 +30,7 @@ NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}
 HALF_MAX = 65504.0
 
 COMPONENTS = {"normal": "XYZ", "position": "XYZ", "motion": "XY", "motion_next": "XY", "depth": "Z", "id": "I"}
+STRUCTURE = {"channels", "chunkCount", "name", "tiles", "type", "version"}  # attributes that the encoder makes itself
 FULL_PRECISION = {"depth", "motion", "motion_next", "position"}  # half would cost subpixels of motion, or overflow
 
 
@@ -108,6 +109,31 @@ def write_layers(
     _write_file(path, encoded.getbuffer())
 
 
+def write_like(
+    path: str | os.PathLike,
+    source: str | os.PathLike,
+    changed: Mapping[str, np.ndarray],  # full channel name -> [H, W]
+    *,
+    dtype: str | None = None,  # of what is changed: "half" or "float"; None: as in the source
+) -> None:
+    """Write a copy of `source` with other pixels in some of its channels: the same parts, channel names, pixel types
+    and attributes, as scan lines with ZIP compression. Raises `InputError` as `read_channels` and `write_layers` do."""
+    header = read_header(source)
+    parts = []
+    for index, part in enumerate(header.parts):
+        copy = _open(header.path, header, index)
+        attributes = {name: value for name, value in copy.header().items() if name not in STRUCTURE}
+        attributes |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        stored = {name: channel.pixels for name, channel in copy.channels().items()}
+        for full in changed.keys() & part.full_names.keys():
+            name = part.full_names[full]
+            stored[name] = _convert(changed[full], dtype or part.channels[name])
+        parts.append(OpenEXR.Part(attributes, stored, part.name))
+    encoded = io.BytesIO()
+    OpenEXR.File(parts).write(encoded)
+    _write_file(Path(path), encoded.getbuffer())
+
+
 def _default_dtype(key: str) -> str:
     return "uint" if key.split(".")[0] == "id" else "float" if key.split(".")[0] in FULL_PRECISION else "half"
 
@@ -156,10 +182,16 @@ def _write_file(path: Path, data: memoryview) -> None:
 
 def _decode(path: Path, header: ExrHeader, index: int) -> dict[str, np.ndarray]:
     """Every channel of one part, `[H, W]` in its own type, under the names as stored."""
+    return {name: channel.pixels for name, channel in _open(path, header, index).channels().items()}
+
+
+def _open(path: Path, header: ExrHeader, index: int) -> OpenEXR.File:
+    """One part of a file, decoded, as a file of its own."""
     try:
         data = path.read_bytes() if len(header.parts) == 1 else single_part(header, index)
-        channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
+        decoded = OpenEXR.File(io.BytesIO(data), separate_channels=True)
+        decoded.channels()
     except (RuntimeError, ValueError, OSError):
         # OpenEXR drops a part that it cannot decode, and then says that there is no part: no reason to pass on.
         raise InputError(f"{path}: damaged: the pixels cannot be decoded") from None
-    return {name: channel.pixels for name, channel in channels.items()}
+    return decoded

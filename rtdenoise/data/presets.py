@@ -7,100 +7,44 @@ cycles   Blender/Cycles 3.x-5.x, multilayer EXR: `<ViewLayer>.<Pass>.<Channel>`.
          `Denoising Normal` is in camera space and `Normal` in world space, so `Normal` is preferred.
 mitsuba  Mitsuba 3's `aov` integrator: `R,G,B` is the picture of the inner integrator, an AOV `name:type` becomes
          `name.{R,G,B}` (albedo), `name.{X,Y,Z}`, `name.T` (depth) or `name.I` (index). Names that are usual are found.
+falcor   A file a buffer, as Falcor's frame capture names them (`*.GBufferRT.mvec.12.exr`) or renamed (`mvec_0012.exr`).
+         `mvec` is previous − current in fractions of the picture, y down; `linearZ` is FLT_MAX or 0 for misses.
+bmfr     The data set of Koskela et al. 2019, a file a buffer: `color12.exr` (already divided by the albedo),
+         `albedo12.exr`, `shading_normal12.exr`, `world_position12.exr`. The scenes do not move: depth and motion come
+         from `world_position` and the cameras in `camera_matrices.h`.
+oidn     The names of Open Image Denoise's training: `name_0001spp.{hdr,alb,nrm}.exr`, `name_ref.hdr.exr`, the frame
+         number at the end of `name`. They have neither depth nor motion.
 """
 
 from __future__ import annotations
 
 import difflib
+import os
 import re
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
+from pathlib import Path
 
 from rtdenoise.data.exr_format import ExrHeader
+from rtdenoise.data.files import fits
+from rtdenoise.data.preset_file import read_preset
+from rtdenoise.data.rules import SIGNALS, Preset, rules
 from rtdenoise.errors import InputError
-from rtdenoise.frame import CHANNELS
-
-SIGNALS = {  # signal -> which of a file's layers become a frame's, where they have another name
-    "color": {"radiance": ("color",), "reference_half": ("half_reference",)},
-    "indirect": {
-        "radiance": ("indirect",),
-        "albedo": ("indirect_albedo", "albedo"),
-        "reference": ("indirect_reference",),
-        "reference_half": ("half_indirect_reference",),
-    },
-}
-
-
-@dataclass(frozen=True)
-class Rule:
-    """One layer from channels: component i is `signs[i]` × the channel `channels[i]`."""
-
-    channels: tuple[str, ...]  # one with a `*` stands for the first channel that fits
-    signs: tuple[int, ...]
-    miss: float = float("inf")  # depth only: from this distance on, nothing was hit
-
-
-@dataclass(frozen=True)
-class Preset:
-    """A renderer's names. `layers` gives alternatives for each layer: the first whose channels are all there counts."""
-
-    name: str
-    layers: Mapping[str, tuple[Rule, ...]]
-    hints: Mapping[str, str] = field(default_factory=dict, repr=False)  # layer -> what to switch on to have it
-    demodulated: frozenset[str] = frozenset()  # signals that the renderer has already divided by the albedo
-
-    def resolve(self, header: ExrHeader, signal: str) -> dict[str, Rule]:
-        """The layers of `Frame` that this file has for a signal, each with the rule that makes it."""
-        found = {}
-        for layer in CHANNELS:
-            alternatives = (rule for name in _names(layer, signal) for rule in self.layers.get(name, ()))
-            matches = (_match(rule, header.channels) for rule in alternatives)
-            if rule := next((match for match in matches if match), None):
-                found[layer] = rule
-        return found
-
-    def hint(self, layer: str, signal: str) -> str:
-        """What to do about a layer of `Frame` that is missing."""
-        name = next(name for name in _names(layer, signal) if name in self.layers)
-        return self.hints.get(name, f"write it as {', '.join(self.layers[name][0].channels)}")
-
-
-def _names(layer: str, signal: str) -> tuple[str, ...]:
-    return SIGNALS[signal].get(layer, (layer,))
-
-
-def _match(rule: Rule, channels: Collection[str]) -> Rule | None:
-    """The rule with its wildcards filled in; None where a channel is missing."""
-    names = []
-    for name in rule.channels:
-        fitting = [name] if name in channels else [c for c in channels if "*" in name and fnmatchcase(c, name)]
-        names += fitting[:1]
-    return Rule(tuple(names), rule.signs, rule.miss) if len(names) == len(rule.channels) else None
-
-
-def _rule(names: str, components: str, signs: tuple[int, ...] = (), miss: float = float("inf")) -> tuple[Rule, ...]:
-    """One rule for each of the `|`-separated names: `name.{components}`, or just the components for an empty name."""
-    prefixes = [f"{name}." if name else "" for name in names.split("|")]
-    return tuple(Rule(tuple(p + c for c in components), signs or (1,) * len(components), miss) for p in prefixes)
-
 
 NATIVE = Preset(
     "native",
     {
-        "color": _rule("|color", "RGB"),
-        "indirect": _rule("indirect", "RGB"),
-        "albedo": _rule("albedo", "RGB"),
-        "normal": _rule("normal", "XYZ"),
-        "depth": _rule("depth", "Z"),
-        "motion": _rule("motion", "XY"),
-        "motion_next": _rule("motion_next", "XY"),
-        "position": _rule("position", "XYZ"),
-        "id": _rule("id", "I"),
-        "reference": _rule("reference", "RGB"),
-        "indirect_reference": _rule("indirect_reference", "RGB"),
-        "half_reference": _rule("half_reference", "RGB"),
-        "half_indirect_reference": _rule("half_indirect_reference", "RGB"),
+        "color": rules("|color", "RGB"),
+        "indirect": rules("indirect", "RGB"),
+        "albedo": rules("albedo", "RGB"),
+        "normal": rules("normal", "XYZ"),
+        "depth": rules("depth", "Z"),
+        "motion": rules("motion", "XY"),
+        "motion_next": rules("motion_next", "XY"),
+        "position": rules("position", "XYZ"),
+        "id": rules("id", "I"),
+        "reference": rules("reference", "RGB"),
+        "indirect_reference": rules("indirect_reference", "RGB"),
+        "half_reference": rules("half_reference", "RGB"),
+        "half_indirect_reference": rules("half_indirect_reference", "RGB"),
     },
 )
 
@@ -108,11 +52,11 @@ MITSUBA = Preset(
     "mitsuba",
     {
         **NATIVE.layers,
-        "albedo": _rule("albedo|alb|aov.albedo", "RGB"),
-        "normal": _rule("normal|nn|sh_normal|normals|n|sn|aov.sh_normal|geo_normal|gn", "XYZ"),
-        "depth": _rule("*", "T") + _rule("depth", "Z"),
-        "position": _rule("position|pos|p|aov.position", "XYZ"),
-        "id": _rule("id|shape_index|shape|idx|index|aov.shape_index", "I"),
+        "albedo": rules("albedo|alb|aov.albedo", "RGB"),
+        "normal": rules("normal|nn|sh_normal|normals|n|sn|aov.sh_normal|geo_normal|gn", "XYZ"),
+        "depth": rules("*", "T") + rules("depth", "Z"),
+        "position": rules("position|pos|p|aov.position", "XYZ"),
+        "id": rules("id|shape_index|shape|idx|index|aov.shape_index", "I"),
     },
     hints={
         "indirect": "Mitsuba has no integrator for it: render with `rtdenoise render`, or denoise --signal color",
@@ -146,42 +90,114 @@ def cycles(view_layer: str) -> Preset:
     """The passes of one view layer ("": channels without a view layer in front)."""
     p = f"{view_layer}." if view_layer else ""
     layers = {
-        "color": _rule(f"{p}Noisy Image|{p}Combined", "RGB"),
-        "indirect": _rule(f"{p}Diffuse Indirect|{p}DiffInd", "RGB"),
-        "albedo": _rule(f"{p}Denoising Albedo|{p}Diffuse Color|{p}DiffCol", "RGB"),
-        "indirect_albedo": _rule(f"{p}Diffuse Color|{p}DiffCol", "RGB"),  # what Diffuse Indirect was divided by
-        "normal": _rule(f"{p}Normal|{p}Denoising Normal", "XYZ"),
+        "color": rules(f"{p}Noisy Image|{p}Combined", "RGB"),
+        "indirect": rules(f"{p}Diffuse Indirect|{p}DiffInd", "RGB"),
+        "albedo": rules(f"{p}Denoising Albedo|{p}Diffuse Color|{p}DiffCol", "RGB"),
+        "indirect_albedo": rules(f"{p}Diffuse Color|{p}DiffCol", "RGB"),  # what Diffuse Indirect was divided by
+        "normal": rules(f"{p}Normal|{p}Denoising Normal", "XYZ"),
         # Cycles stores 1e10 as the depth of what missed.
-        "depth": _rule(f"{p}Depth|{p}Denoising Depth", "Z", miss=1e9),
-        "motion": _rule(f"{p}Vector", "XY", signs=(1, -1)),
-        "motion_next": _rule(f"{p}Vector", "ZW", signs=(-1, 1)),
-        "position": _rule(f"{p}Position", "XYZ"),
-        "id": _rule(f"{p}Object Index|{p}IndexOB", "X"),
+        "depth": rules(f"{p}Depth|{p}Denoising Depth", "Z", miss=1e9),
+        "motion": rules(f"{p}Vector", "XY", signs=(1, -1)),
+        "motion_next": rules(f"{p}Vector", "ZW", signs=(-1, 1)),
+        "position": rules(f"{p}Position", "XYZ"),
+        "id": rules(f"{p}Object Index|{p}IndexOB", "X"),
     }
     references = {layer: rule for layer, rule in NATIVE.layers.items() if "reference" in layer}  # added by other tools
-    return Preset("cycles", {**references, **layers}, _CYCLES_HINTS, frozenset({"indirect"}))
+    return Preset(
+        "cycles",
+        {**references, **layers},
+        _CYCLES_HINTS,
+        demodulated=frozenset({"indirect"}),
+        beauty=rules(f"{p}Combined", "RGB"),
+    )
 
 
-NAMES = ("native", "cycles", "mitsuba")
+FALCOR = Preset(
+    "falcor",
+    {
+        "color": rules("color", "RGB"),
+        "albedo": rules("albedo", "RGB"),
+        "normal": rules("normal", "RGB") + rules("normal", "XYZ"),
+        "depth": tuple(rule for c in "RZY" for rule in rules("linearZ", c, miss=1e30)),
+        "motion": rules("mvec", "RG", scale="uv") + rules("mvec", "XY", scale="uv"),
+        "reference": rules("ref", "RGB"),
+    },
+    hints={
+        "indirect": "Falcor has no output for it; denoise --signal color",
+        "motion_next": "Falcor has no output for it; uncovered regions then use traditional motion",
+    },
+    buffers={
+        "color": ("color_{frame}.exr", "*.color.{frame}.exr"),
+        "albedo": ("albedo_{frame}.exr", "*.albedo.{frame}.exr", "*.diffuseOpacity.{frame}.exr"),
+        "normal": ("normal_{frame}.exr", "*.guideNormal.{frame}.exr", "*.normW.{frame}.exr"),
+        "linearZ": ("linearZ_{frame}.exr", "*.linearZ.{frame}.exr"),
+        "mvec": ("mvec_{frame}.exr", "*.mvec.{frame}.exr"),
+        "ref": ("ref_{frame}.exr",),
+    },
+)
+
+BMFR = Preset(
+    "bmfr",
+    {
+        "color": rules("color", "RGB"),
+        "albedo": rules("albedo", "RGB"),
+        "normal": rules("shading_normal", "RGB"),
+        "position": rules("world_position", "RGB"),
+    },
+    hints={
+        "indirect": "BMFR's color holds direct and indirect light; denoise --signal color",
+        **dict.fromkeys(("depth", "motion", "motion_next"), "put camera_matrices.h beside the frames"),
+    },
+    demodulated=frozenset({"color"}),
+    buffers={name: (f"{name}{{frame}}.exr",) for name in ("color", "albedo", "shading_normal", "world_position")},
+    cameras="camera_matrices.h",
+)
+
+_NOT_OIDN = "OIDN's names have no file for it: write native layers, or describe your files in a preset of your own"
+OIDN = Preset(
+    "oidn",
+    {
+        "color": rules("hdr", "RGB"),
+        "albedo": rules("alb", "RGB"),
+        "normal": rules("nrm", "RGB") + rules("nrm", "XYZ"),
+        "reference": rules("ref", "RGB"),
+    },
+    hints=dict.fromkeys(("indirect", "depth", "motion", "motion_next", "position", "id"), _NOT_OIDN),
+    buffers={
+        "hdr": ("*{frame}_{spp}spp.hdr.exr", "*_{spp}spp.hdr.exr"),
+        "alb": ("*{frame}_{spp}spp.alb.exr", "*_{spp}spp.alb.exr"),
+        "nrm": ("*{frame}_{spp}spp.nrm.exr", "*_{spp}spp.nrm.exr"),
+        "ref": ("*{frame}_ref.hdr.exr", "*_ref.hdr.exr"),
+    },
+)
+
+PRESETS = {preset.name: preset for preset in (NATIVE, MITSUBA, FALCOR, BMFR, OIDN)}
+NAMES = ("native", "cycles", "mitsuba", "falcor", "bmfr", "oidn")
+
+
+def choose(name: str, source: str | os.PathLike) -> Preset | None:
+    """The preset as far as its name and the names of the files in `source` (folder or glob) decide it; None: the first
+    header will, see `find`. A name that ends in .toml is a file that describes a preset.
+
+    Raises `InputError` for a name that is not known, and as `read_preset` does.
+    """
+    if name.endswith(".toml"):
+        return read_preset(Path(name))
+    if name == "auto":
+        return next((preset for preset in (FALCOR, BMFR, OIDN) if fits(source, preset.buffers)), None)
+    if name in PRESETS:
+        return PRESETS[name]
+    if name.partition(":")[0] == "cycles":
+        return None
+    near = difflib.get_close_matches(name.lower(), NAMES, n=1)
+    suggestion = f" (did you mean '{near[0]}'?)" if near else ""
+    raise InputError(f"unknown preset '{name}'{suggestion}: known are auto, {', '.join(NAMES)}, or a .toml file")
 
 
 def find(name: str, header: ExrHeader) -> Preset:
-    """The preset `name` for this file: "auto" detects it, "cycles:NAME" picks one of several view layers.
-
-    Raises `InputError` for a name that is not known, and as `detect` does.
-    """
-    name, _, view_layer = name.partition(":")
-    if name == "auto":
-        return detect(header)
-    if name == "native":
-        return NATIVE
-    if name == "mitsuba":
-        return MITSUBA
-    if name == "cycles":
-        return cycles(_choose_view_layer(header, view_layer))
-    near = difflib.get_close_matches(name.lower(), NAMES, n=1)
-    suggestion = f" (did you mean '{near[0]}'?)" if near else ""
-    raise InputError(f"unknown preset '{name}'{suggestion}: known are auto, {', '.join(NAMES)}")
+    """The preset for a file: "auto" detects it, "cycles:NAME" picks one of several view layers. Raises `InputError`
+    where there is none."""
+    return detect(header) if name == "auto" else cycles(_choose_view_layer(header, name.partition(":")[2]))
 
 
 def detect(header: ExrHeader) -> Preset:

@@ -1,0 +1,152 @@
+"""Render an animated scene with Blender's Cycles at 1 sample per pixel, with the passes that a temporal denoiser needs.
+
+    python -m venv bpyenv && bpyenv/bin/pip install bpy          # Python 3.11; about 350 MB
+    bpyenv/bin/python examples/blender/render.py shot/ --frames 12
+
+The scene is made of primitives: a room with textured walls and floor, still objects, a post that slides past the back
+wall and uncovers it, a ball that jumps, and a camera that moves along both axes of the picture. `add_passes` is what
+to copy into a script for a scene of one's own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import bpy
+
+LIGHT_PASSES = ("diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_direct", "glossy_indirect",
+                "glossy_color", "transmission_direct", "transmission_indirect", "transmission_color", "emit",
+                "environment")  # fmt: skip
+
+
+def add_passes(scene: bpy.types.Scene) -> None:
+    """Switch on what `rtdenoise` reads, in one multilayer EXR a frame."""
+    layer = scene.view_layers[0]
+    layer.cycles.denoising_store_passes = True  # Denoising Albedo, Normal, Depth, and the noisy picture
+    for name in ("combined", "z", "normal", "vector", *LIGHT_PASSES):
+        setattr(layer, f"use_pass_{name}", True)
+    scene.render.use_motion_blur = False  # with motion blur Cycles writes no vectors
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):  # Blender 5
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    settings.color_depth = "16"  # of the colours: Cycles writes depth, normals and vectors as 32-bit float all the same
+    settings.exr_codec = "ZIP"
+
+
+def configure(scene: bpy.types.Scene, width: int, height: int, samples: int) -> None:
+    """Cycles on the CPU, with new noise in every frame and nothing that would filter it."""
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = samples
+    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.use_denoising = False
+    scene.cycles.seed = 1
+    scene.cycles.use_animated_seed = True
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
+
+
+def material(name: str, dark: tuple, light: tuple, scale: float, roughness: float = 0.9) -> bpy.types.Material:
+    """Two colours in a pattern that sticks to the object."""
+    made = bpy.data.materials.new(name)
+    made.use_nodes = True
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    coordinates, pattern = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeTexVoronoi")
+    ramp, surface = nodes.new("ShaderNodeValToRGB"), nodes["Principled BSDF"]
+    pattern.inputs["Scale"].default_value = scale
+    ramp.color_ramp.elements[0].color, ramp.color_ramp.elements[1].color = (*dark, 1), (*light, 1)
+    surface.inputs["Roughness"].default_value = roughness
+    links.new(coordinates.outputs["Object"], pattern.inputs["Vector"])
+    links.new(pattern.outputs["Distance"], ramp.inputs["Fac"])
+    links.new(ramp.outputs["Color"], surface.inputs["Base Color"])
+    return made
+
+
+def box(name: str, location: tuple, size: tuple, look: bpy.types.Material) -> bpy.types.Object:
+    """A box with its pattern in metres, whatever its size."""
+    bpy.ops.mesh.primitive_cube_add(size=1, location=location)
+    made = bpy.context.object
+    made.name, made.scale = name, size
+    bpy.ops.object.transform_apply(location=False, rotation=False, scale=True)
+    made.data.materials.append(look)
+    return made
+
+
+def ball(name: str, location: tuple, radius: float, look: bpy.types.Material) -> bpy.types.Object:
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=radius, location=location, segments=48, ring_count=24)
+    made = bpy.context.object
+    made.name = name
+    bpy.ops.object.shade_smooth()
+    made.data.materials.append(look)
+    return made
+
+
+def keyframe(item: bpy.types.Object, first: int, last: int, start: tuple, end: tuple) -> None:
+    """Straight from `start` to `end` at constant speed, and on in both directions: vectors need the frames beyond."""
+    beyond = [(number, (number - first) / max(last - first, 1)) for number in (first - 1, last + 1)]
+    for number, t in beyond:
+        item.location = [a + t * (b - a) for a, b in zip(start, end, strict=True)]
+        item.keyframe_insert("location", frame=number)
+
+
+def build(scene: bpy.types.Scene, frames: int) -> None:
+    """A room of 6 × 5 × 3 m, lit by a small lamp and a little sky that comes in behind the camera."""
+    plaster = material("plaster", (0.75, 0.68, 0.55), (0.25, 0.30, 0.45), 2.5)
+    tiles = material("tiles", (0.15, 0.12, 0.10), (0.70, 0.60, 0.50), 2.0, roughness=0.4)
+    red = material("red", (0.80, 0.12, 0.08), (0.60, 0.30, 0.10), 3.0)
+    green = material("green", (0.10, 0.45, 0.15), (0.35, 0.70, 0.25), 4.0)
+    blue = material("blue", (0.10, 0.20, 0.70), (0.50, 0.60, 0.85), 5.0, roughness=0.3)
+    box("floor", (0, 0, -0.05), (6, 5, 0.1), tiles)
+    box("ceiling", (0, 0, 3.05), (6, 5, 0.1), plaster)
+    box("back", (0, 2.55, 1.5), (6, 0.1, 3), plaster)
+    box("left", (-3.05, 0, 1.5), (0.1, 5, 3), red)
+    box("right", (3.05, 0, 1.5), (0.1, 5, 3), green)
+    box("crate", (1.6, 1.2, 0.5), (1, 1, 1), green)
+    ball("globe", (-1.6, 1.4, 0.7), 0.7, plaster)
+    post = box("post", (0, 0, 0), (0.5, 0.3, 1.8), red)
+    hopper = ball("hopper", (0, 0, 0), 0.35, blue)
+    reach = 0.12 * (frames - 1)
+    keyframe(post, 1, frames, (-0.9, 0.6, 0.9), (-0.9 + reach, 0.6, 0.9))
+    keyframe(hopper, 1, frames, (0.9, 0.2, 0.5), (0.9 - 0.3 * reach, 0.2, 0.5 + 0.5 * reach))
+
+    bpy.ops.object.light_add(type="AREA", location=(0.8, 0.3, 2.9))
+    bpy.context.object.data.energy, bpy.context.object.data.size = 90, 0.6
+    scene.world = bpy.data.worlds.new("sky")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.10, 0.13, 0.20, 1)
+
+    bpy.ops.object.camera_add(location=(0, 0, 0), rotation=(math.radians(84), 0, math.radians(2)))
+    scene.camera = bpy.context.object
+    scene.camera.data.angle = math.radians(62)
+    keyframe(scene.camera, 1, frames, (-0.2, -3.4, 1.5), (-0.2 + 0.25 * reach, -3.4, 1.5 + 0.2 * reach))
+
+
+def straighten(scene: bpy.types.Scene) -> None:
+    """Constant speed instead of Blender's eased curves."""
+    bpy.context.preferences.edit.keyframe_new_interpolation_type = "LINEAR"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path, help="folder for frame.0001.exr …")
+    parser.add_argument("--frames", type=int, default=12)
+    parser.add_argument("--width", type=int, default=320)
+    parser.add_argument("--height", type=int, default=180)
+    parser.add_argument("--samples", type=int, default=1, help="per pixel")
+    options = parser.parse_args()
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    straighten(scene)
+    configure(scene, options.width, options.height, options.samples)
+    add_passes(scene)
+    build(scene, options.frames)
+    scene.frame_start, scene.frame_end = 1, options.frames
+    scene.render.filepath = str(options.out.resolve() / "frame.####")
+    bpy.ops.render.render(animation=True)
+
+
+if __name__ == "__main__":
+    main()

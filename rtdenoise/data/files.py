@@ -1,0 +1,176 @@
+"""Which files make up the frames of a sequence: one EXR file a frame, or one file a buffer and frame.
+
+A pattern of file names, relative to the sequence's folder, holds `{frame}` for the digits of the frame number, `{spp}`
+for those of a number of samples (the lowest is taken), and `*` for anything: `*{frame}_{spp}spp.alb.exr`. A pattern
+without `{frame}` names frame 0.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from glob import glob, has_magic
+from pathlib import Path
+
+import numpy as np
+
+from rtdenoise.data.exr import read_channels, read_header
+from rtdenoise.data.exr_format import ExrHeader
+from rtdenoise.errors import InputError
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """The files of one frame, read as if they were the parts of one file."""
+
+    number: int
+    files: Mapping[str, Path]  # buffer -> file; {"": file} where one file holds everything
+
+    @property
+    def path(self) -> Path:
+        """The file that stands for the frame in messages."""
+        return next(iter(self.files.values()))
+
+    def header(self) -> ExrHeader:
+        """All channels, those of a buffer with its name in front. Raises `InputError` as `read_header` does, and where
+        the files differ in size."""
+        headers = {buffer: read_header(path) for buffer, path in self.files.items()}
+        first, *others = headers.values()
+        for other in others:
+            if (other.width, other.height) != (first.width, first.height):
+                raise InputError(f"{other.path}: is {other.width}×{other.height}, expected "
+                                 f"{first.width}×{first.height} as {first.path.name}")  # fmt: skip
+        if "" in headers:
+            return first
+        channels = {f"{buffer}.{c}": t for buffer, header in headers.items() for c, t in header.channels.items()}
+        return ExrHeader(first.path, first.width, first.height, channels, (), 0)
+
+    def read(self, names: Collection[str]) -> dict[str, np.ndarray]:
+        """The pixels `[H, W]` float32 of channels, by the names that `header` gives them."""
+        pixels: dict[str, np.ndarray] = {}
+        for path, wanted in self.locate(names).items():
+            stored = read_channels(path, list(wanted))
+            pixels |= {full: stored[name] for name, full in wanted.items()}
+        return pixels
+
+    def locate(self, names: Collection[str]) -> dict[Path, dict[str, str]]:
+        """Where channels are: file -> name in that file -> name as `header` gives it."""
+        found: dict[Path, dict[str, str]] = {}
+        for full in names:
+            buffer, _, name = ("", "", full) if "" in self.files else full.partition(".")
+            found.setdefault(self.files[buffer], {})[name] = full
+        return found
+
+
+def find_frames(
+    path_or_glob: str | os.PathLike,  # a folder, a glob, or one file
+    buffers: Mapping[str, tuple[str, ...]],  # buffer -> patterns, the first that fits any file counts; {}: one file all
+    allow_gaps: bool = False,
+) -> tuple[FrameFiles, ...]:
+    """The frames in order of their numbers: the last run of digits in a file's name, or `{frame}` of the pattern.
+
+    With `buffers`, a glob picks frames by any of their files; the others are found beside. Raises `InputError` where
+    there is no file, and for numbers that are missing or there twice.
+    """
+    frames = _buffers(path_or_glob, buffers) if buffers else _single_files(find_files(path_or_glob))
+    for a, b in itertools.pairwise(frames):
+        if not allow_gaps and b.number - a.number > 1:
+            between = f"{a.number + 1}" if b.number - a.number == 2 else f"{a.number + 1} to {b.number - 1}"
+            raise InputError(f"{a.path}: the next frame is {b.number}, missing: {between}; render what is missing, or "
+                             "allow gaps (--allow-gaps): history then starts anew after each")  # fmt: skip
+    return frames
+
+
+def find_files(path_or_glob: str | os.PathLike) -> list[Path]:
+    """EXR files that are meant, in no order. Hidden files are not: that is what unfinished ones are called."""
+    path = Path(path_or_glob)
+    if path.is_dir():
+        found = [p for p in path.iterdir() if p.suffix.lower() == ".exr" and not p.name.startswith(".")]
+        if not found:
+            others = sorted(p.name for p in path.iterdir())
+            what = f"holds {len(others)} files, e.g. {others[0]}" if others else "is empty"
+            raise InputError(f"{path}: no .exr file in this folder: it {what}")
+        return found
+    if path.is_file():
+        return [path]
+    if not has_magic(str(path)):
+        raise InputError(f"{path}: does not exist; give a folder of EXR files or a glob")
+    found = [p for p in map(Path, glob(str(path))) if p.is_file()]
+    if not found:
+        raise InputError(f"{path}: no file fits this glob")
+    return found
+
+
+def fits(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]) -> bool:
+    """Whether two or more of the buffers are there, and what was given is among their files."""
+    found = [files for patterns in buffers.values() if (files := _candidates(_folder(path_or_glob), patterns))]
+    chosen = _chosen(path_or_glob)
+    return len(found) > 1 and (chosen is None or any(path in chosen for files in found for _, _, path in files))
+
+
+def _single_files(files: list[Path]) -> tuple[FrameFiles, ...]:
+    runs = {file: re.findall(r"\d+", file.stem) for file in files}
+    unnumbered = [file for file in sorted(files) if not runs[file]]
+    if unnumbered and len(files) > 1:
+        raise InputError(f"{unnumbered[0]}: no frame number in the name; expected digits, as in frame.0001.exr")
+    numbers = {file: int(runs[file][-1]) if runs[file] else 0 for file in files}
+    ordered = sorted(files, key=lambda file: (numbers[file], file))
+    for a, b in itertools.pairwise(ordered):
+        if numbers[a] == numbers[b]:
+            raise InputError(f"{b}: frame number {numbers[b]} is there twice, {a.name} has it too; "
+                             "give a glob that fits one file a frame")  # fmt: skip
+    return tuple(FrameFiles(numbers[file], {"": file}) for file in ordered)
+
+
+def _buffers(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]) -> tuple[FrameFiles, ...]:
+    folder, chosen = _folder(path_or_glob), _chosen(path_or_glob)
+    frames: dict[int, dict[str, Path]] = {}
+    for buffer, patterns in buffers.items():
+        candidates = _candidates(folder, patterns)
+        if picked := [candidate for candidate in candidates if chosen and candidate[2] in chosen]:
+            candidates = picked
+        for number, files in itertools.groupby(sorted(candidates), key=lambda candidate: candidate[0]):
+            (_, samples, path), *others = files
+            if others and others[0][1] == samples:
+                raise InputError(f"{others[0][2]}: frame number {number} is there twice, {path.name} has it too; "
+                                 "give a glob that fits one of them")  # fmt: skip
+            frames.setdefault(number, {})[buffer] = path
+    if chosen is not None:
+        frames = {number: files for number, files in frames.items() if chosen & set(files.values())}
+    if not frames:
+        names = ", ".join(patterns[0] for patterns in buffers.values())
+        raise InputError(f"{path_or_glob}: no file is named like any of {names}")
+    return tuple(FrameFiles(number, frames[number]) for number in sorted(frames))
+
+
+def _folder(path_or_glob: str | os.PathLike) -> Path:
+    path = Path(path_or_glob)
+    return path if path.is_dir() else path.parent
+
+
+def _chosen(path_or_glob: str | os.PathLike) -> set[Path] | None:
+    """The files that a glob or a file's name gives; None for a folder, which gives all of them."""
+    path = Path(path_or_glob)
+    return None if path.is_dir() else {path} if path.is_file() else set(map(Path, glob(str(path))))
+
+
+def _candidates(folder: Path, patterns: tuple[str, ...]) -> list[tuple[int, int, Path]]:
+    """(frame number, samples, file) of the files that fit the first pattern that fits any."""
+    for pattern in patterns:
+        found = []
+        for path in folder.glob(re.sub(r"(\{\w+\}|\*)+", "*", pattern)):
+            match = re.fullmatch(_expression(pattern), path.relative_to(folder).as_posix())
+            if match and not path.name.startswith("."):
+                groups = match.groupdict()
+                found.append((int(groups.get("frame", 0)), int(groups.get("spp", 0)), path))
+        if found:
+            return found
+    return []
+
+
+def _expression(pattern: str) -> str:
+    escaped = re.escape(pattern).replace(r"\*", ".*?")
+    return re.sub(r"\\\{(frame|spp)\\\}", r"(?P<\1>\\d+)", escaped)

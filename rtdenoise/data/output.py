@@ -1,0 +1,128 @@
+"""A denoised frame as a file: in `R,G,B`, or in the place that the signal has in the renderer's own file; alone, or
+recombined with the rest of the light.
+
+With S the noisy signal, D the denoised one, C the noisy beauty and A what the renderer has divided the signal by (1
+where it has not), the recombined beauty is
+
+    signal color      D · A
+    signal indirect   C + (D − S) · A
+
+The second is the sum of all lights with the denoised indirect light in the place of the noisy one: Cycles' Combined is
+Σ (direct + indirect) · color over diffuse, glossy and transmission, plus emission and environment, and what is not
+S · A cancels out. It needs none of those passes, and stays right where a scene has more of them (volumes).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rtdenoise.data.exr import write_layers, write_like
+from rtdenoise.data.sequences import Sequence, convert
+from rtdenoise.errors import InputError
+from rtdenoise.frame import Frame, sanitise
+
+LAYOUTS = ("plain", "source")
+
+
+def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[str, ...]) -> None:
+    """Raise `InputError` for what cannot be written, before anything is denoised."""
+    if layout not in LAYOUTS:
+        raise InputError(f"unknown layout '{layout}': known are {', '.join(LAYOUTS)}")
+    if layout == "source" and keep:
+        raise InputError("layout 'source' passes every channel on: leave --keep out")
+    if recombine and sequence.signal != "color" and "radiance" not in sequence.preset.resolve(sequence.header, "color"):
+        raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has {sequence.header.summary}; "
+                         f"{sequence.preset.hint('radiance', 'color')}")  # fmt: skip
+    if recombine and sequence.demodulated and "albedo" not in sequence.rules:
+        raise InputError(f"{sequence.paths[0]}: --recombine needs the albedo that the signal was divided by; "
+                         f"{sequence.preset.hint('albedo', sequence.signal)}")  # fmt: skip
+
+
+def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> Tensor:
+    """The beauty `[1, 3, H, W]` with the denoised signal `image` in it; the equation stands above. Never negative;
+    where the input is not finite, the rest counts as 0."""
+    frame = sanitise(frame)
+    albedo = frame.albedo if sequence.demodulated else torch.ones_like(image)
+    if sequence.signal == "color":
+        return image * albedo
+    rule = sequence.preset.resolve(sequence.header, "color")["radiance"]
+    color = convert(rule, sequence.files[index].read(rule.channels), "radiance")
+    rest = torch.nan_to_num(color - frame.radiance * albedo, nan=0.0, posinf=0.0, neginf=0.0)
+    return (rest + image * albedo).clamp(min=0)
+
+
+def result_channels(sequence: Sequence, layout: str) -> tuple[str, ...]:
+    """The channels of an output file that hold the denoised signal, in the order R, G, B."""
+    if layout == "plain":
+        return ("R", "G", "B")
+    (names,) = sequence.files[0].locate(_place(sequence)).values()
+    return tuple(names)
+
+
+def _place(sequence: Sequence) -> tuple[str, ...]:
+    """The channels of the input that the denoised signal replaces, as `FrameFiles.header` names them."""
+    beauty = sequence.preset.beauty_rule(sequence.header) if sequence.signal == "color" else None
+    return (beauty or sequence.rules["radiance"]).channels
+
+
+def write_frame(
+    out: Path,  # folder
+    sequence: Sequence,
+    index: int,
+    frame: Frame,  # as read
+    image: Tensor,  # [1, 3, H, W] the denoised signal
+    *,
+    layout: str = "plain",
+    recombine: bool = False,
+    keep: tuple[str, ...] = (),  # layers or channels of the input to pass on, or "all"; plain layout only
+    float32: bool = False,
+) -> None:
+    """Write one frame under the name of the input file that holds the signal.
+
+    plain    the signal in `R,G,B`, with `recombine` the beauty instead, and what is kept
+    source   every channel of the input under its name and in its part, the denoised signal in the place of the noisy
+             one, with `recombine` also the beauty in the place of the renderer's. Where buffers are files of their own,
+             those alone that have changed.
+    """
+    beauty = recombined(sequence, index, frame, image) if recombine else None
+    path = sequence.paths[index]
+    if layout == "plain":
+        _write_plain(out / path.name, sequence, index, image if beauty is None else beauty, keep, float32)
+        return
+    planes = _planes(_place(sequence), image)
+    if beauty is not None and (rule := sequence.preset.beauty_rule(sequence.header)):
+        planes |= _planes(rule.channels, beauty)
+    located = sequence.files[index].locate(planes)
+    for file, names in located.items():
+        taken = file != path and file.name in {other.name for other in located if other != file}
+        name = f"{file.parent.name}.{file.name}" if taken else file.name
+        changed = {stored: planes[full] for stored, full in names.items()}
+        write_like(out / name, file, changed, dtype="float" if float32 else None)
+
+
+def _planes(names: tuple[str, ...], image: Tensor) -> dict[str, np.ndarray]:
+    return dict(zip(names, image[0].numpy(), strict=True))
+
+
+def _write_plain(
+    path: Path, sequence: Sequence, index: int, image: Tensor, keep: tuple[str, ...], float32: bool
+) -> None:
+    layers: dict[str, np.ndarray] = {"color": image[0].permute(1, 2, 0).numpy()}
+    dtypes = {"color": "float" if float32 else "half"}
+    if keep:
+        types = sequence.header.channels
+        names = [name for name in types if name not in ("R", "G", "B") and _kept(name, keep)]
+        if not names:
+            raise InputError(f"{sequence.paths[index]}: no channel of {', '.join(keep)} to keep; the file has "
+                             f"{', '.join(types)}")  # fmt: skip
+        layers |= sequence.files[index].read(names)
+        dtypes |= {name: types[name] for name in names}
+    write_layers(path, layers, dtypes=dtypes)
+
+
+def _kept(channel: str, keep: tuple[str, ...]) -> bool:
+    return "all" in keep or channel.rpartition(".")[0] in keep or channel in keep
