@@ -21,7 +21,7 @@ FARTHEST = 30.0  # units in front of the camera
 
 
 def first_hits(scene, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """[N] distances to what rays from origins [N, 3] along unit directions [N, 3] hit in a Mitsuba scene; inf: nothing."""
+    """[N] distances to what rays from origins [N, 3] along unit directions [N, 3] hit in a Mitsuba scene; inf: none."""
     mi = start_mitsuba()
     rays = mi.Ray3f(mi.Point3f(*np.float32(origins).T), mi.Vector3f(*np.float32(directions).T))
     distance = np.array(scene.ray_intersect_preliminary(rays).t, np.float64)

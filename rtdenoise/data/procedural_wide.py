@@ -174,7 +174,7 @@ def add_mover(b: Builder, camera: CameraPath, role: Role, frames: int, width: in
 
 
 def procedural(seed: int, attempt: int = 0, frames: int = 20, width: int = 256) -> Scene:
-    """The scene of an integer seed for a clip of `frames` and pictures `width` pixels wide, for which speeds are stated.
+    """The scene of an integer seed for a clip of `frames` and pictures `width` pixels wide, which speeds are meant for.
 
     What kind of clip it is depends on the seed alone; `attempt` draws another one of that kind.
     """

@@ -123,14 +123,16 @@ def _build(mi, scene: Scene):
             "cutoff_angle": spot.angle, "beam_width": 0.6 * spot.angle,
             "to_world": mi.ScalarTransform4f().look_at(list(spot.origin), list(spot.target), [0, 0.02, 1]),
         }  # fmt: skip
+    if clash := description.keys() & made.keys():
+        raise InputError(f"{scene.file}: the id '{min(clash)}' is needed for an extra object; rename it in the file")
     return mi.load_dict({"type": "scene"} | description | made, optimize=False)
 
 
 def _contents(mi, loaded) -> dict:
     """Shapes, sensors and those emitters of a loaded scene that are not part of a shape, for a scene of one's own."""
     emitters = [e for e in loaded.emitters() if not mi.has_flag(e.flags(), mi.EmitterFlags.Surface)]
-    parts = [*loaded.shapes(), *loaded.sensors(), *emitters]
-    return {f"part_{i}": part for i, part in enumerate(parts)}
+    shapes = {shape.id(): shape for shape in loaded.shapes()}  # Mitsuba takes the keys for ids
+    return shapes | {f"part {i}": part for i, part in enumerate([*loaded.sensors(), *emitters])}
 
 
 def _bsdf(mi, material: Material):

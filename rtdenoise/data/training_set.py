@@ -213,5 +213,9 @@ def render_set(out: Path, options: SetOptions, progress: Callable[[int, int, str
 def _disk_use(out: Path, missing: int, options: SetOptions) -> str:
     needed, free = missing * bytes_per_clip(options.size, options.frames), shutil.disk_usage(out).free
     if needed > free:
-        raise InputError(f"{out}: {missing} clips take {needed / 1e9:.2f} GB, {free / 1e9:.2f} GB are free")
-    return f"{missing} clips to render, {needed / 1e9:.2f} GB on disk ({free / 1e9:.0f} GB are free)"
+        raise InputError(f"{out}: {missing} clips take {_bytes(needed)}, {_bytes(free)} are free")
+    return f"{missing} clips to render, {_bytes(needed)} on disk ({_bytes(free)} are free)"
+
+
+def _bytes(count: float) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.1f} MB"
