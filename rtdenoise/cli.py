@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
@@ -85,13 +85,27 @@ class Render:
     out: Path
     """Folder for the frames or clips; what is there already is kept."""
     scene: Positional[str] = "procedural"
-    """'sample', 'procedural:SEED', or a Mitsuba scene file (.xml)."""
+    """'sample', 'procedural:SEED', 'wide:SEED', or a Mitsuba scene file (.xml)."""
     motion: Path | None = None
     """TOML file that moves camera and objects of a scene file."""
     clips: int = 0
     """Render this many training clips of procedural scenes instead, with the seeds --seed, --seed + 1 ..."""
+    preset: Literal["", "train"] = ""
+    """'train': the --clips are windows of the second, wider generator's scenes, chosen where something happens."""
+    scenes: Path | None = None
+    """With --preset train: folder of NAME/scene.xml; half of the scenes are drawn from these."""
+    motions: Path | None = None
+    """With --scenes: folder of NAME.toml, the motions of these scenes."""
+    exclude: tuple[str, ...] = ("street", "dining-room")
+    """With --scenes: names that are left out, to validate on."""
+    reference_error: float = 0.01
+    """With --preset train: relative squared error that the references may have; sets their samples, 32 to 512."""
+    shard: str = "0/1"
+    """With --preset train: 'i/n' renders the i-th of n equal parts of the set, counted from 0."""
     frames: int | None = None
     """Frames of the sequence, or of each clip (default: 12, clips 10)."""
+    size: int | None = None
+    """Pixels: width and height, unless those are given."""
     width: int | None = None
     """Pixels (default: 320, clips 128)."""
     height: int | None = None
@@ -108,10 +122,12 @@ class Render:
     """Processes that render clips."""
 
     def run(self) -> None:
-        if self.clips:
+        if self.preset == "train":
+            self._training_set()
+        elif self.clips:
             from .data.clips import ClipOptions, render_clips
 
-            size = (self.height or 128, self.width or 128)
+            size = (self.height or self.size or 128, self.width or self.size or 128)
             render_clips(
                 self.out,
                 ClipOptions(
@@ -123,10 +139,31 @@ class Render:
             from .data.draw import open_scene
             from .data.render import RenderOptions, render_sequence
 
-            size = (self.height or 180, self.width or 320)
+            size = (self.height or self.size or 180, self.width or self.size or 320)
             spp = 256 if self.reference_spp is None else self.reference_spp
             options = RenderOptions(size, self.spp, spp, self.max_depth, self.seed)
             render_sequence(open_scene(self.scene, self.motion), self.out, self.frames or 12, options)
+
+    def _training_set(self) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        from .data.training_set import SetOptions, find_scenes, parse_shard, render_set
+
+        size = (self.height or self.size or 128, self.width or self.size or 128)
+        options = SetOptions(
+            self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,
+            max_depth=self.max_depth, workers=self.workers, shard=parse_shard(self.shard),
+            scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
+        )  # fmt: skip
+        with Progress(TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+            task = bar.add_task("render", total=None)
+
+            def report(done: int, total: int, line: str) -> None:
+                bar.update(task, completed=done, total=total)
+                bar.console.print(line, highlight=False, soft_wrap=True)
+
+            card = render_set(self.out, options, report)
+        print(f"{self.out}: {card['clips']} clips; DATA.md says what they are")
 
 
 @dataclass(frozen=True)

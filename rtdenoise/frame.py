@@ -82,7 +82,7 @@ class History:
     """What one step hands to the next. Passed in and returned, never hidden."""
 
     radiance: Tensor  # [B, 3, H, W] the denoised previous frame
-    motion_next: Tensor | None  # [B, 2, H, W] of the previous frame; None: no dual motion next time
+    motion_next: Tensor | None  # [B, 2, H, W] of the previous frame; None: dual motion next time is approximate
     depth: Tensor | None  # [B, 1, H, W] of the previous frame
     normal: Tensor | None  # [B, 3, H, W] of the previous frame
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts

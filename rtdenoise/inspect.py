@@ -15,6 +15,7 @@ from rtdenoise.data.exr_format import group_channels
 from rtdenoise.data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from rtdenoise.frame import Frame, non_finite
 from rtdenoise.motion import dual_motion, occlusion_mask, on_screen
+from rtdenoise.motion_splat import splat_motion_next
 
 READ = (*DEFAULT_LAYERS, "reference")  # what is read here; the check of the motion can use the reference
 
@@ -39,7 +40,7 @@ class MotionStatistics:
     max: float
     still: float  # share of pixels with zero motion
     off_screen: float  # share whose previous position is outside the picture
-    uncovered: float | None  # share that a moving object has just uncovered; None without motion_next
+    uncovered: float | None  # share that a moving object has just uncovered; None: without motion_next and depth
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class Inspection:
     missing: dict[str, str]  # layer that a denoiser would use -> how to get it
     computed: tuple[str, ...]  # layers that are computed from position, id and scene.json
     ignored: tuple[str, ...]  # channels that nothing reads
+    dual_motion: str  # where the dual motion comes from, in words
     scene: bool  # whether there is a scene.json
     examined: tuple[int, ...]  # numbers of the frames whose pixels were read
     non_finite: dict[str, int]  # layer -> pixels with NaN or Inf in the examined frames; only where there are any
@@ -103,6 +105,7 @@ def inspect(
         missing={layer: sequence.preset.hint(layer, signal) for layer in absent},
         computed=computed,
         ignored=tuple(name for name in sequence.header.channels if name not in fed),
+        dual_motion=_dual_source(present, computed),
         scene=sequence.scene is not None,
         examined=tuple(frame.number for frame in frames.values()),
         non_finite=counts,
@@ -153,13 +156,29 @@ def _motion_statistics(pairs: list[tuple[Frame, Frame]]) -> MotionStatistics:
         still=(length == 0).double().mean().item(),
         off_screen=_mean_share([~on_screen(m) for m in motions]),
         uncovered=_mean_share(masks)
-        if (masks := [_uncovered(*p) for p in pairs if p[0].motion_next is not None])
+        if (masks := [mask for p in pairs if (mask := _uncovered(*p)) is not None])
         else None,
     )
 
 
-def _uncovered(previous: Frame, current: Frame) -> Tensor:
-    return occlusion_mask(dual_motion(current.motion, previous.motion_next), current.motion)
+def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
+    if "motion" not in present:
+        return "none: there is no motion"
+    if "motion_next" in present:
+        return "exact, from motion_next" + (" (computed)" if "motion_next" in computed else "")
+    if "depth" in present:
+        return "approximate: motion_next is missing and is splatted from motion and depth (docs/motion.md)"
+    return "none: without motion_next and depth, history follows traditional motion"
+
+
+def _uncovered(previous: Frame, current: Frame) -> Tensor | None:
+    """The occlusion mask, by exact or approximate dual motion; None where neither can be had."""
+    motion_next = previous.motion_next
+    if motion_next is None:
+        if previous.depth is None or current.depth is None:
+            return None
+        motion_next = splat_motion_next(current.motion, current.depth, previous.depth)
+    return occlusion_mask(dual_motion(current.motion, motion_next), current.motion)
 
 
 def _mean_share(masks: list[Tensor]) -> float:
@@ -199,10 +218,11 @@ def _summary(found: Inspection) -> list[tuple[str, str]]:
         ("examined", f"frames {_shorten(found.examined)}"),
         ("non-finite", f"{bad} (pixels)"),
     ]
+    lines.append(("dual motion", found.dual_motion))
     if found.computed:
         lines.append(("computed", f"{', '.join(found.computed)} (from positions and the cameras beside the frames)"))
     if m := found.motion:
-        uncovered = "unknown without motion_next" if m.uncovered is None else f"{m.uncovered:.2%}"
+        uncovered = "unknown without motion_next and depth" if m.uncovered is None else f"{m.uncovered:.2%}"
         lines += [
             ("motion", f"mean {m.mean:.2f} px, median {m.p50:.2f}, 99 % below {m.p99:.2f}, largest {m.max:.2f}"),
             ("", f"zero in {m.still:.1%} of the pixels, from off screen {m.off_screen:.2%}, uncovered {uncovered}"),

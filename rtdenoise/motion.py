@@ -46,10 +46,13 @@ def motion_between(
 
     with W an object's object-to-world matrix (absent: it does not move) and project the frame's world-to-pixel matrix.
     Where nothing was hit the point is at infinity along the pixel's ray, so only the camera's rotation counts. Points
-    behind the other frame's camera get `OFF_SCREEN`. Computed in float64, returned in the dtype of
+    behind the other frame's camera get `OFF_SCREEN`, and so does every point where the two frames belong to different
+    shots (entry "shot", 0 if absent): no history survives a cut. Computed in float64, returned in the dtype of
     `position`.
     """
     B, _, H, W = position.shape
+    if here.get("shot", 0) != there.get("shot", 0):
+        return position.new_full((B, 2, H, W), OFF_SCREEN)
     to64 = {"dtype": torch.float64, "device": position.device}
     # Rows x·w, y·w and w of world-to-pixel; the row that holds depth plays no part.
     to_here, to_there = (torch.as_tensor(entry["world_to_pixel"], **to64)[[0, 1, 3]] for entry in (here, there))

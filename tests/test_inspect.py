@@ -248,9 +248,24 @@ def test_motion_statistics(tmp_path):
     assert found.uncovered == pytest.approx((10 * 20 + 3 * H - 3 * 4) / (W * H), abs=0.03)
 
 
+def test_says_where_dual_motion_comes_from(tmp_path):
+    layers = {"color": np.ones((H, W, 3)), "motion": np.zeros((H, W, 2)), "depth": np.ones((H, W, 1))}
+    for name in ("both", "backward", "flat"):
+        (tmp_path / name).mkdir()
+    both = inspect(write(tmp_path / "both", [layers | {"motion_next": np.zeros((H, W, 2))}] * 2))
+    assert both.dual_motion == "exact, from motion_next"
+    backward = inspect(write(tmp_path / "backward", [layers] * 2))
+    assert backward.dual_motion.startswith("approximate: motion_next is missing") and backward.motion.uncovered == 0
+    assert "dual motion  approximate" in render_text(backward)
+    del layers["depth"]
+    flat = inspect(write(tmp_path / "flat", [layers] * 2))
+    assert flat.dual_motion.startswith("none: without motion_next and depth") and flat.motion.uncovered is None
+
+
 def test_without_motion(tmp_path):
     write_layers(tmp_path / "1.exr", {"color": np.ones((H, W, 3))})
     found = inspect(tmp_path)
     assert found.motion is None and found.convention is None and found.examined == (1,)
+    assert found.dual_motion == "none: there is no motion"
     assert {"motion", "motion_next"} <= found.missing.keys()
     assert "not checked: it takes motion in two consecutive frames" in render_text(found)

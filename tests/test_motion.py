@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from rtdenoise.frame import Frame
+from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.motion import (
     dual_motion,
     motion_between,
@@ -16,6 +16,7 @@ from rtdenoise.motion import (
     on_screen,
     same_surface,
 )
+from rtdenoise.motion_splat import splat_motion_next
 
 H, W, FOCAL = 72, 96, 80.0
 PLANE, CENTRE, RADIUS, SPEED = 10.0, 5.0, 0.9, 0.35  # depths and sizes in world units, speed in units a frame along x
@@ -177,3 +178,60 @@ def test_same_surface_rejects_another_depth_or_facing():
     assert not same_surface(depth, normal, depth, -normal, still).any()
     assert not same_surface(depth, normal, depth * 0, normal, still).any()
     assert same_surface(depth * 0, normal, depth * 0, -normal, still).all()
+
+
+# --- approximate dual motion ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pan", [0.0, 0.2, -0.35])
+def test_splat_finds_the_motion_of_what_uncovered_the_plane(pan):
+    world = Analytic(pan)
+    before, now = world.frame(0), world.frame(1)
+    exact = dual_motion(now.motion, before.motion_next)
+    approximate = dual_motion(now.motion, splat_motion_next(now.motion, now.depth, before.depth))
+    masks = [occlusion_mask(dual, now.motion) & (now.id == BACKGROUND) for dual in (exact, approximate)]
+    assert masks[0].sum() > 100
+    assert torch.equal(*masks)
+    # Inside, the occluder's motion up to the depth that differs over the sphere: it is read where it is visible now.
+    assert (exact - approximate).norm(dim=1, keepdim=True)[masks[0]].max() < 0.5
+    # Elsewhere on the plane nothing changes.
+    still = (now.id == BACKGROUND) & ~masks[0] & on_screen(now.motion)
+    torch.testing.assert_close(approximate[still.expand(-1, 2, -1, -1)], now.motion[still.expand(-1, 2, -1, -1)])
+
+
+def test_splat_closes_the_cracks_of_a_surface_that_shrank():
+    """A near square goes from 16 to 8 pixels: three of four old pixels receive nothing of it."""
+    before, now = torch.full((1, 1, 32, 32), 9.0), torch.full((1, 1, 32, 32), 9.0)
+    before[..., 8:24, 8:24] = 4.0
+    now[..., 12:20, 12:20] = 4.2
+    index = torch.arange(32.0)
+    u = torch.where((index >= 12) & (index < 20), index - 15.5, 0.0)  # a pixel at 15.5 + u was at 15.5 + 2u
+    square = (now == 4.2).float()
+    motion = torch.cat([square * u, square * u[:, None]], dim=1)
+    out = splat_motion_next(motion, now, before)
+    hidden = (before == 4.0) & (now == 9.0)  # the background does not move: x = y
+    expected = (15.5 - index).expand(1, 1, 32, 32) / 2
+    assert (out[:, :1] - expected)[hidden].abs().max() < 1.5
+    assert torch.equal(occlusion_mask(dual_motion(motion, out), motion) & (now == 9.0), hidden)
+
+
+def test_splat_of_a_batch_is_the_splat_of_each_and_repeats():
+    frames = [Analytic(pan) for pan in (0.0, 0.3)]
+    motion, depth = (torch.cat([getattr(w.frame(1), n) for w in frames]) for n in ("motion", "depth"))
+    before = torch.cat([w.frame(0).depth for w in frames])
+    both = splat_motion_next(motion, depth, before)
+    assert torch.equal(both, splat_motion_next(motion, depth, before))
+    for i in range(2):
+        alone = splat_motion_next(motion[i : i + 1], depth[i : i + 1], before[i : i + 1])
+        assert torch.equal(both[i : i + 1], alone)
+
+
+def test_splat_without_motion_depth_or_sense():
+    still, hit = torch.zeros(1, 2, 4, 5), torch.ones(1, 1, 4, 5)
+    assert splat_motion_next(still, hit, hit).abs().max() == 0
+    assert splat_motion_next(still, hit * 0, hit * math.inf).abs().max() == 0  # sky on both
+    gone = splat_motion_next(still + 1e4, hit, hit)
+    assert (gone == OFF_SCREEN).all()
+    assert splat_motion_next(torch.full_like(still, math.nan), hit, hit).isfinite().all()
+    with pytest.raises(ValueError, match=r"expected depth_previous \(1, 1, 4, 5\)"):
+        splat_motion_next(still, hit, hit[..., :3])

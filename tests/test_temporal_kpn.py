@@ -88,7 +88,21 @@ def test_dual_and_traditional_motion_differ_only_where_something_was_uncovered()
     _, history = dual.step(replace(make_frame(seed=3), motion_next=occluder))
     assert torch.equal(traditional.reprojection(frame, history), motion)
     assert torch.equal(dual.reprojection(frame, history), -occluder)
-    assert torch.equal(dual.reprojection(frame, replace(history, motion_next=None)), motion)
+
+
+def test_dual_motion_is_approximated_without_motion_next():
+    """A nearer square moves right by three pixels; what it leaves behind gets its motion from the splat."""
+    here, before = make_frame(), torch.full((1, 1, 24, 32), 9.0)
+    now, motion = before.clone(), torch.zeros(1, 2, 24, 32)
+    before[..., 8:16, 8:16] = now[..., 8:16, 11:19] = 4.0
+    motion[:, 0, 8:16, 11:19] = -3.0
+    uncovered = (before == 4.0) & (now == 9.0)
+    model = TemporalKPN(SMALL)
+    _, history = model.step(replace(make_frame(seed=3), depth=before, motion_next=None))
+    chosen = model.reprojection(replace(here, motion=motion, depth=now), history)
+    assert torch.equal(chosen, torch.where(uncovered, torch.tensor([-3.0, 0.0]).reshape(1, 2, 1, 1), motion))
+    traditional = TemporalKPN(replace(SMALL, motion="traditional"))
+    assert torch.equal(traditional.reprojection(replace(here, motion=motion, depth=now), history), motion)
 
 
 @pytest.mark.parametrize("layer", ["radiance", "albedo", "normal", "depth", "motion", "motion_next"])

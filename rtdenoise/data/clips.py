@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import gc
-import multiprocessing
-import multiprocessing.connection
-import os
 import shlex
 import sys
-import threading
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,10 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from rtdenoise.data import procedural
-from rtdenoise.data.dataset import clip_path, write_card, write_clip
+from rtdenoise.data.card import write_card
+from rtdenoise.data.dataset import clip_path, write_clip
 from rtdenoise.data.draw import draw
 from rtdenoise.data.render import RenderOptions, render_frame
 from rtdenoise.data.stage import start_mitsuba
+from rtdenoise.data.workers import only_run, run_jobs
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ def render_clip(path: Path, seed: int, options: ClipOptions) -> dict:
     facts |= {
         "seed": seed, "generator": procedural.VERSION, "frames": options.frames, "size": list(options.size),
         "spp": options.spp, "reference_spp": reference_spp, "max_depth": options.max_depth,
-        "seconds": time.perf_counter() - started, "versions": _versions(),
+        "seconds": time.perf_counter() - started, "versions": versions(),
     }  # fmt: skip
     write_clip(path, frames, facts)
     del stage
@@ -63,30 +60,27 @@ def render_clip(path: Path, seed: int, options: ClipOptions) -> dict:
 
 
 def render_clips(out: Path, options: ClipOptions, progress=print) -> dict:
-    """Render clips 0 … count − 1 into a folder, with a data card. Clips that are there already are kept."""
+    """Render clips 0 … count − 1 into a folder, with a data card. Clips that are there already are kept.
+
+    Raises InputError where a worker is killed, the disk is full, or another run renders into the folder.
+    """
     start_mitsuba()  # fails here, in one line, rather than in every process
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     missing = [i for i in range(options.count) if not clip_path(out, i).exists()]
-    with ProcessPoolExecutor(options.workers, multiprocessing.get_context("spawn"), _start_worker) as pool:
-        jobs = {pool.submit(render_clip, clip_path(out, i), options.seed + i, options): i for i in missing}
-        for done, job in enumerate(as_completed(jobs), 1):
-            facts = job.result()
+    with only_run(out, "clips"):
+        jobs = [(clip_path(out, i), options.seed + i, options) for i in missing]
+        for done, ((path, *_), facts) in enumerate(run_jobs(render_clip, jobs, options.workers), 1):
             progress(
-                f"clip {jobs[job]}: {facts['kind']}, {facts['place']}, uncovered {100 * facts['uncovered']:.1f} %, "
+                f"{path.stem}: {facts['kind']}, {facts['place']}, uncovered {100 * facts['uncovered']:.1f} %, "
                 f"{facts['reference_spp']} spp, {facts['seconds']:.1f} s ({done} of {len(missing)})"
             )
     return write_card(out, shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
 
 
-def _start_worker() -> None:
-    """One rendering thread, and an end when the parent ends, however it does: nobody would read what comes after."""
-    parent = multiprocessing.parent_process().sentinel
-    threading.Thread(target=lambda: multiprocessing.connection.wait([parent]) and os._exit(1), daemon=True).start()
-    start_mitsuba(1)
+def versions() -> dict[str, str]:
+    """Of what made a clip."""
 
-
-def _versions() -> dict[str, str]:
     def installed(name: str) -> str:
         try:
             return version(name)

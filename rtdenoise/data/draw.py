@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.data import procedural
+from rtdenoise.data import procedural, procedural_wide, textures
+from rtdenoise.data.extras import SHAPES, free_place
+from rtdenoise.data.motions import Motion, rigid
 from rtdenoise.data.render import calibrate, features, uncovered
 from rtdenoise.data.sample_scene import sample
 from rtdenoise.data.scene_file import open_file
-from rtdenoise.data.scenes import Scene
+from rtdenoise.data.scenes import Material, Object, Scene
 from rtdenoise.data.stage import Stage
 from rtdenoise.errors import InputError
 
@@ -21,7 +23,8 @@ ATTEMPTS = 12
 
 
 def open_scene(name: str, motion: str | Path | None = None) -> Scene:
-    """`sample`, `procedural:SEED` as it is drawn for training, or a Mitsuba XML file, set in motion by a TOML file."""
+    """`sample`, `procedural:SEED` or `wide:SEED` (generators 1 and 2), or a Mitsuba XML file, set in motion by a TOML
+    file."""
     if name.endswith(".xml"):
         scene = open_file(name, motion)
         return _exposed(scene) if "brightness" in scene.facts else scene
@@ -33,13 +36,17 @@ def open_scene(name: str, motion: str | Path | None = None) -> Scene:
     if kind == "procedural" and seed.isdecimal():
         stage, facts = draw(int(seed))
         return replace(stage.scene, exposure=stage.exposure, facts=facts)
-    raise InputError(f"unknown scene '{name}'; expected sample, procedural:SEED with a whole number, or a .xml file")
+    if kind == "wide" and seed.isdecimal():
+        return _exposed(procedural_wide.procedural(int(seed)))
+    raise InputError(
+        f"unknown scene '{name}'; expected sample, procedural:SEED or wide:SEED with a whole number, or a .xml file"
+    )
 
 
 def _exposed(scene: Scene) -> Scene:
     stage = Stage(scene)
     if not np.isfinite(calibrate(stage, scene.facts["brightness"])["noise"]):
-        raise InputError(f"{scene.file}: nothing lit is seen in frame 0; move the camera's start")
+        raise InputError(f"{scene.file or scene.name}: nothing lit is seen in frame 0; move the camera's start")
     return replace(scene, exposure=stage.exposure)
 
 
@@ -77,3 +84,38 @@ def draw(seed: int, frames: int = procedural.CLIP_FRAMES) -> tuple[Stage, dict]:
             if (facts["evenness"] > 0.12 and facts["noise"] < 5.5) or last:
                 return stage, facts
     raise AssertionError("unreachable")
+
+
+def dress(file: Path, motion: str | None, rng: np.random.Generator, frames: int) -> Scene:
+    """A scene file with its motion and one to three objects more that cross the view; for a clip of `frames`."""
+    scene = open_file(file, motion)
+    stage, start = Stage(scene), (frames - 1) / 2
+    camera = scene.camera(start)
+    right, forward, origin = (camera.to_world[:3, k] for k in (0, 2, 3))
+    depth = features(stage, round(start), (48, 48))["depth"]
+    unit = float(np.median(depth[depth > 0])) * np.tan(np.radians(camera.fov / 2)) if (depth > 0).any() else 1.0
+    extras = []
+    for _ in range(int(rng.integers(1, 4))):
+        shape = SHAPES[str(rng.choice(list(SHAPES)))]
+        texture = textures.poster(rng) if rng.uniform() < 0.3 else textures.surface(rng)
+        kind = str(rng.choice(["diffuse", "plastic", "metal"], p=[0.7, 0.15, 0.15]))
+        mesh = shape(unit * rng.uniform(0.05, 0.16))
+        place = free_place(stage.mitsuba, camera, mesh, rng)
+        if place is None:
+            continue
+        half_view = float((place - origin) @ forward) * np.tan(np.radians(camera.fov / 2))
+        step = procedural.log_uniform(rng, 3, 16) * 2 * half_view / 256  # pixels a frame of a picture 256 wide
+        along = right * rng.choice([-1, 1]) + rng.normal(size=3) * 0.1
+        velocity = tuple((along / np.linalg.norm(along) * step).tolist())
+        move = Motion(tuple(place.tolist()), start, velocity, spin=float(rng.uniform(-8, 8)))
+        material = Material(np.clip(texture, 0.02, 0.92), kind, float(rng.uniform(0.15, 0.4)))
+        extras.append(
+            Object(
+                len(scene.objects) + len(extras) + 1,
+                "extra",
+                mesh.transform(rigid(np.eye(3), place)),
+                material,
+                motion=move,
+            )
+        )
+    return replace(scene, objects=(*scene.objects, *extras))

@@ -5,9 +5,12 @@ World space is right-handed with +y up. Angles are in degrees, speeds in units (
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from bisect import bisect_right
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from rtdenoise.errors import InputError
 
 Vector = tuple[float, float, float]
 
@@ -28,6 +31,24 @@ def rigid(matrix: np.ndarray, offset) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Keyframes:
+    """Values at given frames, straight lines between them."""
+
+    frames: tuple[float, ...]  # ascending
+    values: tuple[tuple[float, ...], ...]  # one of the same length for every frame
+    hold: bool = False  # the first and last value also hold before and after; otherwise that is undefined
+
+    def __call__(self, t: float) -> np.ndarray:
+        """The value at frame t. Raises InputError where it is undefined."""
+        if not self.hold and not self.frames[0] <= t <= self.frames[-1]:
+            raise InputError(
+                f"motion is undefined at frame {t:g}: its keyframes cover {self.frames[0]:g} to {self.frames[-1]:g}; "
+                "one frame before the first and after the last rendered one is needed; add keyframes or hold = true"
+            )
+        return np.array([np.interp(t, self.frames, column) for column in zip(*self.values, strict=True)])
+
+
+@dataclass(frozen=True)
 class Motion:
     """Rigid motion of an object away from its rest pose. All parts add up; at `start` there is no rotation yet."""
 
@@ -41,15 +62,18 @@ class Motion:
     spin: float = 0.0  # rotation about the pivot
     orbit: Vector = (0.0, 0.0, 0.0)  # from the orbit's centre to the pivot at rest
     orbit_speed: float = 0.0
+    keys: Keyframes | None = None  # (x, y, z, degrees about `axis`), added to the rest
 
     def __call__(self, t: float) -> np.ndarray:
-        """[4, 4] from the rest pose, in world space, to the pose at frame t."""
+        """[4, 4] from the rest pose, in world space, to the pose at frame t. Raises InputError where keys end."""
+        *shift, degrees = self.keys(t) if self.keys else (0.0, 0.0, 0.0, 0.0)
         t = t - self.start
         pivot, orbit = np.array(self.pivot), np.array(self.orbit)
         offset = np.array(self.velocity) * t
         offset += np.array(self.swing) * np.sin(np.radians(360 * t / self.period + self.phase))
         offset += rotation(self.axis, self.orbit_speed * t) @ orbit - orbit
-        turn = rotation(self.axis, self.spin * t)
+        offset += shift
+        turn = rotation(self.axis, self.spin * t + degrees)
         return rigid(turn, pivot + offset - turn @ pivot)
 
 
@@ -58,24 +82,25 @@ class Camera:
     """A pinhole camera at one moment."""
 
     to_world: np.ndarray  # [4, 4]; columns: right, down, forward, origin
-    fov: float  # horizontal field of view
+    fov: float  # horizontal field of view, of the whole picture
+    shot: int = 0  # between frames of different shots there is a cut: no motion leads from one to the other
+    window: tuple[int, int, int, int] | None = None  # the image is a part of a picture: (its height, width, top, left)
 
-    def focal(self, width: int) -> float:
-        """Distance of the image plane in pixels."""
-        return width / 2 / np.tan(np.radians(self.fov) / 2)
+    def _pinhole(self, size: tuple[int, int]) -> tuple[float, float, float]:
+        """Distance of the image plane, and the column and row of the optical axis, in pixels of an image `size`."""
+        height, width, top, left = self.window or (*size, 0, 0)
+        return width / 2 / np.tan(np.radians(self.fov) / 2), width / 2 - left, height / 2 - top
 
     def world_to_pixel(self, size: tuple[int, int]) -> np.ndarray:
         """[4, 4]: world point (x, y, z, 1) → (column·w, row·w, 1, w), w = distance along the axis. size = (H, W)."""
-        height, width = size
-        f = self.focal(width)
-        intrinsic = np.array([[f, 0, width / 2, 0], [0, f, height / 2, 0], [0, 0, 0, 1], [0, 0, 1, 0]])
+        f, x, y = self._pinhole(size)
+        intrinsic = np.array([[f, 0, x, 0], [0, f, y, 0], [0, 0, 0, 1], [0, 0, 1, 0]])
         return intrinsic @ np.linalg.inv(self.to_world)
 
     def world_from_pixel(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         """(origin [3], matrix [3, 3]): direction = matrix · (column, row, 1)."""
-        height, width = size
-        f = self.focal(width)
-        inverse = np.array([[1 / f, 0, -width / 2 / f], [0, 1 / f, -height / 2 / f], [0, 0, 1]])
+        f, x, y = self._pinhole(size)
+        inverse = np.array([[1 / f, 0, -x / f], [0, 1 / f, -y / f], [0, 0, 1]])
         return self.to_world[:3, 3], self.to_world[:3, :3] @ inverse
 
 
@@ -102,10 +127,12 @@ class CameraPath:
     pan: float = 0.0  # of the target about the vertical through the origin
     shake: float = 0.0  # hand-held: amplitude, in degrees, of slow and fast sines of the view's direction
     seed: int = 0  # of the shake's phases
+    keys: Keyframes | None = None  # (origin, target) in six numbers, instead of `origin` and `target`
 
     def __call__(self, t: float) -> Camera:
+        """The camera at frame t. Raises InputError where keys end."""
+        origin, target = self.keys(t).reshape(2, 3) if self.keys else (np.array(self.origin), np.array(self.target))
         t = t - self.start
-        origin, target = np.array(self.origin), np.array(self.target)
         up = (0, 1, 0)
         origin, target = (
             target + rotation(up, self.orbit * t) @ (origin - target),
@@ -118,3 +145,15 @@ class CameraPath:
         target = target + distance * np.radians(1) * np.array([yaw, pitch, 0])
         moved = np.array(self.velocity) * t
         return look_at(origin + moved, target + moved, self.fov, roll / 2)
+
+
+@dataclass(frozen=True)
+class Shots:
+    """Several cameras, one after the other, with cuts between them."""
+
+    paths: tuple[CameraPath, ...]
+    cuts: tuple[float, ...]  # first frame of every path but the first, ascending
+
+    def __call__(self, t: float) -> Camera:
+        shot = bisect_right(self.cuts, t)
+        return replace(self.paths[shot](t), shot=shot)

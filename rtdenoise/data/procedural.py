@@ -59,19 +59,19 @@ def solid(rng: np.random.Generator, radius: float) -> tuple[str, Mesh, bool]:
         mesh = meshes.cylinder(0.8 * r, 0.06 * r)
     if kind not in ("sphere", "blob"):  # tilt, about any axis for some and about the vertical for the rest
         axis = rng.normal(size=3) if rng.uniform() < 0.5 else (0, 1, 0)
-        mesh = mesh.transform(_turn(axis, rng.uniform(0, 360)))
+        mesh = mesh.transform(turn(axis, rng.uniform(0, 360)))
     return str(kind), mesh, kind in ("sphere", "torus", "blob")
 
 
-def _turn(axis, degrees: float) -> np.ndarray:
+def turn(axis, degrees: float) -> np.ndarray:
     return Motion(axis=tuple(float(a) for a in axis), spin=degrees)(1.0)
 
 
-def _moved(mesh: Mesh, offset) -> Mesh:
+def moved(mesh: Mesh, offset) -> Mesh:
     return mesh.transform(Motion(velocity=tuple(float(a) for a in offset))(1.0))
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
@@ -92,7 +92,7 @@ def _walls(b: Builder, size: np.ndarray, missing: set[str]) -> None:
     for name, mesh in sides.items():
         if name not in missing:
             texture = textures.surface(b.rng, 0.45 if name == "ceiling" else 0.75)
-            b.add(name, mesh.scale_uv(_log_uniform(b.rng, 0.25, 1.2)), Material(texture))
+            b.add(name, mesh.scale_uv(log_uniform(b.rng, 0.25, 1.2)), Material(texture))
 
 
 def _lamps(b: Builder, size: np.ndarray) -> str:
@@ -107,7 +107,7 @@ def _lamps(b: Builder, size: np.ndarray) -> str:
     elif kind == "uplight":
         y = h * rng.uniform(0.6, 0.8)
         b.light(meshes.quad((x - a, y + 0.05, z + c), (2 * a, 0, 0), (0, 0, -2 * c)), 10)
-        b.add("shade", _moved(meshes.box((1.1 * a, 0.02, 1.1 * c)), (x, y, z)), b.material(False))
+        b.add("shade", moved(meshes.box((1.1 * a, 0.02, 1.1 * c)), (x, y, z)), b.material(False))
     elif kind == "hidden":
         side = rng.choice([-1, 1])
         x = side * (w / 2 - 0.1)
@@ -115,7 +115,7 @@ def _lamps(b: Builder, size: np.ndarray) -> str:
         corner = (x, h / 2 - a, z - c) if side > 0 else (x, h / 2 - a, z + c)
         b.light(meshes.quad(corner, *edges), 14)
         screen = meshes.box((0.05, 1.5 * a, 1.5 * c))
-        b.add("screen", _moved(screen, (x - side * rng.uniform(0.5, 0.9), h / 2, z)), b.material(False))
+        b.add("screen", moved(screen, (x - side * rng.uniform(0.5, 0.9), h / 2, z)), b.material(False))
     else:
         side = rng.choice([-1, 1])
         x, z = side * (w / 2 - 0.05), -rng.uniform(0.35, 0.65) * d
@@ -123,12 +123,12 @@ def _lamps(b: Builder, size: np.ndarray) -> str:
         b.light(meshes.quad((x, 0.9, z - side), *edges), 8)
         if rng.uniform() < 0.6:
             blinds = meshes.bars(2.2, 1.8, int(rng.integers(5, 14)), 0.06, bool(rng.integers(2)))
-            blinds = _moved(blinds.transform(_turn((0, 1, 0), 90)), (x - side * 0.15, 1.7, z))
+            blinds = moved(blinds.transform(turn((0, 1, 0), 90)), (x - side * 0.15, 1.7, z))
             b.add("blinds", blinds, b.material(False))
     return kind
 
 
-def _surroundings(b: Builder) -> tuple[str, np.ndarray, np.ndarray | None]:
+def surroundings(b: Builder) -> tuple[str, np.ndarray, np.ndarray | None]:
     """(name, room size (w, h, d), sky)."""
     rng = b.rng
     kind = str(rng.choice(["closed", "half-open", "outdoor"], p=[0.55, 0.25, 0.2]))
@@ -141,19 +141,19 @@ def _surroundings(b: Builder) -> tuple[str, np.ndarray, np.ndarray | None]:
         _walls(b, size, gone[rng.integers(len(gone))])
     else:
         size = size * (2, 1, 2)
-        ground = meshes.quad((-40, 0, 40), (80, 0, 0), (0, 0, -80)).scale_uv(_log_uniform(rng, 0.2, 0.8))
+        ground = meshes.quad((-40, 0, 40), (80, 0, 0), (0, 0, -80)).scale_uv(log_uniform(rng, 0.2, 0.8))
         b.add("ground", ground, Material(textures.surface(rng, 0.9)))
         for _ in range(rng.integers(1, 4)):
             half = rng.uniform((0.6, 0.8, 0.3), (2.5, 2.5, 1.0))
             at = (rng.uniform(-0.5, 0.5) * size[0], half[1], -size[2] * rng.uniform(0.7, 1.0))
-            b.add("block", _moved(meshes.box(half).scale_uv(0.6), at), Material(textures.surface(rng, 0.9)))
+            b.add("block", moved(meshes.box(half).scale_uv(0.6), at), Material(textures.surface(rng, 0.9)))
     return kind, size, textures.sky(rng, sun=bool(rng.uniform() < 0.6))
 
 
 # --- contents ---------------------------------------------------------------------------------------------------------
 
 
-def _furnish(b: Builder, size: np.ndarray) -> None:
+def furnish(b: Builder, size: np.ndarray) -> None:
     """Things that stand still: a few solids on the floor, sometimes many small ones, sometimes a fence."""
     rng = b.rng
     w, h, d = size
@@ -166,27 +166,27 @@ def _furnish(b: Builder, size: np.ndarray) -> None:
         name, mesh, smooth = solid(rng, radius)
         x, z = spot(0.4, 0.92)
         y = -mesh.vertices[:, 1].min() + (0 if rng.uniform() < 0.8 else rng.uniform(0, h - 2 * radius))
-        b.add(name, _moved(mesh, (x, y, z)), b.material(smooth))
+        b.add(name, moved(mesh, (x, y, z)), b.material(smooth))
     if rng.uniform() < 0.25:
         for _ in range(rng.integers(10, 24)):
             name, mesh, _ = solid(rng, rng.uniform(0.06, 0.2))
             x, z = spot(0.3, 0.9)
-            b.add("small " + name, _moved(mesh, (x, -mesh.vertices[:, 1].min(), z)), b.material(False))
+            b.add("small " + name, moved(mesh, (x, -mesh.vertices[:, 1].min(), z)), b.material(False))
     if rng.uniform() < 0.25:
         fence = meshes.bars(w * rng.uniform(0.3, 0.8), rng.uniform(0.8, 2.0), int(rng.integers(6, 18)), 0.05)
         x, z = spot(0.35, 0.7)
-        fence = _moved(fence.transform(_turn((0, 1, 0), rng.uniform(-40, 40))), (x / 2, 0.8, z))
+        fence = moved(fence.transform(turn((0, 1, 0), rng.uniform(-40, 40))), (x / 2, 0.8, z))
         b.add("fence", fence, b.material(False))
 
 
-def _camera(b: Builder, size: np.ndarray, static: bool) -> CameraPath:
+def camera_path(b: Builder, size: np.ndarray, static: bool) -> CameraPath:
     rng = b.rng
     w, h, d = size
     origin = (rng.uniform(-0.2, 0.2) * w, rng.uniform(0.9, min(2.2, h - 0.4)), -rng.uniform(0.25, 0.7))
     target = (rng.uniform(-0.2, 0.2) * w, rng.uniform(0.6, 1.5), -rng.uniform(0.6, 0.9) * d)
     path = dict(origin=origin, target=target, fov=float(rng.uniform(45, 72)), start=(CLIP_FRAMES - 1) / 2)
     kind = "static" if static else str(rng.choice(["dolly", "orbit", "pan", "hand-held"]))
-    speed = _log_uniform(rng, 0.3, 6) * rng.choice([-1, 1])  # pixels a frame
+    speed = log_uniform(rng, 0.3, 6) * rng.choice([-1, 1])  # pixels a frame
     degrees = np.degrees(2 * np.tan(np.radians(path["fov"] / 2)) / PIXELS)  # of one pixel at the image's centre
     distance = np.linalg.norm(np.subtract(target, origin))
     if kind == "pan":
@@ -210,7 +210,7 @@ def _mover(b: Builder, camera: CameraPath, size: np.ndarray, near: bool) -> None
     reach = np.linalg.norm(np.subtract(camera.target, camera.origin))
     distance = rng.uniform(0.28, 0.5) * reach if near else rng.uniform(0.45, 0.95) * reach
     half_view = distance * np.tan(np.radians(camera.fov / 2))  # half the width of what is seen at that distance
-    speed = _log_uniform(rng, 4, 12) if near else _log_uniform(rng, 0.3, 10)
+    speed = log_uniform(rng, 4, 12) if near else log_uniform(rng, 0.3, 10)
     step = speed * 2 * half_view / PIXELS
     radius = half_view * (rng.uniform(0.3, 0.55) if near else rng.uniform(0.15, 0.4))
     if near and rng.uniform() < 0.15:
@@ -240,7 +240,7 @@ def _mover(b: Builder, camera: CameraPath, size: np.ndarray, near: bool) -> None
         axis = rng.normal(size=3)
         turn = np.clip(np.degrees(step / radius), 0.5, 12) if kind == "spin" else rng.uniform(-8, 8)
         motion |= dict(axis=tuple((axis / np.linalg.norm(axis)).tolist()), spin=float(turn))
-    b.add(f"{name}, {kind}", _moved(mesh, place), b.material(smooth), motion=Motion(**motion))
+    b.add(f"{name}, {kind}", moved(mesh, place), b.material(smooth), motion=Motion(**motion))
 
 
 def procedural(seed: int, attempt: int = 0) -> Scene:
@@ -248,11 +248,11 @@ def procedural(seed: int, attempt: int = 0) -> Scene:
     kind = str(np.random.default_rng([VERSION, seed]).choice(["uncovering", "free", "static"], p=[0.64, 0.3, 0.06]))
     rng = np.random.default_rng([VERSION, seed, attempt])
     b = Builder(rng)
-    place, size, sky = _surroundings(b)
-    _furnish(b, size)
-    camera = _camera(b, size, kind == "static" or rng.uniform() < 0.26)
+    place, size, sky = surroundings(b)
+    furnish(b, size)
+    camera = camera_path(b, size, kind == "static" or rng.uniform() < 0.26)
     near = rng.integers(1, 4) if kind == "uncovering" else 0
     for k in range(near + (rng.integers(0, 2) if near else rng.integers(1, 5)) if kind != "static" else 0):
         _mover(b, camera, size, near=k < near)
-    facts = {"kind": kind, "place": place, "brightness": _log_uniform(rng, 0.1, 2.0), "attempt": attempt}
+    facts = {"kind": kind, "place": place, "brightness": log_uniform(rng, 0.1, 2.0), "attempt": attempt}
     return Scene(f"procedural:{seed}", tuple(b.objects), camera, sky, facts=facts)

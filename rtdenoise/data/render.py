@@ -51,6 +51,7 @@ def describe_frame(scene: Scene, number: int, size: tuple[int, int]) -> dict:
         "number": number,
         "world_to_pixel": camera.world_to_pixel(size),
         "camera_origin": camera.to_world[:3, 3],
+        "shot": camera.shot,
         "object_to_world": {o.id: o.motion(number) for o in scene.objects if o.motion is not None},
     }
 
@@ -182,6 +183,7 @@ def write_scene_json(scene: Scene, path: Path, numbers: range, size: tuple[int, 
                 "number": f["number"],
                 "world_to_pixel": f["world_to_pixel"].tolist(),
                 "camera_origin": f["camera_origin"].tolist(),
+                "shot": f["shot"],
                 "object_to_world": {str(k): m.tolist() for k, m in f["object_to_world"].items()},
             }
             for f in frames

@@ -35,6 +35,16 @@ class Object:
 
 
 @dataclass(frozen=True)
+class Spot:
+    """A spot light: a cone of light from a point, soft towards its edge."""
+
+    origin: tuple[float, float, float]
+    target: tuple[float, float, float]
+    intensity: tuple[float, float, float]  # radiant intensity on the axis
+    angle: float = 30.0  # degrees between the axis and darkness
+
+
+@dataclass(frozen=True)
 class Scene:
     """Everything a renderer needs. Frame numbers are the times at which `camera` and the motions are evaluated."""
 
@@ -43,5 +53,6 @@ class Scene:
     camera: Callable[[float], Camera]
     sky: np.ndarray | None = None  # [H, W, 3] latitude-longitude radiance; None: black
     exposure: float = 1.0  # factor on all radiance
-    file: Path | None = None  # Mitsuba XML that has the surfaces and the light
+    file: Path | None = None  # Mitsuba XML that has surfaces and light; objects with a mesh are added to its own
+    spots: tuple[Spot, ...] = ()
     facts: dict = field(default_factory=dict)  # what was drawn, for the metadata

@@ -60,7 +60,7 @@ class Stage:
         # are found in the cache.
         grey = np.full((4, 4, 3), 0.5, np.float32)
         self._ballast = [_bsdf(mi, Material(grey, kind)) for kind in ("diffuse", "plastic", "metal", "glass")]
-        self.mitsuba = load_file(scene.file) if scene.file else _build(mi, scene)
+        self.mitsuba = _build(mi, scene)
         owner = {name: o for o in scene.objects for name in (o.shapes or (f"object_{o.id}",))}
         moving = {name: o for name, o in owner.items() if o.motion is not None}
 
@@ -110,11 +110,29 @@ def load_file(path: Path):
 
 
 def _build(mi, scene: Scene):
-    description = {"type": "scene", "sensor": {"type": "perspective"}}
+    """The scene of the file, if there is one, and the objects, lights and sky that come to it."""
+    made = {f"object_{o.id}": _shape(mi, o) for o in scene.objects if o.mesh is not None}
+    if scene.file and not made:
+        return load_file(scene.file)
+    description = _contents(mi, load_file(scene.file)) if scene.file else {"sensor": {"type": "perspective"}}
     if scene.sky is not None:
         description["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(scene.sky))}
-    description |= {f"object_{o.id}": _shape(mi, o) for o in scene.objects}
-    return mi.load_dict(description, optimize=False)
+    for i, spot in enumerate(scene.spots):
+        description[f"spot_{i}"] = {
+            "type": "spot", "intensity": {"type": "rgb", "value": list(spot.intensity)},
+            "cutoff_angle": spot.angle, "beam_width": 0.6 * spot.angle,
+            "to_world": mi.ScalarTransform4f().look_at(list(spot.origin), list(spot.target), [0, 0.02, 1]),
+        }  # fmt: skip
+    if clash := description.keys() & made.keys():
+        raise InputError(f"{scene.file}: the id '{min(clash)}' is needed for an extra object; rename it in the file")
+    return mi.load_dict({"type": "scene"} | description | made, optimize=False)
+
+
+def _contents(mi, loaded) -> dict:
+    """Shapes, sensors and those emitters of a loaded scene that are not part of a shape, for a scene of one's own."""
+    emitters = [e for e in loaded.emitters() if not mi.has_flag(e.flags(), mi.EmitterFlags.Surface)]
+    shapes = {shape.id(): shape for shape in loaded.shapes()}  # Mitsuba takes the keys for ids
+    return shapes | {f"part {i}": part for i, part in enumerate([*loaded.sensors(), *emitters])}
 
 
 def _bsdf(mi, material: Material):

@@ -96,6 +96,23 @@ def surface(rng: np.random.Generator, detail: float = 0.7) -> np.ndarray:
     return np.clip(image, 0.02, 0.92).astype(np.float32)
 
 
+def poster(rng: np.random.Generator) -> np.ndarray:
+    """A picture: a gradient, overlapping ellipses and bars of flat colour, a few lines of print. One period is all."""
+    y, x = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE
+    image = colour(rng) * y[..., None] + colour(rng) * (1 - y[..., None])
+    for _ in range(int(rng.integers(3, 12))):
+        (u, v), (a, b) = rng.uniform(0, 1, 2), rng.uniform(0.04, 0.35, 2)
+        round_ = ((x - u) / a) ** 2 + ((y - v) / b) ** 2 < 1
+        inside = round_ if rng.uniform() < 0.6 else (abs(x - u) < a) & (abs(y - v) < b)
+        image = np.where(inside[..., None], colour(rng), image)
+    if rng.uniform() < 0.6:
+        top = int(rng.integers(0, SIZE // 2))
+        lines = _print(rng)[: SIZE // 3, :, None]
+        part = image[top : top + SIZE // 3]
+        image[top : top + SIZE // 3] = part * (1 - lines) + colour(rng) * lines
+    return np.clip(image, 0.02, 0.92).astype(np.float32)
+
+
 def sky(rng: np.random.Generator, sun: bool) -> np.ndarray:
     """A latitude-longitude radiance map: gradient from zenith to horizon, ground below, and maybe a wide soft sun.
 

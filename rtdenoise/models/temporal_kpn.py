@@ -15,6 +15,7 @@ from ..color import compress, exposure
 from ..errors import InputError
 from ..frame import Frame, History, sanitise
 from ..motion import dual_motion, occlusion_mask, on_screen
+from ..motion_splat import splat_motion_next
 from ..nets import UNet
 from ..ops import apply_kernel, blend, compose, downsample, warp
 
@@ -79,7 +80,8 @@ class TemporalKPN(nn.Module):
         """Denoise one frame: `[B, 3, H, W]` linear radiance, and the history for the next one.
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion. `history=None` starts a
-        sequence or resets after a cut. Without `motion_next` in the previous frame traditional motion is used.
+        sequence or resets after a cut. Without `motion_next` in the previous frame it is approximated from this frame's
+        motion and both depths.
 
         Raises InputError where a layer is missing or the history is of another size.
         """
@@ -113,9 +115,12 @@ class TemporalKPN(nn.Module):
 
     def reprojection(self, frame: Frame, history: History) -> Tensor:
         """The motion that fetches history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere."""
-        if self.config.motion == "traditional" or history.motion_next is None:
+        if self.config.motion == "traditional":
             return frame.motion
-        dual = dual_motion(frame.motion, history.motion_next)
+        motion_next = history.motion_next
+        if motion_next is None:
+            motion_next = splat_motion_next(frame.motion, frame.depth, history.depth)
+        dual = dual_motion(frame.motion, motion_next)
         return torch.where(occlusion_mask(dual, frame.motion), dual, frame.motion)
 
     def features(self, frame: Frame, warped: Tensor) -> Tensor:

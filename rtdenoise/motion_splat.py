@@ -1,0 +1,90 @@
+"""`motion_next` of the previous frame, approximated where a file has backward motion only.
+
+The current frame knows where everything that it shows was: the surface at p was at p + motion(p). Read backwards, the
+surface that was at y = p + motion(p) moves by -motion(p). Several pixels may point at one y, a moving object and the
+background that it has just uncovered; y showed only one of them, and the depth of the previous frame tells which.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .frame import OFF_SCREEN
+from .motion import on_screen
+from .ops import fetch
+
+DEPTH_TOLERANCE = 0.1  # relative; what differs by more is another surface
+REACH = 2  # pixels from which a crack in a surface is closed
+NOTHING = torch.iinfo(torch.int64).max  # key of a pixel that nothing lands on
+
+
+def splat_motion_next(
+    motion: Tensor,  # [B, 2, H, W] previous - current, of the current frame
+    depth: Tensor,  # [B, 1, H, W] of the current frame; 0 or inf: nothing hit
+    depth_previous: Tensor,  # [B, 1, H, W] of the previous frame
+    tolerance: float = DEPTH_TOLERANCE,
+) -> Tensor:  # [B, 2, H, W] next - current, of the previous frame, approximate
+    """Depth-tested forward splat of `motion` onto the previous frame's pixels.
+
+        out(y) = -motion(p*),    p* = argmin { |depth(p) - depth_previous(y)| / max : p + motion(p) rounds to y }
+
+    A surface that has grown on the screen covers all its old pixels; one that has shrunk, or turned, leaves cracks, in
+    which only what was hidden behind it lands. Where the best p is deeper or nearer than `depth_previous` by more than
+    `tolerance`, out(y) is taken from the closest pixel, at most `REACH` away, that belongs to the same old surface and
+    did receive its own. If there is none (the surface has left the screen or is covered entirely) out(y) = -motion(p*),
+    with which `dual_motion` is traditional motion. Pixels that nothing lands on were covered: they get `OFF_SCREEN`,
+    and `dual_motion` never looks there.
+
+    Rounds as `ops.fetch` does; the same on every run and device. Not differentiable. Raises ValueError where the shapes
+    do not fit.
+    """
+    B, _, H, W = motion.shape
+    for name, tensor in (("depth", depth), ("depth_previous", depth_previous)):
+        if tuple(tensor.shape) != (B, 1, H, W):
+            raise ValueError(f"expected {name} {(B, 1, H, W)}, got {tuple(tensor.shape)}")
+    now, before = _distance(depth), _distance(depth_previous)
+
+    # Every pixel p bids for its target with (mismatch of depth, index of p); the smallest bid wins.
+    index = torch.arange(H * W, device=motion.device).reshape(1, 1, H, W).expand(B, 1, H, W)
+    bits = _mismatch(now, fetch(before, motion)).view(torch.int32).long()  # floats ≥ 0 are ordered as their bits are
+    bid = torch.where(on_screen(motion), bits << 32 | index, NOTHING)
+    target = fetch(index, motion)
+    best = torch.full((B, H * W), NOTHING, device=motion.device)
+    best.scatter_reduce_(1, target.flatten(1), bid.flatten(1), "amin")
+    landed = (best != NOTHING).reshape(B, 1, H, W)
+    source = torch.where(landed.flatten(1), best & 0xFFFFFFFF, 0)
+
+    def of_source(image: Tensor) -> Tensor:
+        C = image.shape[1]
+        return image.flatten(2).gather(2, source[:, None].expand(B, C, H * W)).reshape(B, C, H, W)
+
+    out = torch.where(landed, -of_source(motion), OFF_SCREEN)
+    fits = landed & (_mismatch(of_source(now), before) <= tolerance)
+    return _close_cracks(out, before, fits, landed & ~fits, tolerance)
+
+
+def _close_cracks(out: Tensor, before: Tensor, fits: Tensor, crack: Tensor, tolerance: float) -> Tensor:
+    """Give pixels of `crack` the value of the closest pixel of the same surface that `fits`."""
+    H, W = before.shape[2:]
+    offsets = [(dy, dx) for dy in range(-REACH, REACH + 1) for dx in range(-REACH, REACH + 1) if dy or dx]
+    pad = [REACH] * 4
+    values = torch.nn.functional.pad(out, pad)
+    surface = torch.nn.functional.pad(torch.where(fits, before, torch.nan), pad, value=torch.nan)  # NaN fits nothing
+    for dy, dx in sorted(offsets, key=lambda o: o[0] ** 2 + o[1] ** 2):
+        window = (..., slice(REACH + dy, REACH + dy + H), slice(REACH + dx, REACH + dx + W))
+        take = crack & (_mismatch(surface[window], before) <= tolerance)
+        out = torch.where(take, values[window], out)
+        crack = crack & ~take
+    return out
+
+
+def _distance(depth: Tensor) -> Tensor:
+    """Depth in float32 with inf where nothing was hit."""
+    return torch.where((depth > 0) & depth.isfinite(), depth.float(), torch.inf)
+
+
+def _mismatch(a: Tensor, b: Tensor) -> Tensor:
+    """Relative difference of two distances, in [0, 1]: 0 for two misses, 1 for a hit and a miss; NaN stays NaN."""
+    ratio = torch.minimum(a, b) / torch.maximum(a, b)
+    return torch.where(a == b, 0.0, 1 - ratio)

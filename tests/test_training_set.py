@@ -1,0 +1,340 @@
+"""Training sets, the second generator of scenes, extra objects, keyframes, cuts, and what can go wrong on the way."""
+
+import errno
+import json
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from rtdenoise.cli import main
+from rtdenoise.data import extras, meshes, procedural, procedural_wide
+from rtdenoise.data.dataset import ClipDataset, bytes_per_clip, clip_path, read_facts
+from rtdenoise.data.draw import open_scene
+from rtdenoise.data.motions import CameraPath, Keyframes, Motion, Shots
+from rtdenoise.data.render import RenderOptions, describe_frame, features, render_sequence
+from rtdenoise.data.scenes import Scene
+from rtdenoise.data.stage import Stage
+from rtdenoise.data.training_set import SetOptions, find_scenes, parse_shard, render_set
+from rtdenoise.data.windows import Window, choose, look_through
+from rtdenoise.data.workers import only_run, run_jobs
+from rtdenoise.errors import InputError
+from rtdenoise.frame import OFF_SCREEN
+from rtdenoise.motion import dual_motion, on_screen
+
+TINY = SetOptions(count=6, size=(32, 32), frames=3, seed=5, reference_range=(4, 8), workers=1)
+SEQUENCE = RenderOptions(size=(16, 24), reference_spp=0)
+ROOM = """<scene version="3.0.0">
+  <sensor type="perspective"><float name="fov" value="60"/>
+    <transform name="to_world"><lookat origin="0, 1, 1.8" target="0, 1, 0" up="0, 1, 0"/></transform></sensor>
+  <sensor type="perspective"><float name="fov" value="50"/>
+    <transform name="to_world"><lookat origin="1.5, 1, 1.5" target="0, 1, 0" up="0, 1, 0"/></transform></sensor>
+  <shape type="cube" id="walls"><boolean name="flip_normals" value="true"/>
+    <transform name="to_world"><scale x="2" y="1.5" z="2"/><translate y="1.5"/></transform>
+    <bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
+  <shape type="cube" id="crate_wood">
+    <transform name="to_world"><scale value="0.3"/><translate y="0.3"/></transform></shape>
+  <emitter type="point"><point name="position" x="0" y="2.8" z="0"/><rgb name="intensity" value="9"/></emitter>
+</scene>"""
+
+
+@pytest.fixture
+def room(tmp_path) -> Path:
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "scene.xml").write_text(ROOM)
+    (tmp_path / "room" / "LICENSE.txt").write_text("A room by Nobody, CC0.\n")
+    return tmp_path / "room" / "scene.xml"
+
+
+def script(room: Path, text: str) -> Path:
+    path = room.with_name("motion.toml")
+    path.write_text(text)
+    return path
+
+
+# --- sets -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_set_is_the_same_in_shards_and_after_a_kill(tmp_path):
+    lines = []
+    card = render_set(tmp_path / "whole", TINY, lambda done, total, line: lines.append((done, total, line)))
+    assert [line[:2] for line in lines] == [(i, 6) for i in range(7)]
+    assert "6 clips to render" in lines[0][2] and "on disk" in lines[0][2]
+    assert card["clips"] == 6 and card["generators"] == [2]
+    assert 0.3 < card["windows"]["chosen_where_something_happens"] <= 1
+    text = (tmp_path / "whole" / "DATA.md").read_text()
+    assert "no licence but the program's own" in text and "chosen where most is uncovered" in text
+
+    parts = tmp_path / "parts"
+    for i in range(2):
+        render_set(parts, replace(TINY, shard=(i, 2)), lambda *_: None)
+        if i == 0:
+            assert [clip_path(parts, k).exists() for k in range(6)] == [True] * 4 + [False] * 2
+    clip_path(parts, 2).unlink()  # as if killed before it was done
+    render_set(parts, TINY, lambda *_: None)
+    assert json.loads((parts / "dataset.json").read_text())["clips"] == 6
+    for index in range(6):
+        one, other = ClipDataset(tmp_path / "whole").load(index), ClipDataset(parts).load(index)
+        for a, b in zip(one, other, strict=True):
+            assert all(torch.equal(tensor, getattr(b, name)) for name, tensor in a.layers()), index
+    size = clip_path(parts, 0).stat().st_size
+    assert bytes_per_clip(TINY.size, TINY.frames) == pytest.approx(size, abs=4096)
+    facts = read_facts(clip_path(parts, 0))
+    assert 4 <= facts["reference_spp"] <= 8 and 0 < facts["reference_error"] < 1
+    assert not any(clip.name.startswith(".clip") for clip in parts.iterdir())
+
+
+def test_scenes_are_mixed_in_with_their_licences(room, tmp_path):
+    street = tmp_path / "street"
+    street.mkdir()
+    (street / "scene.xml").write_text(ROOM)
+    scenes = find_scenes(tmp_path, None, ("street",))
+    assert scenes == ((str(room), ""),)
+    with pytest.raises(InputError, match="no scenes found"):
+        find_scenes(tmp_path, None, ("street", "room"))
+    options = replace(TINY, count=16, scenes=scenes, shard=(2, 4), seed=1)
+    card = render_set(tmp_path / "out", options, lambda *_: None)
+    assert card["sources"] == {"room": 4} and card["licences"] == {"room": "A room by Nobody, CC0.\n"}
+    assert "A room by Nobody, CC0." in (tmp_path / "out" / "DATA.md").read_text()
+
+
+def test_windows_are_chosen_where_most_is_uncovered():
+    windows = [Window(0, 0, x, 0.01 * x, 1.0) for x in range(0, 33, 8)]
+    rng = np.random.default_rng(0)
+    first = choose(windows, [], (32, 32), 10, True, rng)
+    second = choose(windows, [first], (32, 32), 10, True, rng)
+    assert (first.left, second.left) == (32, 8)  # 16 and 24 share half of their pixels and more with the first
+    drawn = {choose(windows, [], (32, 32), 10, False, rng).left for _ in range(60)}
+    assert drawn == {0, 8, 16, 24, 32}
+
+
+def test_a_window_is_a_part_of_the_picture():
+    scene = procedural_wide.procedural(4)
+    stage = Stage(scene)
+    view, window = (48, 64), Window(0, 8, 20, 0.0, 0.0)
+    whole = describe_frame(scene, 3, view)["world_to_pixel"]
+    part = describe_frame(look_through(stage, window, view).scene, 3, (16, 24))["world_to_pixel"]
+    point = np.array([0.3, 0.7, -3.0, 1.0])
+    (x, y, _, w), (u, v, _, s) = whole @ point, part @ point
+    assert (x / w - 20, y / w - 8) == pytest.approx((u / s, v / s))
+    layers = features(stage, 3, (16, 24))
+    hit = layers["id"][..., 0] > 0
+    at = np.concatenate([layers["position"], np.ones((16, 24, 1))], -1) @ part.T
+    offset = at[..., :2] / at[..., 3:] - np.stack(np.meshgrid(np.arange(24), np.arange(16)), -1)
+    assert hit.any() and offset[hit].min() > -1e-3 and offset[hit].max() < 1 + 1e-3
+
+
+def test_the_wide_generator_repeats_and_leaves_the_first_alone():
+    kinds = [procedural_wide.procedural(seed).facts["kind"] for seed in range(80)]
+    assert set(kinds) == set(procedural_wide.KINDS)
+    a, again = procedural_wide.procedural(7), procedural_wide.procedural(7)
+    assert [o.name for o in a.objects] == [o.name for o in again.objects]
+    assert procedural.VERSION == 1 and procedural_wide.VERSION == 2
+    # Seed 5 of the first generator, as it has been since version 1.
+    first = procedural.procedural(5)
+    assert [o.name for o in first.objects] == FIRST_OF_SEED_5
+    moving = [seed for seed, kind in enumerate(kinds) if kind == "static"]
+    for seed in moving:
+        scene = procedural_wide.procedural(seed)
+        assert np.array_equal(scene.camera(0).to_world, scene.camera(9).to_world)
+
+
+FIRST_OF_SEED_5 = [
+    "floor",
+    "ceiling",
+    "back",
+    "left",
+    "right",
+    "front",
+    "light",
+    "shade",
+    "blob",
+    "cylinder",
+    "torus",
+    "cylinder, swing",
+    "disc, swing",
+    "cylinder, spin",
+]
+
+
+def test_what_enters_is_outside_at_first():
+    for seed in [s for s in range(60) if procedural_wide.procedural(s).facts["kind"] == "entering"][:4]:
+        scene = procedural_wide.procedural(seed, frames=20)
+        mover = next(o for o in scene.objects if o.name.startswith("moving"))
+        centre = mover.mesh.vertices.mean(0)
+        path = scene.camera
+        still = replace(path, velocity=(0, 0, 0), orbit=0.0, pan=0.0, shake=0.0)
+        columns = []
+        for t in (0, 12):
+            point = mover.motion(t) @ [*centre, 1]
+            x, _, _, w = still(t).world_to_pixel((256, 256)) @ point
+            columns.append(x / w)
+        assert not 0 <= columns[0] <= 256 and abs(columns[1] - 128) < abs(columns[0] - 128)
+
+
+# --- motions ----------------------------------------------------------------------------------------------------------
+
+
+def test_keyframes_move_cameras_and_objects():
+    keys = Keyframes((0, 4, 6), ((0, 0, 0, 0), (2, 0, 0, 90), (2, 1, 0, 90)))
+    motion = Motion(pivot=(1, 0, 0), keys=keys)
+    assert motion(2) @ [1, 0, 0, 1] == pytest.approx([2, 0, 0, 1])
+    assert motion(4) @ [2, 0, 0, 1] == pytest.approx([3, 0, -1, 1])  # a quarter turn about +y takes +x to -z
+    with pytest.raises(InputError, match=r"undefined at frame 7: its keyframes cover 0 to 6"):
+        motion(7)
+    assert replace(motion, keys=replace(keys, hold=True))(9) == pytest.approx(motion(6))
+    path = CameraPath((9, 9, 9), (0, 0, 0), keys=Keyframes((0, 10), ((0, 0, 0, 0, 0, -1), (1, 0, 0, 1, 0, -1))))
+    assert path(5).to_world[:3, 3] == pytest.approx([0.5, 0, 0])
+
+
+def test_no_history_crosses_a_cut(tmp_path):
+    base = procedural_wide.procedural(7)
+    paths = (CameraPath((0, 1, 0), (0, 1, -4)), CameraPath((1, 1.5, -1), (0, 1, -4)))
+    scene = Scene("cut", base.objects, Shots(paths, (2,)), base.sky)
+    stage = Stage(scene)
+    before, after, later = (features(stage, n, (24, 32)) for n in (1, 2, 3))
+    assert (after["motion"] == OFF_SCREEN).all() and (before["motion_next"] == OFF_SCREEN).all()
+    assert not on_screen(torch.from_numpy(after["motion"]).permute(2, 0, 1)[None]).any()
+    assert np.abs(before["motion"]).max() < OFF_SCREEN and np.abs(later["motion"]).max() < OFF_SCREEN
+    now, then = (torch.from_numpy(f).permute(2, 0, 1)[None] for f in (after["motion"], before["motion_next"]))
+    assert torch.equal(dual_motion(now, then), now)  # and no pixel counts as uncovered
+
+
+def test_a_scene_file_with_extra_objects_keys_and_a_cut(room, tmp_path):
+    text = """
+[camera]
+keys = [{frame = -1, origin = [0, 1, 1.8], target = [0, 1, 0]}, {frame = 9, origin = [0.5, 1, 1.8], target = [0, 1, 0]}]
+[[cut]]
+frame = 4
+sensor = 1
+[[object]]
+name = "crate"
+shapes = ["crate_*"]
+keys = [{frame = -1}, {frame = 9, offset = [1, 0, 0], turn = 90}]
+[[extra]]
+name = "ring"
+shape = "torus"
+size = 0.3
+at = [0.8, 1.5, 0.0]
+velocity = [-0.05, 0.0, 0.0]
+[[extra]]
+shape = "box"
+size = 0.25
+material = "metal"
+"""
+    scene = open_scene(str(room), script(room, text))
+    assert [o.name for o in scene.objects] == ["crate", "walls", "ring", "extra"]
+    assert [scene.camera(t).shot for t in (3, 4)] == [0, 1] and scene.camera(4).fov == pytest.approx(50)
+    stage = Stage(scene)
+    assert set(np.unique(features(stage, 0, (48, 64))["id"])) == {1, 2, 3, 4}
+    light = render_sequence(scene, tmp_path / "out", 1, SEQUENCE, first=3, progress=lambda line: None)
+    assert light[0].exists()
+    with pytest.raises(InputError, match="undefined at frame 10"):
+        describe_frame(scene, 10, (8, 8))
+
+
+def test_extra_objects_do_not_touch_anything_at_the_start(room):
+    scene = Stage(open_scene(str(room))).mitsuba
+    ball = meshes.sphere(0.4)
+    assert extras.room_for(scene, ball, (0.0, 2.0, 0.0)) > 1
+    assert extras.room_for(scene, ball, (1.8, 2.0, 0.0)) == pytest.approx(0.5, abs=0.03)  # the wall is 0.2 away
+    camera = open_scene(str(room)).camera(0)
+    for seed in range(4):
+        place = extras.free_place(scene, camera, ball, np.random.default_rng(seed))
+        assert (np.abs(place[[0, 2]]) < 1.6).all() and 0.4 < place[1] < 2.6
+    assert extras.free_place(scene, camera, meshes.sphere(2.5), np.random.default_rng(0)) is None
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[[object]]\nshapes = ['crete_*']", r"no shape of the scene matches \['crete_\*'\]; near: crate_wood"),
+        ("[[object]]\nshapes = ['zzz']", "no shape of the scene matches .*; it has: walls, crate_wood"),
+        ("[[extra]]\nshape = 'cone'", "shape 'cone'; expected one of sphere"),
+        ("[[extra]]\nat = [1.9, 1, 0]", "it intersects the scene: [0-9]+% of its size are free"),
+        ("[[extra]]\nsize = 2.5", "no free place of size 2.5"),
+        ("[[extra]]\nmaterial = 'wood'", "material 'wood'; expected one of diffuse"),
+        ("[[object]]\nshapes = ['walls']\nkeys = [{frame = 3}, {frame = 1}]", "keys must be in the order"),
+        ("[[object]]\nshapes = ['walls']\nkeys = [{frame = 3, offset = 1}]", "offset = 1: expected 3 number"),
+        ("[camera]\nkeys = [{frame = 3, origin = [0, 0, 0]}]", "frame 3 has no target"),
+        ("[[cut]]\nsensor = 1", "cut: frame = None: expected 1 number"),
+        ("[[cut]]\nframe = 4\n[[cut]]\nframe = 2", "cuts must be in the order"),
+    ],
+)
+def test_what_is_wrong_in_a_motion_file_is_named(room, text, complaint):
+    with pytest.raises(InputError, match=complaint):
+        open_scene(str(room), script(room, text))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "complaint"),
+    [
+        ('<shape type="teapotty"/>', "teapotty"),
+        ('<shape type="obj"><string name="filename" value="nowhere.obj"/></shape>', "nowhere.obj"),
+        ("<shape", "scene.xml"),
+    ],
+)
+def test_a_scene_that_does_not_load_says_why(room, wrong, complaint):
+    room.write_text(ROOM.replace("</scene>", wrong + "</scene>"))
+    with pytest.raises(InputError, match=complaint) as caught:
+        open_scene(str(room))
+    assert "\n" not in str(caught.value) and str(room) in str(caught.value)
+
+
+def test_a_full_disk_is_one_line_and_leaves_no_half_clip(tmp_path, monkeypatch):
+    from rtdenoise.data.dataset import write_atomically
+
+    def fill(path, content):
+        path.open("wb").write(content[:3])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", fill)
+    with pytest.raises(InputError, match=r"a\.bin: cannot be written: No space left on device"):
+        write_atomically(tmp_path / "a.bin", b"content")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_that_is_too_small_is_told_in_advance(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1e6))
+    with pytest.raises(InputError, match="6 clips take 1.3 MB, 1.0 MB are free"):
+        render_set(tmp_path, TINY, lambda *_: None)
+
+
+def test_a_killed_worker_is_one_line():
+    def kill():
+        while not (children := multiprocessing.active_children()):
+            time.sleep(0.01)
+        os.kill(children[0].pid, signal.SIGKILL)
+
+    threading.Thread(target=kill, daemon=True).start()
+    with pytest.raises(InputError, match="a rendering process was killed"):
+        list(run_jobs(time.sleep, [(60,)], 1))
+
+
+def test_two_runs_into_one_folder(tmp_path, capsys):
+    with only_run(tmp_path, "0-of-1"), pytest.raises(SystemExit) as stop:
+        main(["render", "--preset", "train", "--clips", "1", "--size", "32", "--out", str(tmp_path)])
+    assert stop.value.code == 2
+    assert "another run is rendering into this folder" in capsys.readouterr().err
+    with only_run(tmp_path, "0-of-1"):
+        pass
+
+
+def test_wrong_options(tmp_path):
+    for text in ("1", "2/2", "a/b", "-1/2"):
+        with pytest.raises(InputError, match="expected i/n"):
+            parse_shard(text)
+    assert parse_shard("1/4") == (1, 4)
+    with pytest.raises(InputError, match="multiples of 4"):
+        render_set(tmp_path, replace(TINY, size=(33, 32)), lambda *_: None)
