@@ -37,7 +37,7 @@ class Surface:
         return cls(depth, normal, kind, torch.cat([_slope(depth, 3), _slope(depth, 2)], dim=1), sigma_z, sigma_n)
 
     def weights(self, radius: int, spacing: int) -> Iterator[tuple[int, int, Tensor]]:
-        """(dy, dx, w) of every tap, w `[B, 1, H, W]` = w_z · w_n of SVGF's eq. 3 and 4 between p and q = p + d:
+        """(dy, dx, w) of every tap, w `[B, 1, H, W]` = w_z · w_n of SVGF, §4.4, between p and q = p + d:
 
             w_z = exp(-|z(p) - z(q)| / (σ_z · |∇z(p) · d| + 10⁻³ z(p)))        w_n = max(0, n(p) · n(q))^σ_n
 
@@ -65,7 +65,7 @@ def atrous(
     spacing: int,  # pixels between taps: 1, 2, 4, 8, 16
     sigma_l: float,
 ) -> tuple[Tensor, Tensor]:  # the same, filtered
-    """One level of the edge-stopping wavelet (SVGF's eq. 1, 2 and 5), 5×5 taps:
+    """One level of the edge-stopping wavelet (SVGF, §4.3 and §4.4), 5×5 taps:
 
         w(p,q)    = h(q - p) · w_z · w_n · exp(-|l(p) - l(q)| / (σ_l · √(G Var(p))))
         image'    = Σ_q w · image(q) / Σ_q w

@@ -43,10 +43,10 @@ class SvgfState:
 class Svgf:
     """The filter and its parameters; the defaults are what bench/tune_baselines.py chose."""
 
-    alpha: float = 0.1  # least weight of the current frame
-    sigma_z: float = 1.0  # tolerance of depth, in slopes of the surface
-    sigma_n: float = 64.0  # exponent of the cosine between normals
-    sigma_l: float = 4.0  # tolerance of luminance, in standard deviations
+    alpha: float = 0.2  # least weight of the current frame
+    sigma_z: float = 3.0  # tolerance of depth, in slopes of the surface
+    sigma_n: float = 16.0  # exponent of the cosine between normals
+    sigma_l: float = 8.0  # tolerance of luminance, in standard deviations
     depth_tolerance: float = 0.1  # of reprojection, relative
     normal_tolerance: float = 0.5  # of reprojection, least cosine
     clamp: float | None = None  # k: history clamped to mean ± k·σ of 5×5 noisy pixels; None: it is not
