@@ -23,7 +23,7 @@ Step = Callable[[Frame, object], tuple[Tensor, object]]
 METHODS: dict[str, Callable[[], Step]] = {
     "noisy": lambda: lambda frame, history: (sanitise(frame).radiance, None),
     "accumulate": lambda: Accumulate().step,
-    "accumulate-clamped": lambda: Accumulate(clamp=1.0).step,
+    "accumulate-clamped": lambda: Accumulate(clamp=0.5).step,
     "svgf": lambda: Svgf().step,
     "trmv": lambda: Trmv().step,
     "oidn": lambda: Oidn().step,

@@ -1,6 +1,6 @@
 """The spatial half of SVGF: edge-stopping weights, the à-trous wavelet filter and the spatial variance estimate.
 
-Schied et al., *Spatiotemporal Variance-Guided Filtering*, HPG 2017 ("SVGF"), §4.2 to §4.4; the wavelet after Dammertz
+Schied et al., *Spatiotemporal Variance-Guided Filtering*, HPG 2017 ("SVGF"); the wavelet after Dammertz
 et al. 2010.
 """
 
@@ -37,7 +37,7 @@ class Surface:
         return cls(depth, normal, kind, torch.cat([_slope(depth, 3), _slope(depth, 2)], dim=1), sigma_z, sigma_n)
 
     def weights(self, radius: int, spacing: int) -> Iterator[tuple[int, int, Tensor]]:
-        """(dy, dx, w) of every tap, w `[B, 1, H, W]` = w_z · w_n of SVGF's eq. 3 and 4 between p and q = p + d:
+        """(dy, dx, w) of every tap, w `[B, 1, H, W]` = w_z · w_n of SVGF between p and q = p + d:
 
             w_z = exp(-|z(p) - z(q)| / (σ_z · |∇z(p) · d| + 10⁻³ z(p)))        w_n = max(0, n(p) · n(q))^σ_n
 
@@ -65,7 +65,7 @@ def atrous(
     spacing: int,  # pixels between taps: 1, 2, 4, 8, 16
     sigma_l: float,
 ) -> tuple[Tensor, Tensor]:  # the same, filtered
-    """One level of the edge-stopping wavelet (SVGF's eq. 1, 2 and 5), 5×5 taps:
+    """One level of the edge-stopping wavelet (SVGF), 5×5 taps:
 
         w(p,q)    = h(q - p) · w_z · w_n · exp(-|l(p) - l(q)| / (σ_l · √(G Var(p))))
         image'    = Σ_q w · image(q) / Σ_q w
@@ -92,7 +92,7 @@ def spatial_variance(
     surface: Surface,
     radius: int = 3,
 ) -> Tensor:  # [B, 1, H, W]
-    """Variance of one sample from a 7×7 neighbourhood on the same surface (SVGF, §4.2, where history is too short)."""
+    """Variance of one sample from a 7×7 neighbourhood on the same surface (SVGF, where history is too short)."""
     total, mean = torch.zeros_like(surface.depth), torch.zeros_like(moments)
     for (_, _, w), (_, _, q) in zip(surface.weights(radius, 1), taps(moments, radius, 1), strict=True):
         total += w

@@ -18,7 +18,7 @@ from .clamp import clamp_to_neighbourhood
 
 LEVELS = 5
 LONGEST = 32  # frames: the history length is not counted further
-TEMPORAL_FROM = 4  # frames of history from which on variance is estimated over time (SVGF, §4.2)
+TEMPORAL_FROM = 4  # frames of history from which on variance is estimated over time (SVGF)
 LEAST = 1e-3  # sum of bilinear weights that makes a history
 DARK = 0.01  # albedo below which a surface has no texture worth dividing by
 BARE, TEXTURED = 2.0, 3.0  # kinds of surfaces beside MISS: filtered as radiance, filtered as irradiance
@@ -43,10 +43,10 @@ class SvgfState:
 class Svgf:
     """The filter and its parameters; the defaults are what bench/tune_baselines.py chose."""
 
-    alpha: float = 0.1  # least weight of the current frame
-    sigma_z: float = 1.0  # tolerance of depth, in slopes of the surface
-    sigma_n: float = 64.0  # exponent of the cosine between normals
-    sigma_l: float = 4.0  # tolerance of luminance, in standard deviations
+    alpha: float = 0.2  # least weight of the current frame
+    sigma_z: float = 3.0  # tolerance of depth, in slopes of the surface
+    sigma_n: float = 16.0  # exponent of the cosine between normals
+    sigma_l: float = 8.0  # tolerance of luminance, in standard deviations
     depth_tolerance: float = 0.1  # of reprojection, relative
     normal_tolerance: float = 0.5  # of reprojection, least cosine
     clamp: float | None = None  # k: history clamped to mean ± k·σ of 5×5 noisy pixels; None: it is not
@@ -87,7 +87,7 @@ class Svgf:
         return filtered * albedo, state
 
     def reproject(self, frame: Frame, history: SvgfState, irradiance: Tensor, kind: Tensor) -> SvgfState:
-        """The history of each pixel's surface, of length 0 where there is none (SVGF, §4.1).
+        """The history of each pixel's surface, of length 0 where there is none.
 
         Each of the four bilinear taps counts if it is on the screen and on the same surface (`motion.same_surface`) of
         the same kind; where none does, the mean of those among the 3×3 pixels around the target that are.
