@@ -51,11 +51,10 @@ class Denoise:
             from .preview import preview
 
             o = self.options
-            signal = "color" if o.recombine else o.signal  # what the noisy panel shows beside the result
             sequence = open_sequence(
-                self.source, signal=signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
+                self.source, signal=o.signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
             )
-            print("preview:", ", ".join(str(path) for path in preview(sequence, self.out, o.layout)))
+            print("preview:", ", ".join(str(path) for path in preview(sequence, self.out, o.layout, o.recombine)))
 
 
 @dataclass(frozen=True)
