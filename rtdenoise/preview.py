@@ -24,7 +24,7 @@ def preview(
     `preview.mp4`, or `preview.gif` where there is no ffmpeg. Returns the files.
 
     The exposure is that of the last frame, for all frames, so that what flickers is the picture and not the preview.
-    With `recombine` all panels are, each with the noisy rest of the light.
+    With `recombine` every panel shows the beauty: its signal with the same noisy rest of the light.
     """
     scale, strips = None, []
     for i in reversed(range(min(len(sequence), most_frames))):
