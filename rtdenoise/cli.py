@@ -121,6 +121,8 @@ class Render:
     """Processes that render clips."""
 
     def run(self) -> None:
+        if self.preset != "train" and (self.scenes or self.shard != "0/1"):
+            raise InputError("--scenes and --shard go with --preset train")
         if self.preset == "train":
             self._training_set()
         elif self.clips:
@@ -148,6 +150,8 @@ class Render:
 
         from .data.training_set import SetOptions, find_scenes, parse_shard, render_set
 
+        if self.reference_spp is not None or self.motion:
+            raise InputError("--preset train takes --reference-error and --motions, not --reference-spp and --motion")
         size = (self.height or self.size or 128, self.width or self.size or 128)
         options = SetOptions(
             self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,

@@ -337,5 +337,8 @@ def test_wrong_options(tmp_path):
         with pytest.raises(InputError, match="expected i/n"):
             parse_shard(text)
     assert parse_shard("1/4") == (1, 4)
+    for arguments in (["--scenes", "x"], ["--preset", "train", "--reference-spp", "9"]):
+        with pytest.raises(SystemExit):
+            main(["render", "--out", str(tmp_path), *arguments])
     with pytest.raises(InputError, match="multiples of 4"):
         render_set(tmp_path, replace(TINY, size=(33, 32)), lambda *_: None)
