@@ -51,11 +51,10 @@ class Denoise:
             from .preview import preview
 
             o = self.options
-            signal = "color" if o.recombine else o.signal  # what the noisy panel shows beside the result
             sequence = open_sequence(
-                self.source, signal=signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
+                self.source, signal=o.signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
             )
-            print("preview:", ", ".join(str(path) for path in preview(sequence, self.out, o.layout)))
+            print("preview:", ", ".join(str(path) for path in preview(sequence, self.out, o.layout, o.recombine)))
 
 
 @dataclass(frozen=True)
@@ -122,6 +121,8 @@ class Render:
     """Processes that render clips."""
 
     def run(self) -> None:
+        if self.preset != "train" and (self.scenes or self.shard != "0/1"):
+            raise InputError("--scenes and --shard go with --preset train")
         if self.preset == "train":
             self._training_set()
         elif self.clips:
@@ -149,6 +150,8 @@ class Render:
 
         from .data.training_set import SetOptions, find_scenes, parse_shard, render_set
 
+        if self.reference_spp is not None or self.motion:
+            raise InputError("--preset train takes --reference-error and --motions, not --reference-spp and --motion")
         size = (self.height or self.size or 128, self.width or self.size or 128)
         options = SetOptions(
             self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,

@@ -7,33 +7,34 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
-import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
 from .color import display, display_exposure
-from .data.exr import read_channels
-from .data.output import result_channels
+from .data.output import read_result, recombined
 from .data.sequences import Sequence
 
 FRAMES_PER_SECOND = 12
 
 
-def preview(sequence: Sequence, out: Path, layout: str = "plain", most_frames: int = 240) -> list[Path]:
+def preview(
+    sequence: Sequence, out: Path, layout: str = "plain", recombine: bool = False, most_frames: int = 240
+) -> list[Path]:
     """Show the frames of `sequence` beside what `denoise` wrote of them into `out`: `preview.png` (the last frame) and
     `preview.mp4`, or `preview.gif` where there is no ffmpeg. Returns the files.
 
     The exposure is that of the last frame, for all frames, so that what flickers is the picture and not the preview.
+    With `recombine` every panel shows the beauty: its signal with the same noisy rest of the light.
     """
     scale, strips = None, []
-    names = result_channels(sequence, layout)
     for i in reversed(range(min(len(sequence), most_frames))):
-        frame, image = sequence[i], _read(out / sequence.paths[i].name, names)
+        frame, image = sequence[i], read_result(out, sequence, i, layout, recombine)
+        shown = {"noisy": frame.radiance} | ({} if frame.reference is None else {"reference": frame.reference})
+        if recombine:
+            shown = {label: recombined(sequence, i, frame, signal) for label, signal in shown.items()}
+        panels = {"noisy": shown.pop("noisy"), "denoised": image, **shown}
         if scale is None:
-            scale = display_exposure(image if frame.reference is None else frame.reference)
-        panels = {"noisy": frame.radiance, "denoised": image} | (
-            {} if frame.reference is None else {"reference": frame.reference}
-        )
+            scale = display_exposure(panels.get("reference", image))
         strips.insert(0, strip(panels, scale))
     strips[-1].save(out / "preview.png")
     return [out / "preview.png", *([animate(strips, out / "preview")] if len(strips) > 1 else [])]
@@ -53,10 +54,6 @@ def animate(pictures: list[Image.Image], path: Path) -> Path:
     first, *rest = pictures
     first.save(path.with_suffix(".gif"), save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0)
     return path.with_suffix(".gif")
-
-
-def _read(path: Path, names: tuple[str, ...]) -> Tensor:
-    return torch.from_numpy(np.stack(list(read_channels(path, names).values()))[None])
 
 
 def strip(panels: dict[str, Tensor], scale: Tensor | float) -> Image.Image:

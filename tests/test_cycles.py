@@ -133,7 +133,7 @@ def test_recombined_in_source_layout_is_the_sum_of_the_lights(tmp_path, model):
 
 def test_recombined_exactly(tmp_path, model):
     """R,G,B = Combined + (denoised - noisy) · Diffuse Color, never negative."""
-    plain = denoise(tmp_path, model, "--signal", "indirect", "--recombine", "--float32")
+    plain = denoise(tmp_path, model, "--signal", "indirect", "--recombine", "--float32", "--preview")
     denoiser, history = rtdenoise.load(model), None
     for frame, path in zip(open_sequence(SHOT, signal="indirect"), sorted(SHOT.glob("*.exr")), strict=True):
         image, history = denoiser.step(frame, history)

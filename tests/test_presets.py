@@ -9,6 +9,7 @@ from plane import FRAMES, H, W, buffers, camera
 from synthetic import TINY
 
 from rtdenoise.data.exr import read_channels, write_layers
+from rtdenoise.data.output import read_result
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
@@ -281,6 +282,10 @@ def test_recombined_into_the_files_of_both_signals(tmp_path, model):
     for i, c in enumerate("RGB"):
         expected = b["color"][..., i] + (indirect[c] - 0.5) * b["albedo"][..., i]
         np.testing.assert_allclose(beauty[c], expected.clip(0), atol=1e-6)
+    sequence = open_sequence(shot, signal="indirect", preset=options.preset)
+    for recombine, planes in ((False, indirect), (True, beauty)):
+        result = read_result(tmp_path / "out", sequence, 2, "source", recombine)
+        assert np.array_equal(result[0].numpy(), np.stack([planes[c] for c in "RGB"]))
 
 
 @pytest.mark.parametrize(

@@ -215,10 +215,9 @@ def test_position_projects_into_its_own_pixel(shot):
     _, document, (layers, _) = shot
     height, width = SIZE
     hit = layers["id"][..., 0] > 0
-    points = (
-        np.concatenate([layers["position"], np.ones((height, width, 1))], -1)
-        @ np.array(document["frames"][1]["world_to_pixel"]).T
-    )
+    points = np.concatenate([layers["position"], np.ones((height, width, 1))], -1) @ np.array(
+        document["frames"][1]["world_to_pixel"]
+    ).T
     pixel = points[..., :2] / points[..., 3:]
     x, y = np.meshgrid(np.arange(width), np.arange(height))
     offset = (pixel - np.stack([x, y], -1))[hit]

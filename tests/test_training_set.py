@@ -283,6 +283,7 @@ def test_what_is_wrong_in_a_motion_file_is_named(room, text, complaint):
         ('<shape type="teapotty"/>', "teapotty"),
         ('<shape type="obj"><string name="filename" value="nowhere.obj"/></shape>', "nowhere.obj"),
         ("<shape", "scene.xml"),
+        ('<shape type="sphere"><float name="radios" value="1"/></shape>', 'unreferenced.*"radios"'),
     ],
 )
 def test_a_scene_that_does_not_load_says_why(room, wrong, complaint):
@@ -307,7 +308,7 @@ def test_a_full_disk_is_one_line_and_leaves_no_half_clip(tmp_path, monkeypatch):
 
 def test_a_disk_that_is_too_small_is_told_in_advance(tmp_path, monkeypatch):
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1e6))
-    with pytest.raises(InputError, match="6 clips take 1.3 MB, 1.0 MB are free"):
+    with pytest.raises(InputError, match=r"6 clips take 1\.3 MB, 1\.0 MB are free"):
         render_set(tmp_path, TINY, lambda *_: None)
 
 
@@ -336,5 +337,8 @@ def test_wrong_options(tmp_path):
         with pytest.raises(InputError, match="expected i/n"):
             parse_shard(text)
     assert parse_shard("1/4") == (1, 4)
+    for arguments in (["--scenes", "x"], ["--preset", "train", "--reference-spp", "9"]):
+        with pytest.raises(SystemExit):
+            main(["render", "--out", str(tmp_path), *arguments])
     with pytest.raises(InputError, match="multiples of 4"):
         render_set(tmp_path, replace(TINY, size=(33, 32)), lambda *_: None)

@@ -39,8 +39,10 @@ def read_cameras(path: Path, header: ExrHeader) -> dict | None:
         text = path.read_text()
     except FileNotFoundError:
         return None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: cannot be read: not a text file") from None
     return _parse_matrices(path, text, header) if path.suffix == ".h" else _parse_scene(path, text, header)
 
 

@@ -20,12 +20,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rtdenoise.data.exr import write_layers, write_like
+from rtdenoise.data.exr import read_channels, write_layers, write_like
+from rtdenoise.data.rules import Rule
 from rtdenoise.data.sequences import Sequence, convert
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, sanitise
 
 LAYOUTS = ("plain", "source")
+PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
 
 
 def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[str, ...]) -> None:
@@ -55,18 +57,18 @@ def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> T
     return (rest + image * albedo).clamp(min=0)
 
 
-def result_channels(sequence: Sequence, layout: str) -> tuple[str, ...]:
-    """The channels of an output file that hold the denoised signal, in the order R, G, B."""
+def read_result(
+    out: Path, sequence: Sequence, index: int, layout: str = "plain", recombine: bool = False
+) -> Tensor:  # [1, 3, H, W]
+    """What `write_frame` wrote with these options: the denoised signal, or the beauty."""
+    path = sequence.paths[index]
     if layout == "plain":
-        return ("R", "G", "B")
-    (names,) = sequence.files[0].locate(_place(sequence)).values()
-    return tuple(names)
-
-
-def _place(sequence: Sequence) -> tuple[str, ...]:
-    """The channels of the input that the denoised signal replaces, as `FrameFiles.header` names them."""
-    beauty = sequence.preset.beauty_rule(sequence.header) if sequence.signal == "color" else None
-    return (beauty or sequence.rules["radiance"]).channels
+        return convert(PLAIN, read_channels(out / path.name, PLAIN.channels), "radiance")
+    beauty = sequence.preset.beauty_rule(sequence.header) if recombine else None
+    rule = beauty or _place(sequence)
+    ((file, names),) = sequence.files[index].locate(rule.channels).items()
+    stored = read_channels(out / _name(file, path), tuple(names))
+    return convert(rule, {full: stored[name] for name, full in names.items()}, "radiance")
 
 
 def write_frame(
@@ -95,17 +97,26 @@ def write_frame(
         return
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.preset.beauty_rule(sequence.header)):
-        planes |= _planes(rule.channels, beauty)
-    located = sequence.files[index].locate(planes)
-    for file, names in located.items():
-        taken = file != path and file.name in {other.name for other in located if other != file}
-        name = f"{file.parent.name}.{file.name}" if taken else file.name
+        planes |= _planes(rule, beauty)
+    for file, names in sequence.files[index].locate(planes).items():
         changed = {stored: planes[full] for stored, full in names.items()}
-        write_like(out / name, file, changed, dtype="float" if float32 else None)
+        write_like(out / _name(file, path), file, changed, dtype="float" if float32 else None)
 
 
-def _planes(names: tuple[str, ...], image: Tensor) -> dict[str, np.ndarray]:
-    return dict(zip(names, image[0].numpy(), strict=True))
+def _place(sequence: Sequence) -> Rule:
+    """The channels of the input that the denoised signal replaces."""
+    beauty = sequence.preset.beauty_rule(sequence.header) if sequence.signal == "color" else None
+    return beauty or sequence.rules["radiance"]
+
+
+def _name(file: Path, signal: Path) -> str:
+    """What the output for `file` is called: its name, unless the signal's file in another folder has the same."""
+    return f"{file.parent.name}.{file.name}" if file != signal and file.name == signal.name else file.name
+
+
+def _planes(rule: Rule, image: Tensor) -> dict[str, np.ndarray]:
+    """The inverse of `convert` for radiance."""
+    return {name: sign * plane for name, sign, plane in zip(rule.channels, rule.signs, image[0].numpy(), strict=True)}
 
 
 def _write_plain(

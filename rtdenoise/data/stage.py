@@ -104,9 +104,16 @@ def load_file(path: Path):
     try:
         return mi.load_file(str(path), optimize=False)
     except RuntimeError as error:
-        raise InputError(f"{path}: Mitsuba cannot load it: {str(error).strip().splitlines()[-1]}") from error
+        raise InputError(f"{path}: Mitsuba cannot load it: {_last_line(str(error))}") from error
     finally:
         dr.set_thread_count(threads)
+
+
+def _last_line(message: str) -> str:
+    """Of Mitsuba's nested messages the innermost, with the list that it may end in, as one line."""
+    lines = message.strip().splitlines()
+    start = max(i for i, line in enumerate(lines) if not line.lstrip().startswith("-") or i == 0)
+    return " ".join(line.strip() for line in lines[start:])
 
 
 def _build(mi, scene: Scene):

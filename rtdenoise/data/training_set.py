@@ -129,8 +129,9 @@ def render_group(out: Path, group: int, options: SetOptions) -> list[dict]:
     """Render the clips of one scene that are not there yet. Returns their facts."""
     members = range(group * CLIPS_PER_SCENE, min((group + 1) * CLIPS_PER_SCENE, options.count))
     missing = [i for i in members if not clip_path(out, i).exists()]
-    started = time.perf_counter()
+    clock = time.process_time()
     stage, found, facts = open_stage(group, options)
+    opening = time.process_time() - clock
     whole, view = stage.scene, _view(options.size)
     windows, taken, rendered = candidates(found, options.size, options.frames), [], []
     for index in members:  # also for clips that are there: a window depends on those before it
@@ -147,14 +148,17 @@ def render_group(out: Path, group: int, options: SetOptions) -> list[dict]:
             "view_uncovered": float(found.uncovered[1:].mean()), "motion": window.motion,
             "chosen": "activity" if active else "at random", "window": [window.top, window.left, *view],
         }  # fmt: skip
-        rendered.append(_render_clip(clip_path(out, index), stage, window.first, facts | more, options, started))
-        started = time.perf_counter()
+        more["scene_seconds"] = opening if not rendered else 0.0
+        rendered.append(_render_clip(clip_path(out, index), stage, window.first, facts | more, options))
     del stage
     gc.collect()  # Mitsuba scenes are cycles; a left-over one would be part of the next one's kernels
     return rendered
 
 
-def _render_clip(path: Path, stage: Stage, first: int, facts: dict, options: SetOptions, started: float) -> dict:
+def _render_clip(path: Path, stage: Stage, first: int, facts: dict, options: SetOptions) -> dict:
+    """Render and write frames from `first` on. The facts' seconds are processor time: of this clip, and, for the first
+    one of a scene, of loading, surveying and exposing it."""
+    clock = time.process_time()
     seed = int(np.random.SeedSequence([options.seed, facts["index"]]).generate_state(1)[0])
     spp, error = reference_samples(stage, first + options.frames // 2, options, seed)
     render = RenderOptions(options.size, options.spp, spp, options.max_depth, seed)
@@ -167,7 +171,7 @@ def _render_clip(path: Path, stage: Stage, first: int, facts: dict, options: Set
     facts = facts | {
         "first_frame": first, "frames": options.frames, "size": list(options.size), "spp": options.spp,
         "reference_spp": spp, "reference_error": error, "max_depth": options.max_depth,
-        "seconds": time.perf_counter() - started, "versions": versions(),
+        "seconds": facts["scene_seconds"] + time.process_time() - clock, "versions": versions(),
     }  # fmt: skip
     write_clip(path, frames, facts)
     return facts
