@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -65,17 +66,15 @@ def demo(
 
 
 def _table(results: list[Result], title: str) -> Table:
-    table = Table(title=title)
-    table.add_column("method")
+    names = {"psnr": "PSNR", "ssim": "SSIM", "relmse": "relMSE"}
+    table = Table(title=title, box=box.SIMPLE)
+    table.add_column("method", no_wrap=True)
     for region in REGIONS:
         for metric in METRICS:
-            table.add_column(f"{metric.upper() if metric != 'relmse' else 'relMSE'}\n{region}", justify="right")
-    table.add_column("ms\na frame", justify="right")
+            table.add_column(f"{names[metric]}\n{region[:5]}", justify="right", no_wrap=True)
+    table.add_column("ms", justify="right", no_wrap=True)
     for r in results:
-        values = [r.errors[region][metric] for region in REGIONS for metric in METRICS]
-        shown = [
-            f"{v:.2f}" if metric == "psnr" else f"{v:.4f}"
-            for v, metric in zip(values, METRICS * len(REGIONS), strict=True)
-        ]
+        values = [(metric, r.errors[region][metric]) for region in REGIONS for metric in METRICS]
+        shown = [f"{value:.2f}" if metric == "psnr" else f"{value:.3f}" for metric, value in values]
         table.add_row(r.method, *shown, f"{1000 * r.seconds:.0f}")
     return table
