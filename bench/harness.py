@@ -99,10 +99,10 @@ def write(path: Path, **content: object) -> None:
 
 
 def _commit() -> str:
-    """The commit, with -dirty where the working tree differs from it in any file; `unknown` outside a repository."""
+    """The commit, with -dirty where the code differs from it; `unknown` outside a repository."""
 
-    def git(*command: str) -> str:
-        return subprocess.run(["git", "-C", str(ROOT), *command], capture_output=True, text=True).stdout.strip()
+    def git(*arguments: str) -> str:
+        return subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True).stdout.strip()
 
-    commit = git("rev-parse", "--short", "HEAD") or "unknown"
-    return f"{commit}-dirty" if git("status", "--porcelain") else commit
+    changed = git("status", "--porcelain", "--", "rtdenoise", "shaders", "samples", "bench", ":!bench/results")
+    return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")
