@@ -24,7 +24,7 @@ class Denoise:
     """Folder of EXR files, or a glob in quotes."""
     out: Path
     """Folder for the denoised files; never the input's."""
-    options: OmitArgPrefixes[Options] = field(default_factory=Options)
+    settings: OmitArgPrefixes[Options] = field(default_factory=Options)
     overwrite: bool = False
     """Start anew, whatever is in --out."""
     preview: bool = False
@@ -38,7 +38,7 @@ class Denoise:
         with Progress(TextColumn("denoising"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as progress:
             task = progress.add_task("denoise", total=None)
             summary = denoise(
-                self.source, self.out, self.options, self.overwrite,
+                self.source, self.out, self.settings, self.overwrite,
                 lambda done, total: progress.update(task, completed=done, total=total),
             )  # fmt: skip
         print(f"{self.out}: {summary.written} frames written, {summary.skipped} were there")
@@ -50,7 +50,7 @@ class Denoise:
             from .data.sequences import open_sequence
             from .preview import preview
 
-            o = self.options
+            o = self.settings
             sequence = open_sequence(
                 self.source, signal=o.signal, preset=o.preset, layers=("reference",), allow_gaps=o.allow_gaps
             )
@@ -121,6 +121,11 @@ class Render:
     """Processes that render clips."""
 
     def run(self) -> None:
+        for name in ("frames", "width", "height", "size", "spp", "max_depth", "workers"):
+            if (value := getattr(self, name)) is not None and value < 1:
+                raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
+        if self.clips and self.reference_spp == 0:
+            raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
         if self.preset != "train" and (self.scenes or self.shard != "0/1"):
             raise InputError("--scenes and --shard go with --preset train")
         if self.preset == "train":

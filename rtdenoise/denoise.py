@@ -18,7 +18,7 @@ from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
 from .frame import History, non_finite
-from .models import load
+from .models import find, load
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
 
@@ -77,6 +77,8 @@ def denoise(
     sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
+    if options.device not in ("auto", "cpu", "cuda"):
+        raise InputError(f"unknown device {options.device!r}; expected 'auto', 'cpu' or 'cuda'")
     device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("device cuda: no CUDA device was found; use --device cpu")
@@ -125,10 +127,11 @@ def _inputs(sequence: Sequence) -> list[Path]:
 
 def _fingerprint(sequence: Sequence, options: Options) -> str:
     """Tells runs apart that would write different files."""
-    model = Path(options.model)
     parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "device"}
+    parts["layers"] = [repr(sequence.rules), repr(sequence.preset)]  # a preset of one's own may have been mended
+    parts["scene"] = sequence.scene
     parts["inputs"] = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in _inputs(sequence)]
-    parts["weights"] = hashlib.sha256(model.read_bytes()).hexdigest() if model.is_file() else options.model
+    parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode()).hexdigest()
 
 

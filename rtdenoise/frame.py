@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 OFF_SCREEN = 1e4  # pixels: the motion of what was nowhere on the other frame, in any direction; half floats hold it
+FAR = 1e9  # depth from which on nothing was hit: renderers write inf, FLT_MAX or 1e10 there
 CHANNELS = {
     "radiance": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
     "position": 3, "id": 1, "reference": 3, "reference_half": 3,
@@ -87,15 +88,6 @@ class History:
     normal: Tensor | None  # [B, 3, H, W] of the previous frame
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
 
-    def to(self, *args, **kwargs) -> History:
-        return replace(
-            self, **{f.name: t.to(*args, **kwargs) for f in fields(self) if (t := getattr(self, f.name)) is not None}
-        )
-
-    def detach(self) -> History:
-        """Cut from the autograd graph (truncated back-propagation)."""
-        return replace(self, **{f.name: t.detach() for f in fields(self) if (t := getattr(self, f.name)) is not None})
-
 
 def stack(frames: list[Frame]) -> Frame:
     """Frames of the same size and layers as one batch."""
@@ -111,7 +103,8 @@ def sanitise(frame: Frame) -> Frame:
     |-----------------------|-----------------------|---------|
     | radiance              | NaN, ±Inf or negative | 0       |
     | albedo, normal        | NaN or ±Inf           | 0       |
-    | depth                 | NaN, ±Inf or negative | 0 (nothing hit) |
+    | radiance              | above 1e15            | 1e15 (what follows must stay finite in float32) |
+    | depth                 | NaN, negative, above 1e9 or Inf | 0 (nothing hit) |
     | motion, motion_next   | NaN or ±Inf           | `OFF_SCREEN`, so no history is taken |
 
     `non_finite` counts what this will replace.
@@ -125,10 +118,10 @@ def sanitise(frame: Frame) -> Frame:
 
     return replace(
         frame,
-        radiance=clean(frame.radiance, 0.0, lowest=0.0),
+        radiance=clean(frame.radiance, 0.0, lowest=0.0).clamp(max=1e15),
         albedo=clean(frame.albedo, 0.0),
         normal=clean(frame.normal, 0.0),
-        depth=clean(frame.depth, 0.0, lowest=0.0),
+        depth=None if frame.depth is None else torch.where((frame.depth > 0) & (frame.depth < FAR), frame.depth, 0.0),
         motion=clean(frame.motion, OFF_SCREEN),
         motion_next=clean(frame.motion_next, OFF_SCREEN),
     )

@@ -1,8 +1,8 @@
 """Train the denoiser: `rtdenoise train --data DIR --out RUN`. Resumable at any step, deterministic with a seed.
 
-A run directory explains itself: `config.json` (all options), `log.jsonl` (a line per logged step and per validation),
-`checkpoint.pt` (everything needed to go on), `weights.safetensors` (the averaged weights, ready for `rtdenoise denoise
---model`).
+A run directory explains itself: `config.json` (all options but paths and device), `log.jsonl` (a line per logged step
+and per validation), `checkpoint.pt` (everything needed to go on), `weights.safetensors` (the averaged weights, ready
+for `rtdenoise denoise --model`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from .motion import dual_motion, occlusion_mask, occlusion_weights
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Options of a run. Resuming checks that they have not changed."""
+    """Options of a run. Resuming checks that they have not changed, but for paths and device."""
 
     data: Path
     """Folder of training clips, written by `rtdenoise render --clips`."""
@@ -139,10 +139,12 @@ class Trainer:
 
 
 def train(config: TrainConfig) -> Path:
-    """Run or resume; returns the path of the weights. Raises InputError for unusable data or changed options."""
+    """Run or resume; returns the path of the weights. Raises InputError for unusable data or changed options, and
+    KeyboardInterrupt after the checkpoint is written where Ctrl-C or SIGTERM stopped it."""
     _check(config)
     data = ClipDataset(config.data)
     validation = ClipDataset(config.val) if config.val else None
+    _batch(data, config, 0)  # whatever does not fit is told before there is a run
     out = Path(config.out)
     out.mkdir(parents=True, exist_ok=True)
     _same_config(config, out / "config.json")
@@ -187,6 +189,8 @@ def train(config: TrainConfig) -> Path:
         training=json.dumps({**_plain(config), "reached_step": trainer.step}),
         version=__version__,
     )
+    if stopping:
+        raise KeyboardInterrupt
     return weights
 
 
@@ -238,6 +242,8 @@ def _check(config: TrainConfig) -> None:
         raise InputError(f"unknown preset {config.preset!r}; expected one of {', '.join(PRESETS)}")
     if config.motion not in ("dual", "traditional"):
         raise InputError(f"unknown motion {config.motion!r}; expected 'dual' or 'traditional'")
+    if config.device not in ("cpu", "cuda"):
+        raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
     if config.device == "cuda" and not torch.cuda.is_available():
         raise InputError("device cuda: no CUDA device was found; use --device cpu")
 

@@ -204,3 +204,20 @@ def test_help_of_every_command(capsys):
     assert shutil.which("rtdenoise", path=os.path.dirname(sys.executable)), (
         "the console script is installed beside Python"
     )
+
+
+def test_a_mended_preset_is_another_run(shot, tmp_path, model, capsys):
+    layers = {"color": "R G B", "albedo": "albedo.R albedo.G albedo.B", "normal": "normal.X normal.Y normal.Z",
+              "depth": "depth.Z", "motion": "motion.X motion.Y"}  # fmt: skip
+    text = "".join(f"[{layer}]\nchannels = {names.split()}\n" for layer, names in layers.items())
+    preset = tmp_path / "mine.toml"
+    preset.write_text(text)
+    command = ("denoise", shot, "--out", tmp_path / "out", "--model", model, "--preset", preset)
+    main([str(a) for a in command])
+    preset.write_text(text + "signs = [-1, 1]\n")
+    assert "other options" in refused(capsys, *command)
+
+
+def test_unknown_device(shot, tmp_path, model, capsys):
+    command = ("denoise", shot, "--out", tmp_path / "out", "--model", model, "--device", "gpu")
+    assert "unknown device 'gpu'" in refused(capsys, *command)

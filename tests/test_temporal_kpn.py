@@ -119,6 +119,21 @@ def test_bad_pixels_never_reach_output_or_history(denoiser, layer, bad):
     assert all(t.isfinite().all() for t in (history.radiance, history.motion_next, history.depth, history.normal))
 
 
+@pytest.mark.parametrize("miss", [1e10, 3.4e38, math.inf])
+def test_however_a_renderer_writes_a_miss_it_is_one(denoiser, miss):
+    frame = make_frame()
+    far, none = frame.depth.clone(), frame.depth.clone()
+    far[:, :, :5], none[:, :, :5] = miss, 0
+    images = [denoiser.step(replace(frame, depth=depth))[0] for depth in (far, none)]
+    assert images[0].isfinite().all() and torch.equal(*images)
+
+
+def test_the_brightest_radiance_stays_finite(denoiser):
+    frame = replace(make_frame(), radiance=torch.full((1, 3, 24, 32), 3e38))
+    image, history = denoiser.step(frame)
+    assert denoiser.step(frame, history)[0].isfinite().all()
+
+
 def test_sanitising_changes_nothing_that_is_valid():
     frame = make_frame()
     for (layer, before), (_, after) in zip(frame.layers(), sanitise(frame).layers(), strict=True):

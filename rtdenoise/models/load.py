@@ -32,13 +32,7 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
 
     Raises InputError for an unknown name, an unreadable file, and weights that do not fit their configuration.
     """
-    name = str(model)
-    shipped = name in available()
-    path = Path(str(_SHIPPED / f"{name}.safetensors")) if shipped else Path(name)
-    if not shipped and not path.is_file():
-        raise InputError(
-            f"no model {name!r}: expected one of {', '.join(available())} or the path of a .safetensors file"
-        )
+    path = find(model)
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -66,9 +60,20 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
     return denoiser.eval().requires_grad_(False).to(device)
 
 
-def save(denoiser: TemporalKPN, path: str | Path, half: bool = False, **metadata: str) -> None:
-    """Write weights (float16 if `half`) and configuration, under a temporary name first: never half a file."""
-    tensors = {k: (v.half() if half else v).detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
+def find(model: str | Path) -> Path:
+    """The file of a shipped name (which goes first) or of a path. Raises InputError where there is neither."""
+    name = str(model)
+    path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in available() else Path(name)
+    if not path.is_file():
+        raise InputError(
+            f"no model {name!r}: expected one of {', '.join(available())} or the path of a .safetensors file"
+        )
+    return path
+
+
+def save(denoiser: TemporalKPN, path: str | Path, **metadata: str) -> None:
+    """Write weights and configuration, under a temporary name first: never half a file."""
+    tensors = {k: v.detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
     temporary = Path(f"{path}.tmp")
     save_file(tensors, temporary, metadata={"config": json.dumps(asdict(denoiser.config)), **metadata})
     temporary.replace(path)
