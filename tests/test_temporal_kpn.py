@@ -130,7 +130,7 @@ def test_however_a_renderer_writes_a_miss_it_is_one(denoiser, miss):
 
 def test_the_brightest_radiance_stays_finite(denoiser):
     frame = replace(make_frame(), radiance=torch.full((1, 3, 24, 32), 3e38))
-    image, history = denoiser.step(frame)
+    _, history = denoiser.step(frame)
     assert denoiser.step(frame, history)[0].isfinite().all()
 
 
