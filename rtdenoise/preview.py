@@ -13,30 +13,36 @@ from torch import Tensor
 from .color import display, display_exposure
 from .data.output import read_result, recombined
 from .data.sequences import Sequence
+from .frame import sanitise
 
 FRAMES_PER_SECOND = 12
+WIDEST = 1920  # pixels of an animation, which bounds its memory too
 
 
 def preview(
-    sequence: Sequence, out: Path, layout: str = "plain", recombine: bool = False, most_frames: int = 240
+    sequence: Sequence, out: Path, layout: str = "plain", recombine: bool = False, most_frames: int = 120
 ) -> list[Path]:
-    """Show the frames of `sequence` beside what `denoise` wrote of them into `out`: `preview.png` (the last frame) and
-    `preview.mp4`, or `preview.gif` where there is no ffmpeg. Returns the files.
+    """Show the first frames of `sequence` beside what `denoise` wrote of them into `out`: `preview.png` (the last of
+    them) and `preview.mp4`, or `preview.gif` where there is no ffmpeg, `WIDEST` pixels wide at most. Returns the
+    files.
 
-    The exposure is that of the last frame, for all frames, so that what flickers is the picture and not the preview.
+    The exposure is that of the last frame shown, for all of them: what flickers is the picture, not the preview.
     With `recombine` every panel shows the beauty: its signal with the same noisy rest of the light.
     """
     scale, strips = None, []
     for i in reversed(range(min(len(sequence), most_frames))):
-        frame, image = sequence[i], read_result(out, sequence, i, layout, recombine)
+        frame, image = sanitise(sequence[i]), read_result(out, sequence, i, layout, recombine)
         shown = {"noisy": frame.radiance} | ({} if frame.reference is None else {"reference": frame.reference})
         if recombine:
             shown = {label: recombined(sequence, i, frame, signal) for label, signal in shown.items()}
         panels = {"noisy": shown.pop("noisy"), "denoised": image, **shown}
         if scale is None:
             scale = display_exposure(panels.get("reference", image))
-        strips.insert(0, strip(panels, scale))
-    strips[-1].save(out / "preview.png")
+        picture = strip(panels, scale)
+        if not strips:
+            picture.save(out / "preview.png")
+        picture.thumbnail((WIDEST, WIDEST))
+        strips.insert(0, picture)
     return [out / "preview.png", *([animate(strips, out / "preview")] if len(strips) > 1 else [])]
 
 
