@@ -5,19 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from . import motion
 from .baselines import Accumulate, Oidn, Svgf, Trmv
 from .color import display_exposure
 from .errors import InputError
 from .frame import Frame, sanitise
 from .metrics import psnr, relmse, ssim
 from .models import load
-from .motion import dual_motion, occlusion_mask
 
 Step = Callable[[Frame, object], tuple[Tensor, object]]
 METHODS: dict[str, Callable[[], Step]] = {
@@ -57,9 +56,7 @@ def evaluate(frames: list[Frame], methods: Sequence[str], skip: int = 1) -> list
     if unknown:
         raise InputError(f"unknown method {unknown[0]!r}; expected some of {', '.join(METHODS)}")
     for frame in frames:
-        for layer in ("reference", "motion"):
-            if getattr(frame, layer) is None:
-                raise InputError(f"{frame.name}: layer {layer} is missing; evaluation needs it")
+        frame.require("reference", "motion")
     scale = display_exposure(torch.cat([frame.reference for frame in frames]))
     masks = uncovered(frames)
     return [_run(name, frames, masks, scale, skip) for name in methods]
@@ -67,13 +64,8 @@ def evaluate(frames: list[Frame], methods: Sequence[str], skip: int = 1) -> list
 
 def uncovered(frames: list[Frame]) -> list[Tensor]:
     """M_i of every frame, `[1, 1, H, W]` bool; empty for the first and where `motion_next` is not known."""
-    masks = [torch.zeros_like(frames[0].radiance[:, :1], dtype=torch.bool)]
-    for previous, frame in pairwise(frames):
-        known = previous.motion_next is not None
-        masks.append(
-            occlusion_mask(dual_motion(frame.motion, previous.motion_next), frame.motion) if known else masks[0]
-        )
-    return masks
+    before = [None, *(frame.motion_next for frame in frames[:-1])]
+    return [motion.uncovered(frame, motion_next) for frame, motion_next in zip(frames, before, strict=True)]
 
 
 def _run(name: str, frames: list[Frame], masks: list[Tensor], scale: Tensor, skip: int) -> Result:

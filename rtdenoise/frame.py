@@ -21,6 +21,8 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
+from .errors import InputError
+
 OFF_SCREEN = 1e4  # pixels: the motion of what was nowhere on the other frame, in any direction; half floats hold it
 FAR = 1e9  # depth from which on nothing was hit: renderers write inf, FLT_MAX or 1e10 there
 CHANNELS = {
@@ -60,6 +62,17 @@ class Frame:
     def size(self) -> tuple[int, int]:
         """(H, W)."""
         return self.radiance.shape[2], self.radiance.shape[3]
+
+    def require(self, *layers: str, previous: Tensor | None = None) -> None:
+        """Raise InputError where one of `layers` is missing, or `previous` (a history's image) is of another size."""
+        for layer in layers:
+            if getattr(self, layer) is None:
+                raise InputError(f"{self.name or 'frame'}: layer {layer} is missing; needed are {', '.join(layers)}")
+        if previous is not None and previous.shape != self.radiance.shape:
+            raise InputError(
+                f"{self.name or 'frame'}: history is {tuple(previous.shape)}, the frame {tuple(self.radiance.shape)}; "
+                "pass history=None to start anew"
+            )
 
     def layers(self) -> list[tuple[str, Tensor]]:
         """(name, tensor) of every buffer that is there."""

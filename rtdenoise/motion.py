@@ -108,6 +108,13 @@ def occlusion_mask(dual: Tensor, motion: Tensor, threshold: float = OCCLUSION_TH
     return (dual - motion).square().sum(1, keepdim=True) > threshold**2
 
 
+def uncovered(frame: Frame, motion_next_previous: Tensor | None) -> Tensor:
+    """`occlusion_mask` of a frame by `motion_next` of the one before; nothing is marked where that is None."""
+    if motion_next_previous is None:
+        return torch.zeros_like(frame.radiance[:, :1], dtype=torch.bool)
+    return occlusion_mask(dual_motion(frame.motion, motion_next_previous), frame.motion)
+
+
 def occlusion_weights(masks: list[Tensor]) -> Tensor:
     """Σ_k w_k M_{i-k} of eq. 5 with w = 1, 0.8, 0.6; `masks` = [M_i, M_{i-1}, M_{i-2}], missing ones taken as M_i."""
     padded = (masks + [masks[0]] * 3)[:3]

@@ -30,7 +30,7 @@ from .frame import Frame, stack
 from .losses import temporal_kpn_loss
 from .metrics import psnr
 from .models import PRESETS, TemporalKPN, save
-from .motion import dual_motion, occlusion_mask, occlusion_weights
+from .motion import occlusion_weights, uncovered
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Trainer:
         terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
         total = 0.0
         for frame in clip:
-            masks = [_uncovered(frame, history), *masks][:3]
+            masks = [uncovered(frame, history and history.motion_next), *masks][:3]
             with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
                 image, history = self.model.step(frame, history)
             weights = occlusion_weights(masks) if with_occlusion else None
@@ -203,7 +203,7 @@ def validate(model: TemporalKPN, clips: ClipDataset, config: TrainConfig) -> dic
         frames = clips.load(index, signal=config.signal)
         history, scale = None, display_exposure(torch.cat([frame.reference for frame in frames]))
         for i, frame in enumerate(frame.to(config.device) for frame in frames):
-            mask = _uncovered(frame, history)
+            mask = uncovered(frame, history and history.motion_next)
             with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
                 image, history = model.step(frame, history)
             if i == 0:
@@ -213,13 +213,6 @@ def validate(model: TemporalKPN, clips: ClipDataset, config: TrainConfig) -> dic
             if mask.float().mean() > 0.005:  # a handful of pixels has no meaningful PSNR
                 rows["denoised_uncovered"].append(psnr(image, frame.reference, scale, mask))
     return {name: float(np.mean(values)) if values else math.nan for name, values in rows.items()}
-
-
-def _uncovered(frame: Frame, history) -> Tensor:
-    """M_i `[B, 1, H, W]`, whatever motion the model itself uses; empty in the first frame."""
-    if history is None or history.motion_next is None:
-        return torch.zeros_like(frame.radiance[:, :1], dtype=torch.bool)
-    return occlusion_mask(dual_motion(frame.motion, history.motion_next), frame.motion)
 
 
 def _batch(data: ClipDataset, config: TrainConfig, step: int) -> list[Frame]:

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from ..color import luminance
-from ..errors import InputError
 from ..frame import Frame, sanitise
 from ..motion import dual_motion, occlusion_mask, on_screen, same_surface
 from ..ops import blend, fetch
@@ -59,7 +58,11 @@ class Svgf:
         size.
         """
         frame = sanitise(frame)
-        _check(frame, history)
+        needed = ("albedo", "normal", "depth")
+        if history is None:
+            frame.require(*needed)
+        else:
+            frame.require(*needed, "motion", previous=history.irradiance)
         kind = kind_of(frame)
         albedo = torch.where(kind == TEXTURED, frame.albedo.clamp(min=DARK), 1.0)
         irradiance = (frame.radiance / albedo).clamp(max=BRIGHTEST)
@@ -162,16 +165,3 @@ def estimate_variance(moments: Tensor, length: Tensor, spread: Tensor, surface: 
     """
     over_time = (moments[:, 1:] - moments[:, :1].square()).clamp(min=0) / (1 - spread).clamp(min=0.01)
     return spread * torch.where(length >= TEMPORAL_FROM, over_time, spatial_variance(moments, surface))
-
-
-def _check(frame: Frame, history: SvgfState | None) -> None:
-    for layer in ("albedo", "normal", "depth") + (("motion",) if history is not None else ()):
-        if getattr(frame, layer) is None:
-            raise InputError(
-                f"{frame.name or 'frame'}: layer {layer} is missing; SVGF needs albedo, normal, depth, motion"
-            )
-    if history is not None and history.irradiance.shape != frame.radiance.shape:
-        raise InputError(
-            f"{frame.name or 'frame'}: history is {tuple(history.irradiance.shape)}, the frame "
-            f"{tuple(frame.radiance.shape)}; pass history=None to start anew"
-        )

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor, nn
 
 from ..color import compress, exposure
-from ..errors import InputError
 from ..frame import Frame, History, sanitise
 from ..motion import dual_motion, occlusion_mask, on_screen
 from ..motion_splat import splat_motion_next
@@ -86,7 +85,11 @@ class TemporalKPN(nn.Module):
         Raises InputError where a layer is missing or the history is of another size.
         """
         frame = sanitise(frame)
-        _check(frame, history)
+        needed = ("albedo", "normal", "depth")
+        if history is None:
+            frame.require(*needed)
+        else:
+            frame.require(*needed, "motion", previous=history.radiance)
 
         # Reproject the previous output; where that is off the screen start from the noise, like a first frame.
         if history is None:
@@ -141,16 +144,3 @@ class TemporalKPN(nn.Module):
         spatial, temporal, alpha_temporal = fine.split([taps, taps, 1], dim=1)
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
         return Heads([spatial, *kernels], [a.sigmoid() for a in alphas], temporal, alpha_temporal.sigmoid())
-
-
-def _check(frame: Frame, history: History | None) -> None:
-    for layer in ("albedo", "normal", "depth") + (("motion",) if history is not None else ()):
-        if getattr(frame, layer) is None:
-            raise InputError(
-                f"{frame.name or 'frame'}: layer {layer} is missing; the denoiser needs albedo, normal, depth, motion"
-            )
-    if history is not None and history.radiance.shape != frame.radiance.shape:
-        raise InputError(
-            f"{frame.name or 'frame'}: history is {tuple(history.radiance.shape)}, the frame "
-            f"{tuple(frame.radiance.shape)}; pass history=None to start anew"
-        )
