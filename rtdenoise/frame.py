@@ -95,17 +95,27 @@ class Frame:
 class History:
     """What one step hands to the next. Passed in and returned, never hidden."""
 
-    radiance: Tensor  # [B, 3, H, W] the denoised previous frame
+    radiance: Tensor  # [B, 3, H, W] the denoised previous frame (irradiance where the model divides by albedo)
     motion_next: Tensor | None  # [B, 2, H, W] of the previous frame; None: dual motion next time is approximate
     depth: Tensor | None  # [B, 1, H, W] of the previous frame
     normal: Tensor | None  # [B, 3, H, W] of the previous frame
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
+    accumulated: Tensor | None = None  # [B, 3, H, W] running mean of the noisy signal; None where nobody keeps it
 
 
 def stack(frames: list[Frame]) -> Frame:
     """Frames of the same size and layers as one batch."""
     names = [layer for layer, _ in frames[0].layers()]
     return Frame(**{n: torch.cat([getattr(f, n) for f in frames]) for n in names}, number=frames[0].number)
+
+
+def nearness(depth: Tensor) -> Tensor:
+    """Depth `[B, 1, H, W]` as a network sees it, in [0, 1): t / (t + depth) with t the frame's mean distance; 0 where
+    nothing was hit."""
+    hit = depth > 0
+    hits = hit.sum((1, 2, 3), keepdim=True).clamp(min=1)
+    typical = (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
+    return torch.where(hit, typical / (typical + depth), 0.0)
 
 
 def sanitise(frame: Frame) -> Frame:

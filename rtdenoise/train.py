@@ -29,7 +29,7 @@ from .errors import InputError
 from .frame import Frame, stack
 from .losses import temporal_kpn_loss
 from .metrics import psnr
-from .models import PRESETS, TemporalKPN, save
+from .models import PRESETS, Denoiser, create, save
 from .motion import occlusion_weights, uncovered
 
 
@@ -46,7 +46,7 @@ class TrainConfig:
     preset: str = "paper"
     """Model preset."""
     signal: str = "indirect"
-    """What is denoised: 'indirect' or 'color'."""
+    """What is denoised: 'indirect', 'color', or 'both', of which a third of the clips are color."""
     motion: str = "dual"
     """'dual', or 'traditional' for setting A of the paper."""
     occlusion_loss: bool = True
@@ -55,6 +55,10 @@ class TrainConfig:
     """Optimiser steps in all."""
     batch: int = 4
     """Clips a step."""
+    cuts: float = 0.0
+    """Share of steps in which history is dropped at one frame, as at a cut."""
+    loss_exposure: float = 1.0
+    """The loss is taken on log(1 + loss_exposure · s · x), s the exposure of the reference."""
     frames: int = 9
     """Consecutive frames a clip; the recurrence is back-propagated through all of them."""
     size: int = 128
@@ -79,7 +83,7 @@ class Trainer:
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
-        self.model = TemporalKPN(replace(PRESETS[config.preset], motion=config.motion)).to(config.device)
+        self.model = create(replace(PRESETS[config.preset], motion=config.motion)).to(config.device)
         self.model.unet.to(memory_format=torch.channels_last)
         self.average = deepcopy(self.model).eval().requires_grad_(False)
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=config.lr)
@@ -92,16 +96,20 @@ class Trainer:
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         with_occlusion = config.occlusion_loss and self.step >= config.steps // 2
-        history = previous = None
-        masks: list[Tensor] = []
         terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
         total = 0.0
-        for frame in clip:
+        rng = np.random.default_rng([config.seed, self.step])
+        cut = int(rng.integers(1, len(clip))) if len(clip) > 1 and rng.random() < config.cuts else 0
+        for i, frame in enumerate(clip):
+            if i in (0, cut):
+                history, previous = None, None
+                masks: list[Tensor] = []
             masks = [uncovered(frame, history and history.motion_next), *masks][:3]
             with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
                 image, history = self.model.step(frame, history)
             weights = occlusion_weights(masks) if with_occlusion else None
-            loss = temporal_kpn_loss(image, frame.reference, previous, weights, exposure(frame.reference))
+            scale = config.loss_exposure * exposure(frame.reference)
+            loss = temporal_kpn_loss(image, frame.reference, previous, weights, scale)
             total = total + loss.total / len(clip)
             for name in terms:
                 terms[name] += getattr(loss, name).item() / len(clip)
@@ -195,12 +203,12 @@ def train(config: TrainConfig) -> Path:
 
 
 @torch.inference_mode()
-def validate(model: TemporalKPN, clips: ClipDataset, config: TrainConfig) -> dict[str, float]:
+def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[str, float]:
     """Mean PSNR in dB on the display transform of noisy and denoised frames (all but the first), and inside uncovered
     regions."""
     rows: dict[str, list[float]] = {"noisy": [], "denoised": [], "denoised_uncovered": []}
     for index in range(len(clips)):
-        frames = clips.load(index, signal=config.signal)
+        frames = clips.load(index, signal="color" if config.signal == "color" else "indirect")
         history, scale = None, display_exposure(torch.cat([frame.reference for frame in frames]))
         for i, frame in enumerate(frame.to(config.device) for frame in frames):
             mask = uncovered(frame, history and history.motion_next)
@@ -222,7 +230,8 @@ def _batch(data: ClipDataset, config: TrainConfig, step: int) -> list[Frame]:
         epoch, place = divmod(position, len(data))
         index = np.random.default_rng([config.seed, epoch]).permutation(len(data))[place]
         rng = np.random.default_rng([config.seed, epoch, place])
-        frames = data.load(int(index), signal=config.signal, size=config.size, frames=config.frames, rng=rng)
+        signal = config.signal if config.signal != "both" else "color" if rng.random() < 1 / 3 else "indirect"
+        frames = data.load(int(index), signal=signal, size=config.size, frames=config.frames, rng=rng)
         chosen.append(augment(frames, rng))
     return [stack(list(frames)) for frames in zip(*chosen, strict=True)]
 
@@ -233,6 +242,8 @@ def _check(config: TrainConfig) -> None:
             raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
     if config.preset not in PRESETS:
         raise InputError(f"unknown preset {config.preset!r}; expected one of {', '.join(PRESETS)}")
+    if config.signal not in ("indirect", "color", "both"):
+        raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
     if config.motion not in ("dual", "traditional"):
         raise InputError(f"unknown motion {config.motion!r}; expected 'dual' or 'traditional'")
     if config.device not in ("cpu", "cuda"):

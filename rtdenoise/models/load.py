@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from ..errors import InputError
-from .temporal_kpn import Config, TemporalKPN
+from .presets import ARCHITECTURES, Denoiser, architecture, create
 
 _SHIPPED = resources.files("rtdenoise") / "weights"
 
@@ -23,7 +23,7 @@ def available() -> list[str]:
     return sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))
 
 
-def load(model: str | Path = "paper", device: str | torch.device = "cpu", **overrides) -> TemporalKPN:
+def load(model: str | Path = "paper", device: str | torch.device = "cpu", **overrides) -> Denoiser:
     """A denoiser with its weights, ready for inference.
 
     `model` is a shipped name (`available()`) or the path of a .safetensors file that `rtdenoise train` wrote.
@@ -44,10 +44,11 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
             f"{path}: no model configuration in its metadata; expected a file written by `rtdenoise train`"
         )
     try:
-        config = Config(**{**json.loads(metadata["config"]), **overrides})
-    except (TypeError, ValueError) as error:
+        kind = ARCHITECTURES[metadata.get("architecture", "temporal_kpn")]
+        config = kind.Config(**{**json.loads(metadata["config"]), **overrides})
+    except (TypeError, ValueError, KeyError) as error:
         raise InputError(f"{path}: its configuration is not one of this version: {error}") from None
-    denoiser = TemporalKPN(config)
+    denoiser = create(config)
     expected = {key: tuple(tensor.shape) for key, tensor in denoiser.state_dict().items()}
     found = {key: tuple(tensor.shape) for key, tensor in tensors.items()}
     if expected != found:
@@ -71,9 +72,10 @@ def find(model: str | Path) -> Path:
     return path
 
 
-def save(denoiser: TemporalKPN, path: str | Path, **metadata: str) -> None:
+def save(denoiser: Denoiser, path: str | Path, **metadata: str) -> None:
     """Write weights and configuration, under a temporary name first: never half a file."""
     tensors = {k: v.detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
     temporary = Path(f"{path}.tmp")
-    save_file(tensors, temporary, metadata={"config": json.dumps(asdict(denoiser.config)), **metadata})
+    described = {"architecture": architecture(denoiser.config), "config": json.dumps(asdict(denoiser.config))}
+    save_file(tensors, temporary, metadata=described | metadata)
     temporary.replace(path)

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from ..color import compress, exposure
-from ..frame import Frame, History, sanitise
-from ..motion import dual_motion, occlusion_mask, on_screen
-from ..motion_splat import splat_motion_next
+from ..frame import Frame, History, nearness, sanitise
+from ..motion import on_screen
+from ..motion_splat import history_motion
 from ..nets import UNet
 from ..ops import apply_kernel, blend, compose, downsample, warp
 
@@ -47,9 +47,6 @@ class Config:
             raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
 
 
-PRESETS = {"paper": Config()}
-
-
 @dataclass(frozen=True)
 class Heads:
     """What the network predicts for one frame. Lists run from the finest scale to the coarsest."""
@@ -63,7 +60,7 @@ class Heads:
 class TemporalKPN(nn.Module):
     """The network and its one-frame step. State is explicit: what `step` returns goes into the next `step`."""
 
-    def __init__(self, config: Config = PRESETS["paper"]) -> None:
+    def __init__(self, config: Config = Config()) -> None:
         super().__init__()
         self.config = config
         self.unet = UNet(FEATURES, config.widths)
@@ -95,7 +92,7 @@ class TemporalKPN(nn.Module):
         if history is None:
             warped = frame.radiance
         else:
-            motion = self.reprojection(frame, history)
+            motion = history_motion(frame, history, self.config.motion)
             warped = torch.where(on_screen(motion), warp(history.radiance, motion), frame.radiance)
 
         # Predict kernels.
@@ -116,26 +113,11 @@ class TemporalKPN(nn.Module):
         output = output.clamp(min=0)  # eq. 4 subtracts: keep radiance physical
         return output, History(output, frame.motion_next, frame.depth, frame.normal)
 
-    def reprojection(self, frame: Frame, history: History) -> Tensor:
-        """The motion that fetches history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere."""
-        if self.config.motion == "traditional":
-            return frame.motion
-        motion_next = history.motion_next
-        if motion_next is None:
-            motion_next = splat_motion_next(frame.motion, frame.depth, history.depth)
-        dual = dual_motion(frame.motion, motion_next)
-        return torch.where(occlusion_mask(dual, frame.motion), dual, frame.motion)
-
     def features(self, frame: Frame, warped: Tensor) -> Tensor:
         """The network's input `[B, 13, H, W]`: radiance compressed at one exposure, depth as nearness in [0, 1)."""
         scale = exposure(frame.radiance)
-        hit = frame.depth > 0
-        hits = hit.sum((1, 2, 3), keepdim=True).clamp(min=1)
-        typical = (frame.depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)  # mean distance
-        nearness = torch.where(hit, typical / (typical + frame.depth), 0.0)
-        return torch.cat(
-            [compress(frame.radiance * scale), frame.albedo, frame.normal, nearness, compress(warped * scale)], dim=1
-        )
+        noisy, past = compress(frame.radiance * scale), compress(warped * scale)
+        return torch.cat([noisy, frame.albedo, frame.normal, nearness(frame.depth), past], dim=1)
 
     def predict(self, features: Tensor) -> Heads:
         """Run the network. Logits are handed on in float32 whatever the autocast dtype."""

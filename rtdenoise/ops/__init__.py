@@ -6,6 +6,7 @@ Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, 
 
 from .apply_kernel import apply_kernel
 from .pyramid import blend, compose, downsample, upsample
+from .reproject import alike, reproject
 from .warp import fetch, warp
 
-__all__ = ["apply_kernel", "blend", "compose", "downsample", "fetch", "upsample", "warp"]
+__all__ = ["alike", "apply_kernel", "blend", "compose", "downsample", "fetch", "reproject", "upsample", "warp"]

@@ -1,18 +1,24 @@
 """What the one-frame step promises, whatever the weights."""
 
-import json
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 import torch
 from safetensors.torch import save_file
 
+from rtdenoise.color import albedo_divisor
 from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame, non_finite, sanitise
-from rtdenoise.models import PRESETS, Config, TemporalKPN, available, load, save
+from rtdenoise.frame import Frame, History, non_finite, sanitise
+from rtdenoise.models import PRESETS, AccumulatedKPN, TemporalKPN, accumulated_kpn, available, create, load, save
+from rtdenoise.models import temporal_kpn as paper
+from rtdenoise.models.presets import architecture
+from rtdenoise.motion_splat import history_motion
 
-SMALL = Config(widths=(8, 8, 8, 8))
+SMALL = {
+    "temporal_kpn": paper.Config(widths=(8, 8, 8, 8)),
+    "accumulated_kpn": accumulated_kpn.Config(widths=(8, 8, 8, 8), scales=4),
+}
 
 
 def make_frame(H=24, W=32, seed=0):
@@ -27,10 +33,16 @@ def make_frame(H=24, W=32, seed=0):
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def denoiser():
+def lit(denoiser, frame, light):
+    """The frame under light of one brightness, in the domain in which the denoiser filters."""
+    texture = albedo_divisor(frame.albedo, frame.depth) if isinstance(denoiser, AccumulatedKPN) else 1.0
+    return replace(frame, radiance=light * texture * torch.ones_like(frame.radiance))
+
+
+@pytest.fixture(scope="module", params=SMALL)
+def denoiser(request):
     torch.manual_seed(1)
-    return TemporalKPN(SMALL).eval().requires_grad_(False)
+    return create(SMALL[request.param]).eval().requires_grad_(False)
 
 
 def test_paper_preset_has_the_papers_inputs_outputs_and_size():
@@ -60,14 +72,14 @@ def test_scaling_the_radiance_scales_the_output(denoiser, exposure):
 
 
 def test_grey_stays_grey_and_the_output_is_not_negative(denoiser):
-    frame = make_frame()
-    image, _ = denoiser.step(replace(frame, radiance=frame.radiance[:, :1].expand(-1, 3, -1, -1)))
+    grey = {k: getattr(make_frame(), k)[:, :1].expand(-1, 3, -1, -1) for k in ("radiance", "albedo")}
+    image, _ = denoiser.step(replace(make_frame(), **grey))
     torch.testing.assert_close(image[:, :1].expand_as(image), image)
     assert image.min() >= 0
 
 
-def test_constant_radiance_is_kept(denoiser):
-    frame = replace(make_frame(), radiance=torch.full((1, 3, 24, 32), 0.3))
+def test_constant_light_is_kept(denoiser):
+    frame = lit(denoiser, make_frame(), 0.3)
     image, history = denoiser.step(frame)
     torch.testing.assert_close(image, frame.radiance)
     torch.testing.assert_close(denoiser.step(frame, history)[0], frame.radiance)
@@ -79,15 +91,18 @@ def test_off_screen_history_leaves_no_trace(denoiser):
     assert torch.equal(denoiser.step(frame, history)[0], denoiser.step(frame, None)[0])
 
 
+def history_of(frame):
+    return History(frame.radiance, frame.motion_next, frame.depth, frame.normal)
+
+
 def test_dual_and_traditional_motion_differ_only_where_something_was_uncovered():
     motion = torch.zeros(1, 2, 24, 32)
     occluder = torch.zeros(1, 2, 24, 32)
     occluder[:, 0, :, 16:] = 3.0  # what was in the right half has moved on by three pixels
     frame = replace(make_frame(), motion=motion)
-    dual, traditional = TemporalKPN(SMALL), TemporalKPN(replace(SMALL, motion="traditional"))
-    _, history = dual.step(replace(make_frame(seed=3), motion_next=occluder))
-    assert torch.equal(traditional.reprojection(frame, history), motion)
-    assert torch.equal(dual.reprojection(frame, history), -occluder)
+    history = history_of(replace(make_frame(seed=3), motion_next=occluder))
+    assert torch.equal(history_motion(frame, history, "traditional"), motion)
+    assert torch.equal(history_motion(frame, history, "dual"), -occluder)
 
 
 def test_dual_motion_is_approximated_without_motion_next():
@@ -97,12 +112,11 @@ def test_dual_motion_is_approximated_without_motion_next():
     before[..., 8:16, 8:16] = now[..., 8:16, 11:19] = 4.0
     motion[:, 0, 8:16, 11:19] = -3.0
     uncovered = (before == 4.0) & (now == 9.0)
-    model = TemporalKPN(SMALL)
-    _, history = model.step(replace(make_frame(seed=3), depth=before, motion_next=None))
-    chosen = model.reprojection(replace(here, motion=motion, depth=now), history)
-    assert torch.equal(chosen, torch.where(uncovered, torch.tensor([-3.0, 0.0]).reshape(1, 2, 1, 1), motion))
-    traditional = TemporalKPN(replace(SMALL, motion="traditional"))
-    assert torch.equal(traditional.reprojection(replace(here, motion=motion, depth=now), history), motion)
+    history = history_of(replace(make_frame(seed=3), depth=before, motion_next=None))
+    frame = replace(here, motion=motion, depth=now)
+    expected = torch.where(uncovered, torch.tensor([-3.0, 0.0]).reshape(1, 2, 1, 1), motion)
+    assert torch.equal(history_motion(frame, history), expected)
+    assert torch.equal(history_motion(frame, history, "traditional"), motion)
 
 
 @pytest.mark.parametrize("layer", ["radiance", "albedo", "normal", "depth", "motion", "motion_next"])
@@ -116,7 +130,8 @@ def test_bad_pixels_never_reach_output_or_history(denoiser, layer, bad):
     _, history = denoiser.step(frame, None)
     image, history = denoiser.step(frame, history)
     assert image.isfinite().all()
-    assert all(t.isfinite().all() for t in (history.radiance, history.motion_next, history.depth, history.normal))
+    kept = [getattr(history, f.name) for f in fields(history)]
+    assert all(t.isfinite().all() for t in kept if t is not None)
 
 
 @pytest.mark.parametrize("miss", [1e10, 3.4e38, math.inf])
@@ -146,9 +161,10 @@ def test_black_frame_stays_black(denoiser):
     assert image.max() == 0 and denoiser.step(frame, history)[0].max() == 0
 
 
-def test_gradients_reach_every_parameter_through_the_recurrence():
+@pytest.mark.parametrize("config", SMALL.values(), ids=SMALL)
+def test_gradients_reach_every_parameter_through_the_recurrence(config):
     torch.manual_seed(0)
-    model, history = TemporalKPN(SMALL), None
+    model, history = create(config), None
     for seed in range(3):
         image, history = model.step(make_frame(seed=seed), history)
     image.square().mean().backward()
@@ -179,7 +195,7 @@ def test_weights_round_trip(tmp_path, denoiser):
     path = tmp_path / "small.safetensors"
     save(denoiser, path)
     loaded = load(path)
-    assert loaded.config == SMALL
+    assert loaded.config == denoiser.config
     assert torch.equal(loaded.step(make_frame())[0], denoiser.step(make_frame())[0])
     assert load(path, motion="traditional").config.motion == "traditional"
 
@@ -193,11 +209,11 @@ def test_unusable_weights_are_named(tmp_path, denoiser):
     save_file({"x": torch.zeros(1)}, tmp_path / "bare.safetensors")
     with pytest.raises(InputError, match="no model configuration"):
         load(tmp_path / "bare.safetensors")
-    state = denoiser.state_dict()
-    save_file(state, tmp_path / "other.safetensors", metadata={"config": json.dumps({"widths": [8, 8, 8, 16]})})
+    state, kind = denoiser.state_dict(), {"architecture": architecture(denoiser.config)}
+    save_file(state, tmp_path / "other.safetensors", metadata=kind | {"config": '{"widths": [8, 8, 8, 8, 16]}'})
     with pytest.raises(InputError, match="do not fit the configuration"):
         load(tmp_path / "other.safetensors")
-    save_file(state, tmp_path / "future.safetensors", metadata={"config": json.dumps({"wings": 2})})
+    save_file(state, tmp_path / "future.safetensors", metadata=kind | {"config": '{"wings": 2}'})
     with pytest.raises(InputError, match="not one of this version"):
         load(tmp_path / "future.safetensors")
 
@@ -205,3 +221,39 @@ def test_unusable_weights_are_named(tmp_path, denoiser):
 def test_every_shipped_model_loads():
     for name in available():
         assert load(name).step(make_frame())[0].isfinite().all()
+
+
+def test_a_static_pixel_averages_what_it_saw():
+    """With the network kept from resetting, the running mean of n frames is their mean, and `length` counts them."""
+    model = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False)
+    model.full_head.weight[:, -1], model.full_head.bias[-1] = 0.0, -50.0
+    still = replace(make_frame(), motion=torch.zeros(1, 2, 24, 32), motion_next=torch.zeros(1, 2, 24, 32))
+    frames = [replace(still, radiance=make_frame(seed=s).radiance) for s in range(5)]
+    history = None
+    for frame in frames:
+        _, history = model.step(frame, history)
+    mean = torch.stack([frame.radiance for frame in frames]).mean(0) / albedo_divisor(still.albedo, still.depth)
+    torch.testing.assert_close(history.accumulated, mean)
+    torch.testing.assert_close(history.length, torch.full_like(still.depth, 5.0))
+
+
+def test_textures_pass_unfiltered():
+    """Even light on any albedo comes out as that albedo: what is divided out is not blurred."""
+    model, frame = create(SMALL["accumulated_kpn"]).eval(), make_frame()
+    frame = replace(frame, radiance=0.7 * albedo_divisor(frame.albedo, frame.depth))
+    torch.testing.assert_close(model.step(frame)[0], frame.radiance)
+
+
+def test_history_is_kept_off_other_surfaces():
+    """A wall that was lit brightly beside a dark box: no light crosses the edge between them."""
+    model = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False)
+    model.full_head.weight[:, -1], model.full_head.bias[-1] = 0.0, -50.0
+    box = torch.arange(32).expand(1, 1, 24, 32) < 16
+    frame = replace(
+        make_frame(), albedo=torch.ones(1, 3, 24, 32), depth=torch.where(box, 2.0, 4.0),
+        radiance=torch.where(box, 0.0, 100.0).expand(1, 3, 24, 32), motion=torch.full((1, 2, 24, 32), 0.4),
+        normal=torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1).expand(1, 3, 24, 32),
+    )  # fmt: skip
+    _, history = model.step(frame)
+    _, history = model.step(frame, history)
+    torch.testing.assert_close(history.accumulated, frame.radiance)

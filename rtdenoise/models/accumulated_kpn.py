@@ -1,0 +1,155 @@
+"""The denoiser that ships: kernel prediction over an accumulated, demodulated signal.
+
+What it keeps of `temporal_kpn` (the paper): dual motion vectors, per-pixel kernels at several scales composed from
+coarse to fine, a temporal kernel, one explicit step. What it changes: textures are divided out before anything is
+filtered; noisy light is averaged along tested reprojections before it is filtered, as far as the network trusts it;
+the network runs at half size; and five scales reach far enough for light as sparse as one sample a pixel leaves it.
+Read `AccumulatedKPN.step` first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ..color import albedo_divisor, compress, exposure
+from ..frame import Frame, History, nearness, sanitise
+from ..motion import occlusion_mask
+from ..motion_splat import history_motion
+from ..nets import UNet
+from ..ops import apply_kernel, blend, compose, downsample, reproject
+
+FEATURES = 18  # noisy 3, running mean 3, denoised history 3, albedo 3, normal 3, nearness 1, its length 1, uncovered 1
+
+
+@dataclass(frozen=True)
+class Config:
+    """What defines a model. Stored inside its weights file."""
+
+    widths: tuple[int, ...] = (24, 40, 56, 72, 96)
+    """Channels of the U-Net at 1/2, 1/4, 1/8 ... of the image size."""
+    scales: int = 5
+    """Scales that are filtered: 1, 1/2, 1/4 ... of the image size."""
+    kernel: int = 5
+    """Side of the spatial kernels, odd."""
+    temporal_kernel: int = 3
+    """Side of the temporal kernel, odd."""
+    longest: float = 16.0
+    """Frames after which the running mean forgets: its least weight of a new frame is 1 / longest."""
+    motion: str = "dual"
+    """What history is fetched with: 'dual' or 'traditional' motion vectors."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "widths", tuple(self.widths))
+        if not 2 <= self.scales <= len(self.widths):
+            raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
+        for size in (self.kernel, self.temporal_kernel):
+            if size % 2 == 0 or size < 1:
+                raise ValueError(f"expected odd kernel sizes, got {size}")
+        if self.motion not in ("dual", "traditional"):
+            raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
+
+
+@dataclass(frozen=True)
+class Heads:
+    """What the network predicts for one frame. Lists run from the finest scale to the coarsest."""
+
+    spatial: list[Tensor]  # `scales` × [B, K², H/2^s, W/2^s] logits of the spatial kernels
+    alpha: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1], for s = 1 ...: weight of the coarser scale
+    temporal: Tensor  # [B, L², H, W] logits of the temporal kernel
+    alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
+    reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean is given up for the current frame
+
+
+class AccumulatedKPN(nn.Module):
+    """The network and its one-frame step. State is explicit: what `step` returns goes into the next `step`."""
+
+    def __init__(self, config: Config = Config()) -> None:
+        super().__init__()
+        self.config = config
+        self.stem = nn.Conv2d(FEATURES, config.widths[0], 4, stride=2, padding=1)
+        self.unet = UNet(config.widths[0], config.widths)
+        taps, full = config.kernel**2, config.kernel**2 + config.temporal_kernel**2 + 2
+        outputs = [taps + 1] * (config.scales - 1)
+        self.full_head = nn.ConvTranspose2d(config.widths[0], full, 2, stride=2)  # of the four pixels in each cell
+        self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(config.widths, outputs, strict=False))
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
+                nn.init.xavier_uniform_(module.weight)
+                nn.init.zeros_(module.bias)
+        with torch.no_grad():
+            self.full_head.bias[-1] = -4.0  # start from a plain running mean: reset near 0
+
+    def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
+        """Denoise one frame: `[B, 3, H, W]` linear radiance, and the history for the next one.
+
+        As `TemporalKPN.step`; history holds irradiance, radiance without its albedo.
+        """
+        frame = sanitise(frame)
+        needed = ("albedo", "normal", "depth")
+        if history is None:
+            frame.require(*needed)
+        else:
+            frame.require(*needed, "motion", previous=history.radiance)
+        albedo = albedo_divisor(frame.albedo, frame.depth)
+        noisy = frame.radiance / albedo
+
+        # Reproject denoised history, the running mean and its length; nothing comes from another surface.
+        denoised, mean = torch.zeros_like(noisy), torch.zeros_like(noisy)
+        length, uncovered = torch.zeros_like(noisy[:, :1]), torch.zeros_like(noisy[:, :1])
+        valid = length > 0
+        if history is not None:
+            motion = history_motion(frame, history, self.config.motion)
+            stored = torch.cat([history.radiance, history.accumulated, history.length], dim=1)
+            stored, valid = reproject(stored, motion, (frame.depth, frame.normal), (history.depth, history.normal))
+            denoised, mean, length = stored.split([3, 3, 1], dim=1)
+            uncovered = occlusion_mask(motion, frame.motion).to(noisy.dtype)
+
+        # Predict kernels.
+        heads = self.predict(self.features(frame, noisy, mean, denoised, length, uncovered))
+
+        # Average over time: a running mean, given up where the network says that light has changed.
+        weight = 1 / (1 + length)
+        weight = weight + heads.reset * (1 - weight)
+        mean = blend(noisy, mean, weight)
+        length = (1 / weight).clamp(max=self.config.longest - 1)
+
+        # Filter each scale with its own kernels, the coarser ones what the finer have filtered; compose back (eq. 4).
+        filtered = [apply_kernel(mean, heads.spatial[0])]
+        for logits in heads.spatial[1:]:
+            filtered.append(apply_kernel(downsample(filtered[-1]), logits))
+        output = filtered[-1]
+        for fine, alpha in zip(filtered[-2::-1], heads.alpha[::-1], strict=True):
+            output = compose(fine, output, alpha)
+
+        # Filter the reprojected history with its own kernel and blend; where there is none it adds nothing.
+        denoised = apply_kernel(torch.where(valid, denoised, output), heads.temporal)
+        output = blend(output, denoised, heads.alpha_temporal).clamp(min=0)
+        state = History(output, frame.motion_next, frame.depth, frame.normal, length, mean)
+        return output * albedo, state
+
+    def features(
+        self, frame: Frame, noisy: Tensor, mean: Tensor, denoised: Tensor, length: Tensor, uncovered: Tensor
+    ) -> Tensor:
+        """The network's input `[B, 18, H, W]`: light compressed at one exposure, nearness and length in [0, 1]."""
+        light = compress(torch.cat([noisy, mean, denoised], dim=1) * exposure(noisy))
+        return torch.cat(
+            [light, frame.albedo, frame.normal, nearness(frame.depth), length / self.config.longest, uncovered], dim=1
+        )
+
+    def predict(self, features: Tensor) -> Heads:
+        """Run the network at half size. Logits are handed on in float32 whatever the autocast dtype."""
+        H, W = features.shape[2:]
+        taps, side = self.config.kernel**2, self.config.temporal_kernel
+        x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
+        levels = self.unet(F.relu(self.stem(x)), self.config.scales - 1)
+        full = self.full_head(levels[0]).float()[:, :, :H, :W]
+        spatial, temporal, alpha_temporal, reset = full.split([taps, side**2, 1, 1], dim=1)
+        coarser = (head(x).float() for head, x in zip(self.heads, levels, strict=True))
+        kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
+        return Heads(
+            [spatial, *kernels], [a.sigmoid() for a in alphas], temporal, alpha_temporal.sigmoid(), reset.sigmoid()
+        )
