@@ -131,7 +131,7 @@ class Render:
         if self.preset == "train":
             self._training_set()
         elif self.clips:
-            from .data.clips import ClipOptions, render_clips
+            from .render.clips import ClipOptions, render_clips
 
             size = (self.height or self.size or 128, self.width or self.size or 128)
             render_clips(
@@ -142,8 +142,8 @@ class Render:
                 ),
             )  # fmt: skip
         else:
-            from .data.draw import open_scene
-            from .data.render import RenderOptions, render_sequence
+            from .render.draw import open_scene
+            from .render.frames import RenderOptions, render_sequence
 
             size = (self.height or self.size or 180, self.width or self.size or 320)
             spp = 256 if self.reference_spp is None else self.reference_spp
@@ -153,7 +153,7 @@ class Render:
     def _training_set(self) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        from .data.training_set import SetOptions, find_scenes, parse_shard, render_set
+        from .render.training_set import SetOptions, find_scenes, parse_shard, render_set
 
         if self.reference_spp is not None or self.motion:
             raise InputError("--preset train takes --reference-error and --motions, not --reference-spp and --motion")

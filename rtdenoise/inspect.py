@@ -10,12 +10,12 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from rtdenoise.data.conventions import Verdict, check_motion
-from rtdenoise.data.exr_format import group_channels
-from rtdenoise.data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
-from rtdenoise.frame import Frame, non_finite
-from rtdenoise.motion import dual_motion, occlusion_mask, on_screen
-from rtdenoise.motion_splat import splat_motion_next
+from .data.conventions import Verdict, check_motion
+from .data.exr_format import group_channels
+from .data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
+from .frame import Frame, non_finite
+from .motion import dual_motion, occlusion_mask, on_screen
+from .motion_splat import splat_motion_next
 
 READ = (*DEFAULT_LAYERS, "reference")  # what is read here; the check of the motion can use the reference
 

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parent.parent / "rtdenoise"
 ORDER = [
     ("errors",), ("frame", "color"), ("ops",), ("motion",), ("motion_splat",), ("nets",), ("models",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
-    ("train", "denoise", "evaluate", "preview", "inspect"), ("demo",), ("cli",), ("__main__",),
+    ("render", "train", "denoise", "evaluate", "preview", "inspect"), ("demo",), ("cli",), ("__main__",),
 ]  # fmt: skip
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 
@@ -47,7 +47,7 @@ def test_dependencies_point_one_way():
 
 def test_inference_imports_no_training_rendering_or_plotting():
     heavy = ["mitsuba", "drjit", "matplotlib", "skimage"]
-    heavy += [f"rtdenoise.{room}" for room in ("train", "evaluate", "data.render")]
+    heavy += [f"rtdenoise.{room}" for room in ("train", "evaluate", "render")]
     code = f"import sys, rtdenoise, rtdenoise.denoise; sys.exit(sorted(set({heavy}) & set(sys.modules)) or 0)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr

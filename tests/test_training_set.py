@@ -16,19 +16,19 @@ import pytest
 import torch
 
 from rtdenoise.cli import main
-from rtdenoise.data import extras, meshes, procedural, procedural_wide
 from rtdenoise.data.dataset import ClipDataset, bytes_per_clip, clip_path, read_facts
-from rtdenoise.data.draw import open_scene
-from rtdenoise.data.motions import CameraPath, Keyframes, Motion, Shots
-from rtdenoise.data.render import RenderOptions, describe_frame, features, render_sequence
-from rtdenoise.data.scenes import Scene
-from rtdenoise.data.stage import Stage
-from rtdenoise.data.training_set import SetOptions, find_scenes, parse_shard, render_set
-from rtdenoise.data.windows import Window, choose, look_through
-from rtdenoise.data.workers import only_run, run_jobs
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.motion import dual_motion, on_screen
+from rtdenoise.render import extras, meshes, procedural, procedural_wide
+from rtdenoise.render.draw import open_scene
+from rtdenoise.render.frames import RenderOptions, describe_frame, features, render_sequence
+from rtdenoise.render.motions import CameraPath, Keyframes, Motion, Shots
+from rtdenoise.render.scenes import Scene
+from rtdenoise.render.stage import Stage
+from rtdenoise.render.training_set import SetOptions, find_scenes, parse_shard, render_set
+from rtdenoise.render.windows import Window, choose, look_through
+from rtdenoise.render.workers import only_run, run_jobs
 
 TINY = SetOptions(count=6, size=(32, 32), frames=3, seed=5, reference_range=(4, 8), workers=1)
 SEQUENCE = RenderOptions(size=(16, 24), reference_spp=0)

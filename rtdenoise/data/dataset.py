@@ -15,8 +15,8 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame
+from ..errors import InputError
+from ..frame import Frame
 
 RADIANCE = ("color", "indirect", "reference", "indirect_reference", "reference_half", "indirect_reference_half")
 DTYPES = {"depth": np.float32, "motion": np.float32, "motion_next": np.float32, "id": np.uint8}

@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from rtdenoise.data.exr_format import ExrHeader, parse_file, single_part
-from rtdenoise.errors import InputError
+from ..errors import InputError
+from .exr_format import ExrHeader, parse_file, single_part
 
 NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}
 HALF_MAX = 65504.0

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.data.exr import read_channels, read_header
-from rtdenoise.data.exr_format import ExrHeader
-from rtdenoise.errors import InputError
+from ..errors import InputError
+from .exr import read_channels, read_header
+from .exr_format import ExrHeader
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rtdenoise.data.exr import read_channels, write_layers, write_like
-from rtdenoise.data.rules import Rule
-from rtdenoise.data.sequences import Sequence, convert
-from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame, sanitise
+from ..errors import InputError
+from ..frame import Frame, sanitise
+from .exr import read_channels, write_layers, write_like
+from .rules import Rule
+from .sequences import Sequence, convert
 
 LAYOUTS = ("plain", "source")
 PLAIN = Rule(("R", "G", "B"), (1, 1, 1))

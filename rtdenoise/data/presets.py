@@ -23,11 +23,11 @@ import os
 import re
 from pathlib import Path
 
-from rtdenoise.data.exr_format import ExrHeader
-from rtdenoise.data.files import fits
-from rtdenoise.data.preset_file import read_preset
-from rtdenoise.data.rules import SIGNALS, Preset, rules
-from rtdenoise.errors import InputError
+from ..errors import InputError
+from .exr_format import ExrHeader
+from .files import fits
+from .preset_file import read_preset
+from .rules import SIGNALS, Preset, rules
 
 NATIVE = Preset(
     "native",

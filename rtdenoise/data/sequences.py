@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rtdenoise.data.cameras import complete, read_cameras
-from rtdenoise.data.exr_format import ExrHeader
-from rtdenoise.data.files import FrameFiles, find_frames
-from rtdenoise.data.presets import choose, find
-from rtdenoise.data.rules import SIGNALS, Preset, Rule
-from rtdenoise.errors import InputError
-from rtdenoise.frame import CHANNELS, Frame
+from ..errors import InputError
+from ..frame import CHANNELS, Frame
+from .cameras import complete, read_cameras
+from .exr_format import ExrHeader
+from .files import FrameFiles, find_frames
+from .presets import choose, find
+from .rules import SIGNALS, Preset, Rule
 
 DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 

@@ -12,8 +12,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-from rtdenoise.data.stage import start_mitsuba
-from rtdenoise.errors import InputError
+from ..errors import InputError
+from .stage import start_mitsuba
 
 
 def run_jobs(function: Callable, jobs: list[tuple], workers: int) -> Iterator:

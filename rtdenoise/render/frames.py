@@ -3,7 +3,7 @@
 Layers are numpy float32 `[H, W, C]`, row 0 on top. All noisy layers of a frame share their primary rays, which are
 jittered uniformly inside the pixel (box filter). With several samples a pixel, radiance, albedo and normal are means;
 depth, position, id and both motions are those of the first sample, because a mean of two surfaces lies on neither.
-Light is called indirect after two and more surface bounces; `rtdenoise.data.paths` has the details and the albedo of
+Light is called indirect after two and more surface bounces; `paths.py` has the details and the albedo of
 surfaces that are not diffuse; that of lamps and sky is their radiance, clipped to [0, 1].
 """
 
@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from rtdenoise import motion
-from rtdenoise.data.scenes import Scene
-from rtdenoise.data.stage import Stage, start_mitsuba
+from .. import motion
+from .scenes import Scene
+from .stage import Stage, start_mitsuba
 
 WAVEFRONT = 1 << 21  # rays in flight; bounds memory
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -94,7 +94,7 @@ def _image(value, size, spp: int, first: bool = False) -> np.ndarray:
 def features(stage: Stage, number: int, size, spp: int = 1, seed: int = 0) -> dict[str, np.ndarray]:
     """The layers that need no light transport, both motions included, and `emission`; nothing is traced further."""
     start_mitsuba()
-    from rtdenoise.data import paths
+    from . import paths
 
     stage.at(number)
     camera = stage.scene.camera(number)
@@ -116,7 +116,7 @@ def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, 
     mi = start_mitsuba()
     import drjit as dr
 
-    from rtdenoise.data import paths
+    from . import paths
 
     stage.at(number)
     lens = stage.scene.camera(number).world_from_pixel(size)
@@ -201,7 +201,7 @@ def render_sequence(
 
     Frames that are there already are kept: an interrupted run continues where it stopped.
     """
-    from rtdenoise.data.exr import write_layers
+    from ..data.exr import write_layers
 
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)

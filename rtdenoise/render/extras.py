@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtdenoise.data import meshes
-from rtdenoise.data.meshes import Mesh
-from rtdenoise.data.motions import Camera
-from rtdenoise.data.stage import start_mitsuba
+from . import meshes
+from .meshes import Mesh
+from .motions import Camera
+from .stage import start_mitsuba
 
 SHAPES = {
     "sphere": lambda r: meshes.sphere(r),

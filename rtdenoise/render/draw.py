@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.data import procedural, procedural_wide, textures
-from rtdenoise.data.extras import SHAPES, free_place
-from rtdenoise.data.motions import Motion, rigid
-from rtdenoise.data.render import calibrate, features, uncovered
-from rtdenoise.data.sample_scene import sample
-from rtdenoise.data.scene_file import open_file
-from rtdenoise.data.scenes import Material, Object, Scene
-from rtdenoise.data.stage import Stage
-from rtdenoise.errors import InputError
+from ..errors import InputError
+from . import procedural, procedural_wide, textures
+from .extras import SHAPES, free_place
+from .frames import calibrate, features, uncovered
+from .motions import Motion, rigid
+from .sample_scene import sample
+from .scene_file import open_file
+from .scenes import Material, Object, Scene
+from .stage import Stage
 
 UNCOVERING = 0.015  # least share of uncovered pixels in a clip that is drawn to uncover
 ATTEMPTS = 12

@@ -34,11 +34,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.data.extras import SHAPES, free_place, room_for
-from rtdenoise.data.motions import CameraPath, Keyframes, Motion, Shots, rigid
-from rtdenoise.data.scenes import Material, Object, Scene
-from rtdenoise.data.stage import load_file, start_mitsuba
-from rtdenoise.errors import InputError
+from ..errors import InputError
+from .extras import SHAPES, free_place, room_for
+from .motions import CameraPath, Keyframes, Motion, Shots, rigid
+from .scenes import Material, Object, Scene
+from .stage import load_file, start_mitsuba
 
 MATERIALS = ("diffuse", "plastic", "metal", "glass")
 MOTION_KEYS = {f.name for f in fields(Motion)} | {"hold"}

@@ -18,16 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.data import procedural_wide
-from rtdenoise.data.card import GENERATED, write_card
-from rtdenoise.data.clips import versions
-from rtdenoise.data.dataset import bytes_per_clip, clip_path, write_clip
-from rtdenoise.data.draw import dress
-from rtdenoise.data.render import FIRST_HALF, LUMINANCE, SECOND_HALF, RenderOptions, calibrate, radiance, render_frame
-from rtdenoise.data.stage import Stage, start_mitsuba
-from rtdenoise.data.windows import COARSE, Survey, candidates, choose, look_through, survey
-from rtdenoise.data.workers import only_run, run_jobs
-from rtdenoise.errors import InputError
+from ..data.dataset import bytes_per_clip, clip_path, write_clip
+from ..errors import InputError
+from . import procedural_wide
+from .card import GENERATED, write_card
+from .clips import versions
+from .draw import dress
+from .frames import FIRST_HALF, LUMINANCE, SECOND_HALF, RenderOptions, calibrate, radiance, render_frame
+from .stage import Stage, start_mitsuba
+from .windows import COARSE, Survey, candidates, choose, look_through, survey
+from .workers import only_run, run_jobs
 
 CLIPS_PER_SCENE = 4
 ACTIVE = 0.75  # probability that a clip's window is the one with most activity; otherwise any window

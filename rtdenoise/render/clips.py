@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.data import procedural
-from rtdenoise.data.card import write_card
-from rtdenoise.data.dataset import clip_path, write_clip
-from rtdenoise.data.draw import draw
-from rtdenoise.data.render import RenderOptions, render_frame
-from rtdenoise.data.stage import start_mitsuba
-from rtdenoise.data.workers import only_run, run_jobs
+from ..data.dataset import clip_path, write_clip
+from . import procedural
+from .card import write_card
+from .draw import draw
+from .frames import RenderOptions, render_frame
+from .stage import start_mitsuba
+from .workers import only_run, run_jobs
 
 
 @dataclass(frozen=True)

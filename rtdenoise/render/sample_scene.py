@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtdenoise.data import meshes
-from rtdenoise.data.motions import CameraPath, Motion
-from rtdenoise.data.scenes import Material, Object, Scene
-from rtdenoise.data.textures import SKY, fractal
+from . import meshes
+from .motions import CameraPath, Motion
+from .scenes import Material, Object, Scene
+from .textures import SKY, fractal
 
 FRAMES = 12
 MIDDLE = (FRAMES - 1) / 2

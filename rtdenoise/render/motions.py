@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtdenoise.errors import InputError
+from ..errors import InputError
 
 Vector = tuple[float, float, float]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtdenoise.data import meshes, textures
-from rtdenoise.data.meshes import Mesh
-from rtdenoise.data.motions import CameraPath, Motion
-from rtdenoise.data.scenes import Material, Object, Scene
+from . import meshes, textures
+from .meshes import Mesh
+from .motions import CameraPath, Motion
+from .scenes import Material, Object, Scene
 
 VERSION = 1  # of the generator; a change to what a seed draws is a new version
 CLIP_FRAMES = 10  # trajectories are centred on the middle of a clip of this length

@@ -23,10 +23,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtdenoise.data import meshes, textures
-from rtdenoise.data.motions import CameraPath, Motion, Shots
-from rtdenoise.data.procedural import Builder, camera_path, furnish, log_uniform, moved, solid, surroundings, turn
-from rtdenoise.data.scenes import Material, Scene, Spot
+from . import meshes, textures
+from .motions import CameraPath, Motion, Shots
+from .procedural import Builder, camera_path, furnish, log_uniform, moved, solid, surroundings, turn
+from .scenes import Material, Scene, Spot
 
 VERSION = 2
 KINDS = {

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from rtdenoise.data.render import features, uncovered
-from rtdenoise.data.stage import Stage
+from .frames import features, uncovered
+from .stage import Stage
 
 COARSE = 4  # pixels of the picture to a pixel of the survey, each way
 MOTION = 0.002  # worth of a pixel a frame of motion, in shares of uncovered pixels, up to ten

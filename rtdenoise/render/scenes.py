@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.data.meshes import Mesh
-from rtdenoise.data.motions import Camera, Motion
+from .meshes import Mesh
+from .motions import Camera, Motion
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.data.scenes import Material, Object, Scene
-from rtdenoise.errors import InputError
+from ..errors import InputError
+from .scenes import Material, Object, Scene
 
 LLVM_PATTERNS = ("/usr/lib/*/libLLVM*.so*", "/usr/lib/llvm-*/lib/libLLVM*.so*", "/usr/lib64/libLLVM*.so*")
 
