@@ -34,14 +34,13 @@ def luminance(rgb: Tensor) -> Tensor:
     return (0.2126 * r + 0.7152 * g + 0.0722 * b).unsqueeze(1)
 
 
-def albedo_divisor(albedo: Tensor, depth: Tensor, least: float = 0.02) -> Tensor:
+def albedo_divisor(albedo: Tensor, depth: Tensor, least: float = 0.05) -> Tensor:
     """What radiance is divided by to take textures out of it, `[B, 3, H, W]`, and multiplied by in the end.
 
-    The albedo, `least` at the least; 1 where nothing was hit (`depth` is 0) or no channel reaches `least`: what has no
-    texture of its own, like mirrors and the sky, is filtered as radiance.
+    The albedo, but never below `least`, so that what has none of its own (mirrors) is still filtered; 1 where nothing
+    was hit (`depth` is 0). Continuous in the albedo: dark textures that dither around a threshold stay smooth.
     """
-    textured = (depth > 0) & (albedo.amax(1, keepdim=True) >= least)
-    return torch.where(textured, albedo.clamp(min=least), 1.0)
+    return torch.where(depth > 0, albedo.clamp(min=least), 1.0)
 
 
 def exposure(radiance: Tensor, block: int = 8) -> Tensor:
