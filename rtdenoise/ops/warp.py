@@ -6,6 +6,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from .path import fused
+
 
 def warp(
     image: Tensor,  # [B, C, H, W]
@@ -25,6 +27,8 @@ def warp(
     Raises ValueError where the shapes do not fit.
     """
     check(image, motion)
+    if run := fused("warp", image, motion):
+        return run(image, motion)
     B, C, H, W = image.shape
     u, v = _targets(motion, H, W)
     x0, y0 = u.floor(), v.floor()
@@ -52,6 +56,8 @@ def fetch(
     Differentiable in `image` only. Raises ValueError where the shapes do not fit.
     """
     check(image, motion)
+    if run := fused("fetch", image, motion):
+        return run(image, motion)
     B, C, H, W = image.shape
     u, v = _targets(motion, H, W)
     index = (v + 0.5).floor().long() * W + (u + 0.5).floor().long()
