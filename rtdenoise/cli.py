@@ -67,7 +67,8 @@ class Inspect:
     signal: str = "color"
     """'color' or 'indirect'."""
     preset: str = "auto"
-    """Layout of the files: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', or a .toml file."""
+    """Layout of the files: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
+    file."""
     allow_gaps: bool = False
     """Accept missing frame numbers."""
 

@@ -32,7 +32,8 @@ class Options:
     model: str = "paper"
     """Name of a shipped model, or a .safetensors file that `rtdenoise train` wrote."""
     preset: str = "auto"
-    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', or a .toml file."""
+    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
+    file."""
     layout: str = "plain"
     """Of the output: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in its place)."""
     recombine: bool = False
@@ -138,7 +139,7 @@ def _fingerprint(sequence: Sequence, options: Options) -> str:
 def _resume(out: Path, sequence: Sequence, fingerprint: str, device: str) -> tuple[int, History | None]:
     """How many frames are finished, and the history after them."""
     if not (out / STATE).exists():
-        clash = [path.name for path in sequence.paths if (out / path.name).exists()]
+        clash = [name for name in sequence.names if (out / name).exists()]
         if clash:
             raise InputError(
                 f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"
@@ -157,7 +158,7 @@ def _resume(out: Path, sequence: Sequence, fingerprint: str, device: str) -> tup
             f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"
         )
     done = int(metadata["done"])
-    if any(not (out / path.name).exists() for path in sequence.paths[:done]):
+    if any(not (out / name).exists() for name in sequence.names[:done]):
         return 0, None
     return done, history
 
