@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from .denoise import Options
 from .errors import InputError
+from .progress import progress_bar
 from .train import TrainConfig, train
 
 
@@ -31,11 +32,9 @@ class Denoise:
     """Also write preview.png and an animation: noisy | denoised | reference."""
 
     def run(self) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
         from .denoise import denoise
 
-        with Progress(TextColumn("denoising"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as progress:
+        with progress_bar("denoising") as progress:
             task = progress.add_task("denoise", total=None)
             summary = denoise(
                 self.source, self.out, self.settings, self.overwrite,
@@ -156,8 +155,6 @@ class Render:
             render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames or 12, options)
 
     def _training_set(self) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
         from .render.training_set import SetOptions, find_scenes, parse_shard, render_set
 
         if self.reference_spp is not None or self.motion:
@@ -169,7 +166,7 @@ class Render:
             scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
             textures=str(self.textures or ""),
         )  # fmt: skip
-        with Progress(TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+        with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
 
             def report(done: int, total: int, line: str) -> None:
