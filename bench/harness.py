@@ -5,7 +5,6 @@ The contract is in bench/README.md.
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import subprocess
@@ -27,6 +26,8 @@ import torch
 ROOT = Path(__file__).parent.parent
 sys.path.append(str(ROOT / "tests"))
 from tolerances import TOLERANCES  # noqa: E402 (the one table of tolerances)
+
+from rtdenoise.strict_json import dumps  # noqa: E402
 
 LIBRARIES = ("torch", "numpy", "moderngl")
 
@@ -93,7 +94,7 @@ def write(path: Path, **content: object) -> None:
     """Write a result as JSON, under a temporary name first. Timings become dictionaries."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(content, indent=1, default=asdict) + "\n")
+    temporary.write_text(dumps(content, indent=1, default=asdict) + "\n")
     temporary.replace(path)
     print(f"written: {path}")
 

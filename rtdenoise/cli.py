@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from .denoise import Options
 from .errors import InputError
+from .progress import progress_bar
 from .train import TrainConfig, train
 
 
@@ -31,11 +32,9 @@ class Denoise:
     """Also write preview.png and an animation: noisy | denoised | reference."""
 
     def run(self) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
         from .denoise import denoise
 
-        with Progress(TextColumn("denoising"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as progress:
+        with progress_bar("denoising") as progress:
             task = progress.add_task("denoise", total=None)
             summary = denoise(
                 self.source, self.out, self.settings, self.overwrite,
@@ -67,7 +66,8 @@ class Inspect:
     signal: str = "color"
     """'color' or 'indirect'."""
     preset: str = "auto"
-    """Layout of the files: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', or a .toml file."""
+    """Layout of the files: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
+    file."""
     allow_gaps: bool = False
     """Accept missing frame numbers."""
 
@@ -97,6 +97,8 @@ class Render:
     """With --scenes: folder of NAME.toml, the motions of these scenes."""
     exclude: tuple[str, ...] = ("street", "dining-room")
     """With --scenes: names that are left out, to validate on."""
+    textures: Path | None = None
+    """With --preset train or wide:SEED: folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""
     reference_error: float = 0.01
     """With --preset train: relative squared error that the references may have; sets their samples, 32 to 512."""
     shard: str = "0/1"
@@ -131,6 +133,8 @@ class Render:
         if self.preset == "train":
             self._training_set()
         elif self.clips:
+            if self.textures:
+                raise InputError("--textures goes with wide:SEED and --preset train; --clips alone draws as ever")
             from .render.clips import ClipOptions, render_clips
 
             size = (self.height or self.size or 128, self.width or self.size or 128)
@@ -148,11 +152,9 @@ class Render:
             size = (self.height or self.size or 180, self.width or self.size or 320)
             spp = 256 if self.reference_spp is None else self.reference_spp
             options = RenderOptions(size, self.spp, spp, self.max_depth, self.seed)
-            render_sequence(open_scene(self.scene, self.motion), self.out, self.frames or 12, options)
+            render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames or 12, options)
 
     def _training_set(self) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
         from .render.training_set import SetOptions, find_scenes, parse_shard, render_set
 
         if self.reference_spp is not None or self.motion:
@@ -162,8 +164,9 @@ class Render:
             self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,
             max_depth=self.max_depth, workers=self.workers, shard=parse_shard(self.shard),
             scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
+            textures=str(self.textures or ""),
         )  # fmt: skip
-        with Progress(TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+        with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
 
             def report(done: int, total: int, line: str) -> None:

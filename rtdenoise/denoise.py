@@ -1,5 +1,5 @@
 """Denoise a sequence of EXR files into a folder: `rtdenoise denoise SEQ --out DIR`. Interrupted runs go on where they
-stopped."""
+stopped, finished ones where frames have been appended."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class Options:
     model: str = "paper"
     """Name of a shipped model, or a .safetensors file that `rtdenoise train` wrote."""
     preset: str = "auto"
-    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', or a .toml file."""
+    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
+    file."""
     layout: str = "plain"
     """Of the output: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in its place)."""
     recombine: bool = False
@@ -68,9 +69,9 @@ def denoise(
     """Denoise every frame of `source` (folder or glob) into `out`, one file of the same name each; see `data.output`
     for what is in it.
 
-    Frames that an interrupted run with the same options has finished are skipped, and history goes on from its saved
-    state, so the outcome is that of an undisturbed run. `on_frame(done, total)` is called at the start and after each
-    frame.
+    Frames that an earlier run with the same options has finished are skipped, and history goes on from its saved
+    state, so the outcome is that of one undisturbed run: also where it was interrupted, and where frames have been
+    appended to the input since. `on_frame(done, total)` is called at the start and after each frame.
 
     Raises InputError for anything wrong with the input, the options or the output folder.
     """
@@ -84,8 +85,8 @@ def denoise(
         raise InputError("device cuda: no CUDA device was found; use --device cpu")
     denoiser = load(options.model, device)
     out = _prepare(Path(out), sequence)
-    fingerprint = _fingerprint(sequence, options)
-    done, history = (0, None) if overwrite else _resume(out, sequence, fingerprint, device)
+    fingerprints = _fingerprints(sequence, options)
+    done, history = (0, None) if overwrite else _resume(out, sequence, fingerprints, device)
 
     summary = Summary(skipped=done, replaced={})
     on_frame(done, len(sequence))
@@ -101,7 +102,7 @@ def denoise(
         summary.seconds += time.perf_counter() - started
         write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
                     keep=options.keep, float32=options.float32)  # fmt: skip
-        _save_state(out / STATE, history, i + 1, fingerprint)
+        _save_state(out / STATE, history, i + 1, fingerprints[i + 1])
         summary.written += 1
         on_frame(i + 1, len(sequence))
     return summary
@@ -125,20 +126,28 @@ def _inputs(sequence: Sequence) -> list[Path]:
     return [path for frame in sequence.files for path in frame.files.values()]
 
 
-def _fingerprint(sequence: Sequence, options: Options) -> str:
-    """Tells runs apart that would write different files."""
+def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
+    """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
     parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "device"}
     parts["layers"] = [repr(sequence.rules), repr(sequence.preset)]  # a preset of one's own may have been mended
-    parts["scene"] = sequence.scene
-    parts["inputs"] = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in _inputs(sequence)]
     parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode()).hexdigest()
+    scene = sequence.scene or {}
+    parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
+    cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
+    digest = hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode())
+    fingerprints = [digest.hexdigest()]
+    for frame in sequence.files:
+        inputs = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in frame.files.values()]
+        seen = [cameras.get(frame.number + step) for step in (-1, 0, 1)]  # what its motion is computed from
+        digest.update(json.dumps([inputs, seen], sort_keys=True).encode())
+        fingerprints.append(digest.hexdigest())
+    return fingerprints
 
 
-def _resume(out: Path, sequence: Sequence, fingerprint: str, device: str) -> tuple[int, History | None]:
+def _resume(out: Path, sequence: Sequence, fingerprints: list[str], device: str) -> tuple[int, History | None]:
     """How many frames are finished, and the history after them."""
     if not (out / STATE).exists():
-        clash = [path.name for path in sequence.paths if (out / path.name).exists()]
+        clash = [name for name in sequence.names if (out / name).exists()]
         if clash:
             raise InputError(
                 f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"
@@ -152,12 +161,12 @@ def _resume(out: Path, sequence: Sequence, fingerprint: str, device: str) -> tup
             history = History(**{name: file.get_tensor(name) if name in stored else None for name in names})
     except (SafetensorError, OSError, TypeError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
-    if metadata.get("fingerprint") != fingerprint:
+    done = int(metadata.get("done", 0))
+    if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
         raise InputError(
             f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"
         )
-    done = int(metadata["done"])
-    if any(not (out / path.name).exists() for path in sequence.paths[:done]):
+    if any(not (out / name).exists() for name in sequence.names[:done]):
         return 0, None
     return done, history
 

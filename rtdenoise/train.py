@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import TextColumn
 from torch import Tensor
 
 from . import __version__
@@ -31,6 +31,8 @@ from .losses import temporal_kpn_loss
 from .metrics import psnr
 from .models import PRESETS, Denoiser, create, save
 from .motion import occlusion_weights, uncovered
+from .progress import progress_bar
+from .strict_json import dumps
 
 
 @dataclass(frozen=True)
@@ -165,8 +167,7 @@ def train(config: TrainConfig) -> Path:
     previous_handlers = {
         s: signal.signal(s, lambda number, _: stopping.append(number)) for s in (signal.SIGINT, signal.SIGTERM)
     }
-    columns = TextColumn("training"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    progress = Progress(*columns, TextColumn("{task.fields[loss]}"))
+    progress = progress_bar("training", TextColumn("{task.fields[loss]}"))
     try:
         with progress, (out / "log.jsonl").open("a") as log, ThreadPoolExecutor(1) as reader:
             task = progress.add_task("train", total=config.steps, completed=trainer.step, loss="")
@@ -281,5 +282,5 @@ def _forget_after(path: Path, step: int) -> None:
 
 
 def _write(log, row: dict) -> None:
-    log.write(json.dumps(row) + "\n")
+    log.write(dumps(row) + "\n")
     log.flush()

@@ -1,6 +1,7 @@
 """`rtdenoise denoise` end to end, through the command line: output, resuming, and everything that can be wrong with
 the input."""
 
+import json
 import os
 import shutil
 import sys
@@ -82,6 +83,39 @@ def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, model):
         name = f"frame.{i:04d}.exr"
         assert np.array_equal(pixels(tmp_path / "whole" / name), pixels(tmp_path / "halves" / name)), name
     assert denoise(str(shot), tmp_path / "halves", options).written == 0
+
+
+def test_appended_frames_continue_a_finished_run(tmp_path, model):
+    """As if all frames had been there at once: also with the growing scene.json of a renderer beside them."""
+
+    def scene(last):
+        entry = {"world_to_pixel": np.diag([1.0, 1, 1, 1])[[0, 1, 3, 2]].tolist(), "camera_origin": [0, 0, 0]}
+        frames = [{"number": n, "object_to_world": {}, **entry} for n in range(-1, last + 2)]
+        return json.dumps({"format": "rtdenoise-scene-1", "width": 32, "height": 24, "objects": {}, "frames": frames})
+
+    whole = write_sequence(tmp_path / "whole", make_frames(6))
+    (whole / "scene.json").write_text(scene(5))
+    growing = tmp_path / "growing"
+    options = Options(model=model, float32=True)
+    for count in (1, 4, 6):
+        growing.mkdir(exist_ok=True)
+        for path in sorted(whole.glob("*.exr"))[:count]:
+            if not (growing / path.name).exists():
+                shutil.copy2(path, growing)
+        (growing / "scene.json").write_text(scene(count - 1))
+        summary = denoise(str(growing), tmp_path / "out", options)
+    assert (summary.skipped, summary.written) == (4, 2)
+    denoise(str(whole), tmp_path / "once", options)
+    for path in sorted(whole.glob("*.exr")):
+        assert np.array_equal(pixels(tmp_path / "out" / path.name), pixels(tmp_path / "once" / path.name)), path.name
+
+    (growing / "frame.0005.exr").unlink()  # fewer than were denoised
+    with pytest.raises(rtdenoise.InputError, match="other options or input"):
+        denoise(str(growing), tmp_path / "out", options)
+    shutil.copy2(whole / "frame.0005.exr", growing)
+    os.utime(growing / "frame.0002.exr")  # rendered anew
+    with pytest.raises(rtdenoise.InputError, match="other options or input"):
+        denoise(str(growing), tmp_path / "out", options)
 
 
 def test_gaps_reset_history(shot, tmp_path, model):

@@ -200,6 +200,18 @@ def test_weights_round_trip(tmp_path, denoiser):
     assert load(path, motion="traditional").config.motion == "traditional"
 
 
+def test_an_override_that_is_none_is_named_and_not_the_file(tmp_path, denoiser):
+    path = tmp_path / "small.safetensors"
+    save(denoiser, path)
+    for overrides, complaint in (
+        ({"motin": "dual"}, "motin: not an override of model .*motin.*; its configuration has widths, "),
+        ({"motion": "sideways"}, "motion: not an override of model .*expected motion 'dual' or 'traditional', got 'si"),
+        ({"widths": (8, 8, 8, 8, 8)}, "weights do not fit the configuration with widths as asked for: "),
+    ):
+        with pytest.raises(InputError, match=complaint):
+            load(path, **overrides)
+
+
 def test_unusable_weights_are_named(tmp_path, denoiser):
     with pytest.raises(InputError, match="no model 'nosuch'"):
         load("nosuch")

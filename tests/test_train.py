@@ -1,19 +1,22 @@
 """Training: it learns, repeats itself to the bit, resumes to the same curve, and refuses what does not fit."""
 
 import json
+import math
 import signal
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import load_file, save_file
 from synthetic import TINY, make_frames
 
 from rtdenoise.augment import augment
-from rtdenoise.data.dataset import ClipDataset, clip_path, write_clip
+from rtdenoise.data.dataset import RADIANCE, ClipDataset, clip_path, write_clip
 from rtdenoise.errors import InputError
 from rtdenoise.models import PRESETS, load
 from rtdenoise.ops import warp
+from rtdenoise.strict_json import dumps
 from rtdenoise.train import TrainConfig, Trainer, _batch, train
 
 
@@ -75,6 +78,19 @@ def log(run):
     return [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
 
 
+def test_clips_of_many_objects_and_older_clips(tmp_path):
+    layers = {name: np.ones((8, 8, 3), np.float32) for name in (*RADIANCE, "albedo", "normal")}
+    layers |= {"depth": np.ones((8, 8, 1)), "motion": np.zeros((8, 8, 2)), "motion_next": np.zeros((8, 8, 2))}
+    ids = np.arange(64, dtype=np.float32).reshape(8, 8, 1)
+    write_clip(clip_path(tmp_path, 0), [layers | {"id": 1000 * ids}], {})
+    assert np.array_equal(ClipDataset(tmp_path).load(0)[0].id[0, 0].numpy(), 1000 * ids[..., 0])
+    tensors = load_file(clip_path(tmp_path, 0)) | {"id": ids.astype(np.uint8).reshape(1, 1, 8, 8)}  # as it once was
+    save_file(tensors, clip_path(tmp_path, 0), metadata={"clip": "{}"})
+    assert np.array_equal(ClipDataset(tmp_path).load(0)[0].id[0, 0].numpy(), ids[..., 0])
+    with pytest.raises(InputError, match="object 126000: clips number at most 65535 objects"):
+        write_clip(clip_path(tmp_path, 1), [layers | {"id": 2000 * ids}], {})
+
+
 def test_a_run_explains_itself_and_its_weights_denoise(config):
     weights = train(config)
     assert json.loads((config.out / "config.json").read_text())["options"]["steps"] == 6
@@ -84,6 +100,17 @@ def test_a_run_explains_itself_and_its_weights_denoise(config):
     denoiser = load(weights)
     assert denoiser.config == TINY
     assert denoiser.step(make_frames(1)[0])[0].isfinite().all()
+
+
+def test_what_is_not_a_number_is_null_in_the_log(config, monkeypatch):
+    nothing = {"noisy": 10.0, "denoised": math.inf, "denoised_uncovered": math.nan}  # no frame has uncovered regions
+    monkeypatch.setattr("rtdenoise.train.validate", lambda *_: nothing)
+    train(replace(config, steps=3))
+    text = (config.out / "log.jsonl").read_text()
+    assert "NaN" not in text and "Infinity" not in text
+    (row,) = [row for row in log(config.out) if "validation" in row]
+    assert row["validation"] == {"noisy": 10.0, "denoised": None, "denoised_uncovered": None}
+    assert dumps({"a": (1, float("nan")), "b": [True, "NaN"]}) == '{"a": [1, null], "b": [true, "NaN"]}'
 
 
 def test_same_seed_same_weights_other_seed_others(config, tmp_path):

@@ -1,7 +1,8 @@
 """Training clips on disk: one safetensors file a clip, written atomically, read in slices. Needs no renderer.
 
 `clip_000123.safetensors` holds tensors `[T, C, H, W]`: float16 radiance, albedo and normal; float32 depth and motions
-(half precision would cost subpixels); uint8 id. Its header carries the clip's facts as JSON under "clip".
+(half precision would cost subpixels); uint16 id (uint8 in older ones). Its header carries the clip's facts as JSON
+under "clip".
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from ..errors import InputError
 from ..frame import Frame
 
 RADIANCE = ("color", "indirect", "reference", "indirect_reference", "reference_half", "indirect_reference_half")
-DTYPES = {"depth": np.float32, "motion": np.float32, "motion_next": np.float32, "id": np.uint8}
+DTYPES = {"depth": np.float32, "motion": np.float32, "motion_next": np.float32, "id": np.uint16}
 SIGNALS = {
     "color": {"radiance": "color", "reference": "reference", "reference_half": "reference_half"},
     "indirect": {
@@ -39,8 +40,9 @@ def write_clip(path: Path, frames: list[Mapping[str, np.ndarray]], facts: Mappin
     for name in (*RADIANCE, *FEATURES):
         stacked = np.stack([frame[name] for frame in frames]).transpose(0, 3, 1, 2)
         dtype = DTYPES.get(name, np.float16)
-        if name == "id":  # large scene files have more objects than a byte holds; two may then share a number
-            stacked = np.where(stacked > 255, (stacked - 1) % 255 + 1, stacked)
+        if name == "id" and stacked.max() > np.iinfo(dtype).max:
+            raise InputError(f"{path}: object {stacked.max():.0f}: clips number at most {np.iinfo(dtype).max} objects; "
+                             "merge some of the scene's")  # fmt: skip
         if dtype is np.float16:
             limit = float(np.finfo(np.float16).max)
             stacked = np.clip(stacked, -limit, limit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib import resources
 from pathlib import Path
 
@@ -30,7 +30,8 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
     `overrides` replace fields of the stored configuration that do not change the network, e.g. `motion="traditional"`
     for ablations.
 
-    Raises InputError for an unknown name, an unreadable file, and weights that do not fit their configuration.
+    Raises InputError for an unknown name, an unreadable file, an override that is none, and weights that do not fit
+    their configuration.
     """
     path = find(model)
     try:
@@ -45,16 +46,23 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
         )
     try:
         kind = ARCHITECTURES[metadata.get("architecture", "temporal_kpn")]
-        config = kind.Config(**{**json.loads(metadata["config"]), **overrides})
+        stored = kind.Config(**json.loads(metadata["config"]))
     except (TypeError, ValueError, KeyError) as error:
         raise InputError(f"{path}: its configuration is not one of this version: {error}") from None
+    try:
+        config = replace(stored, **overrides)
+    except (TypeError, ValueError) as error:
+        known = ", ".join(asdict(stored))
+        raise InputError(f"{', '.join(overrides)}: not an override of model {str(model)!r}: {error}; its configuration "
+                         f"has {known}") from None  # fmt: skip
     denoiser = create(config)
     expected = {key: tuple(tensor.shape) for key, tensor in denoiser.state_dict().items()}
     found = {key: tuple(tensor.shape) for key, tensor in tensors.items()}
     if expected != found:
         key = sorted(k for k in expected.keys() | found.keys() if expected.get(k) != found.get(k))[0]
+        changed = f" with {', '.join(overrides)} as asked for" if overrides else ""
         raise InputError(
-            f"{path}: weights do not fit the configuration: {key} is {found.get(key, 'missing')}, "
+            f"{path}: weights do not fit the configuration{changed}: {key} is {found.get(key, 'missing')}, "
             f"expected {expected.get(key, 'none')}"
         )
     denoiser.load_state_dict(tensors)

@@ -13,6 +13,7 @@ from . import procedural, procedural_wide, textures
 from .extras import SHAPES, free_place
 from .frames import calibrate, features, uncovered
 from .motions import Motion, rigid
+from .pictures import find_pictures, hang
 from .sample_scene import sample
 from .scene_file import open_file
 from .scenes import Material, Object, Scene
@@ -22,9 +23,11 @@ UNCOVERING = 0.015  # least share of uncovered pixels in a clip that is drawn to
 ATTEMPTS = 12
 
 
-def open_scene(name: str, motion: str | Path | None = None) -> Scene:
+def open_scene(name: str, motion: str | Path | None = None, folder: str | Path | None = None) -> Scene:
     """`sample`, `procedural:SEED` or `wide:SEED` (generators 1 and 2), or a Mitsuba XML file, set in motion by a TOML
-    file."""
+    file. `folder` holds pictures that some surfaces of a `wide` scene get."""
+    if folder and not name.startswith("wide:"):
+        raise InputError(f"--textures {folder}: goes with wide:SEED or --preset train, not with '{name}'")
     if name.endswith(".xml"):
         scene = open_file(name, motion)
         return _exposed(scene) if "brightness" in scene.facts else scene
@@ -37,7 +40,9 @@ def open_scene(name: str, motion: str | Path | None = None) -> Scene:
         stage, facts = draw(int(seed))
         return replace(stage.scene, exposure=stage.exposure, facts=facts)
     if kind == "wide" and seed.isdecimal():
-        return _exposed(procedural_wide.procedural(int(seed)))
+        scene = procedural_wide.procedural(int(seed))
+        rng = np.random.default_rng([procedural_wide.VERSION, int(seed), 0, 0])
+        return _exposed(hang(scene, find_pictures(folder), rng) if folder else scene)
     raise InputError(
         f"unknown scene '{name}'; expected sample, procedural:SEED or wide:SEED with a whole number, or a .xml file"
     )

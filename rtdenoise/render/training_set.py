@@ -25,6 +25,8 @@ from .card import GENERATED, write_card
 from .clips import versions
 from .draw import dress
 from .frames import FIRST_HALF, LUMINANCE, SECOND_HALF, RenderOptions, calibrate, radiance, render_frame
+from .pictures import find_pictures, hang
+from .scenes import Scene
 from .stage import Stage, start_mitsuba
 from .windows import COARSE, Survey, candidates, choose, look_through, survey
 from .workers import only_run, run_jobs
@@ -52,6 +54,7 @@ class SetOptions:
     workers: int = 2  # processes of one thread each
     shard: tuple[int, int] = (0, 1)  # (i, n): this run does the scenes g with g mod n = i
     scenes: tuple[tuple[str, str], ...] = ()  # (scene file, motion file or "") to mix in
+    textures: str = ""  # folder of pictures that some surfaces get; "": none
 
 
 def parse_shard(text: str) -> tuple[int, int]:
@@ -85,7 +88,7 @@ def open_stage(group: int, options: SetOptions) -> tuple[Stage, Survey, dict]:
     view, frames = _view(options.size), 2 * options.frames
     if options.scenes and rng.uniform() < SCENE_SHARE:
         file, motion = options.scenes[rng.integers(len(options.scenes))]
-        scene = dress(Path(file), motion or None, rng, frames)
+        scene = _papered(dress(Path(file), motion or None, rng, frames), options, group)
         stage = Stage(scene)
         found = survey(stage, frames, view)
         calibrate(stage, scene.facts.get("brightness", 0.5), frames // 2)
@@ -94,7 +97,7 @@ def open_stage(group: int, options: SetOptions) -> tuple[Stage, Survey, dict]:
         return stage, found, scene.facts | source | {"kind": "scene file", "place": scene.name}
     seed = int(rng.integers(1 << 31))
     for attempt in range(ATTEMPTS):
-        scene = procedural_wide.procedural(seed, attempt, frames, view[1])
+        scene = _papered(procedural_wide.procedural(seed, attempt, frames, view[1]), options, group, attempt)
         stage = Stage(scene)
         found = survey(stage, frames, view)
         last = attempt == ATTEMPTS - 1
@@ -105,6 +108,13 @@ def open_stage(group: int, options: SetOptions) -> tuple[Stage, Survey, dict]:
             if (light["evenness"] > 0.08 and light["noise"] < 8) or last:
                 return stage, found, scene.facts | light | {"source": GENERATED, "scene_seed": seed}
     raise AssertionError("unreachable")
+
+
+def _papered(scene: Scene, options: SetOptions, group: int, attempt: int = 0) -> Scene:
+    """With pictures on some surfaces; drawn apart from the rest, so that the scene is otherwise that without them."""
+    if not options.textures:
+        return scene
+    return hang(scene, find_pictures(options.textures), np.random.default_rng([options.seed, group, 0, attempt]))
 
 
 def reference_samples(stage: Stage, number: int, options: SetOptions, seed: int) -> tuple[int, float]:
@@ -190,7 +200,9 @@ def render_set(out: Path, options: SetOptions, progress: Callable[[int, int, str
         raise InputError(
             f"clips of {options.size[1]}×{options.size[0]}: sides must be multiples of {COARSE}, from 32 on"
         )
-    start_mitsuba()  # fails here, in one line, rather than in every process
+    start_mitsuba()  # fails here, in one line, rather than in every process,
+    if options.textures:
+        find_pictures(options.textures)  # and so do pictures that cannot be opened
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     shard, shards = options.shard
