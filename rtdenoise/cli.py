@@ -34,7 +34,9 @@ class Denoise:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         from .denoise import denoise
+        from .memory import keep_freed
 
+        keep_freed()
         with Progress(TextColumn("denoising"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as progress:
             task = progress.add_task("denoise", total=None)
             summary = denoise(

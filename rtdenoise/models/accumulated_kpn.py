@@ -19,7 +19,7 @@ from ..color import albedo_divisor, compress, exposure
 from ..frame import Frame, History, nearness, sanitise
 from ..motion import occlusion_mask
 from ..motion_splat import history_motion
-from ..nets import UNet
+from ..nets import UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, reproject
 
 FEATURES = 18  # noisy 3, running mean 3, denoised history 3, albedo 3, normal 3, nearness 1, its length 1, uncovered 1
@@ -141,7 +141,7 @@ class AccumulatedKPN(nn.Module):
         )
 
     def predict(self, features: Tensor) -> Heads:
-        """Run the network at half size. Logits are handed on in float32 whatever the autocast dtype."""
+        """Run the network at half size. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""
         H, W = features.shape[2:]
         taps, side = self.config.kernel**2, self.config.temporal_kernel
         x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features

@@ -12,6 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from ..errors import InputError
+from ..nets import prepare, resolve
 from .presets import ARCHITECTURES, Denoiser, architecture, create
 
 _SHIPPED = resources.files("rtdenoise") / "weights"
@@ -23,16 +24,20 @@ def available() -> list[str]:
     return sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))
 
 
-def load(model: str | Path = "paper", device: str | torch.device = "cpu", **overrides) -> Denoiser:
+def load(
+    model: str | Path = "paper", device: str | torch.device = "cpu", precision: str = "auto", **overrides
+) -> Denoiser:
     """A denoiser with its weights, ready for inference.
 
     `model` is a shipped name (`available()`) or the path of a .safetensors file that `rtdenoise train` wrote.
+    `precision` is that of the network, 'fp32', 'bf16' or 'auto' (`nets.resolve`); all else is float32 anyway.
     `overrides` replace fields of the stored configuration that do not change the network, e.g. `motion="traditional"`
     for ablations.
 
-    Raises InputError for an unknown name, an unreadable file, and weights that do not fit their configuration.
+    Raises InputError for an unknown name or precision, an unreadable file, and weights that do not fit their
+    configuration.
     """
-    path = find(model)
+    path, dtype = find(model), resolve(precision, device)
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -58,7 +63,7 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
             f"expected {expected.get(key, 'none')}"
         )
     denoiser.load_state_dict(tensors)
-    return denoiser.eval().requires_grad_(False).to(device)
+    return prepare(denoiser.eval().requires_grad_(False), dtype).to(device)
 
 
 def find(model: str | Path) -> Path:
