@@ -27,17 +27,25 @@ def available() -> list[str]:
 def load(
     model: str | Path = "paper", device: str | torch.device = "cpu", precision: str = "auto", **overrides
 ) -> Denoiser:
-    """A denoiser with its weights, ready for inference.
+    """A denoiser with its weights, made ready to run (`nets.prepare`).
 
     `model` is a shipped name (`available()`) or the path of a .safetensors file that `rtdenoise train` wrote.
     `precision` is that of the network, 'fp32', 'bf16' or 'auto' (`nets.resolve`); all else is float32 anyway.
     `overrides` replace fields of the stored configuration that do not change the network, e.g. `motion="traditional"`
     for ablations.
 
-    Raises InputError for an unknown name or precision, an unreadable file, and weights that do not fit their
-    configuration.
+    Raises InputError for an unknown precision, and as `read`.
     """
-    path, dtype = find(model), resolve(precision, device)
+    dtype = resolve(precision, device)
+    return prepare(read(model, **overrides), dtype).to(device)
+
+
+def read(model: str | Path, **overrides) -> Denoiser:
+    """A denoiser with its weights as it was trained: float32, nothing fused. Arguments as those of `load`.
+
+    Raises InputError for an unknown name, an unreadable file, and weights that do not fit their configuration.
+    """
+    path = find(model)
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -63,7 +71,7 @@ def load(
             f"expected {expected.get(key, 'none')}"
         )
     denoiser.load_state_dict(tensors)
-    return prepare(denoiser.eval().requires_grad_(False), dtype).to(device)
+    return denoiser.eval().requires_grad_(False)
 
 
 def find(model: str | Path) -> Path:

@@ -126,5 +126,5 @@ class TemporalKPN(nn.Module):
         fine, *coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
         spatial, temporal, alpha_temporal = fine.split([taps, taps, 1], dim=1)
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
-        weights = [a.float().sigmoid() for a in (alpha_temporal, *alphas)]
-        return Heads([spatial, *kernels], weights[1:], temporal, weights[0])
+        alpha_temporal, *alphas = (a.float().sigmoid() for a in (alpha_temporal, *alphas))
+        return Heads([spatial, *kernels], alphas, temporal, alpha_temporal)
