@@ -62,12 +62,13 @@ def measure(methods: dict[str, Callable[[], object]], calls: int = 30, warmup: i
             method()
             if i >= warmup:
                 seconds[name].append(time.perf_counter() - start)
+    return {name: summary(values) for name, values in seconds.items()}
 
-    def timing(values: list[float]) -> Timing:
-        first, median, third = np.percentile(values, [25, 50, 75]) * 1000
-        return Timing(round(median, 3), round(third - first, 3), len(values))
 
-    return {name: timing(values) for name, values in seconds.items()}
+def summary(seconds: list[float]) -> Timing:
+    """Of the calls of one method."""
+    first, median, third = np.percentile(seconds, [25, 50, 75]) * 1000
+    return Timing(round(median, 3), round(third - first, 3), len(seconds))
 
 
 def origin(devices: dict[str, str]) -> dict[str, object]:

@@ -33,7 +33,9 @@ class Denoise:
 
     def run(self) -> None:
         from .denoise import denoise
+        from .memory import keep_freed
 
+        keep_freed()
         with progress_bar("denoising") as progress:
             task = progress.add_task("denoise", total=None)
             summary = denoise(

@@ -18,6 +18,7 @@ from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
 from .frame import History, non_finite
+from .memory import explained
 from .models import find, load
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
@@ -46,6 +47,8 @@ class Options:
     """Accept missing frame numbers; history starts anew after each gap."""
     device: str = "auto"
     """'auto', 'cpu' or 'cuda'."""
+    precision: str = "auto"
+    """Of the network: 'fp32', 'bf16', or 'auto' (bf16 where the hardware is faster in it)."""
 
 
 @dataclass
@@ -83,7 +86,7 @@ def denoise(
     device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("device cuda: no CUDA device was found; use --device cpu")
-    denoiser = load(options.model, device)
+    denoiser = load(options.model, device, options.precision)
     out = _prepare(Path(out), sequence)
     fingerprints = _fingerprints(sequence, options)
     done, history = (0, None) if overwrite else _resume(out, sequence, fingerprints, device)
@@ -97,8 +100,9 @@ def denoise(
         if i and frame.number != sequence.numbers[i - 1] + 1:
             history = None
         started = time.perf_counter()
-        image, history = denoiser.step(frame.to(device), history)
-        image = image.cpu()
+        with explained(frame.name, frame.size, device):
+            image, history = denoiser.step(frame.to(device), history)
+            image = image.cpu()
         summary.seconds += time.perf_counter() - started
         write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
                     keep=options.keep, float32=options.float32)  # fmt: skip

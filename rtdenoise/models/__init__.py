@@ -1,8 +1,8 @@
 """Denoisers: name -> configuration -> weights."""
 
 from .accumulated_kpn import AccumulatedKPN
-from .load import available, find, load, save
+from .load import available, find, load, read, save
 from .presets import PRESETS, Denoiser, create
 from .temporal_kpn import TemporalKPN
 
-__all__ = ["PRESETS", "AccumulatedKPN", "Denoiser", "TemporalKPN", "available", "create", "find", "load", "save"]
+__all__ = ["PRESETS", "AccumulatedKPN", "Denoiser", "TemporalKPN", "available", "create", "find", "load", "read", "save"]

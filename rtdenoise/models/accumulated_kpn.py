@@ -19,7 +19,7 @@ from ..color import albedo_divisor, compress, exposure
 from ..frame import Frame, History, nearness, sanitise
 from ..motion import occlusion_mask
 from ..motion_splat import history_motion
-from ..nets import UNet
+from ..nets import UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, reproject
 
 FEATURES = 18  # noisy 3, running mean 3, denoised history 3, albedo 3, normal 3, nearness 1, its length 1, uncovered 1
@@ -141,15 +141,15 @@ class AccumulatedKPN(nn.Module):
         )
 
     def predict(self, features: Tensor) -> Heads:
-        """Run the network at half size. Logits are handed on in float32 whatever the autocast dtype."""
+        """Run the network at half size. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""
         H, W = features.shape[2:]
         taps, side = self.config.kernel**2, self.config.temporal_kernel
-        x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
+        x = as_weights(features, self)
+        x = F.pad(x, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else x
         levels = self.unet(F.relu(self.stem(x)), self.config.scales - 1)
-        full = self.full_head(levels[0]).float()[:, :, :H, :W]
+        full = self.full_head(levels[0])[:, :, :H, :W]
         spatial, temporal, alpha_temporal, reset = full.split([taps, side**2, 1, 1], dim=1)
-        coarser = (head(x).float() for head, x in zip(self.heads, levels, strict=True))
+        coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
-        return Heads(
-            [spatial, *kernels], [a.sigmoid() for a in alphas], temporal, alpha_temporal.sigmoid(), reset.sigmoid()
-        )
+        alpha_temporal, reset, *alphas = (a.float().sigmoid() for a in (alpha_temporal, reset, *alphas))
+        return Heads([spatial, *kernels], alphas, temporal, alpha_temporal, reset)

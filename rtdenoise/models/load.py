@@ -12,6 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from ..errors import InputError
+from ..nets import prepare, resolve
 from .presets import ARCHITECTURES, Denoiser, architecture, create
 
 _SHIPPED = resources.files("rtdenoise") / "weights"
@@ -23,12 +24,24 @@ def available() -> list[str]:
     return sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))
 
 
-def load(model: str | Path = "paper", device: str | torch.device = "cpu", **overrides) -> Denoiser:
-    """A denoiser with its weights, ready for inference.
+def load(
+    model: str | Path = "paper", device: str | torch.device = "cpu", precision: str = "auto", **overrides
+) -> Denoiser:
+    """A denoiser with its weights, made ready to run (`nets.prepare`).
 
     `model` is a shipped name (`available()`) or the path of a .safetensors file that `rtdenoise train` wrote.
+    `precision` is that of the network, 'fp32', 'bf16' or 'auto' (`nets.resolve`); all else is float32 anyway.
     `overrides` replace fields of the stored configuration that do not change the network, e.g. `motion="traditional"`
     for ablations.
+
+    Raises InputError for an unknown precision, and as `read`.
+    """
+    dtype = resolve(precision, device)
+    return prepare(read(model, **overrides), dtype).to(device)
+
+
+def read(model: str | Path, **overrides) -> Denoiser:
+    """A denoiser with its weights as it was trained: float32, nothing fused. Arguments as those of `load`.
 
     Raises InputError for an unknown name, an unreadable file, an override that is none, and weights that do not fit
     their configuration.
@@ -66,7 +79,7 @@ def load(model: str | Path = "paper", device: str | torch.device = "cpu", **over
             f"expected {expected.get(key, 'none')}"
         )
     denoiser.load_state_dict(tensors)
-    return denoiser.eval().requires_grad_(False).to(device)
+    return denoiser.eval().requires_grad_(False)
 
 
 def find(model: str | Path) -> Path:

@@ -15,7 +15,7 @@ from ..color import compress, exposure
 from ..frame import Frame, History, nearness, sanitise
 from ..motion import on_screen
 from ..motion_splat import history_motion
-from ..nets import UNet
+from ..nets import UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, warp
 
 SCALES = 3  # 1, 1/2 and 1/4 of the image: "the last three layers" (§4.3)
@@ -120,9 +120,11 @@ class TemporalKPN(nn.Module):
         return torch.cat([noisy, frame.albedo, frame.normal, nearness(frame.depth), past], dim=1)
 
     def predict(self, features: Tensor) -> Heads:
-        """Run the network. Logits are handed on in float32 whatever the autocast dtype."""
+        """Run the network. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""
         taps = self.config.kernel**2
-        fine, *coarser = (head(x).float() for head, x in zip(self.heads, self.unet(features, SCALES), strict=True))
+        levels = self.unet(as_weights(features, self), SCALES)
+        fine, *coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
         spatial, temporal, alpha_temporal = fine.split([taps, taps, 1], dim=1)
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
-        return Heads([spatial, *kernels], [a.sigmoid() for a in alphas], temporal, alpha_temporal.sigmoid())
+        alpha_temporal, *alphas = (a.float().sigmoid() for a in (alpha_temporal, *alphas))
+        return Heads([spatial, *kernels], alphas, temporal, alpha_temporal)

@@ -43,7 +43,7 @@ def unsupported(op: str, *tensors: Tensor) -> str | None:
 def apply_kernel(image: Tensor, logits: Tensor) -> Tensor:
     if torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
         return _ApplyKernel.apply(image, logits)
-    return _forward(image.contiguous(), _planes(logits), None)
+    return _forward(image.contiguous(), _rows(logits), None)
 
 
 class _ApplyKernel(torch.autograd.Function):
@@ -75,7 +75,9 @@ class _ApplyKernel(torch.autograd.Function):
 
 def _forward(image: Tensor, logits: Tensor, stats: Tensor | None) -> Tensor:
     out = torch.empty_like(image)
-    _kernels(image, logits).forward(*map(_pointer, (image, logits, out, stats)), *_sizes(image, logits))
+    *sizes, threads = _sizes(image, logits)
+    step = c_int64(_step(logits))
+    _kernels(image, logits).forward(*map(_pointer, (image, logits, out, stats)), *sizes, step, threads)
     return out
 
 
@@ -92,10 +94,20 @@ def _sizes(image: Tensor, logits: Tensor) -> tuple[object, ...]:
     return B, H, W, c_int64(logits.stride(0)), c_int64(logits.stride(1)), torch.get_num_threads()
 
 
+def _rows(logits: Tensor) -> Tensor:
+    """With rows evenly apart; planes, channels last and slices of their channels are taken as they are."""
+    return logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * _step(logits) else logits.contiguous()
+
+
 def _planes(logits: Tensor) -> Tensor:
-    """With every plane contiguous; a slice of a larger tensor's channels is taken as it is."""
-    W = logits.shape[3]
-    return logits if logits.stride(3) == 1 and logits.stride(2) == W else logits.contiguous()
+    """With every plane contiguous."""
+    logits = _rows(logits)
+    return logits if _step(logits) == 1 else logits.contiguous()
+
+
+def _step(logits: Tensor) -> int:
+    """Values from one pixel to the next. torch may give an axis of one pixel any stride."""
+    return logits.stride(3) if logits.shape[3] > 1 else logits.stride(2) if logits.shape[2] > 1 else 1
 
 
 def warp(image: Tensor, motion: Tensor) -> Tensor:

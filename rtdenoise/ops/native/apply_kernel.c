@@ -7,6 +7,7 @@
 #include "common.h"
 
 #define R (K / 2)
+#define BLOCK 64  // pixels
 
 static inline float from_bits(uint32_t bits) {
     float x;
@@ -47,26 +48,26 @@ static inline Taps inside(int y, int x, int H, int W) {
     return (Taps){MAX(0, R - y), MIN(K, H + R - y), MAX(0, R - x), MIN(K, W + R - x)};
 }
 
-// Calls PIXEL(x, taps) for a row: vector code where all taps are inside.
-#define ROW(PIXEL) do { \
+// Calls PIXEL(x, taps) for x in [from, to) of a row: vector code where all taps are inside.
+#define SPAN(PIXEL, from, to) do { \
     int whole = y >= R && y < H - R && W > 2 * R; \
-    for (int x = 0; x < (whole ? R : W); x++) PIXEL(x, inside(y, x, H, W)); \
-    if (whole) { \
-        _Pragma("omp simd") for (int x = R; x < W - R; x++) PIXEL(x, ALL); \
-        for (int x = W - R; x < W; x++) PIXEL(x, inside(y, x, H, W)); \
-    } \
+    int left = whole ? MAX(from, MIN(to, R)) : (to), right = whole ? MAX(left, MIN(to, W - R)) : (to); \
+    for (int x = (from); x < left; x++) PIXEL(x, inside(y, x, H, W)); \
+    _Pragma("omp simd") for (int x = left; x < right; x++) PIXEL(x, ALL); \
+    for (int x = right; x < (to); x++) PIXEL(x, inside(y, x, H, W)); \
 } while (0)
 
-// Pointers are at the row's first pixel. `logits` holds planes `stride` apart, `image` and `out` planes `plane` apart.
+// Pointers are at the row's first pixel; `logits` where its pixel x is at `column`, with planes `stride` apart. `image`
+// and `out` have planes `plane` apart.
 static inline void forward_pixel(const float *image, const logit *logits, float *out, float *stats, int64_t plane,
-                                 int64_t stride, int W, int x, Taps t) {
+                                 int64_t stride, int column, int W, int x, Taps t) {
     float most = -INFINITY, sum = 0, colour[C] = {0};
     FOR_TAPS(t) {
-        float v = value(logits[(dy * K + dx) * stride + x]);
+        float v = value(logits[(dy * K + dx) * stride + column]);
         most = v > most ? v : most;
     }
     FOR_TAPS(t) {
-        float w = exp_negative(value(logits[(dy * K + dx) * stride + x]) - most);
+        float w = exp_negative(value(logits[(dy * K + dx) * stride + column]) - most);
         sum += w;
         FOR_CHANNELS colour[c] = fmaf(w, image[c * plane + (dy - R) * (int64_t)W + dx - R + x], colour[c]);
     }
@@ -111,15 +112,28 @@ static inline void backward_image_pixel(const logit *logits, const float *stats,
     const logit *l = logits + b * batch + pixel;
 
 // image, out [B, C, H, W], stats [B, 2, H, W] (maximum and 1/sum; may be null) contiguous; logits [B, K², H, W] with
-// images `batch` and planes `stride` values apart.
+// images `batch`, planes `stride` and pixels `step` values apart, rows step · W. Where step is not 1 (a convolution's
+// output, channels last) some pixels at a time are turned into planes that stay in the nearest cache.
 void forward(const float *image, const logit *logits, float *out, float *stats, int B, int H, int W, int64_t batch,
-             int64_t stride, int threads) {
+             int64_t stride, int64_t step, int threads) {
     EACH_ROW {
-        HERE
-        float *s = stats ? stats + firstStats : 0;
-#define PIXEL(x, taps) forward_pixel(image + first, l, out + first, s, plane, stride, W, x, taps)
-        ROW(PIXEL);
+        int b = row / H, y = row % H;
+        int64_t pixel = (int64_t)y * W, first = b * C * plane + pixel;
+        const logit *l = logits + b * batch + pixel * step;
+        float *s = stats ? stats + b * 2 * plane + pixel : 0;
+#define PIXEL(x, taps) forward_pixel(image + first, l, out + first, s, plane, stride, x, W, x, taps)
+        if (step == 1) SPAN(PIXEL, 0, W);
 #undef PIXEL
+        for (int from = 0; step != 1 && from < W; from += BLOCK) {
+            int to = MIN(from + BLOCK, W);
+            logit planes[K * K * BLOCK];
+            for (int x = from; x < to; x++)
+                _Pragma("GCC unroll 49") for (int k = 0; k < K * K; k++)
+                    planes[k * BLOCK + x - from] = l[x * step + k * stride];
+#define PIXEL(x, taps) forward_pixel(image + first, planes, out + first, s, plane, BLOCK, x - from, W, x, taps)
+            SPAN(PIXEL, from, to);
+#undef PIXEL
+        }
     }
 }
 
@@ -131,7 +145,7 @@ void backward_logits(const float *image, const logit *logits, const float *out, 
         float *g = grad_logits + b * K * K * plane + pixel;
 #define PIXEL(x, taps) \
     backward_logits_pixel(image + first, l, out + first, stats + firstStats, grad + first, g, plane, stride, W, x, taps)
-        ROW(PIXEL);
+        SPAN(PIXEL, 0, W);
 #undef PIXEL
     }
 }
@@ -142,7 +156,7 @@ void backward_image(const logit *logits, const float *stats, const float *grad, 
         HERE
 #define PIXEL(x, taps) \
     backward_image_pixel(l, stats + firstStats, grad + first, grad_image + first, plane, stride, W, x, taps)
-        ROW(PIXEL);
+        SPAN(PIXEL, 0, W);
 #undef PIXEL
     }
 }
