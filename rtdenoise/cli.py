@@ -14,7 +14,8 @@ from tyro.conf import OmitArgPrefixes, Positional
 from .denoise import Options
 from .errors import InputError
 from .progress import progress_bar
-from .train import TrainConfig, train
+from .train import train
+from .trainer import TrainConfig
 
 
 @dataclass(frozen=True)

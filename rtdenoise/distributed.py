@@ -1,4 +1,4 @@
-"""Training in several processes under `torchrun`: who this one is, and the two things that all of them agree on.
+"""Training in several processes under `torchrun`: who this one is, and what all of them agree on.
 
 Every process holds the same weights and optimiser and works on its share of each batch; gradients are averaged, so
 that n processes take the step that one would take on the whole batch. Without `torchrun` there is one process and
@@ -43,15 +43,16 @@ def average_gradients(parameters: Iterable[Parameter]) -> None:
         gradient.copy_(mean.view_as(gradient) / distributed.get_world_size())
 
 
-def mean(value: float, device: str) -> float:
-    """The mean of a number over the processes."""
+def means(values: dict[str, float]) -> dict[str, float]:
+    """The mean of each number over the processes: one message for all of them."""
     if not distributed.is_initialized():
-        return value
-    tensor = torch.tensor(value, dtype=torch.float64, device=device)
+        return values
+    device = "cuda" if distributed.get_backend() == "nccl" else "cpu"
+    tensor = torch.tensor(list(values.values()), dtype=torch.float64, device=device)
     distributed.all_reduce(tensor)
-    return tensor.item() / distributed.get_world_size()
+    return dict(zip(values, (tensor / distributed.get_world_size()).tolist(), strict=True))
 
 
-def any_of(flag: bool, device: str) -> bool:
+def any_of(flag: bool) -> bool:
     """Whether the flag is set in any process: all of them stop, or none."""
-    return mean(float(flag), device) > 0
+    return means({"flag": float(flag)})["flag"] > 0

@@ -78,12 +78,15 @@ def read_facts(path: Path) -> dict:
 
 
 class ClipDataset:
-    """The clips of a folder, in the order of their names."""
+    """The clips of one or more folders, folder by folder in the order of their names."""
 
-    def __init__(self, folder: str | Path):
-        self.paths = sorted(Path(folder).glob("clip_*.safetensors"))
-        if not self.paths:
-            raise InputError(f"{folder}: no clips found; expected files clip_000000.safetensors and so on")
+    def __init__(self, *folders: str | Path):
+        self.paths: list[Path] = []
+        for folder in folders:
+            found = sorted(Path(folder).glob("clip_*.safetensors"))
+            if not found:
+                raise InputError(f"{folder}: no clips found; expected files clip_000000.safetensors and so on")
+            self.paths += found
 
     def __len__(self) -> int:
         return len(self.paths)

@@ -2,7 +2,10 @@
 
 from .accumulated_kpn import AccumulatedKPN
 from .load import available, find, load, read, save
-from .presets import PRESETS, Denoiser, create
+from .presets import PRESETS, Config, Denoiser, create
 from .temporal_kpn import TemporalKPN
 
-__all__ = ["PRESETS", "AccumulatedKPN", "Denoiser", "TemporalKPN", "available", "create", "find", "load", "read", "save"]
+__all__ = [
+    "PRESETS", "AccumulatedKPN", "Config", "Denoiser", "TemporalKPN", "available", "create", "find", "load", "read",
+    "save",
+]  # fmt: skip
