@@ -95,12 +95,12 @@ class Frame:
 class History:
     """What one step hands to the next. Passed in and returned, never hidden."""
 
-    radiance: Tensor  # [B, 3, H, W] the denoised previous frame (irradiance where the model divides by albedo)
+    radiance: Tensor  # [B, 3, H, W] the denoised previous frame
     motion_next: Tensor | None  # [B, 2, H, W] of the previous frame; None: dual motion next time is approximate
     depth: Tensor | None  # [B, 1, H, W] of the previous frame
     normal: Tensor | None  # [B, 3, H, W] of the previous frame
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
-    accumulated: Tensor | None = None  # [B, 3, H, W] running mean of the noisy signal; None where nobody keeps it
+    accumulated: Tensor | None = None  # [B, 3, H, W] running mean of noisy irradiance; None where nobody keeps it
 
 
 def stack(frames: list[Frame]) -> Frame:

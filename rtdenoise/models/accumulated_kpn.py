@@ -2,8 +2,9 @@
 
 What it keeps of `temporal_kpn` (the paper): dual motion vectors, per-pixel kernels at several scales composed from
 coarse to fine, a temporal kernel, one explicit step. What it changes: textures are divided out before anything is
-filtered; noisy light is averaged along tested reprojections before it is filtered, as far as the network trusts it;
-the network runs at half size; and five scales reach far enough for light as sparse as one sample a pixel leaves it.
+filtered and given back before the previous output is blended in; noisy light is averaged along tested reprojections
+before it is filtered, as far as the network trusts it; the network runs at half size; and five scales reach far enough
+for light as sparse as one sample a pixel leaves it.
 Read `AccumulatedKPN.step` first.
 """
 
@@ -17,12 +18,12 @@ from torch.nn import functional as F
 
 from ..color import albedo_divisor, compress, exposure
 from ..frame import Frame, History, nearness, sanitise
-from ..motion import occlusion_mask
+from ..motion import occlusion_mask, on_screen
 from ..motion_splat import history_motion
 from ..nets import UNet, as_weights
-from ..ops import apply_kernel, blend, compose, downsample, reproject
+from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
 
-FEATURES = 18  # noisy 3, running mean 3, denoised history 3, albedo 3, normal 3, nearness 1, its length 1, uncovered 1
+FEATURES = 18  # noisy 3, running mean 3, previous output 3, albedo 3, normal 3, nearness 1, history length 1, uncovered 1
 
 
 @dataclass(frozen=True)
@@ -84,10 +85,7 @@ class AccumulatedKPN(nn.Module):
             self.full_head.bias[-1] = -4.0  # start from a plain running mean: reset near 0
 
     def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
-        """Denoise one frame: `[B, 3, H, W]` linear radiance, and the history for the next one.
-
-        As `TemporalKPN.step`; history holds irradiance, radiance without its albedo.
-        """
+        """Denoise one frame, as `TemporalKPN.step`."""
         frame = sanitise(frame)
         needed = ("albedo", "normal", "depth")
         if history is None:
@@ -95,21 +93,22 @@ class AccumulatedKPN(nn.Module):
         else:
             frame.require(*needed, "motion", previous=history.radiance)
         albedo = albedo_divisor(frame.albedo, frame.depth)
-        noisy = frame.radiance / albedo
+        noisy = frame.radiance / albedo  # irradiance, but for what is not diffuse
 
-        # Reproject denoised history, the running mean and its length; nothing comes from another surface.
-        denoised, mean = torch.zeros_like(noisy), torch.zeros_like(noisy)
-        length, uncovered = torch.zeros_like(noisy[:, :1]), torch.zeros_like(noisy[:, :1])
-        valid = length > 0
+        # Reproject: the running mean of irradiance from the same surface only, the previous output from wherever.
+        mean, length = torch.zeros_like(noisy), torch.zeros_like(noisy[:, :1])
+        uncovered = on = torch.zeros_like(length, dtype=torch.bool)
+        warped = frame.radiance
         if history is not None:
             motion = history_motion(frame, history, self.config.motion)
-            stored = torch.cat([history.radiance, history.accumulated, history.length], dim=1)
-            stored, valid = reproject(stored, motion, (frame.depth, frame.normal), (history.depth, history.normal))
-            denoised, mean, length = stored.split([3, 3, 1], dim=1)
-            uncovered = occlusion_mask(motion, frame.motion).to(noisy.dtype)
+            kept = torch.cat([history.accumulated, history.length], dim=1)
+            here, before = (frame.depth, frame.normal), (history.depth, history.normal)
+            mean, length = reproject(kept, motion, here, before)[0].split([3, 1], dim=1)
+            on, uncovered = on_screen(motion), occlusion_mask(motion, frame.motion)
+            warped = torch.where(on, warp(history.radiance, motion), frame.radiance)
 
         # Predict kernels.
-        heads = self.predict(self.features(frame, noisy, mean, denoised, length, uncovered))
+        heads = self.predict(self.features(frame, noisy, mean, warped, length, uncovered))
 
         # Average over time: a running mean, given up where the network says that light has changed.
         weight = 1 / (1 + length)
@@ -125,20 +124,20 @@ class AccumulatedKPN(nn.Module):
         for fine, alpha in zip(filtered[-2::-1], heads.alpha[::-1], strict=True):
             output = compose(fine, output, alpha)
 
-        # Filter the reprojected history with its own kernel and blend; where there is none it adds nothing.
-        denoised = apply_kernel(torch.where(valid, denoised, output), heads.temporal)
-        output = blend(output, denoised, heads.alpha_temporal).clamp(min=0)
-        state = History(output, frame.motion_next, frame.depth, frame.normal, length, mean)
-        return output * albedo, state
+        # Give the texture back, then blend with the previous output: radiance, because albedo too has one sample a
+        # pixel. Over the frames its edges are averaged, which no filter of irradiance does.
+        output = output.clamp(min=0) * albedo
+        past = apply_kernel(torch.where(on, warped, output), heads.temporal)
+        output = blend(output, past, heads.alpha_temporal)
+        return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean)
 
     def features(
-        self, frame: Frame, noisy: Tensor, mean: Tensor, denoised: Tensor, length: Tensor, uncovered: Tensor
+        self, frame: Frame, noisy: Tensor, mean: Tensor, warped: Tensor, length: Tensor, uncovered: Tensor
     ) -> Tensor:
         """The network's input `[B, 18, H, W]`: light compressed at one exposure, nearness and length in [0, 1]."""
-        light = compress(torch.cat([noisy, mean, denoised], dim=1) * exposure(noisy))
-        return torch.cat(
-            [light, frame.albedo, frame.normal, nearness(frame.depth), length / self.config.longest, uncovered], dim=1
-        )
+        light = compress(torch.cat([noisy, mean, warped], dim=1) * exposure(noisy))
+        geometry = torch.cat([frame.albedo, frame.normal, nearness(frame.depth)], dim=1)
+        return torch.cat([light, geometry, length / self.config.longest, uncovered.to(light.dtype)], dim=1)
 
     def predict(self, features: Tensor) -> Heads:
         """Run the network at half size. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""
