@@ -7,6 +7,7 @@ for `rtdenoise denoise --model`).
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import signal
@@ -22,6 +23,7 @@ from rich.progress import TextColumn
 from torch import Tensor
 
 from . import __version__
+from .atomic import write_atomically
 from .augment import augment
 from .color import display_exposure, exposure
 from .data.dataset import ClipDataset
@@ -129,15 +131,16 @@ class Trainer:
         return {"step": self.step, "loss": total.item(), **terms, "grad_norm": norm, "lr": rate}
 
     def save(self, path: Path) -> None:
-        """Write the checkpoint, atomically."""
+        """Write the checkpoint. Raises InputError where it cannot be written."""
         state = {
             "step": self.step,
             "model": self.model.state_dict(),
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
         }
-        torch.save(state, path.with_suffix(".tmp"))
-        path.with_suffix(".tmp").replace(path)
+        content = io.BytesIO()
+        torch.save(state, content)
+        write_atomically(path, content.getbuffer())
 
     def load(self, path: Path) -> None:
         """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one."""

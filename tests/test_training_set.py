@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 
+from rtdenoise.atomic import write_atomically
 from rtdenoise.cli import main
 from rtdenoise.data.dataset import ClipDataset, bytes_per_clip, clip_path, read_facts
 from rtdenoise.errors import InputError
@@ -188,7 +189,7 @@ def test_keyframes_move_cameras_and_objects():
     motion = Motion(pivot=(1, 0, 0), keys=keys)
     assert motion(2) @ [1, 0, 0, 1] == pytest.approx([2, 0, 0, 1])
     assert motion(4) @ [2, 0, 0, 1] == pytest.approx([3, 0, -1, 1])  # a quarter turn about +y takes +x to -z
-    with pytest.raises(InputError, match=r"undefined at frame 7: its keyframes cover 0 to 6"):
+    with pytest.raises(InputError, match=r"motion: undefined at frame 7: its keyframes cover 0 to 6"):
         motion(7)
     assert replace(motion, keys=replace(keys, hold=True))(9) == pytest.approx(motion(6))
     path = CameraPath((9, 9, 9), (0, 0, 0), keys=Keyframes((0, 10), ((0, 0, 0, 0, 0, -1), (1, 0, 0, 1, 0, -1))))
@@ -237,7 +238,7 @@ material = "metal"
     assert set(np.unique(features(stage, 0, (48, 64))["id"])) == {1, 2, 3, 4}
     light = render_sequence(scene, tmp_path / "out", 1, SEQUENCE, first=3, progress=lambda line: None)
     assert light[0].exists()
-    with pytest.raises(InputError, match="undefined at frame 10"):
+    with pytest.raises(InputError, match=r"motion\.toml: object 'crate': undefined at frame 10"):
         describe_frame(scene, 10, (8, 8))
 
 
@@ -294,8 +295,6 @@ def test_a_scene_that_does_not_load_says_why(room, wrong, complaint):
 
 
 def test_a_full_disk_is_one_line_and_leaves_no_half_clip(tmp_path, monkeypatch):
-    from rtdenoise.data.dataset import write_atomically
-
     def fill(path, content):
         path.open("wb").write(content[:3])
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -10,7 +10,6 @@ surfaces that are not diffuse; that of lamps and sky is their radiance, clipped 
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import numpy as np
 import torch
 
 from .. import motion
+from ..atomic import write_atomically
 from .scenes import Scene
 from .stage import Stage, start_mitsuba
 
@@ -189,9 +189,7 @@ def write_scene_json(scene: Scene, path: Path, numbers: range, size: tuple[int, 
             for f in frames
         ],
     }
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(json.dumps(document))
-    temporary.replace(path)
+    write_atomically(path, json.dumps(document).encode())
 
 
 def render_sequence(
