@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import save_file
 
 from rtdenoise.atomic import write_atomically
 from rtdenoise.cli import main
@@ -22,6 +23,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.motion import dual_motion, on_screen
 from rtdenoise.render import extras, meshes, procedural, procedural_wide
+from rtdenoise.render.clips import ClipOptions, render_clips
 from rtdenoise.render.draw import open_scene
 from rtdenoise.render.frames import RenderOptions, describe_frame, features, render_sequence
 from rtdenoise.render.motions import CameraPath, Keyframes, Motion, Shots
@@ -329,6 +331,29 @@ def test_two_runs_into_one_folder(tmp_path, capsys):
     assert "another run is rendering into this folder" in capsys.readouterr().err
     with only_run(tmp_path, "0-of-1"):
         pass
+
+
+def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_path):
+    facts = {"generator": 2, "seed": 5, "size": [32, 32], "frames": 3, "spp": 1, "max_depth": 6}
+    save_file({"x": np.zeros(1)}, clip_path(tmp_path, 4), metadata={"clip": json.dumps(facts)})
+    for change, complaint in (
+        ({"seed": 6}, "seed = 5, not 6"),
+        ({"size": (64, 32)}, r"size = \[32, 32\], not \[64, 32\]"),
+    ):
+        with pytest.raises(InputError, match=rf"clip_000004\.safetensors: was rendered with {complaint}"):
+            render_set(tmp_path, replace(TINY, **change), lambda *_: None)
+    with pytest.raises(InputError, match="generator = 2, not 1"):
+        render_clips(tmp_path, ClipOptions(8, (32, 32), 3))
+
+    out = tmp_path / "shot"
+    for first in (0, 1):  # more frames of the same scene are welcome
+        render_sequence(open_scene(str(room)), out, 1, SEQUENCE, first=first, progress=lambda line: None)
+    assert [f["number"] for f in json.loads((out / "scene.json").read_text())["frames"]] == [-1, 0, 1, 2]
+    before = (out / "scene.json").read_bytes()
+    moved = open_scene(str(room), script(room, "[camera]\nvelocity = [0.1, 0, 0]"))
+    with pytest.raises(InputError, match=r"scene\.json: is of another scene, motion or size"):
+        render_sequence(moved, out, 2, SEQUENCE, progress=lambda line: None)
+    assert (out / "scene.json").read_bytes() == before
 
 
 def test_wrong_options(tmp_path):
