@@ -12,8 +12,9 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
+from .atomic import write_atomically
 from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
@@ -91,6 +92,8 @@ def denoise(
     fingerprints = _fingerprints(sequence, options)
     done, history = (0, None) if overwrite else _resume(out, sequence, fingerprints, device)
 
+    if not done:
+        _save_state(out / STATE, None, 0, fingerprints[0])  # so that the next run knows the first frame for its own
     summary = Summary(skipped=done, replaced={})
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
@@ -166,6 +169,8 @@ def _resume(out: Path, sequence: Sequence, fingerprints: list[str], device: str)
     except (SafetensorError, OSError, TypeError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
     done = int(metadata.get("done", 0))
+    if not done:  # whatever is there is of a run that did not come as far as its second frame
+        return 0, None
     if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
         raise InputError(
             f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"
@@ -175,10 +180,7 @@ def _resume(out: Path, sequence: Sequence, fingerprints: list[str], device: str)
     return done, history
 
 
-def _save_state(path: Path, history: History, done: int, fingerprint: str) -> None:
-    tensors = {
-        f.name: t.detach().cpu().contiguous() for f in fields(history) if (t := getattr(history, f.name)) is not None
-    }
-    temporary = path.with_suffix(".tmp")
-    save_file(tensors, temporary, metadata={"done": str(done), "fingerprint": fingerprint})
-    temporary.replace(path)
+def _save_state(path: Path, history: History | None, done: int, fingerprint: str) -> None:
+    values = {f.name: getattr(history, f.name, None) for f in fields(History)}
+    tensors = {name: t.detach().cpu().contiguous() for name, t in values.items() if t is not None}
+    write_atomically(path, save(tensors, metadata={"done": str(done), "fingerprint": fingerprint}))

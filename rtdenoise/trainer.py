@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .atomic import write_atomically
 from .color import exposure
 from .distributed import average_gradients, means
 from .errors import InputError
@@ -119,7 +121,7 @@ class Trainer:
         return {"step": self.step, **means({"loss": total.item(), **terms}), "grad_norm": norm, "lr": rate}
 
     def save(self, path: Path) -> None:
-        """Write the checkpoint, atomically."""
+        """Write the checkpoint. Raises InputError where it cannot be written."""
         state = {
             "step": self.step,
             "best": self.best,
@@ -127,8 +129,9 @@ class Trainer:
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
         }
-        torch.save(state, path.with_suffix(".tmp"))
-        path.with_suffix(".tmp").replace(path)
+        content = io.BytesIO()
+        torch.save(state, content)
+        write_atomically(path, content.getbuffer())
 
     def load(self, path: Path) -> None:
         """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one."""

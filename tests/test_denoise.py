@@ -1,10 +1,12 @@
 """`rtdenoise denoise` end to end, through the command line: output, resuming, and everything that can be wrong with
 the input."""
 
+import errno
 import json
 import os
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -116,6 +118,30 @@ def test_appended_frames_continue_a_finished_run(tmp_path, model):
     os.utime(growing / "frame.0002.exr")  # rendered anew
     with pytest.raises(rtdenoise.InputError, match="other options or input"):
         denoise(str(growing), tmp_path / "out", options)
+
+
+def test_a_disk_that_fills_up_is_one_line_and_the_run_goes_on_later(shot, tmp_path, model, capsys, monkeypatch):
+    """Wherever it happens: with the first frame, with the state after it, with a later one."""
+    write, out = Path.write_bytes, tmp_path / "out"
+    command = ["denoise", shot, "--out", out, "--model", model, "--float32"]
+    for written_before in (1, 2, 4):
+        room = [written_before]
+
+        def write_while_there_is_room(path, content, room=room):
+            if not room[0]:
+                write(path, content[:3])
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            room[0] -= 1
+            return write(path, content)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "write_bytes", write_while_there_is_room)
+            assert "cannot be written: No space left on device" in refused(capsys, *command)
+        assert not list(out.glob(".*.tmp"))
+    main([str(a) for a in command])
+    denoise(str(shot), tmp_path / "whole", Options(model=model, float32=True))
+    for path in sorted((tmp_path / "whole").glob("*.exr")):
+        assert np.array_equal(pixels(path), pixels(out / path.name)), path.name
 
 
 def test_gaps_reset_history(shot, tmp_path, model):

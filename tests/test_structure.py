@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent / "rtdenoise"
 # A room may import the rooms above it in this list, and its own.
 ORDER = [
-    ("errors", "strict_json", "progress", "distributed"), ("memory",),
+    ("errors", "strict_json", "progress", "distributed"), ("memory", "atomic"),
     ("frame", "color"), ("ops",), ("motion",), ("motion_splat",), ("nets",), ("models",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
     ("render", "trainer"), ("train", "denoise", "evaluate", "preview", "inspect"), ("demo",), ("cli",), ("__main__",),

@@ -8,7 +8,6 @@ under "clip".
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from ..atomic import write_atomically
 from ..errors import InputError
 from ..frame import Frame
 
@@ -57,18 +57,6 @@ def bytes_per_clip(size: tuple[int, int], frames: int) -> int:
     widths = {name: np.dtype(DTYPES.get(name, np.float16)).itemsize for name in (*RADIANCE, *FEATURES)}
     components = {"depth": 1, "motion": 2, "motion_next": 2, "id": 1}
     return frames * size[0] * size[1] * sum(width * components.get(name, 3) for name, width in widths.items())
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """The file appears under its name only when it is complete. Raises InputError where the disk is full."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; run again when that is solved") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def read_facts(path: Path) -> dict:

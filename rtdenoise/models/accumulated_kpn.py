@@ -23,7 +23,8 @@ from ..motion_splat import history_motion
 from ..nets import UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
 
-FEATURES = 18  # noisy 3, running mean 3, previous output 3, albedo 3, normal 3, nearness 1, history length 1, uncovered 1
+# Noisy 3, running mean 3, previous output 3, albedo 3, normal 3, nearness 1, history length 1, uncovered 1.
+FEATURES = 18
 
 
 @dataclass(frozen=True)

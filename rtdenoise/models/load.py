@@ -9,8 +9,9 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save as serialise
 
+from ..atomic import write_atomically
 from ..errors import InputError
 from ..nets import prepare, resolve
 from .presets import ARCHITECTURES, Denoiser, architecture, create
@@ -94,9 +95,7 @@ def find(model: str | Path) -> Path:
 
 
 def save(denoiser: Denoiser, path: str | Path, **metadata: str) -> None:
-    """Write weights and configuration, under a temporary name first: never half a file."""
+    """Write weights and configuration: never half a file. Raises InputError where they cannot be written."""
     tensors = {k: v.detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
-    temporary = Path(f"{path}.tmp")
     described = {"architecture": architecture(denoiser.config), "config": json.dumps(asdict(denoiser.config))}
-    save_file(tensors, temporary, metadata=described | metadata)
-    temporary.replace(path)
+    write_atomically(Path(path), serialise(tensors, metadata=described | metadata))

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data.dataset import ClipDataset, read_facts, write_atomically
+from ..atomic import write_atomically
+from ..data.dataset import ClipDataset, read_facts
 
 GENERATED = "program"  # where a clip comes from if not from a scene file: no third-party data
 

@@ -6,13 +6,15 @@ import gc
 import shlex
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 
-from ..data.dataset import clip_path, write_clip
+from ..data.dataset import clip_path, read_facts, write_clip
+from ..errors import InputError
 from . import procedural
 from .card import write_card
 from .draw import draw
@@ -62,11 +64,13 @@ def render_clip(path: Path, seed: int, options: ClipOptions) -> dict:
 def render_clips(out: Path, options: ClipOptions, progress=print) -> dict:
     """Render clips 0 … count − 1 into a folder, with a data card. Clips that are there already are kept.
 
-    Raises InputError where a worker is killed, the disk is full, or another run renders into the folder.
+    Raises InputError where a worker is killed, the disk is full, another run renders into the folder, or one with
+    other options has.
     """
     start_mitsuba()  # fails here, in one line, rather than in every process
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
+    refuse_others(out, options, generator=procedural.VERSION, seeds=lambda index: options.seed + index)
     missing = [i for i in range(options.count) if not clip_path(out, i).exists()]
     with only_run(out, "clips"):
         jobs = [(clip_path(out, i), options.seed + i, options) for i in missing]
@@ -76,6 +80,23 @@ def render_clips(out: Path, options: ClipOptions, progress=print) -> dict:
                 f"{facts['reference_spp']} spp, {facts['seconds']:.1f} s ({done} of {len(missing)})"
             )
     return write_card(out, shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
+
+
+def refuse_others(out: Path, options, generator: int, seeds: Callable[[int], int]) -> None:
+    """Raise InputError where the folder holds clips that were made with other options: they would be mixed up.
+
+    `seeds(i)` is what clip i would say its seed is.
+    """
+    for path in sorted(out.glob("clip_*.safetensors"))[:1]:
+        facts = read_facts(path)
+        expected = {
+            "generator": generator, "seed": seeds(int(path.stem.removeprefix("clip_"))), "size": list(options.size),
+            "frames": options.frames, "spp": options.spp, "max_depth": options.max_depth,
+        }  # fmt: skip
+        for key, value in expected.items():
+            if facts.get(key) != value:
+                raise InputError(f"{path}: was rendered with {key} = {facts.get(key)}, not {value}; choose another "
+                                 "--out or the options of that run")  # fmt: skip
 
 
 def versions() -> dict[str, str]:

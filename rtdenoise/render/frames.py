@@ -10,7 +10,6 @@ surfaces that are not diffuse; that of lamps and sky is their radiance, clipped 
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,8 @@ import numpy as np
 import torch
 
 from .. import motion
+from ..atomic import write_atomically
+from ..errors import InputError
 from .scenes import Scene
 from .stage import Stage, start_mitsuba
 
@@ -171,7 +172,10 @@ def calibrate(stage: Stage, brightness: float, number: int = 0) -> dict[str, flo
 
 
 def write_scene_json(scene: Scene, path: Path, numbers: range, size: tuple[int, int]) -> None:
-    """Cameras and transforms of these frames and of one more at either end."""
+    """Cameras and transforms of these frames and of one more at either end, beside those that the file has already.
+
+    Raises InputError where the file is of another scene, or of this one moved otherwise.
+    """
     frames = [describe_frame(scene, n, size) for n in range(numbers[0] - 1, numbers[-1] + 2)]
     document = {
         "format": "rtdenoise-scene-1",
@@ -189,9 +193,20 @@ def write_scene_json(scene: Scene, path: Path, numbers: range, size: tuple[int, 
             for f in frames
         ],
     }
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(json.dumps(document))
-    temporary.replace(path)
+    if path.exists():
+        document["frames"] = _joined(path, json.loads(path.read_text()), document)
+    write_atomically(path, json.dumps(document).encode())
+
+
+def _joined(path: Path, before: dict, now: dict) -> list[dict]:
+    """The frames of both, in order."""
+    entries = {entry["number"]: entry for entry in now["frames"]}
+    kept = {entry["number"]: entry for entry in before["frames"]}
+    same = all(before[key] == now[key] for key in now if key != "frames")
+    if not same or any(entries[number] != kept[number] for number in entries.keys() & kept.keys()):
+        raise InputError(f"{path}: is of another scene, motion or size; frames of two would be mixed up: choose "
+                         "another --out")  # fmt: skip
+    return [entry for _, entry in sorted((kept | entries).items())]
 
 
 def render_sequence(

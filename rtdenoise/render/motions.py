@@ -37,13 +37,15 @@ class Keyframes:
     frames: tuple[float, ...]  # ascending
     values: tuple[tuple[float, ...], ...]  # one of the same length for every frame
     hold: bool = False  # the first and last value also hold before and after; otherwise that is undefined
+    name: str = "motion"  # what is moved, for messages
 
     def __call__(self, t: float) -> np.ndarray:
         """The value at frame t. Raises InputError where it is undefined."""
         if not self.hold and not self.frames[0] <= t <= self.frames[-1]:
+            first, last = self.frames[0], self.frames[-1]
             raise InputError(
-                f"motion is undefined at frame {t:g}: its keyframes cover {self.frames[0]:g} to {self.frames[-1]:g}; "
-                "one frame before the first and after the last rendered one is needed; add keyframes or hold = true"
+                f"{self.name}: undefined at frame {t:g}: its keyframes cover {first:g} to {last:g}; one frame before "
+                "the first and after the last rendered one is needed; add keyframes or hold = true"
             )
         return np.array([np.interp(t, self.frames, column) for column in zip(*self.values, strict=True)])
 

@@ -137,7 +137,7 @@ def _keyframes(entry: dict, parts: dict[str, int], where: str, default: dict) ->
         rows.append(tuple(row))
     if not frames or frames != sorted(set(frames)):
         raise InputError(f"{where}: keys must be in the order of their frames, found {frames}")
-    return Keyframes(tuple(frames), tuple(rows), bool(entry.get("hold", False)))
+    return Keyframes(tuple(frames), tuple(rows), bool(entry.get("hold", False)), where)
 
 
 def _extra(entry: dict, id: int, loaded, path: CameraPath, where: str) -> Object:

@@ -65,9 +65,10 @@ class Stage:
         moving = {name: o for name, o in owner.items() if o.motion is not None}
 
         # A ray reports Mitsuba's registry id of the shape, which changes with every load.
-        table = np.zeros(1 << 12, np.uint32)  # of a fixed size, for the kernel cache
-        for shape in self.mitsuba.shapes():
-            table[dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]] = owner[shape.id()].id
+        numbers = {dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]: s.id() for s in self.mitsuba.shapes()}
+        table = np.zeros(max(1 << 12, max(numbers) + 1), np.uint32)  # mostly of one size, for the kernel cache
+        for number, name in numbers.items():
+            table[number] = owner[name].id
         self.object_ids = mi.UInt32(table)
 
         self._parameters = mi.traverse(self.mitsuba) if moving else {}

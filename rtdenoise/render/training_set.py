@@ -22,7 +22,7 @@ from ..data.dataset import bytes_per_clip, clip_path, write_clip
 from ..errors import InputError
 from . import procedural_wide
 from .card import GENERATED, write_card
-from .clips import versions
+from .clips import refuse_others, versions
 from .draw import dress
 from .frames import FIRST_HALF, LUMINANCE, SECOND_HALF, RenderOptions, calibrate, radiance, render_frame
 from .pictures import find_pictures, hang
@@ -194,7 +194,8 @@ def render_set(out: Path, options: SetOptions, progress: Callable[[int, int, str
     """Render the clips of this shard into a folder, with a data card. Clips that are there already are kept.
 
     `progress(done, total, line)` is called before the first clip, with the disk use, and after every clip.
-    Raises InputError where the disk is too small, a worker is killed, or another run does the same shard.
+    Raises InputError where the disk is too small, a worker is killed, another run does the same shard, or the folder
+    holds clips of other options.
     """
     if options.size[0] % COARSE or options.size[1] % COARSE or min(options.size) < 8 * COARSE:
         raise InputError(
@@ -205,6 +206,7 @@ def render_set(out: Path, options: SetOptions, progress: Callable[[int, int, str
         find_pictures(options.textures)  # and so do pictures that cannot be opened
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
+    refuse_others(out, options, generator=procedural_wide.VERSION, seeds=lambda index: options.seed)
     shard, shards = options.shard
     groups: dict[int, int] = {}  # scene -> clips of it that are missing
     for i in range(options.count):
