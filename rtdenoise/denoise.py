@@ -82,11 +82,7 @@ def denoise(
     sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
-    if options.device not in ("auto", "cpu", "cuda"):
-        raise InputError(f"unknown device {options.device!r}; expected 'auto', 'cpu' or 'cuda'")
-    device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
-    if device == "cuda" and not torch.cuda.is_available():
-        raise InputError("device cuda: no CUDA device was found; use --device cpu")
+    device = choose_device(options.device)
     denoiser = load(options.model, device, options.precision)
     out = _prepare(Path(out), sequence)
     fingerprints = _fingerprints(sequence, options)
@@ -127,6 +123,16 @@ def _prepare(out: Path, sequence: Sequence) -> Path:
     except OSError as error:
         raise InputError(f"{out}: cannot write there: {error.strerror}") from None
     return out
+
+
+def choose_device(name: str) -> str:
+    """'auto' becomes CUDA where there is a GPU. Raises InputError for a device that is unknown or not there."""
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError(f"unknown device {name!r}; expected 'auto', 'cpu' or 'cuda'")
+    device = name if name != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda: no CUDA device was found; use --device cpu")
+    return device
 
 
 def _inputs(sequence: Sequence) -> list[Path]:

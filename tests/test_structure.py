@@ -8,10 +8,11 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent / "rtdenoise"
 # A room may import the rooms above it in this list, and its own.
 ORDER = [
-    ("errors", "strict_json", "progress", "distributed"), ("memory", "atomic"),
+    ("errors", "strict_json", "progress", "distributed"), ("memory", "atomic", "origin"),
     ("frame", "color"), ("ops",), ("motion",), ("motion_splat",), ("nets",), ("models",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
-    ("render", "trainer"), ("train", "denoise", "evaluate", "preview", "inspect"), ("demo",), ("cli",), ("__main__",),
+    ("render", "trainer"), ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"), ("cli",),
+    ("__main__",),
 ]  # fmt: skip
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 

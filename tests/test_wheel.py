@@ -40,6 +40,8 @@ def test_wheel_holds_the_package_its_shaders_and_nothing_else(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     shaders = [path.relative_to(ROOT).as_posix() for path in (ROOT / "shaders").rglob("*.glsl")]
     assert {f"rtdenoise/{name}" for name in shaders} <= set(names)
+    assets = [path.relative_to(ROOT).as_posix() for path in (ROOT / "rtdenoise" / "report" / "assets").iterdir()]
+    assert "rtdenoise/report/assets/report.html" in assets and set(assets) <= set(names)
     assert {name.split("/")[0].partition("-")[0] for name in names} == {"rtdenoise"}
 
 
