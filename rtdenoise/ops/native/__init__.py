@@ -96,7 +96,9 @@ def _sizes(image: Tensor, logits: Tensor) -> tuple[object, ...]:
 
 def _rows(logits: Tensor) -> Tensor:
     """With rows evenly apart; planes, channels last and slices of their channels are taken as they are."""
-    return logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * _step(logits) else logits.contiguous()
+    return (
+        logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * _step(logits) else logits.contiguous()
+    )
 
 
 def _planes(logits: Tensor) -> Tensor:
