@@ -38,6 +38,8 @@ class Source:
     def open(cls, folder: str | Path, signal: str, preset: str, limit: int | None) -> Source:
         """Raises InputError where frames, references or motion are missing, or samples.json is not what it should
         be."""
+        if not Path(folder).is_dir():
+            raise InputError(f"{folder}: expected a folder of EXR files: results go by its name")
         options = {"signal": signal, "preset": preset, "layers": LAYERS}
         base = open_sequence(folder, **options).require("reference", "motion")
         facts = _facts(Path(folder) / "samples.json")

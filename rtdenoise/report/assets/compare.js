@@ -16,6 +16,8 @@ function drawPictures() {
   }
   buildControls(there);
   if (fresh) buildStage();
+  byId("compare-text").textContent = `${sequence}, frame ${DATA.sequences[sequence].stills[0]}, `
+    + `${DATA.sequences[sequence].base_spp} spp. The wheel zooms, dragging moves, double-clicking the exposure resets it.`;
   load();
 }
 
