@@ -41,8 +41,8 @@ class Sequence:
     scene: str
     width: int = 320
     height: int = 180
-    frames: int = 10
-    reference_spp: int = 192
+    frames: int = 8
+    reference_spp: int = 128
 
 
 SEQUENCES = {
