@@ -11,8 +11,8 @@ ORDER = [
     ("errors", "strict_json", "progress", "distributed"), ("memory", "atomic", "origin"),
     ("frame", "color"), ("ops",), ("motion",), ("motion_splat",), ("nets",), ("models",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
-    ("render", "trainer"), ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"), ("cli",),
-    ("__main__",),
+    ("render", "trainer"), ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"),
+    ("cli_evaluate",), ("cli",), ("__main__",),
 ]  # fmt: skip
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 
