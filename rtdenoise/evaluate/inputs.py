@@ -76,7 +76,7 @@ class Source:
     def fingerprint(self, spp: int) -> str:
         """Tells inputs apart that would give other errors."""
         paths = [path for sequence in (self.base, self.at(spp)) for f in sequence.files for path in f.files.values()]
-        facts = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
+        facts = [[*path.parts[-2:], path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
         text = json.dumps([facts, self.length, self.options], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
