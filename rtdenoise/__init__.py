@@ -1,15 +1,26 @@
 """Real-time denoising of path-traced animations: 1 sample per pixel in, a clean and temporally stable picture out.
 
-    denoiser, history = rtdenoise.load("paper"), None
-    for frame in rtdenoise.open_sequence("shot/", signal="indirect"):
-        image, history = denoiser.step(frame, history)
+denoiser, history = rtdenoise.load("paper"), None
+for frame in rtdenoise.open_sequence("shot/", signal="indirect"):
+    image, history = denoiser.step(frame, history)
 """
 
-__version__ = "0.1.0"
+from importlib import import_module
 
-from .data.sequences import open_sequence
 from .errors import InputError
-from .frame import Frame, History
-from .models import load
 
+__version__ = "0.1.0"
 __all__ = ["Frame", "History", "InputError", "load", "open_sequence"]
+
+# Imported when they are asked for: `rtdenoise.glsl` is to run where there is no torch.
+_HOMES = {"Frame": "frame", "History": "frame", "load": "models", "open_sequence": "data.sequences"}
+
+
+def __getattr__(name: str):
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

@@ -16,12 +16,13 @@ A *signal* is what is denoised: `color` (the beauty) or `indirect` (light that b
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-
-import torch
-from torch import Tensor
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from .errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 OFF_SCREEN = 1e4  # pixels: the motion of what was nowhere on the other frame, in any direction; half floats hold it
 FAR = 1e9  # depth from which on nothing was hit: renderers write inf, FLT_MAX or 1e10 there
@@ -34,6 +35,9 @@ CHANNELS = {
 @dataclass(frozen=True)
 class Frame:
     """The buffers of one frame. `None` where the sequence does not have the layer.
+
+    Tensors, or numpy arrays of the same shapes for `rtdenoise.glsl`, which does without torch: only the functions below
+    import it.
 
     Only `radiance` is always there. What a denoiser needs and does not find it asks for with `require`.
     """
@@ -76,7 +80,7 @@ class Frame:
 
     def layers(self) -> list[tuple[str, Tensor]]:
         """(name, tensor) of every buffer that is there."""
-        return [(f.name, t) for f in fields(self) if isinstance(t := getattr(self, f.name), Tensor)]
+        return [(layer, tensor) for layer in CHANNELS if (tensor := getattr(self, layer)) is not None]
 
     def map(self, function) -> Frame:
         """The same frame with `function` applied to every tensor."""
@@ -105,6 +109,8 @@ class History:
 
 def stack(frames: list[Frame]) -> Frame:
     """Frames of the same size and layers as one batch."""
+    import torch
+
     names = [layer for layer, _ in frames[0].layers()]
     return Frame(**{n: torch.cat([getattr(f, n) for f in frames]) for n in names}, number=frames[0].number)
 
@@ -112,6 +118,8 @@ def stack(frames: list[Frame]) -> Frame:
 def nearness(depth: Tensor) -> Tensor:
     """Depth `[B, 1, H, W]` as a network sees it, in [0, 1): t / (t + depth) with t the frame's mean distance; 0 where
     nothing was hit."""
+    import torch
+
     hit = depth > 0
     hits = hit.sum((1, 2, 3), keepdim=True).clamp(min=1)
     typical = (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
@@ -132,6 +140,7 @@ def sanitise(frame: Frame) -> Frame:
 
     `non_finite` counts what this will replace.
     """
+    import torch
 
     def clean(tensor: Tensor | None, bad: float, lowest: float | None = None) -> Tensor | None:
         if tensor is None:

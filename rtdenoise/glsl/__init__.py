@@ -1,10 +1,14 @@
-"""The kernel-apply operations as OpenGL 4.3 compute shaders, for any GPU: twins of `rtdenoise.ops` without torch."""
+"""The denoiser as OpenGL 4.3 compute shaders, for any GPU, without torch: `Pipeline` denoises whole frames, the
+operations are twins of `rtdenoise.ops`."""
 
+from .clock import Clock
 from .context import GpuArray, create_context, default_context, storage_limit
 from .ops import apply_kernel, blend, compose, downsample, fetch, upsample, warp
+from .pipeline import Pipeline
 from .program import ShaderError, program
+from .state import History
 
 __all__ = [
-    "GpuArray", "ShaderError", "apply_kernel", "blend", "compose", "create_context", "default_context", "downsample",
-    "fetch", "program", "storage_limit", "upsample", "warp",
+    "Clock", "GpuArray", "History", "Pipeline", "ShaderError", "apply_kernel", "blend", "compose", "create_context",
+    "default_context", "downsample", "fetch", "program", "storage_limit", "upsample", "warp",
 ]  # fmt: skip

@@ -16,11 +16,9 @@ import math
 import numpy as np
 
 from .context import GpuArray, default_context, storage_limit
-from .program import program
+from .dispatch import dispatch
 
 Array = np.ndarray | GpuArray
-
-GROUP = {"GROUP_X": 32, "GROUP_Y": 4}  # invocations of a work group
 
 
 def apply_kernel(
@@ -159,13 +157,8 @@ def _run(
         if array.dtype != dtype:
             raise ValueError(f"{name}: expected {np.dtype(dtype)}, got {array.dtype}")
 
-    compute = program(ctx, name, **constants, **GROUP)
-    compute["size"] = size[::-1]
-    for binding, array in enumerate([*arrays, result]):
-        array.buffer.bind_to_storage_buffer(binding)
     B, _, H, W = shape
-    compute.run(-(-W // GROUP["GROUP_X"]), -(-H // GROUP["GROUP_Y"]), B)
-    ctx.memory_barrier()
+    dispatch(name, [*arrays, result], (W, H, B), {"size": size[::-1]}, **constants)
     return result if resident == {True} else result.read()
 
 

@@ -1,0 +1,76 @@
+"""What the whole-frame passes need to know of a model: its architecture and configuration, as its weights file has
+them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+ARCHITECTURES = ("temporal_kpn", "accumulated_kpn")
+
+
+@dataclass(frozen=True)
+class Design:
+    """Of `models.TemporalKPN` or `models.AccumulatedKPN`, whose folder of shaders has the same name."""
+
+    architecture: str
+    widths: tuple[int, ...]  # of the U-Net
+    scales: int  # that are filtered
+    kernel: int
+    temporal_kernel: int
+    motion: str  # 'dual' or 'traditional'
+    pool: str = "mean"  # D of eq. 4
+    longest: float = math.nan  # frames after which the running mean forgets
+
+    @property
+    def accumulates(self) -> bool:
+        """Whether a running mean of demodulated light is kept; the network then runs at half size."""
+        return self.architecture == "accumulated_kpn"
+
+    @property
+    def features(self) -> int:
+        """Channels of the network's input."""
+        return 18 if self.accumulates else 13
+
+
+def design(architecture: str, config: Mapping) -> Design:
+    """Raises KeyError or ValueError where `config` is not that of a known architecture."""
+    if architecture not in ARCHITECTURES:
+        raise ValueError(f"expected an architecture of {', '.join(ARCHITECTURES)}, got {architecture!r}")
+    widths, kernel, motion = tuple(config["widths"]), config["kernel"], config["motion"]
+    if architecture == "temporal_kpn":
+        return Design(architecture, widths, 3, kernel, kernel, motion, config["pool"])
+    scales, temporal_kernel = config["scales"], config["temporal_kernel"]
+    return Design(architecture, widths, scales, kernel, temporal_kernel, motion, longest=config["longest"])
+
+
+def expected_shapes(d: Design) -> dict[str, tuple[int, ...]]:
+    """Name -> shape of every tensor of the model's state dict."""
+    taps, full = d.kernel**2, d.kernel**2 + d.temporal_kernel**2 + (2 if d.accumulates else 1)
+    inputs = d.widths[0] if d.accumulates else d.features
+    shapes: dict[str, tuple[int, ...]] = {}
+    pairs = {f"encoder.{i}": (a, b) for i, (a, b) in enumerate(zip((inputs, *d.widths), d.widths, strict=False))}
+    pairs |= {f"decoder.{i}": (a + b, b) for i, (a, b) in enumerate(zip(d.widths[1:], d.widths, strict=False))}
+    for name, (a, b) in pairs.items():
+        shapes |= {f"unet.{name}.0.weight": (b, a, 3, 3), f"unet.{name}.2.weight": (b, b, 3, 3)}
+    heads = [taps + 1] * (d.scales - 1) if d.accumulates else [full, taps + 1, taps + 1]
+    shapes |= {f"heads.{i}.weight": (n, w, 1, 1) for i, (n, w) in enumerate(zip(heads, d.widths, strict=False))}
+    if d.accumulates:
+        shapes["stem.weight"] = (d.widths[0], d.features, 4, 4)
+    shapes |= {name.replace("weight", "bias"): shape[:1] for name, shape in shapes.items()}
+    if d.accumulates:
+        shapes |= {"full_head.weight": (d.widths[0], full, 2, 2), "full_head.bias": (full,)}
+    return shapes
+
+
+def full_head(d: Design, tensors: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Weights [cells, rows, inputs] and biases of what is predicted at full size: rows K² spatial, L² temporal, α of
+    time, and reset where there is a running mean."""
+    if d.accumulates:  # a 2×2 transposed convolution with stride 2: [inputs, rows, 2, 2]
+        return np.moveaxis(tensors["full_head.weight"], (2, 3, 1, 0), (0, 1, 2, 3)).reshape(
+            4, -1, d.widths[0]
+        ), tensors["full_head.bias"]
+    return tensors["heads.0.weight"][None, :, :, 0, 0], tensors["heads.0.bias"]

@@ -1,0 +1,131 @@
+"""The U-Net of the models on the GPU: `nets.UNet` and the stem and heads around it, from the weights as stored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import moderngl
+import numpy as np
+
+from .context import GpuArray
+from .dispatch import dispatch
+from .scratch import Scratch
+
+BLOCKS = 2  # groups of four output channels that an invocation of conv3x3 computes ...
+PIXELS = 4  # ... for so many pixels
+CONV_GROUP = (8, 8)
+NEAR, POOLED, CONCATENATED = 0, 1, 2  # SOURCE of conv3x3
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Weights of a convolution or a head as shaders read them: in 4×4 blocks, […, 4 inputs, 4 outputs]."""
+
+    weights: GpuArray  # [groups out, groups in, taps, 4, 4]; heads: [cells, groups out, groups in, 4, 4]
+    biases: GpuArray  # [groups out, 4]
+    groups: tuple[int, ...]  # of four inputs, for each of the tensors that the input is concatenated of
+    outputs: int
+
+
+def conv_layer(
+    ctx: moderngl.Context,
+    weight: np.ndarray,  # [outputs, inputs, kernel, kernel]
+    bias: np.ndarray,  # [outputs]
+    sources: tuple[int, ...],  # channels of the tensors that the input is concatenated of
+    blocks: int = 1,  # the groups out are filled up to a multiple of this
+) -> Layer:
+    """A convolution, packed for `conv3x3` and `stem`."""
+    outputs, taps = weight.shape[0], weight.shape[2] * weight.shape[3]
+    parts = np.split(weight.reshape(outputs, -1, taps), np.cumsum(sources)[:-1], axis=1)
+    inputs = np.concatenate([_filled(part, 1, 4) for part in parts], axis=1)
+    packed = _filled(inputs, 0, 4 * blocks).reshape(-1, 4, inputs.shape[1] // 4, 4, taps)  # og, out, ig, in, taps
+    return Layer(
+        GpuArray.upload(ctx, packed.transpose(0, 2, 4, 3, 1)),
+        GpuArray.upload(ctx, _filled(bias, 0, 4 * blocks).reshape(-1, 4)),
+        tuple(-(-n // 4) for n in sources),
+        outputs,
+    )
+
+
+def head_layer(
+    ctx: moderngl.Context,
+    weight: np.ndarray,  # [cells, rows, inputs]: a matrix for each pixel of a cell
+    bias: np.ndarray,  # [rows]
+) -> Layer:
+    """Rows of a head, packed for `include/head.glsl`."""
+    packed = _filled(_filled(weight, 1, 4), 2, 4)
+    cells, rows, inputs = packed.shape
+    packed = packed.reshape(cells, rows // 4, 4, inputs // 4, 4).transpose(0, 1, 3, 4, 2)
+    return Layer(
+        GpuArray.upload(ctx, packed), GpuArray.upload(ctx, _filled(bias, 0, 4)), (inputs // 4,), weight.shape[1]
+    )
+
+
+def _filled(array: np.ndarray, axis: int, multiple: int) -> np.ndarray:
+    """The array with zeros behind it along `axis`, to a multiple."""
+    padding = [(0, 0)] * array.ndim
+    padding[axis] = (0, -array.shape[axis] % multiple)
+    return np.pad(array, padding)
+
+
+class UNet:
+    """`nets.UNet`: features in, decoder features of the finest levels out. Tensors are padded to whole cells."""
+
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        scratch: Scratch,
+        tensors: Mapping[str, np.ndarray],  # a state dict; only `unet.*` is read
+        inputs: int,
+        widths: tuple[int, ...],
+        dtype: type[np.floating],  # np.float32 or np.float16: how activations are stored
+    ) -> None:
+        def double(name: str, sources: tuple[int, ...], width: int) -> tuple[Layer, Layer]:
+            first, second = (
+                conv_layer(ctx, tensors[f"unet.{name}.{i}.weight"], tensors[f"unet.{name}.{i}.bias"], channels, BLOCKS)
+                for i, channels in ((0, sources), (2, (width,)))
+            )
+            return first, second
+
+        self._scratch, self._dtype = scratch, dtype
+        self._encoder = [double(f"encoder.{i}", (n,), w) for i, (n, w) in enumerate(pairwise((inputs, *widths)))]
+        self._decoder = [
+            double(f"decoder.{i}", (below, width), width) for i, (width, below) in enumerate(pairwise(widths))
+        ]
+
+    @property
+    def cell(self) -> int:
+        """What both sides of the input must be multiples of."""
+        return 2 ** (len(self._encoder) - 1)
+
+    def __call__(self, features: GpuArray) -> list[GpuArray]:
+        """Features [⌈inputs/4⌉, H, W, 4] to [⌈widths[l]/4⌉, H/2^l, W/2^l, 4] for every level but the coarsest, finest
+        first."""
+        x, skips = features, []
+        for level, (first, second) in enumerate(self._encoder):
+            x = self._convolve(first, POOLED if level else NEAR, f"first.{level}", level, x)
+            x = self._convolve(second, NEAR, f"second.{level}", level, x)
+            skips.append(x)
+        for level in reversed(range(len(self._decoder))):
+            first, second = self._decoder[level]
+            x = self._convolve(first, CONCATENATED, f"first.{level}", level, skips[level], far=x)
+            x = skips[level] = self._convolve(second, NEAR, f"second.{level}", level, x)  # in the place of the skip
+        return skips[:-1]
+
+    def _convolve(
+        self, layer: Layer, source: int, name: str, level: int, near: GpuArray, far: GpuArray | None = None
+    ) -> GpuArray:
+        H, W = near.shape[1] >> (source == POOLED), near.shape[2] >> (source == POOLED)
+        groups = -(-layer.outputs // 4)
+        result = self._scratch(name, (groups, H, W, 4), self._dtype)
+        dispatch(
+            "network/conv3x3",
+            [near, near if far is None else far, layer.weights, layer.biases, result],
+            (-(-W // PIXELS), H, -(-groups // BLOCKS)),
+            {"size": (W, H), "groups": (layer.groups[0], sum(layer.groups), groups)},
+            CONV_GROUP,
+            SOURCE=source, PIXELS=PIXELS, BLOCKS=BLOCKS, HALF=int(self._dtype == np.float16),
+        )  # fmt: skip
+        return result

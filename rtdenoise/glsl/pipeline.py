@@ -1,0 +1,286 @@
+"""A whole frame on the GPU: what `TemporalKPN.step` and `AccumulatedKPN.step` do, as compute shaders, without torch.
+
+    pipeline, history = Pipeline.load("paper"), None
+    for frame in frames:                                     # rtdenoise.frame.Frame of numpy arrays
+        image, history = pipeline.step(frame, history)       # [1, 3, H, W]
+
+Read `Pipeline.run` first: it is the order of the passes. Between upload and download nothing leaves the GPU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import nullcontext
+from pathlib import Path
+
+import moderngl
+import numpy as np
+
+from ..errors import InputError
+from ..frame import Frame
+from ..stored import read_model
+from .clock import Clock
+from .context import GpuArray, default_context
+from .designs import Design, design, expected_shapes, full_head
+from .dispatch import dispatch
+from .network import Layer, UNet, conv_layer, head_layer
+from .scratch import Scratch
+from .state import History
+
+BLOCK = 8  # side of the blocks that exposure is measured in
+STATISTICS_GROUP = (256,)
+
+
+class Pipeline:
+    """A denoiser like those of `rtdenoise.models`, for one context and thread. State is explicit: what `step` returns
+    goes into the next `step`."""
+
+    def __init__(
+        self,
+        design: Design,
+        tensors: Mapping[str, np.ndarray],  # the model's state dict, float32
+        half: bool = False,
+        ctx: moderngl.Context | None = None,
+    ) -> None:
+        """`half` stores the network's activations as float16: half the memory, an eleven-bit mantissa. `ctx` defaults
+        to this thread's `default_context`."""
+        self.design, self.ctx = design, ctx or default_context()
+        self.clock: Clock | None = None  # times the stages where one is set
+        self._half = half
+        self._scratch = Scratch(self.ctx)
+        inputs = design.widths[0] if design.accumulates else design.features
+        self._unet = UNet(self.ctx, self._scratch, tensors, inputs, design.widths, np.float16 if half else np.float32)
+        if design.accumulates:
+            self._stem = conv_layer(self.ctx, tensors["stem.weight"], tensors["stem.bias"], (design.features,))
+        self._set_heads(tensors)
+
+    @classmethod
+    def load(cls, model: str | Path = "paper", half: bool = False, **overrides) -> Pipeline:
+        """As `rtdenoise.load`: a shipped name or a .safetensors file; `overrides` replace fields of its configuration.
+
+        Raises InputError for an unknown name, an unreadable file, weights that do not fit their configuration, and
+        where there is no OpenGL 4.3.
+        """
+        stored = read_model(model)
+        try:
+            found = design(stored.architecture, {**stored.config, **overrides})
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{stored.path}: its configuration is not one of this version: {error}") from None
+        stored.expect(expected_shapes(found))
+        return cls(found, stored.tensors, half)
+
+    def step(self, frame: Frame, history: History | None = None) -> tuple[np.ndarray, History]:
+        """Denoise one frame of numpy arrays `[1, C, H, W]`: `[1, 3, H, W]` linear radiance, float32, and the history
+        for the next one.
+
+        `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion. `history=None` starts a
+        sequence or resets after a cut. Raises InputError where a layer is missing, the history is of another size, or
+        a buffer would be larger than the device allows.
+        """
+        needed = ("albedo", "normal", "depth", *(() if history is None else ("motion",)))
+        frame.require(*needed)
+        if history is not None and history.size != frame.size:
+            raise InputError(
+                f"{frame.name or 'frame'}: history is {history.size}, the frame {frame.size}; pass history=None to "
+                "start anew"
+            )
+        with self._stage("upload"):
+            layers = {
+                layer: GpuArray.upload(self.ctx, array[0])
+                for layer, array in frame.layers()
+                if layer in ("radiance", "motion", "motion_next", *needed)
+            }
+        result, history = self.run(layers, history)
+        with self._stage("download"):
+            image = result.read()
+        return image[None], history
+
+    def run(self, layers: Mapping[str, GpuArray], history: History | None = None) -> tuple[GpuArray, History]:
+        """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
+        the history is not."""
+        d, size = self.design, tuple(layers["radiance"].shape[1:])
+        with self._stage("features"):
+            light, surface, guide, statistics = self._prepare(layers)
+            vectors = self._vectors(layers)
+        with self._stage("reprojection"):
+            past, running = self._reproject(vectors, surface, light, history)
+        with self._stage("features"):
+            features = self._features(light, surface, guide, past, running, statistics)
+        with self._stage("network"):
+            levels = self._unet(self._stemmed(features, size) if d.accumulates else features)
+        with self._stage("kernels"):
+            mean = self._accumulate(levels[0], light, running) if d.accumulates else None
+            composed = self._filter(levels, light if mean is None else mean)
+        with self._stage("blend"):
+            result, denoised = self._blend(levels[0], past, composed, guide)
+        return result, History(denoised, surface, vectors if "motion_next" in layers else None, mean)
+
+    def _prepare(self, layers: Mapping[str, GpuArray]) -> tuple[GpuArray, ...]:
+        """Sanitised light, surface and guide, and the statistics of the frame."""
+        H, W = layers["radiance"].shape[1:]
+        light, guide = self._image("light", (H, W)), self._image("guide", (H, W))
+        surface = self._fresh((H, W))
+        across, down = -(-W // BLOCK), -(-H // BLOCK)
+        blocks = self._image("blocks", (down, across))
+        inputs = [layers[name] for name in ("radiance", "albedo", "normal", "depth")]
+        dispatch(
+            "frame/prepare", [*inputs, light, surface, guide, blocks], (W, H), {"size": (W, H)}, (BLOCK, BLOCK),
+            DEMODULATE=int(self.design.accumulates),
+        )  # fmt: skip
+        count, statistics = across * down, self._scratch("statistics", (2,))
+        uniforms = {"count": count, "kept": max(1, int(0.9 * count))}
+        dispatch("frame/statistics", [blocks, statistics], (1,), uniforms, STATISTICS_GROUP)
+        return light, surface, guide, statistics
+
+    def _vectors(self, layers: Mapping[str, GpuArray]) -> GpuArray | None:
+        """Sanitised motion and motion_next as one image; what is missing is not read later."""
+        there = [layers[name] for name in ("motion", "motion_next") if name in layers]
+        if not there:
+            return None
+        H, W = there[0].shape[1:]
+        vectors = self._fresh((H, W))
+        dispatch("frame/motion", [there[0], there[-1], vectors], (W, H), {"size": (W, H)})
+        return vectors
+
+    def _reproject(
+        self, vectors: GpuArray | None, surface: GpuArray, light: GpuArray, history: History | None
+    ) -> tuple[GpuArray, GpuArray | None]:
+        """Reprojected history, and the running mean where there is one."""
+        d, (H, W) = self.design, surface.shape[:2]
+        past = self._image("past", (H, W))
+        running = self._image("running", (H, W)) if d.accumulates else None
+        if history is None:
+            if d.accumulates:
+                past.buffer.clear()
+                running.buffer.clear()
+            else:
+                self.ctx.copy_buffer(past.buffer, light.buffer)
+            return past, running
+        before = history.vectors
+        if d.accumulates:
+            buffers = [surface, history.surface, history.denoised, history.mean, past, running]
+        else:
+            buffers = [light, history.denoised, past]
+        dispatch(
+            f"{d.architecture}/reproject", [vectors, before, *buffers], (W, H), {"size": (W, H)},
+            DUAL=int(d.motion == "dual"),
+        )  # fmt: skip
+        return past, running
+
+    def _features(
+        self, light: GpuArray, surface: GpuArray, guide: GpuArray, past: GpuArray, running: GpuArray | None,
+        statistics: GpuArray,
+    ) -> GpuArray:  # fmt: skip
+        """The network's input, padded: to whole cells of the U-Net, or to what the stem halves."""
+        d, (H, W) = self.design, light.shape[:2]
+        cell = 2 if d.accumulates else self._unet.cell
+        padded = (W + -W % cell, H + -H % cell)
+        result = self._activations("features", d.features, padded[::-1])
+        buffers, uniforms = [light, surface, guide, past, statistics], {"size": padded, "image_size": (W, H)}
+        if d.accumulates:
+            buffers.append(running)
+            uniforms["longest"] = d.longest
+        dispatch(f"{d.architecture}/features", [*buffers, result], padded, uniforms, HALF=int(self._half))
+        return result
+
+    def _stemmed(self, features: GpuArray, size: tuple[int, int]) -> GpuArray:
+        """Features of half the size, padded to whole cells of the U-Net."""
+        half = (size[1] + 1) // 2, (size[0] + 1) // 2
+        W, H = (n + -n % self._unet.cell for n in half)
+        result = self._activations("stem", self._stem.outputs, (H, W))
+        dispatch(
+            "network/stem", [features, self._stem.weights, self._stem.biases, result], (W, H, result.shape[0]),
+            {"size": (W, H), "half_size": half, "groups": self._stem.groups[0]}, HALF=int(self._half),
+        )  # fmt: skip
+        return result
+
+    def _accumulate(self, features: GpuArray, light: GpuArray, running: GpuArray) -> GpuArray:
+        """The running mean and its length, with this frame in it."""
+        mean = self._fresh(light.shape[:2])
+        self._head(
+            "accumulated_kpn/accumulate",
+            self._reset,
+            features,
+            [light, running, mean],
+            {"longest": self.design.longest},
+        )
+        return mean
+
+    def _filter(self, levels: list[GpuArray], image: GpuArray) -> GpuArray:
+        """Filter every scale with its own kernels and compose from coarse to fine."""
+        d, size = self.design, image.shape[:2]
+        sizes = [size]
+        for _ in range(d.scales - 1):
+            sizes.append(tuple((n + 1) // 2 for n in sizes[-1]))
+        features = [levels[0], *levels] if d.accumulates else levels
+        filtered: list[GpuArray] = []
+        for s in range(d.scales):
+            if s:
+                # accumulated_kpn filters what the finer scale has filtered, temporal_kpn a pyramid of the noise
+                finer = filtered[-1] if d.accumulates else image
+                image = self._image(f"pyramid.{s}", sizes[s])
+                H, W = sizes[s]
+                dispatch("frame/downsample", [finer, image], (W, H), {"size": sizes[s - 1][::-1]}, POOL_MAX=self._pool)
+            filtered.append(self._image(f"filtered.{s}", sizes[s]))
+            self._head("frame/filter", self._spatial[s], features[s], [image, filtered[-1]], {}, KERNEL=d.kernel)
+        coarse = filtered[-1]
+        for s in reversed(range(d.scales - 1)):
+            composed = self._image(f"composed.{s}", sizes[s])
+            H, W = sizes[s]
+            dispatch("frame/compose", [filtered[s], coarse, composed], (W, H), {"size": (W, H)}, POOL_MAX=self._pool)
+            coarse = composed
+        return coarse
+
+    def _blend(
+        self, features: GpuArray, past: GpuArray, composed: GpuArray, guide: GpuArray
+    ) -> tuple[GpuArray, GpuArray]:
+        """The denoised image [3, H, W], and what history keeps of it."""
+        H, W = past.shape[:2]
+        denoised, result = self._fresh((H, W)), self._scratch("result", (3, H, W))
+        buffers = [past, composed, guide, denoised, result]
+        self._head("frame/temporal", self._temporal, features, buffers, {}, KERNEL=self.design.temporal_kernel)
+        return result, denoised
+
+    def _head(
+        self, name: str, head: Layer, features: GpuArray, buffers: list[GpuArray], uniforms: dict, **constants: int
+    ) -> None:
+        """A pass that computes rows of a head from `features` where it needs them. `buffers[0]` has its size."""
+        H, W = buffers[0].shape[:2]
+        cell = 2 if head.weights.shape[0] == 4 else 1
+        uniforms |= {"size": (W, H), "feature_size": features.shape[2:0:-1], "groups": head.groups[0]}
+        buffers = [features, head.weights, head.biases, *buffers]
+        dispatch(name, buffers, (W, H), uniforms, CELL=cell, HALF=int(self._half), **constants)
+
+    def _set_heads(self, tensors: Mapping[str, np.ndarray]) -> None:
+        """Split what the network predicts by the pass that needs it."""
+        d, taps, temporal = self.design, self.design.kernel**2, self.design.temporal_kernel**2
+        weight, bias = full_head(d, tensors)
+        unused = np.zeros_like(weight[:, :1]), np.zeros_like(bias[:1])  # the finest scale has no α
+        spatial = np.concatenate([weight[:, :taps], unused[0]], 1), np.concatenate([bias[:taps], unused[1]])
+        last = taps + temporal + 1
+        self._spatial = [head_layer(self.ctx, *spatial)]
+        self._temporal = head_layer(self.ctx, weight[:, taps:last], bias[taps:last])
+        if d.accumulates:
+            self._reset = head_layer(self.ctx, weight[:, last:], bias[last:])
+        first = 0 if d.accumulates else 1
+        for i in range(first, first + d.scales - 1):
+            self._spatial.append(
+                head_layer(self.ctx, tensors[f"heads.{i}.weight"][None, :, :, 0, 0], tensors[f"heads.{i}.bias"])
+            )
+
+    def _stage(self, name: str):
+        return nullcontext() if self.clock is None else self.clock.stage(name)
+
+    @property
+    def _pool(self) -> int:
+        return int(self.design.pool == "max")
+
+    def _image(self, name: str, size: tuple[int, int]) -> GpuArray:
+        return self._scratch(name, (*size, 4))
+
+    def _activations(self, name: str, channels: int, size: tuple[int, int]) -> GpuArray:
+        return self._scratch(name, (-(-channels // 4), *size, 4), np.float16 if self._half else np.float32)
+
+    def _fresh(self, size: tuple[int, int]) -> GpuArray:
+        """An image that goes into history: nobody may write it again."""
+        return GpuArray.empty(self.ctx, (*size, 4))

@@ -1,0 +1,51 @@
+"""What one frame on the GPU hands to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+
+from .context import GpuArray
+
+
+@dataclass(frozen=True)
+class History:
+    """As `rtdenoise.frame.History`, in images [H, W, 4] on the GPU. Passed in and returned, never hidden."""
+
+    denoised: GpuArray  # rgb: the denoised previous frame (irradiance where the model divides by albedo)
+    surface: GpuArray  # normal, depth
+    vectors: GpuArray | None  # motion, motion_next; None: dual motion next time is approximate
+    mean: GpuArray | None  # rgb, length: the running mean; None where the model keeps none
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.denoised.shape[0], self.denoised.shape[1]
+
+    def read(self) -> dict[str, np.ndarray]:
+        """Field of `rtdenoise.frame.History` -> [1, C, H, W]; what is None is left out."""
+        denoised, surface = self.denoised.read(), self.surface.read()
+        planes = {"radiance": denoised[..., :3], "normal": surface[..., :3], "depth": surface[..., 3:]}
+        if self.vectors is not None:
+            planes["motion_next"] = self.vectors.read()[..., 2:]
+        if self.mean is not None:
+            mean = self.mean.read()
+            planes |= {"accumulated": mean[..., :3], "length": mean[..., 3:]}
+        return {name: np.ascontiguousarray(np.moveaxis(plane, 2, 0)[None]) for name, plane in planes.items()}
+
+    @classmethod
+    def upload(cls, ctx: moderngl.Context, arrays: Mapping[str, np.ndarray]) -> History:
+        """The inverse of `read`. Raises KeyError where a field is missing that every history has."""
+
+        def image(*names: str) -> GpuArray:
+            planes = np.concatenate([np.asarray(arrays[name], np.float32)[0] for name in names])
+            return GpuArray.upload(ctx, np.moveaxis(np.pad(planes, ((0, 4 - len(planes)), (0, 0), (0, 0))), 0, 2))
+
+        vectors = None
+        if "motion_next" in arrays:
+            vectors = image("motion_next", "motion_next")  # the first two are motion, which nobody reads again
+        mean = image("accumulated", "length") if "accumulated" in arrays else None
+        return cls(image("radiance"), image("normal", "depth"), vectors, mean)

@@ -1,0 +1,80 @@
+#version 430
+// 3×3 convolution with zero padding, and ReLU:
+//
+//     out[o, y, x] = max(0, bias[o] + Σ_{i; dy, dx ∈ 0..2} weight[o, i, dy, dx] · in[i, y + dy - 1, x + dx - 1])
+//
+// SOURCE says what `in` is, so that neither pooled nor concatenated tensors are ever written:
+//
+//     0   near
+//     1   near, of twice the size, in maxima of 2×2
+//     2   far, of half the size, nearest ×2; then the channels of near
+//
+// takes    near, far: activations · weights [groups out, groups in, 9] of 4×4 blocks, column by column: one column is what one
+//          input adds to four outputs · biases [groups out] of four
+// returns  result: activations
+//
+// A work group computes GROUP_X·PIXELS × GROUP_Y pixels of BLOCKS groups of four output channels, a quadruple of input
+// channels at a time, which it keeps in shared memory with a border of one pixel. gl_GlobalInvocationID = (x, y, block).
+#pragma constants SOURCE PIXELS BLOCKS
+#include "tensor.glsl"
+#include "activations.glsl"
+
+layout(std430, binding = 0) readonly restrict buffer Near { FOUR near[]; };
+layout(std430, binding = 1) readonly restrict buffer Far { FOUR far[]; };
+layout(std430, binding = 2) readonly restrict buffer Weights { mat4 weights[]; };
+layout(std430, binding = 3) readonly restrict buffer Biases { vec4 biases[]; };
+layout(std430, binding = 4) writeonly restrict buffer Result { FOUR result[]; };
+
+#ifndef VULKAN
+uniform ivec3 groups;  // of four channels: of `far` (SOURCE 2), of all inputs, of the outputs
+#endif
+
+const ivec2 TILE = ivec2(GROUP_X * PIXELS + 2, GROUP_Y + 2);
+shared vec4 tile[TILE.x * TILE.y];
+
+vec4 source(int g, ivec2 p) {
+    if (!inside(p, size)) return vec4(0.0);
+#if SOURCE == 0
+    return unpacked(near[in_group(g, p, size)]);
+#elif SOURCE == 1
+    int i = in_group(g, 2 * p, 2 * size), below = i + 2 * size.x;
+    return max(max(unpacked(near[i]), unpacked(near[i + 1])), max(unpacked(near[below]), unpacked(near[below + 1])));
+#else
+    return unpacked(g < groups.x ? far[in_group(g, p / 2, size / 2)] : near[in_group(g - groups.x, p, size)]);
+#endif
+}
+
+void main() {
+    int lane = int(gl_LocalInvocationIndex);
+    ivec2 local = ivec2(gl_LocalInvocationID.xy);
+    ivec2 corner = ivec2(gl_WorkGroupID.xy) * ivec2(GROUP_X * PIXELS, GROUP_Y);
+    int first = int(gl_WorkGroupID.z) * BLOCKS;  // group of output channels
+
+    // Pixel j of an invocation lies GROUP_X from pixel j - 1: neighbours in the work group read neighbours in the tile.
+    vec4 sum[BLOCKS * PIXELS];
+    for (int o = 0; o < BLOCKS; ++o) {
+        for (int j = 0; j < PIXELS; ++j) sum[o * PIXELS + j] = biases[first + o];
+    }
+    for (int g = 0; g < groups.y; ++g) {
+        barrier();
+        for (int i = lane; i < TILE.x * TILE.y; i += GROUP_X * GROUP_Y) {
+            tile[i] = source(g, corner + ivec2(i % TILE.x, i / TILE.x) - 1);
+        }
+        barrier();
+        for (int tap = 0; tap < 9; ++tap) {
+            int read = (local.y + tap / 3) * TILE.x + local.x + tap % 3;
+            for (int o = 0; o < BLOCKS; ++o) {
+                mat4 weight = weights[((first + o) * groups.y + g) * 9 + tap];
+                for (int j = 0; j < PIXELS; ++j) sum[o * PIXELS + j] += weight * tile[read + j * GROUP_X];
+            }
+        }
+    }
+    for (int o = 0; o < BLOCKS; ++o) {
+        for (int j = 0; j < PIXELS; ++j) {
+            ivec2 p = corner + local + ivec2(j * GROUP_X, 0);
+            if (first + o < groups.z && inside(p, size)) {
+                result[in_group(first + o, p, size)] = packed_four(max(sum[o * PIXELS + j], 0.0));
+            }
+        }
+    }
+}
