@@ -15,8 +15,7 @@ from .cli_evaluate import Evaluate, Report
 from .denoise import Options
 from .errors import InputError
 from .progress import progress_bar
-from .train import train
-from .trainer import TrainConfig
+from .train_config import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,9 @@ class Denoise:
         from .denoise import denoise
         from .memory import keep_freed
 
+        if self.preview:
+            from .preview import preview
+
         keep_freed()
         with progress_bar("denoising") as progress:
             task = progress.add_task("denoise", total=None)
@@ -51,7 +53,6 @@ class Denoise:
             print(f"{layer}: {count} pixels were NaN or Inf and have been replaced")
         if self.preview:
             from .data.sequences import open_sequence
-            from .preview import preview
 
             o = self.settings
             sequence = open_sequence(
@@ -188,6 +189,8 @@ class Train:
     config: OmitArgPrefixes[TrainConfig]
 
     def run(self) -> None:
+        from .train import train
+
         print(f"weights: {train(self.config)}")
 
 
@@ -229,6 +232,11 @@ def main(arguments: list[str] | None = None) -> None:
         command.run()
     except InputError as error:
         print(f"rtdenoise: {error}", file=sys.stderr)
+        sys.exit(2)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "torch":
+            raise
+        print("rtdenoise: this needs PyTorch, which is not installed; `denoise` alone does without it", file=sys.stderr)
         sys.exit(2)
     except OSError as error:  # a disk that is full, a folder that may not be written to
         print(f"rtdenoise: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)

@@ -34,7 +34,7 @@ class Evaluate:
     """'auto' (CUDA where there is a GPU), 'cpu' or 'cuda'."""
 
     def run(self) -> None:
-        from .denoise import choose_device
+        from .backends import choose_device
         from .evaluate.run import Options as EvaluateOptions
         from .evaluate.run import run
 

@@ -9,18 +9,19 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
-import torch
+import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors.numpy import save
 
 from .atomic import write_atomically
+from .backends import Backend, open_backend
 from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
-from .frame import History, non_finite
-from .memory import explained
-from .models import find, load
+from .frame import non_finite
+from .stored import find
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
 
@@ -46,10 +47,13 @@ class Options:
     """Write 32-bit float instead of 16-bit half."""
     allow_gaps: bool = False
     """Accept missing frame numbers; history starts anew after each gap."""
+    backend: str = "auto"
+    """'torch', 'glsl' (OpenGL compute shaders, needs no PyTorch), or 'auto': torch where it is installed."""
     device: str = "auto"
-    """'auto', 'cpu' or 'cuda'."""
+    """Of the backend torch: 'auto', 'cpu' or 'cuda'."""
     precision: str = "auto"
-    """Of the network: 'fp32', 'bf16', or 'auto' (bf16 where the hardware is faster in it)."""
+    """Of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl: of what it stores), or 'auto' (torch: bf16 where the
+    hardware is faster in it; glsl: fp32)."""
 
 
 @dataclass
@@ -62,7 +66,6 @@ class Summary:
     replaced: dict[str, int] | None = None  # layer -> pixels that were NaN or Inf
 
 
-@torch.inference_mode()
 def denoise(
     source: str,
     out: str | Path,
@@ -82,30 +85,27 @@ def denoise(
     sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
-    device = choose_device(options.device)
-    denoiser = load(options.model, device, options.precision)
+    backend = open_backend(options.backend, options.model, options.device, options.precision)
     out = _prepare(Path(out), sequence)
     fingerprints = _fingerprints(sequence, options)
-    done, history = (0, None) if overwrite else _resume(out, sequence, fingerprints, device)
+    done, history = (0, None) if overwrite else _resume(out, sequence, fingerprints, backend)
 
     if not done:
-        _save_state(out / STATE, None, 0, fingerprints[0])  # so that the next run knows the first frame for its own
+        _save_state(out / STATE, {}, 0, fingerprints[0])  # so that the next run knows the first frame for its own
     summary = Summary(skipped=done, replaced={})
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
-        frame = sequence[i]
+        frame = sequence.read(i)
         for layer, count in non_finite(frame).items():
             summary.replaced[layer] = summary.replaced.get(layer, 0) + count
         if i and frame.number != sequence.numbers[i - 1] + 1:
             history = None
         started = time.perf_counter()
-        with explained(frame.name, frame.size, device):
-            image, history = denoiser.step(frame.to(device), history)
-            image = image.cpu()
+        image, history = backend.step(frame, history)
         summary.seconds += time.perf_counter() - started
         write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
                     keep=options.keep, float32=options.float32)  # fmt: skip
-        _save_state(out / STATE, history, i + 1, fingerprints[i + 1])
+        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1])
         summary.written += 1
         on_frame(i + 1, len(sequence))
     return summary
@@ -125,23 +125,13 @@ def _prepare(out: Path, sequence: Sequence) -> Path:
     return out
 
 
-def choose_device(name: str) -> str:
-    """'auto' becomes CUDA where there is a GPU. Raises InputError for a device that is unknown or not there."""
-    if name not in ("auto", "cpu", "cuda"):
-        raise InputError(f"unknown device {name!r}; expected 'auto', 'cpu' or 'cuda'")
-    device = name if name != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
-    if device == "cuda" and not torch.cuda.is_available():
-        raise InputError("device cuda: no CUDA device was found; use --device cpu")
-    return device
-
-
 def _inputs(sequence: Sequence) -> list[Path]:
     return [path for frame in sequence.files for path in frame.files.values()]
 
 
 def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
-    parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "device"}
+    parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name not in ("backend", "device")}
     parts["layers"] = [repr(sequence.rules), repr(sequence.preset)]  # a preset of one's own may have been mended
     parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
     scene = sequence.scene or {}
@@ -157,7 +147,7 @@ def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
     return fingerprints
 
 
-def _resume(out: Path, sequence: Sequence, fingerprints: list[str], device: str) -> tuple[int, History | None]:
+def _resume(out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend) -> tuple[int, Any]:
     """How many frames are finished, and the history after them."""
     if not (out / STATE).exists():
         clash = [name for name in sequence.names if (out / name).exists()]
@@ -167,12 +157,10 @@ def _resume(out: Path, sequence: Sequence, fingerprints: list[str], device: str)
             )
         return 0, None
     try:
-        with safe_open(out / STATE, framework="pt", device=device) as file:
+        with safe_open(out / STATE, framework="numpy") as file:
             metadata = file.metadata() or {}
-            stored = set(file.keys())
-            names = [f.name for f in fields(History)]
-            history = History(**{name: file.get_tensor(name) if name in stored else None for name in names})
-    except (SafetensorError, OSError, TypeError) as error:
+            history = backend.restore({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118 (no dict)
+    except (SafetensorError, OSError, TypeError, KeyError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
     done = int(metadata.get("done", 0))
     if not done:  # whatever is there is of a run that did not come as far as its second frame
@@ -186,7 +174,5 @@ def _resume(out: Path, sequence: Sequence, fingerprints: list[str], device: str)
     return done, history
 
 
-def _save_state(path: Path, history: History | None, done: int, fingerprint: str) -> None:
-    values = {f.name: getattr(history, f.name, None) for f in fields(History)}
-    tensors = {name: t.detach().cpu().contiguous() for name, t in values.items() if t is not None}
-    write_atomically(path, save(tensors, metadata={"done": str(done), "fingerprint": fingerprint}))
+def _save_state(path: Path, history: dict[str, np.ndarray], done: int, fingerprint: str) -> None:
+    write_atomically(path, save(history, metadata={"done": str(done), "fingerprint": fingerprint}))

@@ -19,6 +19,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from .errors import InputError
 
 if TYPE_CHECKING:
@@ -161,5 +163,5 @@ def sanitise(frame: Frame) -> Frame:
 
 def non_finite(frame: Frame) -> dict[str, int]:
     """Number of pixels per layer that hold NaN or Inf; layers without any are left out."""
-    counts = {layer: int((~tensor.isfinite()).any(dim=1).sum()) for layer, tensor in frame.layers()}
+    counts = {layer: int((~np.isfinite(np.asarray(tensor))).any(axis=1).sum()) for layer, tensor in frame.layers()}
     return {layer: count for layer, count in counts.items() if count}

@@ -33,7 +33,8 @@ from .models import Denoiser, save
 from .motion import uncovered
 from .progress import progress_bar
 from .strict_json import dumps
-from .trainer import TrainConfig, Trainer, check
+from .train_config import TrainConfig
+from .trainer import Trainer, check
 
 WEIGHTS = "weights.safetensors"
 

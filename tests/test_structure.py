@@ -8,10 +8,11 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent / "rtdenoise"
 # A room may import the rooms above it in this list, and its own.
 ORDER = [
-    ("errors", "strict_json", "progress", "distributed"), ("memory", "atomic", "origin"),
+    ("errors", "strict_json", "progress", "distributed", "train_config"), ("memory", "atomic", "origin", "stored"),
     ("frame", "color"), ("ops",), ("motion",), ("motion_splat",), ("nets",), ("models",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
-    ("render", "trainer"), ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"),
+    ("render", "trainer", "backends"),
+    ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"),
     ("cli_evaluate",), ("cli",), ("__main__",),
 ]  # fmt: skip
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}

@@ -8,19 +8,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from ..errors import InputError
 from ..frame import Frame
-from ..motion import motion_from_scene
 from .exr_format import ExrHeader
 
 
 def complete(frame: Frame, scene: dict) -> Frame:
     """The frame with what it lacks and `scene` allows: depth from positions, motion from positions and ids.
 
-    Where nothing has an id and nothing moves, whatever was hit (position ≠ 0) is one still object.
+    Where nothing has an id and nothing moves, whatever was hit (position ≠ 0) is one still object. The frame's tensors
+    are torch's.
     """
+    import torch
+
+    from ..motion import motion_from_scene
+
     entries = {entry["number"]: entry for entry in scene["frames"]}
     if frame.position is None or frame.number not in entries:
         return frame

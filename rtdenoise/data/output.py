@@ -14,17 +14,20 @@ S · A cancels out. It needs none of those passes, and stays right where a scene
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ..errors import InputError
 from ..frame import Frame, sanitise
 from .exr import read_channels, write_layers, write_like
 from .rules import Rule
 from .sequences import Sequence, convert
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 LAYOUTS = ("plain", "source")
 PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
@@ -38,6 +41,8 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
         raise InputError(f"{sequence.paths[0]}: layout 'source' copies EXR files, this is none: choose 'plain'")
     if layout == "source" and keep:
         raise InputError("layout 'source' passes every channel on: leave --keep out")
+    if recombine and find_spec("torch") is None:
+        raise InputError("--recombine needs PyTorch, which is not installed; leave it out")
     if recombine and sequence.signal != "color" and "radiance" not in sequence.preset.resolve(sequence.header, "color"):
         raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has {sequence.header.summary}; "
                          f"{sequence.preset.hint('radiance', 'color')}")  # fmt: skip
@@ -49,12 +54,14 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
 def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> Tensor:
     """The beauty `[1, 3, H, W]` with the denoised signal `image` in it; the equation stands above. Never negative;
     where the input is not finite, the rest counts as 0."""
+    import torch
+
     frame = sanitise(frame)
     albedo = frame.albedo if sequence.demodulated else torch.ones_like(image)
     if sequence.signal == "color":
         return image * albedo
     rule = sequence.preset.resolve(sequence.header, "color")["radiance"]
-    color = convert(rule, sequence.files[index].read(rule.channels), "radiance")
+    color = torch.from_numpy(convert(rule, sequence.files[index].read(rule.channels), "radiance"))
     rest = torch.nan_to_num(color - frame.radiance * albedo, nan=0.0, posinf=0.0, neginf=0.0)
     return (rest + image * albedo).clamp(min=0)
 
@@ -63,22 +70,25 @@ def read_result(
     out: Path, sequence: Sequence, index: int, layout: str = "plain", recombine: bool = False
 ) -> Tensor:  # [1, 3, H, W]
     """What `write_frame` wrote with these options: the denoised signal, or the beauty."""
+    import torch
+
     path = sequence.paths[index]
     if layout == "plain":
-        return convert(PLAIN, read_channels(out / sequence.names[index], PLAIN.channels), "radiance")
+        plain = read_channels(out / sequence.names[index], PLAIN.channels)
+        return torch.from_numpy(convert(PLAIN, plain, "radiance"))
     beauty = sequence.preset.beauty_rule(sequence.header) if recombine else None
     rule = beauty or _place(sequence)
     ((file, names),) = sequence.files[index].locate(rule.channels).items()
     stored = read_channels(out / _name(file, path), tuple(names))
-    return convert(rule, {full: stored[name] for name, full in names.items()}, "radiance")
+    return torch.from_numpy(convert(rule, {full: stored[name] for name, full in names.items()}, "radiance"))
 
 
 def write_frame(
     out: Path,  # folder
     sequence: Sequence,
     index: int,
-    frame: Frame,  # as read
-    image: Tensor,  # [1, 3, H, W] the denoised signal
+    frame: Frame,  # as `Sequence.read` gives it
+    image: np.ndarray,  # [1, 3, H, W] the denoised signal
     *,
     layout: str = "plain",
     recombine: bool = False,
@@ -92,7 +102,11 @@ def write_frame(
              one, with `recombine` also the beauty in the place of the renderer's. Where buffers are files of their own,
              those alone that have changed.
     """
-    beauty = recombined(sequence, index, frame, image) if recombine else None
+    beauty = None
+    if recombine:
+        import torch
+
+        beauty = recombined(sequence, index, frame.map(torch.from_numpy), torch.from_numpy(image)).numpy()
     path = sequence.paths[index]
     if layout == "plain":
         _write_plain(out / sequence.names[index], sequence, index, image if beauty is None else beauty, keep, float32)
@@ -116,15 +130,15 @@ def _name(file: Path, signal: Path) -> str:
     return f"{file.parent.name}.{file.name}" if file != signal and file.name == signal.name else file.name
 
 
-def _planes(rule: Rule, image: Tensor) -> dict[str, np.ndarray]:
+def _planes(rule: Rule, image: np.ndarray) -> dict[str, np.ndarray]:
     """The inverse of `convert` for radiance."""
-    return {name: sign * plane for name, sign, plane in zip(rule.channels, rule.signs, image[0].numpy(), strict=True)}
+    return {name: sign * plane for name, sign, plane in zip(rule.channels, rule.signs, image[0], strict=True)}
 
 
 def _write_plain(
-    path: Path, sequence: Sequence, index: int, image: Tensor, keep: tuple[str, ...], float32: bool
+    path: Path, sequence: Sequence, index: int, image: np.ndarray, keep: tuple[str, ...], float32: bool
 ) -> None:
-    layers: dict[str, np.ndarray] = {"color": image[0].permute(1, 2, 0).numpy()}
+    layers: dict[str, np.ndarray] = {"color": np.moveaxis(image[0], 0, 2)}
     dtypes = {"color": "float" if float32 else "half"}
     if keep:
         types = sequence.header.channels

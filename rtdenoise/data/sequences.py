@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ..errors import InputError
 from ..frame import CHANNELS, Frame
@@ -74,11 +73,26 @@ class Sequence:
 
         Values are as stored, non-finite ones too, except that the depth of misses (inf, Cycles' 1e10) becomes 0.
         """
+        import torch
+
+        return self.read(i).map(torch.from_numpy)
+
+    def read(self, i: int) -> Frame:
+        """`self[i]` with numpy arrays; it needs torch only where a layer is computed from positions and `scene`.
+
+        Raises InputError where it does and there is none.
+        """
         files = self.files[i]
         channels = files.read({name for rule in self.rules.values() for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in self.rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
-        return complete(frame, self.scene) if self.scene else frame
+        if not self.scene or all(getattr(frame, layer) is not None for layer in ("depth", "motion", "motion_next")):
+            return frame
+        if find_spec("torch") is None:
+            raise InputError(f"{frame.name}: has no motion of its own; computing it from positions needs PyTorch")
+        import torch
+
+        return complete(frame.map(torch.from_numpy), self.scene).map(lambda tensor: tensor.numpy())
 
     def require(self, *layers: str) -> Sequence:
         """The sequence itself, if it has these layers of `Frame`.
@@ -134,14 +148,14 @@ def open_sequence(
     return Sequence(files, (header.height, header.width), signal, found, header, rules, available, gaps, scene)
 
 
-def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> Tensor:
+def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarray:
     """A layer `[1, C, H, W]` from channels `[H, W]`, in the conventions of `frame.py`."""
-    image = torch.from_numpy(np.stack([sign * channels[n] for n, sign in zip(rule.channels, rule.signs, strict=True)]))
+    image = np.stack([sign * channels[n] for n, sign in zip(rule.channels, rule.signs, strict=True)])
     if layer == "depth":
-        image = torch.where(image >= rule.miss, 0.0, image)
+        image = np.where(image >= rule.miss, np.float32(0), image)
     if rule.scale == "uv":
         H, W = image.shape[1:]
-        image = image * torch.tensor([W, H]).reshape(2, 1, 1)
+        image = image * np.array([W, H], np.float32).reshape(2, 1, 1)
     return image[None]
 
 

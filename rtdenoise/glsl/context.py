@@ -67,7 +67,7 @@ class GpuArray:
 
     buffer: moderngl.Buffer
     shape: tuple[int, ...]
-    dtype: np.dtype  # float32 or float16
+    dtype: np.dtype  # float32, float16 or uint32
 
     @classmethod
     def empty(cls, ctx: moderngl.Context, shape: tuple[int, ...], dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
@@ -76,8 +76,8 @@ class GpuArray:
         Raises InputError where it is larger than a shader can see of one buffer.
         """
         dtype = np.dtype(dtype)
-        if dtype not in (np.float32, np.float16):
-            raise ValueError(f"expected float32 or float16, got {dtype}")
+        if dtype not in (np.float32, np.float16, np.uint32):
+            raise ValueError(f"expected float32, float16 or uint32, got {dtype}")
         size, limit = math.prod(shape) * dtype.itemsize, storage_limit(ctx)
         if size > limit:
             raise InputError(

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from .context import GpuArray
 from .program import program
 
+FILL_ROW = 32 * 1024  # words that a row of work groups of `frame/fill` fills
 GROUP = (32, 4)  # invocations of a work group: the 32 or 64 lanes that run together read whole rows
 
 
@@ -30,3 +31,10 @@ def dispatch(
     counts = [-(-n // per_group[axis]) for axis, n in enumerate(invocations)]
     compute.run(*counts)
     ctx.memory_barrier()
+
+
+def fill(array: GpuArray, word: int = 0) -> None:
+    """Set every 32-bit word of an array."""
+    count = array.buffer.size // 4
+    extent = min(count, FILL_ROW), -(-count // FILL_ROW)
+    dispatch("frame/fill", [array], extent, {"count": count, "value": word}, (GROUP[0],), ROW=FILL_ROW)

@@ -22,13 +22,14 @@ from ..stored import read_model
 from .clock import Clock
 from .context import GpuArray, default_context
 from .designs import Design, design, expected_shapes, full_head
-from .dispatch import dispatch
+from .dispatch import dispatch, fill
 from .network import Layer, UNet, conv_layer, head_layer
 from .scratch import Scratch
 from .state import History
 
 BLOCK = 8  # side of the blocks that exposure is measured in
 STATISTICS_GROUP = (256,)
+NOTHING = 0xFFFFFFFF  # in the splat: no pixel
 
 
 class Pipeline:
@@ -69,6 +70,11 @@ class Pipeline:
         stored.expect(expected_shapes(found))
         return cls(found, stored.tensors, half)
 
+    @property
+    def scratch_bytes(self) -> int:
+        """GPU memory that is kept between frames, beside the weights; history and the layers of a frame come on top."""
+        return self._scratch.nbytes
+
     def step(self, frame: Frame, history: History | None = None) -> tuple[np.ndarray, History]:
         """Denoise one frame of numpy arrays `[1, C, H, W]`: `[1, 3, H, W]` linear radiance, float32, and the history
         for the next one.
@@ -77,6 +83,8 @@ class Pipeline:
         sequence or resets after a cut. Raises InputError where a layer is missing, the history is of another size, or
         a buffer would be larger than the device allows.
         """
+        if len(frame.radiance) != 1:
+            raise InputError(f"{frame.name or 'frame'}: expected one frame at a time, got {len(frame.radiance)}")
         needed = ("albedo", "normal", "depth", *(() if history is None else ("motion",)))
         frame.require(*needed)
         if history is not None and history.size != frame.size:
@@ -149,23 +157,38 @@ class Pipeline:
         d, (H, W) = self.design, surface.shape[:2]
         past = self._image("past", (H, W))
         running = self._image("running", (H, W)) if d.accumulates else None
-        if history is None:
-            if d.accumulates:
-                past.buffer.clear()
-                running.buffer.clear()
-            else:
-                self.ctx.copy_buffer(past.buffer, light.buffer)
+        if history is None and d.accumulates:
+            fill(past)
+            fill(running)
             return past, running
+        if history is None:
+            self.ctx.copy_buffer(past.buffer, light.buffer)
+            return past, None
         before = history.vectors
+        if before is None and d.motion == "dual":
+            before = self._splat(vectors, surface, history.surface)
         if d.accumulates:
             buffers = [surface, history.surface, history.denoised, history.mean, past, running]
         else:
             buffers = [light, history.denoised, past]
         dispatch(
-            f"{d.architecture}/reproject", [vectors, before, *buffers], (W, H), {"size": (W, H)},
+            f"{d.architecture}/reproject", [vectors, before or vectors, *buffers], (W, H), {"size": (W, H)},
             DUAL=int(d.motion == "dual"),
         )  # fmt: skip
         return past, running
+
+    def _splat(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> GpuArray:
+        """motion_next of the previous frame, approximate: `motion_splat.splat_motion_next`."""
+        H, W = surface.shape[:2]
+        inputs = [vectors, surface, surface_before]
+        best, winner = (self._scratch(name, (H, W), np.uint32) for name in ("splat.best", "splat.winner"))
+        before = self._image("splat.vectors", (H, W))
+        for array in (best, winner):
+            fill(array, NOTHING)
+        for claim in (0, 1):
+            dispatch("splat/bid", [*inputs, best, winner], (W, H), {"size": (W, H)}, CLAIM=claim)
+        dispatch("splat/close", [*inputs, best, winner, before], (W, H), {"size": (W, H)})
+        return before
 
     def _features(
         self, light: GpuArray, surface: GpuArray, guide: GpuArray, past: GpuArray, running: GpuArray | None,

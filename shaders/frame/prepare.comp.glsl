@@ -40,12 +40,11 @@ void main() {
         float distance = finite_or(depth[i], 0.0);
         if (!(distance > 0.0 && distance < FAR)) distance = 0.0;
 
-        bool textured = distance > 0.0 && max(color.r, max(color.g, color.b)) >= LEAST_ALBEDO;
-        vec4 textured_albedo = vec4(color, DEMODULATE == 1 && textured ? 1.0 : 0.0);
-        rgb /= divisor(textured_albedo);
+        vec4 divided = vec4(color, DEMODULATE == 1 && distance > 0.0 ? 1.0 : 0.0);
+        rgb /= divisor(divided);
         light[i] = vec4(rgb, 1.0);
         surface[i] = vec4(facing, distance);
-        guide[i] = textured_albedo;
+        guide[i] = divided;
         partial[lane] = vec4(dot(rgb, vec3(0.2126, 0.7152, 0.0722)), distance, distance > 0.0 ? 1.0 : 0.0, 1.0);
     }
     for (int step = GROUP_X * GROUP_Y / 2; step > 0; step /= 2) {

@@ -4,7 +4,7 @@
 //     out = max(0, α · composed + (1 - α) · Σ_taps w · (valid ? past : composed))
 //
 // takes    features, weights, biases: the head, KERNEL² logits and the logit of α · past [H, W] rgb, flags · composed [H, W]
-//          rgb · albedo [H, W] rgb, textured
+//          rgb · albedo [H, W] rgb, whether light was divided by it
 // returns  denoised [H, W] rgb: what history keeps · result [3, H, W] radiance, the albedo multiplied back
 #pragma constants KERNEL
 #include "image.glsl"

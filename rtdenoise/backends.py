@@ -1,0 +1,112 @@
+"""What runs a model: torch, or compute shaders where there is no torch. Frames, images and saved histories are numpy
+arrays whichever it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from typing import Any, Protocol
+
+import numpy as np
+
+from .errors import InputError
+from .frame import Frame
+from .memory import explained
+
+BACKENDS = ("auto", "torch", "glsl")
+
+
+class Backend(Protocol):
+    """A model, ready to run. `history` is the backend's own; None starts anew."""
+
+    def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+        """Denoise one frame of arrays `[1, C, H, W]`: `[1, 3, H, W]`, and the history for the next one."""
+
+    def save(self, history: Any) -> dict[str, np.ndarray]:
+        """A history as the fields of `frame.History` that it has, `[1, C, H, W]`: the same for every backend."""
+
+    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
+        """The inverse of `save`. Raises KeyError or TypeError where the fields are not those of this model."""
+
+
+def open_backend(name: str, model: str, device: str, precision: str) -> Backend:
+    """The backend `name` with a model in it; 'auto' is torch where it is installed.
+
+    Raises InputError for an unknown name, a device or precision that the backend does not have, and what loading the
+    model raises.
+    """
+    if name not in BACKENDS:
+        raise InputError(f"unknown backend {name!r}; expected one of {', '.join(BACKENDS)}")
+    has_torch = find_spec("torch") is not None
+    if name == "torch" and not has_torch:
+        raise InputError("--backend torch: PyTorch is not installed; install it, or use --backend glsl")
+    if name == "torch" or (name == "auto" and has_torch):
+        return TorchBackend(model, device, precision)
+    return GlslBackend(model, device, precision)
+
+
+def choose_device(name: str) -> str:
+    """'auto' becomes CUDA where there is a GPU. Raises InputError for a device that is unknown or not there."""
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError(f"unknown device {name!r}; expected 'auto', 'cpu' or 'cuda'")
+    import torch
+
+    device = name if name != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda: no CUDA device was found; use --device cpu")
+    return device
+
+
+class TorchBackend:
+    """`rtdenoise.models`."""
+
+    def __init__(self, model: str, device: str, precision: str) -> None:
+        from .models import load
+
+        self.device = choose_device(device)
+        self._denoiser = load(model, self.device, precision)
+
+    def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+        import torch
+
+        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+            image, history = self._denoiser.step(frame.map(torch.from_numpy).to(self.device), history)
+            return image.cpu().numpy(), history
+
+    def save(self, history: Any) -> dict[str, np.ndarray]:
+        tensors = {name: getattr(history, name) for name in type(history).__dataclass_fields__}
+        return {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items() if tensor is not None}
+
+    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
+        import torch
+
+        from .frame import History
+
+        names = History.__dataclass_fields__
+        return History(**{
+            name: torch.from_numpy(fields[name]).to(self.device) if name in fields else None for name in names
+        })  # fmt: skip
+
+
+class GlslBackend:
+    """`rtdenoise.glsl.Pipeline`, on the GPU that OpenGL gives."""
+
+    def __init__(self, model: str, device: str, precision: str) -> None:
+        from .glsl import Pipeline
+
+        if device != "auto":
+            raise InputError(f"--device {device}: goes with --backend torch; OpenGL's driver decides where shaders run")
+        if precision not in ("auto", "fp32", "fp16"):
+            raise InputError(f"precision {precision!r}: --backend glsl has 'fp32' and 'fp16' ('auto' is fp32)")
+        self._pipeline = Pipeline.load(model, half=precision == "fp16")
+
+    def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+        return self._pipeline.step(frame, history)
+
+    def save(self, history: Any) -> dict[str, np.ndarray]:
+        return history.read()
+
+    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
+        from .glsl import History
+
+        return History.upload(self._pipeline.ctx, fields)

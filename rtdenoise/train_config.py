@@ -1,0 +1,54 @@
+"""The options of a training run: what the command line shows, and what a run directory records."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Options of a run. Resuming checks that they have not changed, but for paths and device."""
+
+    data: tuple[Path, ...]
+    """Folders of training clips, written by `rtdenoise render --clips`."""
+    out: Path
+    """Run directory; a run that is there is resumed."""
+    val: Path | None = None
+    """Folder of validation clips, of other scenes than the training ones."""
+    init: Path | None = None
+    """Weights to start from instead of random ones: a .safetensors file of the same preset."""
+    preset: str = "paper"
+    """Model preset."""
+    signal: str = "indirect"
+    """What is denoised: 'indirect', 'color', or 'both', of which a third of the clips are color."""
+    motion: str = "dual"
+    """'dual', or 'traditional' for setting A of the paper."""
+    occlusion_loss: bool = True
+    """Add L_occ in the second half of the run (setting C of the paper); off: setting B."""
+    steps: int = 4000
+    """Optimiser steps in all."""
+    batch: int = 4
+    """Clips a step, of all processes together."""
+    cuts: float = 0.0
+    """Share of steps in which history is dropped at one frame, as at a cut."""
+    loss_exposure: float = 1.0
+    """The loss is taken on log(1 + loss_exposure · s · x), s the exposure of the reference."""
+    huber: float = 0.0
+    """Error up to which the loss is quadratic instead of absolute; 0: L1, as in the paper."""
+    frames: int = 9
+    """Consecutive frames a clip; the recurrence is back-propagated through all of them."""
+    size: int = 128
+    """Side of the random crop in pixels."""
+    lr: float = 1e-3
+    """Peak learning rate of Adam: linear warm-up over 200 steps, then a cosine to zero."""
+    seed: int = 0
+    """Decides initial weights, order of clips, crops and augmentation."""
+    device: str = "cpu"
+    """'cpu' or 'cuda'."""
+    amp: bool = True
+    """Run the convolutions in bfloat16."""
+    validate_every: int = 500
+    """Steps between validations."""
+    checkpoint_minutes: float = 3.0
+    """Minutes between checkpoints; one is also written on Ctrl-C and on SIGTERM."""

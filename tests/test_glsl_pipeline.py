@@ -1,0 +1,336 @@
+"""Whole frames as compute shaders against the torch models, whose steps are their specification."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import load_file, save_file
+from synthetic import TINY, make_frames, write_sequence
+
+from rtdenoise import glsl, models
+from rtdenoise.color import exposure
+from rtdenoise.data.exr import read_channels
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.denoise import Options, denoise
+from rtdenoise.errors import InputError
+from rtdenoise.frame import nearness, sanitise
+from rtdenoise.glsl import GpuArray, Pipeline
+from rtdenoise.models import PRESETS, accumulated_kpn
+
+SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4))}  # preset of that architecture
+
+
+@pytest.fixture(autouse=True)
+def no_gl_error(gl):
+    yield
+    assert gl.error == "GL_NO_ERROR"
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """`weights(config)`: a file of random weights whose kernels are far from even."""
+    folder, written = tmp_path_factory.mktemp("weights"), {}
+
+    def write(config):
+        if config not in written:
+            torch.manual_seed(1)
+            denoiser = models.create(config)
+            for name, parameter in denoiser.named_parameters():
+                if "head" in name:
+                    parameter.data.mul_(3)
+            written[config] = folder / f"{len(written)}.safetensors"
+            models.save(denoiser, written[config])
+        return str(written[config])
+
+    return write
+
+
+def arrays(frame):
+    return frame.map(lambda tensor: tensor.numpy())
+
+
+def both(model, frames, half=False, **overrides):
+    """The frames [N, 3, H, W] of torch and of the shaders, each with its own history."""
+    denoiser, pipeline = models.read(model, **overrides), Pipeline.load(model, half, **overrides)
+    history, resident, expected, found = None, None, [], []
+    with torch.inference_mode():
+        for frame in frames:
+            image, history = denoiser.step(frame, history)
+            expected.append(image.numpy())
+            image, resident = pipeline.step(arrays(frame), resident)
+            found.append(image)
+    return np.concatenate(expected), np.concatenate(found), history, resident
+
+
+# Parity
+
+
+@pytest.mark.parametrize("model", ["paper", PRESETS["default"]], ids=["paper", "default"])
+def test_twelve_frames_are_those_of_torch(weights, assert_images_close, model):
+    model = model if model == "paper" else weights(model)  # shipped weights, or random ones
+    frames = make_frames(12, H=37, W=41)
+    expected, found, _, _ = both(model, frames)
+    assert_images_close(found, expected, "frame")
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_float16_activations_stay_close(weights, assert_images_close, preset):
+    expected, found, _, _ = both(weights(SMALL[preset]), make_frames(12, H=19, W=45), half=True)
+    assert_images_close(found, expected, "frame, float16 activations")
+    assert not np.allclose(found, expected, rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("preset", SMALL)
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 5), (45, 81), (48, 64)])  # (H, W)
+def test_every_size(weights, assert_images_close, preset, size):
+    expected, found, _, _ = both(weights(SMALL[preset]), make_frames(3, *size))
+    assert_images_close(found, expected, "frame")
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_without_motion_next_dual_motion_is_approximated(weights, assert_images_close, preset):
+    frames = [replace(frame, motion_next=None) for frame in make_frames(4, H=24, W=40)]
+    frames[2] = replace(frames[2], motion=frames[2].motion * 1.3)  # lands between pixels and leaves cracks
+    expected, found, _, _ = both(weights(SMALL[preset]), frames)
+    assert_images_close(found, expected, "frame")
+    with_layer, _, _, _ = both(weights(SMALL[preset]), make_frames(4, H=24, W=40))
+    assert not np.allclose(with_layer, expected, rtol=1e-3)  # else this has shown nothing
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_traditional_motion(weights, assert_images_close, preset):
+    expected, found, _, _ = both(weights(SMALL[preset]), make_frames(3), motion="traditional")
+    assert_images_close(found, expected, "frame")
+    assert not np.allclose(both(weights(SMALL[preset]), make_frames(3))[1], found, rtol=1e-3)
+
+
+def test_max_pooling(weights, assert_images_close):
+    expected, found, _, _ = both(weights(replace(TINY, pool="max")), make_frames(2))
+    assert_images_close(found, expected, "frame")
+
+
+def with_faults(frame, faults):
+    """Every layer with each of `faults` in a pixel of its own."""
+    for row, (_, tensor) in enumerate(frame.layers()):
+        tensor[:, :, row + 3, 1 : 1 + len(faults)] = torch.tensor(faults)
+    return frame
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_bad_pixels_are_replaced_as_in_torch(weights, assert_images_close, preset):
+    frames = [with_faults(frame, (np.nan, np.inf, -np.inf, -1.0)) for frame in make_frames(3)]
+    expected, found, _, _ = both(weights(SMALL[preset]), frames)
+    assert np.isfinite(found).all()
+    assert_images_close(found, expected, "frame")
+
+
+def test_frames_are_sanitised_as_in_torch(gl, assert_images_close):
+    frame = with_faults(make_frames(1)[0], (np.nan, np.inf, -np.inf, -1.0, 1e9, 1e30, -1e30))
+    layers = {name: GpuArray.upload(gl, tensor[0].numpy()) for name, tensor in frame.layers()}
+    clean, pipeline = sanitise(frame), Pipeline.load("paper")
+    light, surface, guide, _ = pipeline._prepare(layers)
+    for image, channels in (
+        (light, clean.radiance), (surface, torch.cat([clean.normal, clean.depth], 1)), (guide, clean.albedo),
+        (pipeline._vectors(layers), torch.cat([clean.motion, clean.motion_next], 1)),
+    ):  # fmt: skip
+        found = np.moveaxis(image.read(), 2, 0)[None, : channels.shape[1]]
+        assert_images_close(found, channels, "exact")
+
+
+@pytest.mark.parametrize("size", [(1, 1), (24, 8), (19, 83)])
+def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, size):
+    cases = {"noise": torch.empty(1, 3, *size).exponential_(), "black": torch.zeros(1, 3, *size)}
+    cases["one value"] = torch.full((1, 3, *size), 0.25)
+    cases["firefly"] = cases["noise"].clone()
+    cases["firefly"][0, :, -1, -1] = 1e6
+    depth = torch.rand(1, 1, *size) - 0.3
+    pipeline = Pipeline.load("paper")
+    for radiance in cases.values():
+        layers = {"radiance": radiance, "albedo": radiance, "normal": radiance, "depth": depth}
+        *_, statistics = pipeline._prepare({k: GpuArray.upload(gl, v[0].numpy()) for k, v in layers.items()})
+        scale, distance = statistics.read()
+        kept = depth.clamp(min=0)
+        assert_images_close(scale, exposure(radiance).item(), "float32")
+        if (kept > 0).any():
+            seen = nearness(kept)[kept > 0]
+            assert_images_close(distance / (distance + kept[kept > 0]), seen, "float32")
+
+
+# State
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_history_is_that_of_torch_and_comes_back(gl, weights, assert_images_close, preset):
+    model, frames = weights(SMALL[preset]), make_frames(4)
+    _, _, history, resident = both(model, frames[:3])
+    fields = resident.read()
+    assert set(fields) == {name for name, tensor in vars(history).items() if tensor is not None}
+    for name, values in fields.items():
+        assert_images_close(values, getattr(history, name), "frame")
+    pipeline = Pipeline.load(model)
+    again = pipeline.step(arrays(frames[3]), glsl.History.upload(gl, fields))[0]
+    assert np.array_equal(again, pipeline.step(arrays(frames[3]), resident)[0])
+
+
+def test_a_history_may_be_used_twice(weights):
+    pipeline, frames = Pipeline.load(weights(SMALL["default"])), [arrays(frame) for frame in make_frames(3)]
+    _, history = pipeline.step(frames[0])
+    once, _ = pipeline.step(frames[1], history)
+    pipeline.step(frames[2], history)
+    assert np.array_equal(pipeline.step(frames[1], history)[0], once)
+
+
+def test_after_the_first_frame_only_history_is_allocated(weights):
+    pipeline, frames = Pipeline.load(weights(SMALL["default"])), [arrays(frame) for frame in make_frames(4)]
+    _, history = pipeline.step(frames[0])
+    _, history = pipeline.step(frames[1], history)
+    before = pipeline.scratch_bytes
+    pipeline.step(frames[2], history)
+    assert pipeline.scratch_bytes == before > 0
+
+
+def test_stages_are_timed(gl, weights):
+    pipeline, frame = Pipeline.load(weights(SMALL["default"])), arrays(make_frames(1)[0])
+    pipeline.clock = glsl.Clock(gl)
+    pipeline.step(frame)
+    seconds = pipeline.clock.read()
+    assert list(seconds) == ["upload", "features", "reprojection", "network", "kernels", "blend", "download"]
+    assert seconds["network"] > 0 and pipeline.clock.read() == {}
+
+
+# What is refused
+
+
+def test_what_is_missing_or_does_not_fit_is_named(weights):
+    pipeline, frame = Pipeline.load(weights(SMALL["paper"])), arrays(make_frames(1)[0])
+    with pytest.raises(InputError, match="layer normal is missing"):
+        pipeline.step(replace(frame, normal=None))
+    _, history = pipeline.step(frame)
+    with pytest.raises(InputError, match="layer motion is missing"):
+        pipeline.step(replace(frame, motion=None), history)
+    with pytest.raises(InputError, match=r"history is \(24, 32\), the frame \(16, 32\); pass history=None"):
+        pipeline.step(frame.crop(0, 0, 16, 32), history)
+    with pytest.raises(InputError, match=r"one frame at a time.*got 2"):
+        pipeline.step(frame.map(lambda array: np.concatenate([array, array])))
+
+
+def test_a_frame_that_is_too_large_is_named(weights, monkeypatch):
+    pipeline, frame = Pipeline.load(weights(SMALL["paper"])), arrays(make_frames(1)[0])
+    monkeypatch.setattr("rtdenoise.glsl.context.storage_limit", lambda ctx: 24 * 32 * 12)
+    with pytest.raises(InputError, match=r"\[24, 32, 4\] float32 is 0\.0 MB.*GL_MAX_SHADER_STORAGE_BLOCK_SIZE"):
+        pipeline.step(frame)
+
+
+def test_weights_that_do_not_fit_are_named(weights, tmp_path):
+    tensors, path = load_file(weights(TINY)), tmp_path / "wrong.safetensors"
+    config = {"widths": TINY.widths, "kernel": 5, "pool": "mean", "motion": "dual"}
+
+    def refused(architecture="temporal_kpn", **changed):
+        metadata = {"architecture": architecture, "config": json.dumps(config | changed)}
+        save_file(tensors, path, metadata)
+        with pytest.raises(InputError) as error:
+            Pipeline.load(path)
+        assert "\n" not in str(error.value) and str(path) in str(error.value)
+        return str(error.value)
+
+    assert "heads.0.bias is (51,), expected (19,)" in refused(kernel=3)
+    assert "expected an architecture of temporal_kpn, accumulated_kpn, got 'mltd'" in refused("mltd")
+    assert "'scales'" in refused("accumulated_kpn")
+    with pytest.raises(InputError, match="no model 'nosuch'"):
+        Pipeline.load("nosuch")
+
+
+# The command line
+
+
+def pixels(path):
+    return np.stack(list(read_channels(path, ("R", "G", "B")).values()))
+
+
+def test_the_backends_write_the_same_and_carry_on_from_each_other(weights, tmp_path, assert_images_close):
+    shot = write_sequence(tmp_path / "shot", make_frames())
+    options = Options(model=weights(SMALL["default"]), float32=True, precision="fp32", backend="torch")
+    denoise(str(shot), tmp_path / "torch", options)
+
+    class Stop(Exception):
+        pass
+
+    def stop_after_two(done, total):
+        if done == 2:
+            raise Stop
+
+    with pytest.raises(Stop):
+        denoise(str(shot), tmp_path / "mixed", options, on_frame=stop_after_two)
+    summary = denoise(str(shot), tmp_path / "mixed", replace(options, backend="glsl"))
+    assert (summary.skipped, summary.written) == (2, 2)
+    for path in sorted((tmp_path / "torch").glob("*.exr")):
+        assert_images_close(pixels(tmp_path / "mixed" / path.name), pixels(path), "frame")
+
+
+def test_options_that_do_not_go_together_are_refused(tmp_path, weights):
+    shot = write_sequence(tmp_path / "shot", make_frames(1))
+    for options, message in (
+        ({"backend": "vulkan"}, "unknown backend 'vulkan'; expected one of auto, torch, glsl"),
+        ({"backend": "glsl", "device": "cuda"}, "--device cuda: goes with --backend torch"),
+        ({"backend": "glsl", "precision": "bf16"}, "precision 'bf16': --backend glsl has 'fp32' and 'fp16'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            denoise(str(shot), tmp_path / "out", Options(model=weights(TINY), **options))
+
+
+NO_TORCH = """
+import sys
+from importlib.machinery import PathFinder
+
+class WithoutTorch(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return None if name.partition(".")[0] == "torch" else super().find_spec(name, path, target)
+
+sys.meta_path = [WithoutTorch if finder is PathFinder else finder for finder in sys.meta_path]
+"""
+
+
+def without_torch(code, *arguments):
+    """Run `code` where torch is not installed: importing it raises ModuleNotFoundError."""
+    command = [sys.executable, "-c", NO_TORCH + code, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+def test_without_torch_there_is_none():
+    assert "No module named 'torch'" in without_torch("import torch").stderr
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_a_sequence_is_denoised_without_torch(weights, tmp_path, assert_images_close, preset):
+    shot, model = write_sequence(tmp_path / "shot", make_frames(3)), weights(SMALL[preset])
+    code = "from rtdenoise.cli import main; main()"
+    run = without_torch(code, "denoise", shot, "--out", tmp_path / "out", "--model", model, "--float32")  # auto: glsl
+    assert run.returncode == 0, run.stderr
+    assert "3 frames written" in run.stdout
+    expected, _, _, _ = both(model, open_sequence(shot))
+    for i, image in enumerate(expected):
+        assert_images_close(pixels(tmp_path / "out" / f"frame.{i:04d}.exr"), image, "frame")
+
+
+def test_the_pipeline_is_imported_without_torch(weights):
+    code = "from rtdenoise.glsl import Pipeline; print(Pipeline.load(sys.argv[1]).design.architecture)"
+    run = without_torch(code, weights(SMALL["default"]))
+    assert run.stdout == "accumulated_kpn\n", run.stderr
+
+
+def test_what_needs_torch_says_so(weights, tmp_path):
+    shot = write_sequence(tmp_path / "shot", make_frames(1))
+    common = ("denoise", shot, "--out", tmp_path / "out", "--model", weights(TINY))
+    for options, message in (
+        (("--backend", "torch"), "--backend torch: PyTorch is not installed"),
+        (("--recombine",), "--recombine needs PyTorch"),
+        (("--preview",), "this needs PyTorch"),
+    ):
+        run = without_torch("from rtdenoise.cli import main; main()", *common, *options)
+        assert (run.returncode, run.stderr.count("\n")) == (2, 1), run.stderr
+        assert message in run.stderr
