@@ -138,6 +138,33 @@ def test_upsample_and_blend_are_their_torch_twins(gl, assert_images_close, size)
     assert_images_close(blended, torch_twin(ops.blend, spatial, temporal, alpha), "float32")
 
 
+@pytest.mark.parametrize("size", SIZES)
+def test_alike_and_reproject_are_their_torch_twins(gl, assert_images_close, size):
+    def surface():
+        depth = np.where(random(2, 1, *size) < 0.2, 0, 1 + 0.15 * random(2, 1, *size)).astype(np.float32)
+        return depth, 2 * random(2, 3, *size) - 0.6
+
+    here, before = surface(), surface()
+    expected = torch_twin(lambda a, b, c, d: ops.alike((a, b), (c, d)), *here, *before)
+    assert np.array_equal(glsl.alike(here, before), expected)
+    resident = on_gpu(gl, lambda a, b, c, d, out: glsl.alike((a, b), (c, d), out=out), *here, *before,
+                      shape=expected.shape)  # fmt: skip
+    assert np.array_equal(resident > 0, expected)
+
+    stored, motion = random(2, 7, *size), 6 * random(2, 2, *size) - 3
+    for bad in (np.nan, np.inf, -np.inf, 1e30):
+        motion[np.unravel_index(torch.randint(motion.size, ()).item(), motion.shape)] = bad
+    tensors = [torch.from_numpy(array) for array in (stored, motion, *here, *before)]
+    image, valid = ops.reproject(*tensors[:2], tuple(tensors[2:4]), tuple(tensors[4:]))
+    found, found_valid = glsl.reproject(stored, motion, here, before)
+    assert np.array_equal(found_valid, valid.numpy())
+    assert_images_close(found, image, "float32")
+
+
+def test_every_operation_has_a_twin():
+    assert set(ops.__all__) - {"use"} <= set(glsl.__all__)  # `use` chooses between torch's ways to compute them
+
+
 def test_what_does_not_fit_is_named(gl):
     image, logits = random(1, 3, 4, 5), random(1, 25, 4, 5)
     resident = GpuArray.upload(gl, image)

@@ -199,7 +199,7 @@ def test_stages_are_timed(gl, weights):
     pipeline.step(frame)
     seconds = pipeline.clock.read()
     assert list(seconds) == ["upload", "features", "reprojection", "network", "kernels", "blend", "download"]
-    assert seconds["network"] > 0 and pipeline.clock.read() == {}
+    assert min(seconds.values()) > 0 and pipeline.clock.read() == {}
 
 
 # What is refused

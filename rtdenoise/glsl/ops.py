@@ -81,6 +81,43 @@ def fetch(
     return _run("fetch", [image, motion], (B, C, H, W), (H, W), out, CHANNELS=C)
 
 
+def alike(
+    surface: tuple[Array, Array],  # depth [B, 1, H, W] and normal [B, 3, H, W] at each pixel
+    other: tuple[Array, Array],  # ... of what it is compared with
+    depth_tolerance: float = 0.1,
+    normal_tolerance: float = 0.5,
+    out: GpuArray | None = None,  # [B, 1, H, W]
+) -> Array:  # [B, 1, H, W] bool; as GpuArray float32, 1 or 0
+    """Whether two pixels may show the same surface: depths that differ by at most `depth_tolerance` (relative) and
+    normals whose cosine is `normal_tolerance` at least; two misses (depth 0) are alike, a hit and a miss are not."""
+    B, _, H, W = _shape("depth", surface[0])
+    _expect_surfaces(surface, other, (B, H, W))
+    tolerance = {"tolerance": (depth_tolerance, normal_tolerance)}
+    (result,) = _run_all("alike", [*surface, *other], [(B, 1, H, W)], (H, W), [out], tolerance)
+    return result if isinstance(result, GpuArray) else result > 0
+
+
+def reproject(
+    stored: Array,  # [B, C, H, W] of the previous frame
+    motion: Array,  # [B, 2, H, W] (x, y) in pixels
+    surface: tuple[Array, Array],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
+    surface_previous: tuple[Array, Array],  # ... of the previous one, not reprojected
+    depth_tolerance: float = 0.1,
+    normal_tolerance: float = 0.5,
+    out: tuple[GpuArray, GpuArray] | None = None,  # [B, C, H, W], [B, 1, H, W]
+) -> tuple[Array, Array]:  # [B, C, H, W], [B, 1, H, W] bool; as GpuArray float32, 1 or 0
+    """`warp` that takes no tap from another surface or from off the screen, and says where no tap was left."""
+    B, C, H, W = _shape("stored", stored)
+    _expect("motion", motion, (B, 2, H, W))
+    _expect_surfaces(surface, surface_previous, (B, H, W))
+    inputs, tolerance = [stored, motion, *surface, *surface_previous], (depth_tolerance, normal_tolerance)
+    shapes = [(B, C, H, W), (B, 1, H, W)]
+    found, valid = _run_all(
+        "reproject", inputs, shapes, (H, W), list(out or (None, None)), {"tolerance": tolerance}, CHANNELS=C
+    )
+    return found, valid if isinstance(valid, GpuArray) else valid > 0
+
+
 def downsample(
     image: Array,  # [B, C, H, W]
     pool: str = "mean",
@@ -130,36 +167,50 @@ def blend(
 
 
 def _run(
-    name: str,  # of the shader
-    inputs: list[Array],  # in the order of its bindings; the result comes last
-    shape: tuple[int, ...],  # [B, C, H, W] of the result
-    size: tuple[int, int],  # (H, W) of the finer grid
+    name: str,
+    inputs: list[Array],
+    shape: tuple[int, ...],
+    size: tuple[int, int],
     out: GpuArray | None,
     **constants: int,
 ) -> Array:
-    """One dispatch, an invocation for every pixel of the result."""
+    """`_run_all` of a shader with one result."""
+    return _run_all(name, inputs, [shape], size, [out], {}, **constants)[0]
+
+
+def _run_all(
+    name: str,  # of the shader
+    inputs: list[Array],  # in the order of its bindings; the results come last
+    shapes: list[tuple[int, ...]],  # [B, C, H, W] of the results
+    size: tuple[int, int],  # (H, W) of the finer grid
+    outs: list[GpuArray | None],
+    uniforms: dict,
+    **constants: int,
+) -> list[Array]:
+    """One dispatch, an invocation for every pixel of the results."""
     dtypes = [np.float16 if constants.get("LOGITS_HALF") and i == 1 else np.float32 for i in range(len(inputs))]
     resident = {isinstance(array, GpuArray) for array in inputs}
     if len(resident) > 1:
         raise ValueError(f"{name}: expected either numpy arrays or GpuArrays, got both")
-    if out is not None and resident == {False}:
+    if any(out is not None for out in outs) and resident == {False}:
         raise ValueError(f"{name}: `out` goes with GpuArrays only")
     if resident == {True}:
         ctx, arrays = inputs[0].buffer.ctx, inputs
     else:
         ctx = default_context()
         arrays = [GpuArray.upload(ctx, array, dtype) for array, dtype in zip(inputs, dtypes, strict=True)]
-    result = out or GpuArray.empty(ctx, shape)
-    _expect("out", result, shape)
-    if any(array.buffer is result.buffer for array in arrays):
-        raise ValueError(f"{name}: `out` must be none of the inputs")
-    for array, dtype in zip([*arrays, result], [*dtypes, np.float32], strict=True):
+    results = [out or GpuArray.empty(ctx, shape) for out, shape in zip(outs, shapes, strict=True)]
+    for result, shape in zip(results, shapes, strict=True):
+        _expect("out", result, shape)
+        if any(array.buffer is result.buffer for array in arrays):
+            raise ValueError(f"{name}: `out` must be none of the inputs")
+    for array, dtype in zip([*arrays, *results], [*dtypes, *(np.float32 for _ in results)], strict=True):
         if array.dtype != dtype:
             raise ValueError(f"{name}: expected {np.dtype(dtype)}, got {array.dtype}")
 
-    B, _, H, W = shape
-    dispatch(name, [*arrays, result], (W, H, B), {"size": size[::-1]}, **constants)
-    return result if resident == {True} else result.read()
+    B, _, H, W = shapes[0]
+    dispatch(name, [*arrays, *results], (W, H, B), {"size": size[::-1], **uniforms}, **constants)
+    return results if resident == {True} else [result.read() for result in results]
 
 
 def _shape(name: str, array: Array) -> tuple[int, int, int, int]:
@@ -171,6 +222,13 @@ def _shape(name: str, array: Array) -> tuple[int, int, int, int]:
 def _expect(name: str, array: Array, shape: tuple[int, ...]) -> None:
     if tuple(array.shape) != tuple(shape):
         raise ValueError(f"expected {name} {tuple(shape)}, got {tuple(array.shape)}")
+
+
+def _expect_surfaces(surface: tuple[Array, Array], other: tuple[Array, Array], size: tuple[int, int, int]) -> None:
+    B, H, W = size
+    for depth, normal in (surface, other):
+        _expect("depth", depth, (B, 1, H, W))
+        _expect("normal", normal, (B, 3, H, W))
 
 
 def _halved(H: int, W: int) -> tuple[int, int]:

@@ -6,6 +6,7 @@
 //
 // takes    features, weights, biases: the head, the logit of reset · light [H, W] · running [H, W] rgb, length
 // returns  mean [H, W] rgb, length
+#define PARAMETERS PARAMETER(ivec2, feature_size) PARAMETER(int, groups) PARAMETER(float, longest)
 #include "image.glsl"
 #define ROWS 1
 #include "head.glsl"
@@ -13,10 +14,6 @@
 layout(std430, binding = 3) readonly restrict buffer Light { vec4 light[]; };
 layout(std430, binding = 4) readonly restrict buffer Running { vec4 running[]; };
 layout(std430, binding = 5) writeonly restrict buffer Mean { vec4 mean[]; };
-
-#ifndef VULKAN
-uniform float longest;
-#endif
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);

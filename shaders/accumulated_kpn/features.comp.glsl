@@ -5,6 +5,8 @@
 // takes    light, surface, guide, past, running [image_size] · statistics
 // returns  result: activations [5, H, W]: noisy 3, running mean 3, denoised history 3, albedo 3, normal 3, nearness 1,
 //          length 1, uncovered 1
+// longest: frames after which the running mean forgets
+#define PARAMETERS PARAMETER(ivec2, image_size) PARAMETER(float, longest)
 #include "image.glsl"
 #include "activations.glsl"
 #include "network_input.glsl"
@@ -12,10 +14,6 @@
 
 layout(std430, binding = 5) readonly restrict buffer Running { vec4 running[]; };
 layout(std430, binding = 6) writeonly restrict buffer Result { FOUR result[]; };
-
-#ifndef VULKAN
-uniform float longest;  // frames after which the running mean forgets
-#endif
 
 void main() {
     ivec2 padded = ivec2(gl_GlobalInvocationID.xy);

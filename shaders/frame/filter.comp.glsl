@@ -4,6 +4,7 @@
 // takes    features, weights, biases: the head of this scale, KERNEL² logits and the logit of α · image [H, W] rgb
 // returns  filtered [H, W] rgb, and α in [0, 1]: how far this scale replaces the low frequencies of the finer one
 #pragma constants KERNEL
+#define PARAMETERS PARAMETER(ivec2, feature_size) PARAMETER(int, groups)
 #include "image.glsl"
 #define ROWS (KERNEL * KERNEL + 1)
 #include "head.glsl"

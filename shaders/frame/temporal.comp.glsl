@@ -7,6 +7,7 @@
 //          rgb · albedo [H, W] rgb, whether light was divided by it
 // returns  denoised [H, W] rgb: what history keeps · result [3, H, W] radiance, the albedo multiplied back
 #pragma constants KERNEL
+#define PARAMETERS PARAMETER(ivec2, feature_size) PARAMETER(int, groups)
 #include "image.glsl"
 #include "past.glsl"
 #include "albedo.glsl"

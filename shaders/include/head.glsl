@@ -6,17 +6,13 @@
 //     row[r, y, x] = bias[r] + Σ_i weight[⟨y mod CELL, x mod CELL⟩, r, i] · feature[i, ⌊y/CELL⌋, ⌊x/CELL⌋]
 //
 // ROWS, the number of rows, is defined before this file is included; rows lie four by four, as channels of activations do.
+// So are the parameters: feature_size, (W, H) of the features with what they are padded by; groups, of four features.
 #pragma constants CELL
 #include "activations.glsl"
 
 layout(std430, binding = 0) readonly restrict buffer Features { FOUR features[]; };  // [groups, feature_size]
 layout(std430, binding = 1) readonly restrict buffer Weights { mat4 weights[]; };  // [CELL², ⌈ROWS/4⌉, groups] as conv3x3
 layout(std430, binding = 2) readonly restrict buffer Biases { vec4 biases[]; };  // [⌈ROWS/4⌉]
-
-#ifndef VULKAN
-uniform ivec2 feature_size;  // (W, H) of the features, with what they are padded by
-uniform int groups;  // of four features
-#endif
 
 const int FOURS = (ROWS + 3) / 4;
 

@@ -1,13 +1,9 @@
-// A frame as a network sees it.
+// A frame as a network sees it. The parameter image_size is (W, H) of the image, which `size` is padded from.
 layout(std430, binding = 0) readonly restrict buffer Light { vec4 light[]; };
 layout(std430, binding = 1) readonly restrict buffer Surface { vec4 surface[]; };
 layout(std430, binding = 2) readonly restrict buffer Guide { vec4 guide[]; };
 layout(std430, binding = 3) readonly restrict buffer Past { vec4 past[]; };
 layout(std430, binding = 4) readonly restrict buffer Statistics { float statistics[]; };  // exposure, distance
-
-#ifndef VULKAN
-uniform ivec2 image_size;  // (W, H) of the image, which `size` is padded from
-#endif
 
 // log(1 + x) of the exposed radiance; for small x by its series, where 1 + x would lose it.
 vec3 compress(vec3 radiance) {

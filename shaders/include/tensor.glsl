@@ -4,10 +4,18 @@
 
 layout(local_size_x = GROUP_X, local_size_y = GROUP_Y) in;
 
+// size: (W, H) of the finer grid of the pass. A pass that is told more than that defines PARAMETERS before it includes this:
+// uniforms in OpenGL, push constants in Vulkan.
+#ifndef PARAMETERS
+#define PARAMETERS
+#endif
 #ifdef VULKAN
-layout(push_constant) uniform Pass { ivec2 size; };
+#define PARAMETER(type, name) type name;
+layout(push_constant) uniform Pass { ivec2 size; PARAMETERS };
 #else
-uniform ivec2 size;  // (W, H) of the finer grid of the pass
+#define PARAMETER(type, name) uniform type name;
+uniform ivec2 size;
+PARAMETERS
 #endif
 
 // Index of tensor[b, c, p.y, p.x] where tensor is [B, channels, extent.y, extent.x].

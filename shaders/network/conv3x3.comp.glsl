@@ -16,6 +16,7 @@
 // A work group computes GROUP_X·PIXELS × GROUP_Y pixels of BLOCKS groups of four output channels, a quadruple of input
 // channels at a time, which it keeps in shared memory with a border of one pixel. gl_GlobalInvocationID = (x, y, block).
 #pragma constants SOURCE PIXELS BLOCKS
+#define PARAMETERS PARAMETER(ivec3, groups)  // of four channels: of `far` (SOURCE 2), of all inputs, of the outputs
 #include "tensor.glsl"
 #include "activations.glsl"
 
@@ -24,10 +25,6 @@ layout(std430, binding = 1) readonly restrict buffer Far { FOUR far[]; };
 layout(std430, binding = 2) readonly restrict buffer Weights { mat4 weights[]; };
 layout(std430, binding = 3) readonly restrict buffer Biases { vec4 biases[]; };
 layout(std430, binding = 4) writeonly restrict buffer Result { FOUR result[]; };
-
-#ifndef VULKAN
-uniform ivec3 groups;  // of four channels: of `far` (SOURCE 2), of all inputs, of the outputs
-#endif
 
 const ivec2 TILE = ivec2(GROUP_X * PIXELS + 2, GROUP_Y + 2);
 shared vec4 tile[TILE.x * TILE.y];

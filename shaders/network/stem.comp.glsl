@@ -5,8 +5,10 @@
 //
 // Where the result is larger than half the image, `out` repeats its border: what a U-Net of whole cells is fed.
 //
-// takes    image: activations [groups in, 2·half.y, 2·half.x] · weights [groups out, groups in, 16] and biases as conv3x3
+// takes    image: activations [groups in, 2·half_size] · weights [groups out, groups in, 16] and biases as conv3x3
 // returns  result: activations [groups out, H, W]; one invocation per pixel and group of it
+// half_size: (⌈W/2⌉, ⌈H/2⌉) of the image; groups: of four input channels
+#define PARAMETERS PARAMETER(ivec2, half_size) PARAMETER(int, groups)
 #include "tensor.glsl"
 #include "activations.glsl"
 
@@ -14,11 +16,6 @@ layout(std430, binding = 0) readonly restrict buffer Image { FOUR image[]; };
 layout(std430, binding = 1) readonly restrict buffer Weights { mat4 weights[]; };
 layout(std430, binding = 2) readonly restrict buffer Biases { vec4 biases[]; };
 layout(std430, binding = 3) writeonly restrict buffer Result { FOUR result[]; };
-
-#ifndef VULKAN
-uniform ivec2 half_size;  // (⌈W/2⌉, ⌈H/2⌉) of the image
-uniform int groups;  // of four input channels
-#endif
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);

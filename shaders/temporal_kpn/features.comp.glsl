@@ -4,6 +4,7 @@
 //
 // takes    light, surface, guide, past [image_size] · statistics
 // returns  result: activations [4, H, W]: noisy 3, albedo 3, normal 3, nearness 1, past 3
+#define PARAMETERS PARAMETER(ivec2, image_size)
 #include "image.glsl"
 #include "activations.glsl"
 #include "network_input.glsl"
