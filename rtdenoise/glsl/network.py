@@ -13,8 +13,7 @@ from .context import GpuArray
 from .dispatch import dispatch
 from .scratch import Scratch
 
-BLOCKS = 2  # groups of four output channels that an invocation of conv3x3 computes ...
-PIXELS = 4  # ... for so many pixels
+BLOCKS, PIXELS = 2, 4  # groups of four output channels, and pixels, that an invocation of conv3x3 computes
 CONV_GROUP = (8, 8)
 NEAR, POOLED, CONCATENATED = 0, 1, 2  # SOURCE of conv3x3
 
@@ -126,6 +125,6 @@ class UNet:
             (-(-W // PIXELS), H, -(-groups // BLOCKS)),
             {"size": (W, H), "groups": (layer.groups[0], sum(layer.groups), groups)},
             CONV_GROUP,
-            SOURCE=source, PIXELS=PIXELS, BLOCKS=BLOCKS, HALF=int(self._dtype == np.float16),
+            SOURCE=source, HALF=int(self._dtype == np.float16),
         )  # fmt: skip
         return result

@@ -13,9 +13,11 @@
 //          input adds to four outputs · biases [groups out] of four
 // returns  result: activations
 //
-// A work group computes GROUP_X·PIXELS × GROUP_Y pixels of BLOCKS groups of four output channels, a quadruple of input
-// channels at a time, which it keeps in shared memory with a border of one pixel. gl_GlobalInvocationID = (x, y, block).
-#pragma constants SOURCE PIXELS BLOCKS
+// An invocation computes eight output channels of four pixels: two 4×4 matrices, whose columns are pixels. A work group keeps
+// the four input channels it is at in shared memory, for 4·GROUP_X × GROUP_Y pixels and a border of one. The four pixels of an
+// invocation lie GROUP_X apart, so that neighbours in the work group read neighbours in the tile.
+// gl_GlobalInvocationID = (x, y, pair of output groups); where there is an odd number of those the weights have one more.
+#pragma constants SOURCE
 #define PARAMETERS PARAMETER(ivec3, groups)  // of four channels: of `far` (SOURCE 2), of all inputs, of the outputs
 #include "tensor.glsl"
 #include "activations.glsl"
@@ -26,7 +28,7 @@ layout(std430, binding = 2) readonly restrict buffer Weights { mat4 weights[]; }
 layout(std430, binding = 3) readonly restrict buffer Biases { vec4 biases[]; };
 layout(std430, binding = 4) writeonly restrict buffer Result { FOUR result[]; };
 
-const ivec2 TILE = ivec2(GROUP_X * PIXELS + 2, GROUP_Y + 2);
+const ivec2 TILE = ivec2(4 * GROUP_X + 2, GROUP_Y + 2);
 shared vec4 tile[TILE.x * TILE.y];
 
 vec4 source(int g, ivec2 p) {
@@ -41,17 +43,18 @@ vec4 source(int g, ivec2 p) {
 #endif
 }
 
+void write(int group, ivec2 p, vec4 four) {
+    if (group < groups.z && inside(p, size)) result[in_group(group, p, size)] = packed_four(max(four, 0.0));
+}
+
 void main() {
     int lane = int(gl_LocalInvocationIndex);
     ivec2 local = ivec2(gl_LocalInvocationID.xy);
-    ivec2 corner = ivec2(gl_WorkGroupID.xy) * ivec2(GROUP_X * PIXELS, GROUP_Y);
-    int first = int(gl_WorkGroupID.z) * BLOCKS;  // group of output channels
+    ivec2 corner = ivec2(gl_WorkGroupID.xy) * ivec2(4 * GROUP_X, GROUP_Y);
+    int low = 2 * int(gl_WorkGroupID.z), high = low + 1;  // groups of output channels
 
-    // Pixel j of an invocation lies GROUP_X from pixel j - 1: neighbours in the work group read neighbours in the tile.
-    vec4 sum[BLOCKS * PIXELS];
-    for (int o = 0; o < BLOCKS; ++o) {
-        for (int j = 0; j < PIXELS; ++j) sum[o * PIXELS + j] = biases[first + o];
-    }
+    mat4 low_sum = mat4(biases[low], biases[low], biases[low], biases[low]);
+    mat4 high_sum = mat4(biases[high], biases[high], biases[high], biases[high]);
     for (int g = 0; g < groups.y; ++g) {
         barrier();
         for (int i = lane; i < TILE.x * TILE.y; i += GROUP_X * GROUP_Y) {
@@ -59,19 +62,15 @@ void main() {
         }
         barrier();
         for (int tap = 0; tap < 9; ++tap) {
-            int read = (local.y + tap / 3) * TILE.x + local.x + tap % 3;
-            for (int o = 0; o < BLOCKS; ++o) {
-                mat4 weight = weights[((first + o) * groups.y + g) * 9 + tap];
-                for (int j = 0; j < PIXELS; ++j) sum[o * PIXELS + j] += weight * tile[read + j * GROUP_X];
-            }
+            int i = (local.y + tap / 3) * TILE.x + local.x + tap % 3;
+            mat4 pixels = mat4(tile[i], tile[i + GROUP_X], tile[i + 2 * GROUP_X], tile[i + 3 * GROUP_X]);
+            low_sum += weights[(low * groups.y + g) * 9 + tap] * pixels;
+            high_sum += weights[(high * groups.y + g) * 9 + tap] * pixels;
         }
     }
-    for (int o = 0; o < BLOCKS; ++o) {
-        for (int j = 0; j < PIXELS; ++j) {
-            ivec2 p = corner + local + ivec2(j * GROUP_X, 0);
-            if (first + o < groups.z && inside(p, size)) {
-                result[in_group(first + o, p, size)] = packed_four(max(sum[o * PIXELS + j], 0.0));
-            }
-        }
+    for (int j = 0; j < 4; ++j) {
+        ivec2 p = corner + local + ivec2(j * GROUP_X, 0);
+        write(low, p, low_sum[j]);
+        write(high, p, high_sum[j]);
     }
 }
