@@ -111,7 +111,7 @@ class Pipeline:
             light, surface, guide, statistics = self._prepare(layers)
             vectors = self._vectors(layers)
         with self._stage("reprojection"):
-            past, running = self._reproject(vectors, surface, light, history)
+            past, running = self._reproject(vectors, surface, light, guide, history)
         with self._stage("features"):
             features = self._features(light, surface, guide, past, running, statistics)
         with self._stage("network"):
@@ -151,30 +151,27 @@ class Pipeline:
         return vectors
 
     def _reproject(
-        self, vectors: GpuArray | None, surface: GpuArray, light: GpuArray, history: History | None
+        self, vectors: GpuArray | None, surface: GpuArray, light: GpuArray, guide: GpuArray, history: History | None
     ) -> tuple[GpuArray, GpuArray | None]:
-        """Reprojected history, and the running mean where there is one."""
+        """The reprojected previous output, and the running mean where there is one."""
         d, (H, W) = self.design, surface.shape[:2]
-        past = self._image("past", (H, W))
-        running = self._image("running", (H, W)) if d.accumulates else None
-        if history is None and d.accumulates:
-            fill(past)
-            fill(running)
-            return past, running
-        if history is None:
-            self.ctx.copy_buffer(past.buffer, light.buffer)
-            return past, None
-        before = history.vectors
-        if before is None and d.motion == "dual":
-            before = self._splat(vectors, surface, history.surface)
-        if d.accumulates:
-            buffers = [surface, history.surface, history.denoised, history.mean, past, running]
-        else:
-            buffers = [light, history.denoised, past]
+        dual = {"DUAL": int(d.motion == "dual")}
+        motions = [light, light] if history is None else [vectors, history.vectors or vectors]
+        if history is not None and history.vectors is None and d.motion == "dual":
+            motions[1] = self._splat(vectors, surface, history.surface)
+        past, before = self._image("past", (H, W)), light if history is None else history.denoised
         dispatch(
-            f"{d.architecture}/reproject", [vectors, before or vectors, *buffers], (W, H), {"size": (W, H)},
-            DUAL=int(d.motion == "dual"),
+            "frame/warp", [*motions, light, guide, before, past], (W, H), {"size": (W, H)},
+            HISTORY=int(history is not None), **dual,
         )  # fmt: skip
+        if not d.accumulates:
+            return past, None
+        running = self._image("running", (H, W))
+        if history is None:
+            fill(running)
+        else:
+            buffers = [*motions, surface, history.surface, history.mean, running]
+            dispatch("accumulated_kpn/reproject", buffers, (W, H), {"size": (W, H)}, **dual)
         return past, running
 
     def _splat(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> GpuArray:
@@ -261,7 +258,8 @@ class Pipeline:
         H, W = past.shape[:2]
         denoised, result = self._fresh((H, W)), self._scratch("result", (3, H, W))
         buffers = [past, composed, guide, denoised, result]
-        self._head("frame/temporal", self._temporal, features, buffers, {}, KERNEL=self.design.temporal_kernel)
+        constants = {"KERNEL": self.design.temporal_kernel, "DEMODULATE": int(self.design.accumulates)}
+        self._head("frame/temporal", self._temporal, features, buffers, {}, **constants)
         return result, denoised
 
     def _head(

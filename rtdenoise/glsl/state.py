@@ -15,7 +15,7 @@ from .context import GpuArray
 class History:
     """As `rtdenoise.frame.History`, in images [H, W, 4] on the GPU. Passed in and returned, never hidden."""
 
-    denoised: GpuArray  # rgb: the denoised previous frame (irradiance where the model divides by albedo)
+    denoised: GpuArray  # rgb: the denoised previous frame
     surface: GpuArray  # normal, depth
     vectors: GpuArray | None  # motion, motion_next; None: dual motion next time is approximate
     mean: GpuArray | None  # rgb, length: the running mean; None where the model keeps none

@@ -3,7 +3,7 @@
 // One invocation per pixel of the padded result, which repeats the border of the image.
 //
 // takes    light, surface, guide, past, running [image_size] · statistics
-// returns  result: activations [5, H, W]: noisy 3, running mean 3, denoised history 3, albedo 3, normal 3, nearness 1,
+// returns  result: activations [5, H, W]: noisy 3, running mean 3, previous output 3, albedo 3, normal 3, nearness 1,
 //          length 1, uncovered 1
 // longest: frames after which the running mean forgets
 #define PARAMETERS PARAMETER(ivec2, image_size) PARAMETER(float, longest)
