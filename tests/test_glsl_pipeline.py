@@ -132,10 +132,10 @@ def test_frames_are_sanitised_as_in_torch(gl, assert_images_close):
     frame = with_faults(make_frames(1)[0], (np.nan, np.inf, -np.inf, -1.0, 1e9, 1e30, -1e30))
     layers = {name: GpuArray.upload(gl, tensor[0].numpy()) for name, tensor in frame.layers()}
     clean, pipeline = sanitise(frame), Pipeline.load("paper")
-    light, surface, guide, _ = pipeline._prepare(layers)
+    light, surface, guide, _ = pipeline.passes.prepare(layers)
     for image, channels in (
         (light, clean.radiance), (surface, torch.cat([clean.normal, clean.depth], 1)), (guide, clean.albedo),
-        (pipeline._vectors(layers), torch.cat([clean.motion, clean.motion_next], 1)),
+        (pipeline.passes.vectors(layers), torch.cat([clean.motion, clean.motion_next], 1)),
     ):  # fmt: skip
         found = np.moveaxis(image.read(), 2, 0)[None, : channels.shape[1]]
         assert_images_close(found, channels, "exact")
@@ -151,7 +151,7 @@ def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, s
     pipeline = Pipeline.load("paper")
     for radiance in cases.values():
         layers = {"radiance": radiance, "albedo": radiance, "normal": radiance, "depth": depth}
-        *_, statistics = pipeline._prepare({k: GpuArray.upload(gl, v[0].numpy()) for k, v in layers.items()})
+        *_, statistics = pipeline.passes.prepare({k: GpuArray.upload(gl, v[0].numpy()) for k, v in layers.items()})
         scale, distance = statistics.read()
         kept = depth.clamp(min=0)
         assert_images_close(scale, exposure(radiance).item(), "float32")
@@ -188,9 +188,9 @@ def test_after_the_first_frame_only_history_is_allocated(weights):
     pipeline, frames = Pipeline.load(weights(SMALL["default"])), [arrays(frame) for frame in make_frames(4)]
     _, history = pipeline.step(frames[0])
     _, history = pipeline.step(frames[1], history)
-    before = pipeline.scratch_bytes
+    before = pipeline.passes.scratch_bytes
     pipeline.step(frames[2], history)
-    assert pipeline.scratch_bytes == before > 0
+    assert pipeline.passes.scratch_bytes == before > 0
 
 
 def test_stages_are_timed(gl, weights):
@@ -221,8 +221,14 @@ def test_what_is_missing_or_does_not_fit_is_named(weights):
 def test_a_frame_that_is_too_large_is_named(weights, monkeypatch):
     pipeline, frame = Pipeline.load(weights(SMALL["paper"])), arrays(make_frames(1)[0])
     monkeypatch.setattr("rtdenoise.glsl.context.storage_limit", lambda ctx: 24 * 32 * 12)
-    with pytest.raises(InputError, match=r"\[24, 32, 4\] float32 is 0\.0 MB.*GL_MAX_SHADER_STORAGE_BLOCK_SIZE"):
+    with pytest.raises(InputError, match=r"32×24 is too large: array \[24, 32, 4\] float32 .*--precision fp16.*tiles"):
         pipeline.step(frame)
+
+
+def test_memory_that_runs_out_is_named(gl, monkeypatch):
+    monkeypatch.setattr("rtdenoise.glsl.context.storage_limit", lambda ctx: 1 << 50)
+    with pytest.raises(InputError, match=r"array \[1099511627776\] float32: 4398046\.5 MB more than .* has memory for"):
+        GpuArray.empty(gl, (1 << 40,))
 
 
 def test_weights_that_do_not_fit_are_named(weights, tmp_path):
@@ -240,6 +246,9 @@ def test_weights_that_do_not_fit_are_named(weights, tmp_path):
     assert "heads.0.bias is (51,), expected (19,)" in refused(kernel=3)
     assert "expected an architecture of temporal_kpn, accumulated_kpn, got 'mltd'" in refused("mltd")
     assert "'scales'" in refused("accumulated_kpn")
+    assert "expected motion 'dual' or 'traditional', got 'none'" in refused(motion="none")
+    with pytest.raises(InputError, match=r"sales: not an override of model 'paper'; its configuration has widths"):
+        Pipeline.load("paper", sales=3)
     with pytest.raises(InputError, match="no model 'nosuch'"):
         Pipeline.load("nosuch")
 

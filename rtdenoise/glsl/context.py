@@ -17,6 +17,10 @@ PACKAGES = "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"  # Debian and Ubuntu; a
 _thread = threading.local()
 
 
+class GpuMemoryError(InputError):
+    """An array is larger than the device can hold, or than a shader can see of it."""
+
+
 def create_context() -> moderngl.Context:
     """A context without a window: OpenGL 4.3 or later, through EGL on Linux. It belongs to the thread that creates it.
 
@@ -73,22 +77,27 @@ class GpuArray:
     def empty(cls, ctx: moderngl.Context, shape: tuple[int, ...], dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
         """An array of unspecified content.
 
-        Raises InputError where it is larger than a shader can see of one buffer.
+        Raises GpuMemoryError where it is larger than a shader can see of one buffer, or than the memory that is left.
         """
         dtype = np.dtype(dtype)
         if dtype not in (np.float32, np.float16, np.uint32):
             raise ValueError(f"expected float32, float16 or uint32, got {dtype}")
         size, limit = math.prod(shape) * dtype.itemsize, storage_limit(ctx)
         if size > limit:
-            raise InputError(
+            raise GpuMemoryError(
                 f"array {list(shape)} {dtype} is {size / 1e6:.1f} MB, but a buffer may have {limit / 1e6:.1f} MB here "
                 f"(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, {ctx.info['GL_RENDERER']}): use float16 or several arrays"
             )
-        return cls(ctx.buffer(reserve=-(-size // 4) * 4), tuple(shape), dtype)
+        buffer = ctx.buffer(reserve=-(-size // 4) * 4)
+        if ctx.error == "GL_OUT_OF_MEMORY":  # which moderngl does not raise
+            raise GpuMemoryError(
+                f"array {list(shape)} {dtype}: {size / 1e6:.1f} MB more than {ctx.info['GL_RENDERER']} has memory for"
+            )
+        return cls(buffer, tuple(shape), dtype)
 
     @classmethod
     def upload(cls, ctx: moderngl.Context, values: np.ndarray, dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
-        """A copy of `values`, stored as `dtype`. Raises InputError as `empty`."""
+        """A copy of `values`, stored as `dtype`. Raises GpuMemoryError as `empty`."""
         values = np.ascontiguousarray(values, dtype)
         array = cls.empty(ctx, values.shape, dtype)
         array.buffer.write(values)

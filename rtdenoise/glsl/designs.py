@@ -41,7 +41,11 @@ def design(architecture: str, config: Mapping) -> Design:
     if architecture not in ARCHITECTURES:
         raise ValueError(f"expected an architecture of {', '.join(ARCHITECTURES)}, got {architecture!r}")
     widths, kernel, motion = tuple(config["widths"]), config["kernel"], config["motion"]
+    if motion not in ("dual", "traditional"):
+        raise ValueError(f"expected motion 'dual' or 'traditional', got {motion!r}")
     if architecture == "temporal_kpn":
+        if config["pool"] not in ("mean", "max"):
+            raise ValueError(f"expected pool 'mean' or 'max', got {config['pool']!r}")
         return Design(architecture, widths, 3, kernel, kernel, motion, config["pool"])
     scales, temporal_kernel = config["scales"], config["temporal_kernel"]
     return Design(architecture, widths, scales, kernel, temporal_kernel, motion, longest=config["longest"])
@@ -70,7 +74,6 @@ def full_head(d: Design, tensors: Mapping[str, np.ndarray]) -> tuple[np.ndarray,
     """Weights [cells, rows, inputs] and biases of what is predicted at full size: rows K² spatial, L² temporal, α of
     time, and reset where there is a running mean."""
     if d.accumulates:  # a 2×2 transposed convolution with stride 2: [inputs, rows, 2, 2]
-        return np.moveaxis(tensors["full_head.weight"], (2, 3, 1, 0), (0, 1, 2, 3)).reshape(
-            4, -1, d.widths[0]
-        ), tensors["full_head.bias"]
+        cells = tensors["full_head.weight"].transpose(2, 3, 1, 0).reshape(4, -1, d.widths[0])
+        return cells, tensors["full_head.bias"]
     return tensors["heads.0.weight"][None, :, :, 0, 0], tensors["heads.0.bias"]

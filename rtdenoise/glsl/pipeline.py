@@ -20,16 +20,10 @@ from ..errors import InputError
 from ..frame import Frame
 from ..stored import read_model
 from .clock import Clock
-from .context import GpuArray, default_context
-from .designs import Design, design, expected_shapes, full_head
-from .dispatch import dispatch, fill
-from .network import Layer, UNet, conv_layer, head_layer
-from .scratch import Scratch
+from .context import GpuArray, GpuMemoryError, default_context
+from .designs import Design, design, expected_shapes
+from .passes import Passes
 from .state import History
-
-BLOCK = 8  # side of the blocks that exposure is measured in
-STATISTICS_GROUP = (256,)
-NOTHING = 0xFFFFFFFF  # in the splat: no pixel
 
 
 class Pipeline:
@@ -47,13 +41,7 @@ class Pipeline:
         to this thread's `default_context`."""
         self.design, self.ctx = design, ctx or default_context()
         self.clock: Clock | None = None  # times the stages where one is set
-        self._half = half
-        self._scratch = Scratch(self.ctx)
-        inputs = design.widths[0] if design.accumulates else design.features
-        self._unet = UNet(self.ctx, self._scratch, tensors, inputs, design.widths, np.float16 if half else np.float32)
-        if design.accumulates:
-            self._stem = conv_layer(self.ctx, tensors["stem.weight"], tensors["stem.bias"], (design.features,))
-        self._set_heads(tensors)
+        self.passes = Passes(self.ctx, design, tensors, half)
 
     @classmethod
     def load(cls, model: str | Path = "paper", half: bool = False, **overrides) -> Pipeline:
@@ -63,17 +51,15 @@ class Pipeline:
         where there is no OpenGL 4.3.
         """
         stored = read_model(model)
+        if unknown := overrides.keys() - stored.config.keys():
+            raise InputError(f"{', '.join(sorted(unknown))}: not an override of model {str(model)!r}; its configuration "
+                             f"has {', '.join(stored.config)}")  # fmt: skip
         try:
             found = design(stored.architecture, {**stored.config, **overrides})
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{stored.path}: its configuration is not one of this version: {error}") from None
-        stored.expect(expected_shapes(found))
+        stored.expect(expected_shapes(found), overrides)
         return cls(found, stored.tensors, half)
-
-    @property
-    def scratch_bytes(self) -> int:
-        """GPU memory that is kept between frames, beside the weights; history and the layers of a frame come on top."""
-        return self._scratch.nbytes
 
     def step(self, frame: Frame, history: History | None = None) -> tuple[np.ndarray, History]:
         """Denoise one frame of numpy arrays `[1, C, H, W]`: `[1, 3, H, W]` linear radiance, float32, and the history
@@ -92,13 +78,20 @@ class Pipeline:
                 f"{frame.name or 'frame'}: history is {history.size}, the frame {frame.size}; pass history=None to "
                 "start anew"
             )
-        with self._stage("upload"):
-            layers = {
-                layer: GpuArray.upload(self.ctx, array[0])
-                for layer, array in frame.layers()
-                if layer in ("radiance", "motion", "motion_next", *needed)
-            }
-        result, history = self.run(layers, history)
+        try:
+            with self._stage("upload"):
+                layers = {
+                    layer: GpuArray.upload(self.ctx, array[0])
+                    for layer, array in frame.layers()
+                    if layer in ("radiance", "motion", "motion_next", *needed)
+                }
+            result, history = self.run(layers, history)
+        except GpuMemoryError as error:
+            H, W = frame.size
+            raise InputError(
+                f"{frame.name or 'frame'}: {W}×{H} is too large: {error}; use half precision (--precision fp16), or "
+                "denoise tiles of the frame (Frame.crop)"
+            ) from None
         with self._stage("download"):
             image = result.read()
         return image[None], history
@@ -106,202 +99,22 @@ class Pipeline:
     def run(self, layers: Mapping[str, GpuArray], history: History | None = None) -> tuple[GpuArray, History]:
         """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
         the history is not."""
-        d, size = self.design, tuple(layers["radiance"].shape[1:])
+        passes, size = self.passes, tuple(layers["radiance"].shape[1:])
         with self._stage("features"):
-            light, surface, guide, statistics = self._prepare(layers)
-            vectors = self._vectors(layers)
+            light, surface, guide, statistics = passes.prepare(layers)
+            vectors = passes.vectors(layers)
         with self._stage("reprojection"):
-            past, running = self._reproject(vectors, surface, light, guide, history)
+            past, running = passes.reproject(vectors, surface, light, guide, history)
         with self._stage("features"):
-            features = self._features(light, surface, guide, past, running, statistics)
+            features = passes.features(light, surface, guide, past, running, statistics)
         with self._stage("network"):
-            levels = self._unet(self._stemmed(features, size) if d.accumulates else features)
+            levels = passes.network(features, size)
         with self._stage("kernels"):
-            mean = self._accumulate(levels[0], light, running) if d.accumulates else None
-            composed = self._filter(levels, light if mean is None else mean)
+            mean = passes.accumulate(levels[0], light, running) if self.design.accumulates else None
+            composed = passes.filter(levels, light if mean is None else mean)
         with self._stage("blend"):
-            result, denoised = self._blend(levels[0], past, composed, guide)
+            result, denoised = passes.blend(levels[0], past, composed, guide)
         return result, History(denoised, surface, vectors if "motion_next" in layers else None, mean)
-
-    def _prepare(self, layers: Mapping[str, GpuArray]) -> tuple[GpuArray, ...]:
-        """Sanitised light, surface and guide, and the statistics of the frame."""
-        H, W = layers["radiance"].shape[1:]
-        light, guide = self._image("light", (H, W)), self._image("guide", (H, W))
-        surface = self._fresh((H, W))
-        across, down = -(-W // BLOCK), -(-H // BLOCK)
-        blocks = self._image("blocks", (down, across))
-        inputs = [layers[name] for name in ("radiance", "albedo", "normal", "depth")]
-        dispatch(
-            "frame/prepare", [*inputs, light, surface, guide, blocks], (W, H), {"size": (W, H)}, (BLOCK, BLOCK),
-            DEMODULATE=int(self.design.accumulates),
-        )  # fmt: skip
-        count, statistics = across * down, self._scratch("statistics", (2,))
-        uniforms = {"count": count, "kept": max(1, int(0.9 * count))}
-        dispatch("frame/statistics", [blocks, statistics], (1,), uniforms, STATISTICS_GROUP)
-        return light, surface, guide, statistics
-
-    def _vectors(self, layers: Mapping[str, GpuArray]) -> GpuArray | None:
-        """Sanitised motion and motion_next as one image; what is missing is not read later."""
-        there = [layers[name] for name in ("motion", "motion_next") if name in layers]
-        if not there:
-            return None
-        H, W = there[0].shape[1:]
-        vectors = self._fresh((H, W))
-        dispatch("frame/motion", [there[0], there[-1], vectors], (W, H), {"size": (W, H)})
-        return vectors
-
-    def _reproject(
-        self, vectors: GpuArray | None, surface: GpuArray, light: GpuArray, guide: GpuArray, history: History | None
-    ) -> tuple[GpuArray, GpuArray | None]:
-        """The reprojected previous output, and the running mean where there is one."""
-        d, (H, W) = self.design, surface.shape[:2]
-        dual = {"DUAL": int(d.motion == "dual")}
-        motions = [light, light] if history is None else [vectors, history.vectors or vectors]
-        if history is not None and history.vectors is None and d.motion == "dual":
-            motions[1] = self._splat(vectors, surface, history.surface)
-        past, before = self._image("past", (H, W)), light if history is None else history.denoised
-        dispatch(
-            "frame/warp", [*motions, light, guide, before, past], (W, H), {"size": (W, H)},
-            HISTORY=int(history is not None), **dual,
-        )  # fmt: skip
-        if not d.accumulates:
-            return past, None
-        running = self._image("running", (H, W))
-        if history is None:
-            fill(running)
-        else:
-            buffers = [*motions, surface, history.surface, history.mean, running]
-            dispatch("accumulated_kpn/reproject", buffers, (W, H), {"size": (W, H)}, **dual)
-        return past, running
-
-    def _splat(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> GpuArray:
-        """motion_next of the previous frame, approximate: `motion_splat.splat_motion_next`."""
-        H, W = surface.shape[:2]
-        inputs = [vectors, surface, surface_before]
-        best, winner = (self._scratch(name, (H, W), np.uint32) for name in ("splat.best", "splat.winner"))
-        before = self._image("splat.vectors", (H, W))
-        for array in (best, winner):
-            fill(array, NOTHING)
-        for claim in (0, 1):
-            dispatch("splat/bid", [*inputs, best, winner], (W, H), {"size": (W, H)}, CLAIM=claim)
-        dispatch("splat/close", [*inputs, best, winner, before], (W, H), {"size": (W, H)})
-        return before
-
-    def _features(
-        self, light: GpuArray, surface: GpuArray, guide: GpuArray, past: GpuArray, running: GpuArray | None,
-        statistics: GpuArray,
-    ) -> GpuArray:  # fmt: skip
-        """The network's input, padded: to whole cells of the U-Net, or to what the stem halves."""
-        d, (H, W) = self.design, light.shape[:2]
-        cell = 2 if d.accumulates else self._unet.cell
-        padded = (W + -W % cell, H + -H % cell)
-        result = self._activations("features", d.features, padded[::-1])
-        buffers, uniforms = [light, surface, guide, past, statistics], {"size": padded, "image_size": (W, H)}
-        if d.accumulates:
-            buffers.append(running)
-            uniforms["longest"] = d.longest
-        dispatch(f"{d.architecture}/features", [*buffers, result], padded, uniforms, HALF=int(self._half))
-        return result
-
-    def _stemmed(self, features: GpuArray, size: tuple[int, int]) -> GpuArray:
-        """Features of half the size, padded to whole cells of the U-Net."""
-        half = (size[1] + 1) // 2, (size[0] + 1) // 2
-        W, H = (n + -n % self._unet.cell for n in half)
-        result = self._activations("stem", self._stem.outputs, (H, W))
-        dispatch(
-            "network/stem", [features, self._stem.weights, self._stem.biases, result], (W, H, result.shape[0]),
-            {"size": (W, H), "half_size": half, "groups": self._stem.groups[0]}, HALF=int(self._half),
-        )  # fmt: skip
-        return result
-
-    def _accumulate(self, features: GpuArray, light: GpuArray, running: GpuArray) -> GpuArray:
-        """The running mean and its length, with this frame in it."""
-        mean = self._fresh(light.shape[:2])
-        self._head(
-            "accumulated_kpn/accumulate",
-            self._reset,
-            features,
-            [light, running, mean],
-            {"longest": self.design.longest},
-        )
-        return mean
-
-    def _filter(self, levels: list[GpuArray], image: GpuArray) -> GpuArray:
-        """Filter every scale with its own kernels and compose from coarse to fine."""
-        d, size = self.design, image.shape[:2]
-        sizes = [size]
-        for _ in range(d.scales - 1):
-            sizes.append(tuple((n + 1) // 2 for n in sizes[-1]))
-        features = [levels[0], *levels] if d.accumulates else levels
-        filtered: list[GpuArray] = []
-        for s in range(d.scales):
-            if s:
-                # accumulated_kpn filters what the finer scale has filtered, temporal_kpn a pyramid of the noise
-                finer = filtered[-1] if d.accumulates else image
-                image = self._image(f"pyramid.{s}", sizes[s])
-                H, W = sizes[s]
-                dispatch("frame/downsample", [finer, image], (W, H), {"size": sizes[s - 1][::-1]}, POOL_MAX=self._pool)
-            filtered.append(self._image(f"filtered.{s}", sizes[s]))
-            self._head("frame/filter", self._spatial[s], features[s], [image, filtered[-1]], {}, KERNEL=d.kernel)
-        coarse = filtered[-1]
-        for s in reversed(range(d.scales - 1)):
-            composed = self._image(f"composed.{s}", sizes[s])
-            H, W = sizes[s]
-            dispatch("frame/compose", [filtered[s], coarse, composed], (W, H), {"size": (W, H)}, POOL_MAX=self._pool)
-            coarse = composed
-        return coarse
-
-    def _blend(
-        self, features: GpuArray, past: GpuArray, composed: GpuArray, guide: GpuArray
-    ) -> tuple[GpuArray, GpuArray]:
-        """The denoised image [3, H, W], and what history keeps of it."""
-        H, W = past.shape[:2]
-        denoised, result = self._fresh((H, W)), self._scratch("result", (3, H, W))
-        buffers = [past, composed, guide, denoised, result]
-        constants = {"KERNEL": self.design.temporal_kernel, "DEMODULATE": int(self.design.accumulates)}
-        self._head("frame/temporal", self._temporal, features, buffers, {}, **constants)
-        return result, denoised
-
-    def _head(
-        self, name: str, head: Layer, features: GpuArray, buffers: list[GpuArray], uniforms: dict, **constants: int
-    ) -> None:
-        """A pass that computes rows of a head from `features` where it needs them. `buffers[0]` has its size."""
-        H, W = buffers[0].shape[:2]
-        cell = 2 if head.weights.shape[0] == 4 else 1
-        uniforms |= {"size": (W, H), "feature_size": features.shape[2:0:-1], "groups": head.groups[0]}
-        buffers = [features, head.weights, head.biases, *buffers]
-        dispatch(name, buffers, (W, H), uniforms, CELL=cell, HALF=int(self._half), **constants)
-
-    def _set_heads(self, tensors: Mapping[str, np.ndarray]) -> None:
-        """Split what the network predicts by the pass that needs it."""
-        d, taps, temporal = self.design, self.design.kernel**2, self.design.temporal_kernel**2
-        weight, bias = full_head(d, tensors)
-        unused = np.zeros_like(weight[:, :1]), np.zeros_like(bias[:1])  # the finest scale has no α
-        spatial = np.concatenate([weight[:, :taps], unused[0]], 1), np.concatenate([bias[:taps], unused[1]])
-        last = taps + temporal + 1
-        self._spatial = [head_layer(self.ctx, *spatial)]
-        self._temporal = head_layer(self.ctx, weight[:, taps:last], bias[taps:last])
-        if d.accumulates:
-            self._reset = head_layer(self.ctx, weight[:, last:], bias[last:])
-        first = 0 if d.accumulates else 1
-        for i in range(first, first + d.scales - 1):
-            self._spatial.append(
-                head_layer(self.ctx, tensors[f"heads.{i}.weight"][None, :, :, 0, 0], tensors[f"heads.{i}.bias"])
-            )
 
     def _stage(self, name: str):
         return nullcontext() if self.clock is None else self.clock.stage(name)
-
-    @property
-    def _pool(self) -> int:
-        return int(self.design.pool == "max")
-
-    def _image(self, name: str, size: tuple[int, int]) -> GpuArray:
-        return self._scratch(name, (*size, 4))
-
-    def _activations(self, name: str, channels: int, size: tuple[int, int]) -> GpuArray:
-        return self._scratch(name, (-(-channels // 4), *size, 4), np.float16 if self._half else np.float32)
-
-    def _fresh(self, size: tuple[int, int]) -> GpuArray:
-        """An image that goes into history: nobody may write it again."""
-        return GpuArray.empty(self.ctx, (*size, 4))

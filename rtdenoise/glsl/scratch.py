@@ -17,7 +17,7 @@ class Scratch:
         self._arrays: dict[str, GpuArray] = {}
 
     def __call__(self, name: str, shape: tuple[int, ...], dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
-        """The array `name`, its content whatever was written last. Raises InputError as `GpuArray.empty`."""
+        """The array `name`, its content whatever was written last. Raises GpuMemoryError as `GpuArray.empty`."""
         array = self._arrays.get(name)
         if array is None or array.shape != shape or array.dtype != dtype:
             self._arrays[name] = array = GpuArray.empty(self._ctx, shape, dtype)
