@@ -26,6 +26,7 @@ from rtdenoise import models, ops
 from rtdenoise.frame import Frame
 from rtdenoise.memory import keep_freed
 from rtdenoise.nets import prepare
+from shaders import PRECISIONS, Shaders, measurable
 
 SIZES = {"quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
          "4k": (3840, 2160)}  # fmt: skip
@@ -64,6 +65,7 @@ class Method:
     step: Callable[[], object]  # one frame with history, on the device; returns when it is done
     model: torch.nn.Module | None = None
     ops: str = "auto"
+    shaders: Shaders | None = None
 
 
 def main(o: Options) -> None:
@@ -73,11 +75,12 @@ def main(o: Options) -> None:
     device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     sizes, calls = (("quick",), 3) if o.quick else (o.sizes, o.calls)
     presets = o.presets or tuple(models.PRESETS)
+    with_shaders, gl = measurable(o.quick)
     with torch.inference_mode():
         peak = {"copy_gb_per_s": copy_rate(device), **{f"{n}_gflop_per_s": product_rate(device, d) for n, d in
                 (("fp32", torch.float32), ("bf16", torch.bfloat16))}}  # fmt: skip
-        rows = [row for size in sizes for row in run(size, presets, device, calls)]
-    devices = {"torch": cpu() if device == "cpu" else torch.cuda.get_device_name(), "cpu": cpu()}
+        rows = [row for size in sizes for row in run(size, presets, device, calls, with_shaders)]
+    devices = {"torch": cpu() if device == "cpu" else torch.cuda.get_device_name(), "cpu": cpu(), "glsl": gl}
     devices["cuda"] = torch.cuda.get_device_name() if torch.cuda.is_available() else "not measured: there is none"
     document = {**origin(devices), "device": device, "measured_peaks": peak, "rows": rows}
     write(o.out, **document)
@@ -86,12 +89,14 @@ def main(o: Options) -> None:
     print(o.out.with_suffix(".md").read_text())
 
 
-def run(size: str, presets: tuple[str, ...], device: str, calls: int) -> list[dict]:
+def run(size: str, presets: tuple[str, ...], device: str, calls: int, with_shaders: bool) -> list[dict]:
     """Every method at one size, in turn: the rows of the result."""
     W, H = SIZES[size]
     calls = max(3, round(calls * min(1, 1280 * 720 / (W * H))))
     frame = synthetic_frame(H, W).to(device)
     methods = [method for preset in presets for method in ours(preset, frame, device)]
+    if with_shaders:
+        methods += [method for preset in presets for method in shaders(preset, frame)]
     methods += [oidn(frame, quality) for quality in QUALITIES]
 
     def timed(method: Method) -> None:
@@ -115,6 +120,12 @@ def run(size: str, presets: tuple[str, ...], device: str, calls: int) -> list[di
             row["stages"] = {stage: summary([r.seconds[stage] for r in runs]) for stage in STAGES}
             row["gb"] = {stage: runs[-1].bytes[stage] / 1e9 for stage in STAGES}
             row["prediction_gflop"] = flops(m.name.split()[0], frame) / 1e9
+        if m.shaders:
+            runs = [m.shaders.stages() for _ in range(max(3, calls // 2))]
+            row["stages"] = {stage: summary([seconds[stage] for seconds in runs]) for stage in STAGES}
+            row["peak_mb"] = round(m.shaders.megabytes, 1)
+            rows.append(row)
+            continue
         with ops.use(m.ops):
             row["peak_mb"] = round(peak_bytes(m.step, device) / 1e6, 1) if m.model else None
         rows.append(row)
@@ -134,6 +145,19 @@ def ours(preset: str, frame: Frame, device: str) -> list[Method]:
         reference = image.double().cpu().numpy() if reference is None else reference
         check(f"{preset} {backend}", image.cpu().numpy(), reference, tolerance)
         methods.append(Method(f"{preset} {backend}", partial(model.step, frame, history), model, path))
+    return methods
+
+
+def shaders(preset: str, frame: Frame) -> list[Method]:
+    """The preset as compute shaders, checked on a small frame: on a large one of noise some pixel always lies so near a
+    threshold of reprojection that rounding decides on which side."""
+    methods, small = [], synthetic_frame(36, 64)
+    _, history = fresh(preset).step(small)
+    expected = fresh(preset).step(small, history)[0].double().numpy()
+    for name, (half, tolerance) in PRECISIONS.items():
+        check(f"{preset} {name}", Shaders(fresh(preset), small, half).image(), expected, tolerance)
+        pipeline = Shaders(fresh(preset), frame, half)
+        methods.append(Method(f"{preset} {name}", pipeline.step, shaders=pipeline))
     return methods
 
 
@@ -223,11 +247,12 @@ def table(document: dict, size: str) -> str:
         if "stages" in row:
             times = {stage: _median(row["stages"][stage]) for stage in STAGES}
             cells[: len(STAGES)] = [f"{t:.1f}" for t in times.values()]
+            cells[-1] = f"{row['peak_mb']:.0f}"
+        if "gb" in row:
             network, kernels = list(STAGES)[:2]
             product = peaks["bf16_gflop_per_s" if "bf16" in row["method"] else "fp32_gflop_per_s"]
             cells[-3] = f"{100 * row['gb'][kernels] / times[kernels] * 1000 / peaks['copy_gb_per_s']:.0f} %"
             cells[-2] = f"{100 * row['prediction_gflop'] / times[network] * 1000 / product:.0f} %"
-            cells[-1] = f"{row['peak_mb']:.0f}"
         lines.append(f"| {row['method']} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 

@@ -1,0 +1,75 @@
+"""The whole frame as compute shaders for `latency_720p.py`: one pipeline on a frame that lies on the GPU already."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+from stages import STAGES
+
+from rtdenoise import glsl
+from rtdenoise.errors import InputError
+from rtdenoise.frame import Frame
+from rtdenoise.glsl import Clock, GpuArray, Pipeline
+from rtdenoise.glsl.designs import design
+from rtdenoise.models import Denoiser
+from rtdenoise.models.presets import architecture
+
+PRECISIONS = {"glsl fp32": (False, "frame"), "glsl fp16": (True, "frame, float16 activations")}
+"""Method -> whether activations are stored as float16, row of tolerances.py against torch."""
+
+PREDICTION, KERNELS, BLENDING, REPROJECTION = STAGES
+STAGE_OF = {"features": PREDICTION, "network": PREDICTION, "kernels": KERNELS, "blend": BLENDING,
+            "reprojection": REPROJECTION}  # fmt: skip
+"""Stage of the pipeline -> of the paper. The last layer of the network counts as kernel application, which it is part
+of: logits are computed where they are used."""
+
+
+class Shaders:
+    """One denoiser in one precision, with a frame and its history on the GPU."""
+
+    def __init__(self, denoiser: Denoiser, frame: Frame, half: bool) -> None:
+        tensors = {name: tensor.float().cpu().numpy() for name, tensor in denoiser.state_dict().items()}
+        self._pipeline = Pipeline(design(architecture(denoiser.config), asdict(denoiser.config)), tensors, half)
+        self._ctx = self._pipeline.ctx
+        self._layers = {name: GpuArray.upload(self._ctx, t[0].cpu().numpy()) for name, t in frame.layers()}
+        self._history = self._pipeline.run(self._layers)[1]
+
+    def step(self) -> GpuArray:
+        """One frame with history, from the GPU to the GPU; returns when it is done."""
+        image, _ = self._pipeline.run(self._layers, self._history)
+        self._ctx.finish()
+        return image
+
+    def image(self) -> np.ndarray:
+        """`[1, 3, H, W]` of a step."""
+        return self.step().read()[None]
+
+    def stages(self) -> dict[str, float]:
+        """Seconds of one step by stage of the paper: on a GPU by its own clock."""
+        self._pipeline.clock = Clock(self._ctx)
+        self.step()
+        seconds, self._pipeline.clock = self._pipeline.clock.read(), None
+        return {stage: sum(s for name, s in seconds.items() if STAGE_OF[name] == stage) for stage in STAGES}
+
+    @property
+    def megabytes(self) -> float:
+        """GPU memory of a step: the frame, what is kept between frames, and two histories of four images."""
+        H, W = self._layers["radiance"].shape[1:]
+        layers = sum(array.buffer.size for array in self._layers.values())
+        return (layers + self._pipeline.passes.scratch_bytes + 2 * 4 * 16 * H * W) / 1e6
+
+
+def renderer() -> str:
+    """What OpenGL runs on. Raises InputError where there is none."""
+    return glsl.default_context().info["GL_RENDERER"]
+
+
+def measurable(quick: bool) -> tuple[bool, str]:
+    """Whether shaders are worth timing here, and on what, or why not. Software renderers take minutes a frame."""
+    try:
+        name = renderer()
+    except InputError as error:
+        return False, f"not measured: {error}"
+    software = "llvmpipe" in name
+    return (quick or not software), name if quick or not software else f"not measured: {name} is no GPU"
