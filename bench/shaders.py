@@ -54,10 +54,9 @@ class Shaders:
 
     @property
     def megabytes(self) -> float:
-        """GPU memory of a step: the frame, what is kept between frames, and two histories of four images."""
-        H, W = self._layers["radiance"].shape[1:]
-        layers = sum(array.buffer.size for array in self._layers.values())
-        return (layers + self._pipeline.passes.scratch_bytes + 2 * 4 * 16 * H * W) / 1e6
+        """GPU memory of a step: the frame, what is kept between frames, and two histories."""
+        arrays = [*self._layers.values(), *(2 * [a for a in vars(self._history).values() if a is not None])]
+        return (sum(array.buffer.size for array in arrays) + self._pipeline.passes.scratch_bytes) / 1e6
 
 
 def renderer() -> str:

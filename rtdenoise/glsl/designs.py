@@ -33,7 +33,7 @@ class Design:
     @property
     def features(self) -> int:
         """Channels of the network's input."""
-        return 18 if self.accumulates else 13
+        return 21 if self.accumulates else 13
 
 
 def design(architecture: str, config: Mapping) -> Design:
@@ -53,7 +53,7 @@ def design(architecture: str, config: Mapping) -> Design:
 
 def expected_shapes(d: Design) -> dict[str, tuple[int, ...]]:
     """Name -> shape of every tensor of the model's state dict."""
-    taps, full = d.kernel**2, d.kernel**2 + d.temporal_kernel**2 + (2 if d.accumulates else 1)
+    taps, full = d.kernel**2, d.kernel**2 + d.temporal_kernel**2 + (3 if d.accumulates else 1)
     inputs = d.widths[0] if d.accumulates else d.features
     shapes: dict[str, tuple[int, ...]] = {}
     pairs = {f"encoder.{i}": (a, b) for i, (a, b) in enumerate(zip((inputs, *d.widths), d.widths, strict=False))}
@@ -72,7 +72,7 @@ def expected_shapes(d: Design) -> dict[str, tuple[int, ...]]:
 
 def full_head(d: Design, tensors: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Weights [cells, rows, inputs] and biases of what is predicted at full size: rows K² spatial, L² temporal, α of
-    time, and reset where there is a running mean."""
+    time, and where there is a running mean reset and sharp."""
     if d.accumulates:  # a 2×2 transposed convolution with stride 2: [inputs, rows, 2, 2]
         cells = tensors["full_head.weight"].transpose(2, 3, 1, 0).reshape(4, -1, d.widths[0])
         return cells, tensors["full_head.bias"]

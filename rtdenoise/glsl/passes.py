@@ -62,29 +62,40 @@ class Passes:
         dispatch("frame/motion", [there[0], there[-1], vectors], (W, H), {"size": (W, H)})
         return vectors
 
-    def reproject(
-        self, vectors: GpuArray | None, surface: GpuArray, light: GpuArray, guide: GpuArray, history: History | None
-    ) -> tuple[GpuArray, GpuArray | None]:
-        """The reprojected previous output, and the running mean where there is one."""
-        d, (H, W) = self._design, surface.shape[:2]
-        dual = {"DUAL": int(d.motion == "dual")}
-        motions = [light, light] if history is None else [vectors, history.vectors or vectors]
-        if history is not None and history.vectors is None and d.motion == "dual":
-            motions[1] = self._splat(vectors, surface, history.surface)
-        past, before = self._image("past", (H, W)), light if history is None else history.denoised
-        dispatch(
-            "frame/warp", [*motions, light, guide, before, past], (W, H), {"size": (W, H)},
-            HISTORY=int(history is not None), **dual,
-        )  # fmt: skip
-        if not d.accumulates:
-            return past, None
-        running = self._image("running", (H, W))
+    def history_motion(self, vectors: GpuArray | None, surface: GpuArray, history: History | None) -> GpuArray | None:
+        """The motion that fetches history, and what has been uncovered."""
         if history is None:
-            fill(running)
-        else:
-            buffers = [*motions, surface, history.surface, history.mean, running]
-            dispatch("accumulated_kpn/reproject", buffers, (W, H), {"size": (W, H)}, **dual)
-        return past, running
+            return None
+        H, W = surface.shape[:2]
+        dual, before = self._design.motion == "dual", history.vectors
+        if before is None:
+            before = self._splat(vectors, surface, history.surface) if dual else vectors
+        chosen = self._image("chosen", (H, W))
+        dispatch("frame/history_motion", [vectors, before, chosen], (W, H), {"size": (W, H)}, DUAL=int(dual))
+        return chosen
+
+    def warp(self, chosen: GpuArray | None, light: GpuArray, guide: GpuArray, history: History | None) -> GpuArray:
+        """The reprojected previous output."""
+        H, W = light.shape[:2]
+        past = self._image("past", (H, W))
+        before = [light, light] if history is None else [chosen, history.denoised]
+        buffers = [before[0], light, guide, before[1], past]
+        dispatch("frame/warp", buffers, (W, H), {"size": (W, H)}, HISTORY=int(history is not None))
+        return past
+
+    def reproject(
+        self, chosen: GpuArray | None, surface: GpuArray, guide: GpuArray, history: History | None
+    ) -> tuple[GpuArray, GpuArray]:
+        """Running means: of light without this frame, of albedo with it."""
+        H, W = surface.shape[:2]
+        running, mean_albedo = self._image("running", (H, W)), self._fresh((H, W))
+        before = [surface, surface, surface, surface]
+        if history is not None:
+            before = [chosen, history.surface, history.mean, history.mean_albedo]
+        buffers = [before[0], surface, *before[1:], guide, running, mean_albedo]
+        size, constants = {"size": (W, H)}, {"HISTORY": int(history is not None)}
+        dispatch("accumulated_kpn/reproject", buffers, (W, H), size, **constants)
+        return running, mean_albedo
 
     def _splat(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> GpuArray:
         """motion_next of the previous frame, approximate: `motion_splat.splat_motion_next`."""
@@ -100,19 +111,18 @@ class Passes:
         return before
 
     def features(
-        self, light: GpuArray, surface: GpuArray, guide: GpuArray, past: GpuArray, running: GpuArray | None,
-        statistics: GpuArray,
+        self, light: GpuArray, surface: GpuArray, guide: GpuArray, past: GpuArray, statistics: GpuArray,
+        means: tuple[GpuArray, ...],
     ) -> GpuArray:  # fmt: skip
-        """The network's input, padded: to whole cells of the U-Net, or to what the stem halves."""
+        """The network's input, padded: to whole cells of the U-Net, or to what the stem halves. `means` are what
+        `reproject` returns, or nothing."""
         d, (H, W) = self._design, light.shape[:2]
         cell = 2 if d.accumulates else self._unet.cell
         padded = (W + -W % cell, H + -H % cell)
         result = self._activations("features", d.features, padded[::-1])
-        buffers, uniforms = [light, surface, guide, past, statistics], {"size": padded, "image_size": (W, H)}
-        if d.accumulates:
-            buffers.append(running)
-            uniforms["longest"] = d.longest
-        dispatch(f"{d.architecture}/features", [*buffers, result], padded, uniforms, HALF=int(self._half))
+        buffers = [light, surface, guide, past, statistics, *means, result]
+        uniforms = {"size": padded, "image_size": (W, H)} | ({"longest": d.longest} if d.accumulates else {})
+        dispatch(f"{d.architecture}/features", buffers, padded, uniforms, HALF=int(self._half))
         return result
 
     def network(self, features: GpuArray, size: tuple[int, int]) -> list[GpuArray]:
@@ -167,15 +177,18 @@ class Passes:
             coarse = composed
         return coarse
 
-    def blend(
-        self, features: GpuArray, past: GpuArray, composed: GpuArray, guide: GpuArray
-    ) -> tuple[GpuArray, GpuArray]:
+    def texture(self, features: GpuArray, composed: GpuArray, guide: GpuArray, mean_albedo: GpuArray) -> GpuArray:
+        """The filtered light with its texture."""
+        now = self._image("now", composed.shape[:2])
+        self._head("accumulated_kpn/texture", self._sharp, features, [composed, guide, mean_albedo, now], {})
+        return now
+
+    def blend(self, features: GpuArray, past: GpuArray, now: GpuArray) -> tuple[GpuArray, GpuArray]:
         """The denoised image [3, H, W], and what history keeps of it."""
         H, W = past.shape[:2]
         denoised, result = self._fresh((H, W)), self._scratch("result", (3, H, W))
-        buffers = [past, composed, guide, denoised, result]
-        constants = {"KERNEL": self._design.temporal_kernel, "DEMODULATE": int(self._design.accumulates)}
-        self._head("frame/temporal", self._temporal, features, buffers, {}, **constants)
+        constants = {"KERNEL": self._design.temporal_kernel, "REPLACE": int(self._design.accumulates)}
+        self._head("frame/temporal", self._temporal, features, [past, now, denoised, result], {}, **constants)
         return result, denoised
 
     def _head(
@@ -198,7 +211,8 @@ class Passes:
         self._spatial = [head_layer(self._ctx, *spatial)]
         self._temporal = head_layer(self._ctx, weight[:, taps:last], bias[taps:last])
         if d.accumulates:
-            self._reset = head_layer(self._ctx, weight[:, last:], bias[last:])
+            self._reset = head_layer(self._ctx, weight[:, last : last + 1], bias[last : last + 1])
+            self._sharp = head_layer(self._ctx, weight[:, last + 1 :], bias[last + 1 :])
         first = 0 if d.accumulates else 1
         for i in range(first, first + d.scales - 1):
             self._spatial.append(

@@ -52,8 +52,10 @@ class Pipeline:
         """
         stored = read_model(model)
         if unknown := overrides.keys() - stored.config.keys():
-            raise InputError(f"{', '.join(sorted(unknown))}: not an override of model {str(model)!r}; its configuration "
-                             f"has {', '.join(stored.config)}")  # fmt: skip
+            raise InputError(
+                f"{', '.join(sorted(unknown))}: not an override of model {str(model)!r}; its configuration has "
+                f"{', '.join(stored.config)}"
+            )
         try:
             found = design(stored.architecture, {**stored.config, **overrides})
         except (KeyError, TypeError, ValueError) as error:
@@ -99,22 +101,30 @@ class Pipeline:
     def run(self, layers: Mapping[str, GpuArray], history: History | None = None) -> tuple[GpuArray, History]:
         """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
         the history is not."""
-        passes, size = self.passes, tuple(layers["radiance"].shape[1:])
+        passes, accumulates, size = self.passes, self.design.accumulates, tuple(layers["radiance"].shape[1:])
         with self._stage("features"):
             light, surface, guide, statistics = passes.prepare(layers)
             vectors = passes.vectors(layers)
         with self._stage("reprojection"):
-            past, running = passes.reproject(vectors, surface, light, guide, history)
+            chosen = passes.history_motion(vectors, surface, history)
+            past = passes.warp(chosen, light, guide, history)
+            means = passes.reproject(chosen, surface, guide, history) if accumulates else ()
         with self._stage("features"):
-            features = passes.features(light, surface, guide, past, running, statistics)
+            features = passes.features(light, surface, guide, past, statistics, means)
         with self._stage("network"):
             levels = passes.network(features, size)
         with self._stage("kernels"):
-            mean = passes.accumulate(levels[0], light, running) if self.design.accumulates else None
-            composed = passes.filter(levels, light if mean is None else mean)
+            mean, mean_albedo = light, None
+            if accumulates:
+                running, mean_albedo = means
+                mean = passes.accumulate(levels[0], light, running)
+            now = passes.filter(levels, mean)
         with self._stage("blend"):
-            result, denoised = passes.blend(levels[0], past, composed, guide)
-        return result, History(denoised, surface, vectors if "motion_next" in layers else None, mean)
+            if accumulates:
+                now = passes.texture(levels[0], now, guide, mean_albedo)
+            result, denoised = passes.blend(levels[0], past, now)
+        vectors = vectors if "motion_next" in layers else None
+        return result, History(denoised, surface, vectors, mean if accumulates else None, mean_albedo)
 
     def _stage(self, name: str):
         return nullcontext() if self.clock is None else self.clock.stage(name)

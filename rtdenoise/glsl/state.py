@@ -18,7 +18,8 @@ class History:
     denoised: GpuArray  # rgb: the denoised previous frame
     surface: GpuArray  # normal, depth
     vectors: GpuArray | None  # motion, motion_next; None: dual motion next time is approximate
-    mean: GpuArray | None  # rgb, length: the running mean; None where the model keeps none
+    mean: GpuArray | None  # rgb, length: the running mean of light; None where the model keeps none
+    mean_albedo: GpuArray | None  # rgb: that of albedo
 
     @property
     def size(self) -> tuple[int, int]:
@@ -32,20 +33,25 @@ class History:
         if self.vectors is not None:
             planes["motion_next"] = self.vectors.read()[..., 2:]
         if self.mean is not None:
-            mean = self.mean.read()
-            planes |= {"accumulated": mean[..., :3], "length": mean[..., 3:]}
+            mean, albedo = self.mean.read(), self.mean_albedo.read()
+            planes |= {"accumulated": np.concatenate([mean[..., :3], albedo[..., :3]], 2), "length": mean[..., 3:]}
         return {name: np.ascontiguousarray(np.moveaxis(plane, 2, 0)[None]) for name, plane in planes.items()}
 
     @classmethod
     def upload(cls, ctx: moderngl.Context, arrays: Mapping[str, np.ndarray]) -> History:
         """The inverse of `read`. Raises KeyError where a field is missing that every history has."""
 
-        def image(*names: str) -> GpuArray:
-            planes = np.concatenate([np.asarray(arrays[name], np.float32)[0] for name in names])
+        def image(*planes: np.ndarray) -> GpuArray:
+            planes = np.concatenate([np.asarray(plane, np.float32)[0] for plane in planes])
             return GpuArray.upload(ctx, np.moveaxis(np.pad(planes, ((0, 4 - len(planes)), (0, 0), (0, 0))), 0, 2))
 
-        vectors = None
+        vectors = mean = mean_albedo = None
         if "motion_next" in arrays:
-            vectors = image("motion_next", "motion_next")  # the first two are motion, which nobody reads again
-        mean = image("accumulated", "length") if "accumulated" in arrays else None
-        return cls(image("radiance"), image("normal", "depth"), vectors, mean)
+            vectors = image(
+                arrays["motion_next"], arrays["motion_next"]
+            )  # motion, which comes first, is not read again
+        if "accumulated" in arrays:
+            light, albedo = np.split(np.asarray(arrays["accumulated"]), 2, axis=1)
+            mean, mean_albedo = image(light, arrays["length"]), image(albedo)
+        surface = image(arrays["normal"], arrays["depth"])
+        return cls(image(arrays["radiance"]), surface, vectors, mean, mean_albedo)

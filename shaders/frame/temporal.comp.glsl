@@ -3,33 +3,25 @@
 //
 //     out = max(0, α · now + (1 - α) · Σ_taps w · past)
 //
-// Where light was divided by the albedo `now` is max(0, composed) times the albedo, and a tap whose past was off the screen
-// counts as `now` does there; else (temporal_kpn) `now` is composed, and past off the screen is noise.
+// With REPLACE a tap whose past was off the screen counts as `now` does there; without (temporal_kpn) it counts as it is: noise.
 //
-// takes    features, weights, biases: the head, KERNEL² logits and the logit of α · past [H, W] rgb, flags · composed [H, W]
-//          rgb · guide [H, W] albedo, and whether light was divided by it
+// takes    features, weights, biases: the head, KERNEL² logits and the logit of α · past [H, W] rgb, flags · now [H, W] rgb
 // returns  denoised [H, W] rgb: what history keeps · result [3, H, W]: the same
-#pragma constants KERNEL DEMODULATE
+#pragma constants KERNEL REPLACE
 #define PARAMETERS PARAMETER(ivec2, feature_size) PARAMETER(int, groups)
 #include "image.glsl"
 #include "past.glsl"
-#include "albedo.glsl"
 #define ROWS (KERNEL * KERNEL + 1)
 #include "head.glsl"
 
 layout(std430, binding = 3) readonly restrict buffer Past { vec4 past[]; };
-layout(std430, binding = 4) readonly restrict buffer Composed { vec4 composed[]; };
-layout(std430, binding = 5) readonly restrict buffer Guide { vec4 guide[]; };
-layout(std430, binding = 6) writeonly restrict buffer Denoised { vec4 denoised[]; };
-layout(std430, binding = 7) writeonly restrict buffer Result { float result[]; };
-
-vec3 now(int i) {
-    return DEMODULATE == 1 ? max(composed[i].rgb, 0.0) * divisor(guide[i]) : composed[i].rgb;
-}
+layout(std430, binding = 4) readonly restrict buffer Now { vec4 now[]; };
+layout(std430, binding = 5) writeonly restrict buffer Denoised { vec4 denoised[]; };
+layout(std430, binding = 6) writeonly restrict buffer Result { float result[]; };
 
 vec3 source(ivec2 p) {
     int i = at(p, size);
-    return DEMODULATE == 1 && !is_on_screen(past[i]) ? now(i) : past[i].rgb;
+    return REPLACE == 1 && !is_on_screen(past[i]) ? now[i].rgb : past[i].rgb;
 }
 #include "gather.glsl"
 
@@ -42,7 +34,7 @@ void main() {
     predict(pixel, rows);
     int i = at(pixel, size), plane = size.x * size.y;
     float alpha = sigmoid(rows[(ROWS - 1) >> 2][(ROWS - 1) & 3]);
-    vec3 radiance = max(alpha * now(i) + (1.0 - alpha) * gathered(pixel, rows), 0.0);
+    vec3 radiance = max(alpha * now[i].rgb + (1.0 - alpha) * gathered(pixel, rows), 0.0);
     denoised[i] = vec4(radiance, 1.0);
     for (int c = 0; c < 3; ++c) result[c * plane + i] = radiance[c];
 }

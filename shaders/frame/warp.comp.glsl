@@ -1,18 +1,19 @@
 #version 430
 // The previous output, where it was: bilinear; where that is off the screen, and in a first frame (HISTORY 0), the noise.
 //
-// takes    vectors, vectors_before [H, W] · light, guide [H, W] · denoised_before [H, W]
+// takes    chosen [H, W] motion, uncovered · light, guide [H, W] · denoised_before [H, W]
 // returns  past [H, W] rgb, ON_SCREEN and UNCOVERED
 #pragma constants HISTORY
 #include "image.glsl"
-#include "history_motion.glsl"
+#include "on_screen.glsl"
 #include "past.glsl"
 #include "albedo.glsl"
 
-layout(std430, binding = 2) readonly restrict buffer Light { vec4 light[]; };
-layout(std430, binding = 3) readonly restrict buffer Guide { vec4 guide[]; };
-layout(std430, binding = 4) readonly restrict buffer DenoisedBefore { vec4 denoised_before[]; };
-layout(std430, binding = 5) writeonly restrict buffer Past { vec4 past[]; };
+layout(std430, binding = 0) readonly restrict buffer Chosen { vec4 chosen[]; };
+layout(std430, binding = 1) readonly restrict buffer Light { vec4 light[]; };
+layout(std430, binding = 2) readonly restrict buffer Guide { vec4 guide[]; };
+layout(std430, binding = 3) readonly restrict buffer DenoisedBefore { vec4 denoised_before[]; };
+layout(std430, binding = 4) writeonly restrict buffer Past { vec4 past[]; };
 
 vec3 before(int x, int y) {
     return denoised_before[at(ivec2(x, y), size)].rgb;
@@ -25,9 +26,8 @@ void main() {
     int i = at(pixel, size), flags = 0;
     vec3 rgb = light[i].rgb * divisor(guide[i]);
 #if HISTORY
-    bool uncovered;
-    vec2 target = vec2(pixel) + history_motion(pixel, uncovered);
-    if (uncovered) flags |= UNCOVERED;
+    vec2 target = vec2(pixel) + chosen[i].xy;
+    if (chosen[i].z != 0.0) flags |= UNCOVERED;
     if (on_screen(target)) {
         flags |= ON_SCREEN;
         target = clamp(target, vec2(0.0), vec2(size - 1));

@@ -5,6 +5,7 @@
 // returns  best (CLAIM 0), winner (CLAIM 1)
 #pragma constants CLAIM
 #include "splat.glsl"
+#include "on_screen.glsl"
 
 layout(std430, binding = 3) restrict buffer Best { uint best[]; };
 layout(std430, binding = 4) restrict buffer Winner { uint winner[]; };
@@ -15,9 +16,9 @@ void main() {
 
     int p = at(pixel, size);
     vec2 target = vec2(pixel) + vectors[p].xy;
-    if (any(lessThan(target, vec2(-0.5))) || any(greaterThan(target, vec2(size) - 0.5))) return;
+    if (!on_screen(target)) return;
 
-    int t = at(ivec2(floor(clamp(target, vec2(0.0), vec2(size - 1)) + 0.5)), size);
+    int t = at(nearest(target), size);
     uint bid = floatBitsToUint(mismatch(surface[p].w, surface_before[t].w));
 #if CLAIM == 0
     atomicMin(best[t], bid);
