@@ -159,12 +159,12 @@ def _resume(out: Path, sequence: Sequence, fingerprints: list[str], backend: Bac
     try:
         with safe_open(out / STATE, framework="numpy") as file:
             metadata = file.metadata() or {}
+            done = int(metadata.get("done", 0))
+            if not done:  # whatever is there is of a run that did not come as far as its second frame
+                return 0, None
             history = backend.restore({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118 (no dict)
     except (SafetensorError, OSError, TypeError, KeyError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
-    done = int(metadata.get("done", 0))
-    if not done:  # whatever is there is of a run that did not come as far as its second frame
-        return 0, None
     if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
         raise InputError(
             f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"

@@ -1,9 +1,12 @@
 """Whole frames as compute shaders against the torch models, whose steps are their specification."""
 
 import json
+import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
 from rtdenoise.frame import nearness, sanitise
 from rtdenoise.glsl import GpuArray, Pipeline
+from rtdenoise.glsl.program import shaders
 from rtdenoise.models import PRESETS, accumulated_kpn
 
 SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4))}  # preset of that architecture
@@ -160,6 +164,35 @@ def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, s
             assert_images_close(distance / (distance + kept[kept > 0]), seen, "float32")
 
 
+OPENGL_43 = """
+import sys
+import numpy as np
+from rtdenoise.frame import Frame
+from rtdenoise.glsl import Pipeline, default_context
+
+random = np.random.default_rng(0).random
+frame = Frame(*(random((1, channels, 9, 13), np.float32) for channels in (3, 3, 3, 1, 2)))
+for model in sys.argv[1:]:
+    pipeline, history = Pipeline.load(model), None
+    for _ in range(3):
+        image, history = pipeline.step(frame, history)
+    print(pipeline.ctx.version_code, np.isfinite(image).all(), pipeline.ctx.error)
+"""
+
+
+def test_it_runs_on_opengl_43(weights):
+    older = os.environ | {"MESA_GL_VERSION_OVERRIDE": "4.3", "MESA_GLSL_VERSION_OVERRIDE": "430"}
+    command = [sys.executable, "-c", OPENGL_43, *(weights(config) for config in SMALL.values())]
+    run = subprocess.run(command, env=older, capture_output=True, text=True)
+    assert run.stdout == "430 True GL_NO_ERROR\n" * len(SMALL), run.stderr
+
+
+def test_no_pass_has_more_buffers_than_opengl_43_guarantees():
+    folder = Path(str(shaders()))
+    bindings = {path: re.findall(r"binding = (\d+)", path.read_text()) for path in folder.rglob("*.glsl")}
+    assert {int(n) for found in bindings.values() for n in found} == set(range(8))
+
+
 # State
 
 
@@ -278,6 +311,18 @@ def test_the_backends_write_the_same_and_carry_on_from_each_other(weights, tmp_p
     assert (summary.skipped, summary.written) == (2, 2)
     for path in sorted((tmp_path / "torch").glob("*.exr")):
         assert_images_close(pixels(tmp_path / "mixed" / path.name), pixels(path), "frame")
+
+
+def test_a_run_that_did_not_finish_a_frame_is_started_anew(weights, tmp_path):
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    options = Options(model=weights(SMALL["default"]), backend="glsl")
+
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        denoise(str(shot), tmp_path / "out", options, on_frame=stop)
+    assert denoise(str(shot), tmp_path / "out", options).written == 2
 
 
 def test_options_that_do_not_go_together_are_refused(tmp_path, weights):

@@ -86,10 +86,11 @@ class Sequence:
         channels = files.read({name for rule in self.rules.values() for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in self.rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
-        if not self.scene or all(getattr(frame, layer) is not None for layer in ("depth", "motion", "motion_next")):
+        missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
+        if not missing or not self.scene or frame.position is None:
             return frame
         if find_spec("torch") is None:
-            raise InputError(f"{frame.name}: has no motion of its own; computing it from positions needs PyTorch")
+            raise InputError(f"{frame.name}: has no {missing[0]}; computing it from positions needs PyTorch")
         import torch
 
         return complete(frame.map(torch.from_numpy), self.scene).map(lambda tensor: tensor.numpy())
