@@ -44,8 +44,8 @@ class Denoise:
         print(f"{self.out}: {summary.written} frames written, {summary.skipped} were there")
         if summary.written:
             print(f"denoiser: {1000 * summary.seconds / summary.written:.0f} ms a frame")
-        for layer, count in (summary.replaced or {}).items():
-            print(f"{layer}: {count} pixels were NaN or Inf and have been replaced")
+        for what, count in (summary.replaced or {}).items():
+            print(f"replaced: {what} in {count} pixels")
         if self.preview:
             from .data.sequences import open_sequence
             from .preview import preview

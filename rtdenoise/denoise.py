@@ -17,7 +17,7 @@ from safetensors.torch import save_file
 from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
-from .frame import History, non_finite
+from .frame import History, faults
 from .models import find, load
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
@@ -54,7 +54,7 @@ class Summary:
     written: int = 0
     skipped: int = 0
     seconds: float = 0.0  # in the denoiser alone
-    replaced: dict[str, int] | None = None  # layer -> pixels that were NaN or Inf
+    replaced: dict[str, int] | None = None  # "layer: what was wrong" -> pixels (`frame.faults`)
 
 
 @torch.inference_mode()
@@ -91,8 +91,8 @@ def denoise(
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
         frame = sequence[i]
-        for layer, count in non_finite(frame).items():
-            summary.replaced[layer] = summary.replaced.get(layer, 0) + count
+        for what, count in faults(frame).items():
+            summary.replaced[what] = summary.replaced.get(what, 0) + count
         if i and frame.number != sequence.numbers[i - 1] + 1:
             history = None
         started = time.perf_counter()

@@ -21,10 +21,13 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
+from .color import limit_fireflies
 from .errors import InputError
 
 OFF_SCREEN = 1e4  # pixels: the motion of what was nowhere on the other frame, in any direction; half floats hold it
 FAR = 1e9  # depth from which on nothing was hit: renderers write inf, FLT_MAX or 1e10 there
+BRIGHTEST = 1e15  # radiance; its square is finite in float32
+GREATEST_ALBEDO, LONGEST_NORMAL = 16.0, 2.0  # far outside of what is meant, small enough for half precision
 CHANNELS = {
     "radiance": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
     "position": 3, "id": 1, "reference": 3, "reference_half": 3,
@@ -102,6 +105,21 @@ class History:
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
 
 
+@dataclass(frozen=True)
+class Known:
+    """What is known of a frame beside its buffers, so that a step need not find it out or may leave work out. It must
+    be true: nothing checks it. `plan` and `tiles` fill it in."""
+
+    still: bool = False  # motion, and motion_next of the frame before, are zero everywhere
+    covered: bool = False  # no pixel has been uncovered: `motion.occlusion_mask` is empty
+    sanitised: bool = False  # the frame has been through `sanitise`
+    exposure: Tensor | None = None  # [B, 1, 1, 1] and
+    distance: Tensor | None = None  # [B, 1, 1, 1] of the whole frame that this is a window of: `model.statistics`
+
+
+NOTHING_KNOWN = Known()
+
+
 def stack(frames: list[Frame]) -> Frame:
     """Frames of the same size and layers as one batch."""
     names = [layer for layer, _ in frames[0].layers()]
@@ -109,38 +127,61 @@ def stack(frames: list[Frame]) -> Frame:
 
 
 def sanitise(frame: Frame) -> Frame:
-    """Replace what no filter can use, once, before anything else sees it. Finite, valid frames come back unchanged to
-    the bit.
+    """Replace what no filter can use, once, before anything else sees it. Valid frames come back unchanged to the bit.
 
-    | layer                 | found                 | becomes |
-    |-----------------------|-----------------------|---------|
-    | radiance              | NaN, ±Inf or negative | 0       |
-    | albedo, normal        | NaN or ±Inf           | 0       |
-    | radiance              | above 1e15            | 1e15 (what follows must stay finite in float32) |
-    | depth                 | NaN, negative, above 1e9 or Inf | 0 (nothing hit) |
-    | motion, motion_next   | NaN or ±Inf           | `OFF_SCREEN`, so no history is taken |
+    | layer               | found                 | becomes |
+    |---------------------|-----------------------|---------|
+    | radiance            | NaN, ±Inf, negative   | 0       |
+    | radiance            | above 1e15            | 1e15 (what follows must stay finite in float32) |
+    | radiance            | a firefly             | what `color.limit_fireflies` leaves of it |
+    | albedo              | NaN, ±Inf, negative   | 0       |
+    | albedo              | above 16              | 16      |
+    | normal              | NaN, ±Inf             | 0       |
+    | normal              | beyond ±2             | ±2      |
+    | depth               | NaN, negative         | 0 (nothing hit) |
+    | depth               | above 1e9, Inf        | 0: that is how renderers write a miss, and no fault |
+    | motion, motion_next | NaN, ±Inf             | `OFF_SCREEN`, so no history is taken |
 
-    `non_finite` counts what this will replace.
+    `faults` counts what this will replace. Reference, position and id are left as they are.
     """
-
-    def clean(tensor: Tensor | None, bad: float, lowest: float | None = None) -> Tensor | None:
-        if tensor is None:
-            return None
-        tensor = torch.where(tensor.isfinite(), tensor, bad)
-        return tensor if lowest is None else tensor.clamp(min=lowest)
-
-    return replace(
-        frame,
-        radiance=clean(frame.radiance, 0.0, lowest=0.0).clamp(max=1e15),
-        albedo=clean(frame.albedo, 0.0),
-        normal=clean(frame.normal, 0.0),
-        depth=None if frame.depth is None else torch.where((frame.depth > 0) & (frame.depth < FAR), frame.depth, 0.0),
-        motion=clean(frame.motion, OFF_SCREEN),
-        motion_next=clean(frame.motion_next, OFF_SCREEN),
-    )
+    ranges = {
+        "radiance": (0.0, BRIGHTEST), "albedo": (0.0, GREATEST_ALBEDO), "normal": (-LONGEST_NORMAL, LONGEST_NORMAL),
+    }  # fmt: skip
+    clean = {layer: tensor for layer, tensor in frame.layers() if layer in ("depth", "motion", "motion_next", *ranges)}
+    for layer, tensor in clean.items():
+        if layer == "depth":
+            clean[layer] = torch.where((tensor > 0) & (tensor < FAR), tensor, 0.0)
+        elif layer in ranges:
+            clean[layer] = _finite(tensor, 0.0).clamp(*ranges[layer])
+        else:
+            clean[layer] = _finite(tensor, OFF_SCREEN)
+    clean["radiance"] = limit_fireflies(clean["radiance"])
+    return replace(frame, **clean)
 
 
-def non_finite(frame: Frame) -> dict[str, int]:
-    """Number of pixels per layer that hold NaN or Inf; layers without any are left out."""
-    counts = {layer: int((~tensor.isfinite()).any(dim=1).sum()) for layer, tensor in frame.layers()}
-    return {layer: count for layer, count in counts.items() if count}
+def faults(frame: Frame) -> dict[str, int]:
+    """Pixels that `sanitise` will replace, as "layer: what is wrong with it" -> count; what is not there is left
+    out."""
+    found: dict[str, Tensor] = {}
+    for layer, tensor in frame.layers():
+        finite = tensor.isfinite()
+        if layer in ("radiance", "albedo", "normal", "motion", "motion_next"):
+            found[f"{layer}: NaN or Inf"] = ~finite
+        if layer in ("radiance", "albedo"):
+            found[f"{layer}: negative"] = finite & (tensor < 0)
+        if layer == "radiance":
+            found["radiance: too bright"] = finite & (tensor > BRIGHTEST)
+            usable = _finite(tensor, 0.0).clamp(0.0, BRIGHTEST)
+            found["radiance: firefly"] = limit_fireflies(usable) != usable
+        if layer == "albedo":
+            found["albedo: too large"] = finite & (tensor > GREATEST_ALBEDO)
+        if layer == "normal":
+            found["normal: too long"] = finite & (tensor.abs() > LONGEST_NORMAL)
+        if layer == "depth":
+            found["depth: NaN or negative"] = tensor.isnan() | (tensor < 0)
+    counts = {what: int(mask.any(dim=1).sum()) for what, mask in found.items()}
+    return {what: count for what, count in counts.items() if count}
+
+
+def _finite(tensor: Tensor, otherwise: float) -> Tensor:
+    return torch.where(tensor.isfinite(), tensor, otherwise)

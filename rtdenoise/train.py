@@ -84,6 +84,7 @@ class Trainer:
         self.average = deepcopy(self.model).eval().requires_grad_(False)
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=config.lr)
         self.step = 0
+        self.skipped = 0  # steps that a loss or gradient that was not finite has cost
 
     def train_step(self, clip: list[Frame]) -> dict[str, float]:
         """One optimiser step on a batch of clips; returns the numbers to log."""
@@ -110,18 +111,22 @@ class Trainer:
         self.optimiser.zero_grad(set_to_none=True)
         total.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0).item()
-        if math.isfinite(norm):  # a poisoned clip must not poison the weights
+        if math.isfinite(norm):
             self.optimiser.step()
+        else:  # a poisoned clip must not poison the weights
+            self.skipped += 1
         self.step += 1
         decay = min(0.999, self.step / (self.step + 10))
         for mean, parameter in zip(self.average.parameters(), self.model.parameters(), strict=True):
             mean.lerp_(parameter.detach(), 1 - decay)
-        return {"step": self.step, "loss": total.item(), **terms, "grad_norm": norm, "lr": rate}
+        row = {"step": self.step, "loss": total.item(), **terms, "grad_norm": norm, "lr": rate}
+        return row | {"skipped": self.skipped}
 
     def save(self, path: Path) -> None:
         """Write the checkpoint, atomically."""
         state = {
             "step": self.step,
+            "skipped": self.skipped,
             "model": self.model.state_dict(),
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
@@ -133,6 +138,7 @@ class Trainer:
         """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one."""
         state = torch.load(path, map_location=self.config.device, weights_only=True)
         self.step = state["step"]
+        self.skipped = state.get("skipped", 0)
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -171,7 +177,7 @@ def train(config: TrainConfig) -> Path:
                 row = trainer.train_step([frame.to(config.device) for frame in clip])
                 row["seconds"] = time.perf_counter() - started
                 progress.update(task, completed=trainer.step, loss=f"loss {row['loss']:.4f}")
-                if trainer.step % 20 == 0 or trainer.step == config.steps:
+                if trainer.step % 20 == 0 or trainer.step == config.steps or not math.isfinite(row["grad_norm"]):
                     _write(log, row)
                 if validation and (trainer.step % config.validate_every == 0 or trainer.step == config.steps):
                     _write(log, {"step": trainer.step, "validation": validate(trainer.average, validation, config)})
@@ -189,6 +195,8 @@ def train(config: TrainConfig) -> Path:
         training=json.dumps({**_plain(config), "reached_step": trainer.step}),
         version=__version__,
     )
+    if trainer.skipped:
+        print(f"{out}: {trainer.skipped} steps skipped, their loss or gradient was not finite; log.jsonl says which")
     if stopping:
         raise KeyboardInterrupt
     return weights
@@ -270,5 +278,7 @@ def _forget_after(path: Path, step: int) -> None:
 
 
 def _write(log, row: dict) -> None:
+    """A line of the log; JSON has no NaN, so what is not finite becomes null."""
+    row = {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()}
     log.write(json.dumps(row) + "\n")
     log.flush()

@@ -96,7 +96,7 @@ def test_bad_pixels_are_replaced_and_counted(tmp_path, model, capsys):
     frames[1] = with_bad_pixels(frames[1])
     write_sequence(tmp_path / "shot", frames)
     main(["denoise", str(tmp_path / "shot"), "--out", str(tmp_path / "out"), "--model", model])
-    assert "radiance: 2 pixels were NaN or Inf" in capsys.readouterr().out
+    assert "replaced: radiance: NaN or Inf in 2 pixels" in capsys.readouterr().out
     for i in range(4):
         assert np.isfinite(pixels(tmp_path / "out" / f"frame.{i:04d}.exr")).all()
 

@@ -47,8 +47,7 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
 def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> Tensor:
     """The beauty `[1, 3, H, W]` with the denoised signal `image` in it; the equation stands above. Never negative;
     where the input is not finite, the rest counts as 0."""
-    frame = sanitise(frame)
-    albedo = frame.albedo if sequence.demodulated else torch.ones_like(image)
+    albedo = sanitise(frame).albedo if sequence.demodulated else torch.ones_like(image)
     if sequence.signal == "color":
         return image * albedo
     rule = sequence.preset.resolve(sequence.header, "color")["radiance"]

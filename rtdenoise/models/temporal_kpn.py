@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from ..color import compress, exposure
-from ..frame import Frame, History, sanitise
+from ..frame import NOTHING_KNOWN, Frame, History, Known, sanitise
 from ..motion import dual_motion, occlusion_mask, on_screen
 from ..motion_splat import splat_motion_next
 from ..nets import UNet
@@ -75,16 +75,18 @@ class TemporalKPN(nn.Module):
                 nn.init.xavier_uniform_(module.weight)
                 nn.init.zeros_(module.bias)
 
-    def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
+    def step(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History]:
         """Denoise one frame: `[B, 3, H, W]` linear radiance, and the history for the next one.
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion. `history=None` starts a
         sequence or resets after a cut. Without `motion_next` in the previous frame it is approximated from this frame's
-        motion and both depths.
+        motion and both depths. What is `known` is neither looked for nor done in vain.
 
         Raises InputError where a layer is missing or the history is of another size.
         """
-        frame = sanitise(frame)
+        frame = frame if known.sanitised else sanitise(frame)
         needed = ("albedo", "normal", "depth")
         if history is None:
             frame.require(*needed)
@@ -94,12 +96,14 @@ class TemporalKPN(nn.Module):
         # Reproject the previous output; where that is off the screen start from the noise, like a first frame.
         if history is None:
             warped = frame.radiance
+        elif known.still:
+            warped = history.radiance
         else:
-            motion = self.reprojection(frame, history)
+            motion = frame.motion if known.covered else self.reprojection(frame, history)
             warped = torch.where(on_screen(motion), warp(history.radiance, motion), frame.radiance)
 
         # Predict kernels.
-        heads = self.predict(self.features(frame, warped))
+        heads = self.predict(self.features(frame, warped, known))
 
         # Filter each scale with its own kernels, then compose from coarse to fine (eq. 4).
         noisy = frame.radiance
@@ -126,16 +130,19 @@ class TemporalKPN(nn.Module):
         dual = dual_motion(frame.motion, motion_next)
         return torch.where(occlusion_mask(dual, frame.motion), dual, frame.motion)
 
-    def features(self, frame: Frame, warped: Tensor) -> Tensor:
+    def features(self, frame: Frame, warped: Tensor, known: Known = NOTHING_KNOWN) -> Tensor:
         """The network's input `[B, 13, H, W]`: radiance compressed at one exposure, depth as nearness in [0, 1)."""
-        scale = exposure(frame.radiance)
-        hit = frame.depth > 0
-        hits = hit.sum((1, 2, 3), keepdim=True).clamp(min=1)
-        typical = (frame.depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)  # mean distance
-        nearness = torch.where(hit, typical / (typical + frame.depth), 0.0)
+        scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
+        nearness = torch.where(frame.depth > 0, distance / (distance + frame.depth), 0.0)
         return torch.cat(
             [compress(frame.radiance * scale), frame.albedo, frame.normal, nearness, compress(warped * scale)], dim=1
         )
+
+    def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
+        """What is taken from a frame as a whole, `[B, 1, 1, 1]` each: its exposure, and the mean distance of what was
+        hit."""
+        hits = (frame.depth > 0).sum((1, 2, 3), keepdim=True).clamp(min=1)
+        return exposure(frame.radiance), (frame.depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
 
     def predict(self, features: Tensor) -> Heads:
         """Run the network. Logits are handed on in float32 whatever the autocast dtype."""

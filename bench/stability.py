@@ -1,0 +1,88 @@
+"""What is promised for stiff and broken input, and what was measured: the tables of docs/stability.md.
+
+    python bench/stability.py [--frames 10000]
+
+The cases are those of the tests (tests/stability_cases.py, tests/stability_ops.py), for every shipped model in float32,
+bfloat16, float16 and in training, and for every backend of the operations; static input runs for --frames frames in
+float32, and a tenth of that in the other modes.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import harness
+
+sys.path.append(str(harness.ROOT / "tests"))
+from stability_cases import CASES, MODES, Subject
+from stability_ops import BACKENDS, OP_CASES, backend
+
+from rtdenoise.glsl import default_context
+from rtdenoise.models import available, load
+
+RESULT = harness.ROOT / "bench" / "results" / "stability.json"
+DOCUMENT = harness.ROOT / "docs" / "stability.md"
+
+
+def main(frames: int) -> None:
+    rows = [
+        {"case": case.name, "promise": case.promise, "unit": case.unit,
+         "models": {name: {mode: _run(case, denoiser, mode, frames) for mode in MODES}
+                    for name, denoiser in ((name, load(name)) for name in available())}}
+        for case in CASES
+    ]  # fmt: skip
+    ops = [
+        {"case": case.name, "promise": case.promise, "bound": case.bound,
+         "backends": {label: case.measure(backend(label)) for label in BACKENDS}}
+        for case in OP_CASES
+    ]  # fmt: skip
+    devices = {"torch": harness.cpu(), "GLSL": default_context().info["GL_RENDERER"]}
+    document = {**harness.origin(devices), "frames": frames, "denoisers": rows, "operations": ops}
+    harness.write(RESULT, **document)
+    broken = [row["case"] for row in ops for v in row["backends"].values() if v > row["bound"]]
+    broken += [
+        r["case"] for r in rows for m in r["models"].values() for v in m.values() if v["non_finite"] or not v["kept"]
+    ]
+    print(f"promises broken: {broken or 'none'}")
+
+
+def _run(case, denoiser, mode: str, frames: int) -> dict[str, float | int | bool]:
+    subject = Subject(denoiser, mode, frames if mode == "float32" else max(100, frames // 10))
+    value = case.measure(subject)
+    limit = case.limit(mode)
+    return {"value": value, "bound": None if mode == "training" else limit, "kept": value <= limit,
+            "non_finite": subject.non_finite}  # fmt: skip
+
+
+def table(document: dict, model: str) -> str:
+    """The cases of one model as Markdown; a broken promise is bold."""
+    shown = [mode for mode in MODES if mode != "training"]
+    lines = [f"| case | promised | at most | {' | '.join(shown)} | not finite |", "|---" * (4 + len(shown)) + "|"]
+    for row in document["denoisers"]:
+        runs = row["models"][model]
+        cells = [_cell(runs[mode]["value"], runs[mode]["kept"]) for mode in shown]
+        bounds = sorted({runs[mode]["bound"] for mode in shown})
+        counts = sum(run["non_finite"] for run in runs.values())
+        promised = f"{row['promise']} ({row['unit']})"
+        lines.append(
+            f"| {row['case']} | {promised} | {', '.join(f'{b:g}' for b in bounds)} | {' | '.join(cells)} | {counts} |"
+        )
+    return "\n".join(lines)
+
+
+def operations_table(document: dict) -> str:
+    """The cases of the operations as Markdown: greatest differences from what is promised."""
+    lines = [f"| case | promised | at most | {' | '.join(BACKENDS)} |", "|---" * (3 + len(BACKENDS)) + "|"]
+    for row in document["operations"]:
+        cells = [_cell(row["backends"][label], row["backends"][label] <= row["bound"]) for label in BACKENDS]
+        lines.append(f"| {row['case']} | {row['promise']} | {row['bound']:g} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _cell(value: float, kept: bool) -> str:
+    text = f"{value:.2g}"
+    return text if kept else f"**{text}**"
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[sys.argv.index("--frames") + 1]) if "--frames" in sys.argv else 10_000)
