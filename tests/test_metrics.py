@@ -9,7 +9,15 @@ import torch
 from skimage import metrics as skimage_metrics
 
 from rtdenoise.color import (
-    compress, display, display_exposure, expand, exposure, limit_fireflies, luminance, srgb_decode, srgb_encode,
+    compress,
+    display,
+    display_exposure,
+    expand,
+    exposure,
+    limit_fireflies,
+    luminance,
+    srgb_decode,
+    srgb_encode,
 )  # fmt: skip
 from rtdenoise.errors import InputError
 from rtdenoise.metrics import flip, flip_map, l1, mse, psnr, relmse, smape, ssim
