@@ -3,24 +3,33 @@ stopped."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 
 from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
-from .frame import History, faults
+from .frame import Frame, History, faults, sanitise
+from .history import CUT, load_history, mismatch, save_history
 from .models import find, load
+from .plan import Plan, Planned, make_plan
+
+try:
+    import fcntl
+except ImportError:  # Windows: two runs on one folder are not kept apart
+    fcntl = None
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
+LOCK = ".rtdenoise-lock"  # held while a run writes there; holds the fingerprint of the last one
+SUMMARY = "denoise.json"
+EXAMINED = 3  # frames that the plan looks at
 
 
 @dataclass(frozen=True)
@@ -43,18 +52,27 @@ class Options:
     """Write 32-bit float instead of 16-bit half."""
     allow_gaps: bool = False
     """Accept missing frame numbers; history starts anew after each gap."""
+    detect_cuts: bool = True
+    """Start history anew where most pixels find another surface than the motion vectors promise."""
+    plan: bool = True
+    """Leave out what a frame does not need (`rtdenoise inspect` says what); off: everything runs."""
     device: str = "auto"
     """'auto', 'cpu' or 'cuda'."""
 
 
 @dataclass
 class Summary:
-    """What a run did."""
+    """What a run did. But for `written`, `skipped` and `seconds` it counts the frames of earlier, interrupted runs
+    too."""
 
     written: int = 0
     skipped: int = 0
     seconds: float = 0.0  # in the denoiser alone
-    replaced: dict[str, int] | None = None  # "layer: what was wrong" -> pixels (`frame.faults`)
+    replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`frame.faults`)
+    cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
+    gaps: list[int] = field(default_factory=list)  # numbers of the frames that are missing
+    left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
+    plan: Plan | None = None
 
 
 @torch.inference_mode()
@@ -84,10 +102,31 @@ def denoise(
         raise InputError("device cuda: no CUDA device was found; use --device cpu")
     denoiser = load(options.model, device)
     out = _prepare(Path(out), sequence)
-    fingerprint = _fingerprint(sequence, options)
-    done, history = (0, None) if overwrite else _resume(out, sequence, fingerprint, device)
+    with _locked(out):
+        return _run(sequence, out, options, denoiser, device, overwrite, on_frame)
 
-    summary = Summary(skipped=done, replaced={})
+
+def _run(
+    sequence: Sequence,
+    out: Path,
+    options: Options,
+    denoiser: torch.nn.Module,
+    device: str,
+    overwrite: bool,
+    on_frame: Callable[[int, int], None],
+) -> Summary:
+    fingerprint = _fingerprint(sequence, options)
+    done, history, summary = (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprint, device)
+    (out / LOCK).write_text(fingerprint)  # from here on files in there are this run's
+    summary.skipped, summary.gaps = done, list(sequence.gaps)
+    if options.plan:
+        first = [sequence[i] for i in range(min(EXAMINED, len(sequence)))]
+        summary.plan = make_plan(sequence.size, len(sequence), denoiser.config.motion, first)
+        sequence = sequence.only(summary.plan.layers)
+        denoiser = Planned(denoiser, summary.plan)
+        denoiser.left_out |= summary.left_out
+        summary.left_out = denoiser.left_out
+
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
         frame = sequence[i]
@@ -96,15 +135,51 @@ def denoise(
         if i and frame.number != sequence.numbers[i - 1] + 1:
             history = None
         started = time.perf_counter()
+        if options.detect_cuts and history is not None and _is_cut(frame.to(device), history):
+            summary.cuts.append(frame.number)
+            history = None
         image, history = denoiser.step(frame.to(device), history)
         image = image.cpu()
         summary.seconds += time.perf_counter() - started
         write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
                     keep=options.keep, float32=options.float32)  # fmt: skip
-        _save_state(out / STATE, history, i + 1, fingerprint)
+        so_far = {"replaced": summary.replaced, "cuts": summary.cuts, "left_out": summary.left_out}
+        save_history(out / STATE, history, done=str(i + 1), fingerprint=fingerprint, so_far=json.dumps(so_far))
         summary.written += 1
         on_frame(i + 1, len(sequence))
+    _write_summary(out / SUMMARY, sequence, options, summary)
     return summary
+
+
+def _is_cut(frame: Frame, history: History) -> bool:
+    return mismatch(sanitise(frame), history).item() > CUT
+
+
+@contextlib.contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """One run at a time; the system lets go of the lock however a run ends."""
+    if fcntl is None:
+        yield
+        return
+    with (out / LOCK).open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"{out}: another run is writing there; wait for it, or choose another --out") from None
+        for abandoned in out.glob(".*.tmp"):  # by a run that was killed
+            abandoned.unlink()
+        yield
+
+
+def _write_summary(path: Path, sequence: Sequence, options: Options, summary: Summary) -> None:
+    plan = summary.plan and summary.plan.to_json()
+    document = {
+        "frames": len(sequence), "first": sequence.numbers[0], "last": sequence.numbers[-1], "size": sequence.size,
+        "options": asdict(options), **asdict(summary), "plan": plan,
+    }  # fmt: skip
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(json.dumps(document, indent=1) + "\n")
+    temporary.replace(path)
 
 
 def _prepare(out: Path, sequence: Sequence) -> Path:
@@ -135,37 +210,25 @@ def _fingerprint(sequence: Sequence, options: Options) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode()).hexdigest()
 
 
-def _resume(out: Path, sequence: Sequence, fingerprint: str, device: str) -> tuple[int, History | None]:
-    """How many frames are finished, and the history after them."""
+def _resume(out: Path, sequence: Sequence, fingerprint: str, device: str) -> tuple[int, History | None, Summary]:
+    """How many frames are finished, the history after them, and what there was to say about them."""
     if not (out / STATE).exists():
         clash = [path.name for path in sequence.paths if (out / path.name).exists()]
-        if clash:
+        killed = (out / LOCK).exists() and (out / LOCK).read_text() == fingerprint  # before its first history
+        if clash and not killed:
             raise InputError(
                 f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"
             )
-        return 0, None
+        return 0, None, Summary()
     try:
-        with safe_open(out / STATE, framework="pt", device=device) as file:
-            metadata = file.metadata() or {}
-            stored = set(file.keys())
-            names = [f.name for f in fields(History)]
-            history = History(**{name: file.get_tensor(name) if name in stored else None for name in names})
-    except (SafetensorError, OSError, TypeError) as error:
+        history, metadata = load_history(out / STATE, device)
+        done, so_far = int(metadata["done"]), json.loads(metadata["so_far"])
+    except (InputError, KeyError, ValueError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
     if metadata.get("fingerprint") != fingerprint:
         raise InputError(
             f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"
         )
-    done = int(metadata["done"])
     if any(not (out / path.name).exists() for path in sequence.paths[:done]):
-        return 0, None
-    return done, history
-
-
-def _save_state(path: Path, history: History, done: int, fingerprint: str) -> None:
-    tensors = {
-        f.name: t.detach().cpu().contiguous() for f in fields(history) if (t := getattr(history, f.name)) is not None
-    }
-    temporary = path.with_suffix(".tmp")
-    save_file(tensors, temporary, metadata={"done": str(done), "fingerprint": fingerprint})
-    temporary.replace(path)
+        return 0, None, Summary()
+    return done, history, Summary(**so_far)

@@ -104,6 +104,10 @@ class History:
     normal: Tensor | None  # [B, 3, H, W] of the previous frame
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
 
+    def layers(self) -> dict[str, Tensor]:
+        """name -> tensor of what there is."""
+        return {f.name: tensor for f in fields(self) if (tensor := getattr(self, f.name)) is not None}
+
 
 @dataclass(frozen=True)
 class Known:

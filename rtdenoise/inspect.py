@@ -13,9 +13,10 @@ from torch import Tensor
 from rtdenoise.data.conventions import Verdict, check_motion
 from rtdenoise.data.exr_format import group_channels
 from rtdenoise.data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
-from rtdenoise.frame import Frame, faults
+from rtdenoise.frame import Frame, faults, sanitise
 from rtdenoise.motion import dual_motion, occlusion_mask, on_screen
 from rtdenoise.motion_splat import splat_motion_next
+from rtdenoise.plan import Plan, make_plan
 
 READ = (*DEFAULT_LAYERS, "reference")  # what is read here; the check of the motion can use the reference
 
@@ -65,6 +66,7 @@ class Inspection:
     faults: dict[str, int]  # "layer: what is wrong" -> pixels of the examined frames that denoising will replace
     motion: MotionStatistics | None
     convention: Verdict | None  # None where there is no motion, or no two consecutive frames
+    plan: Plan  # what `denoise` will leave out
 
 
 def inspect(
@@ -111,6 +113,7 @@ def inspect(
         faults=counts,
         motion=_motion_statistics(moving) if moving else None,
         convention=check_motion(moving) if moving else None,
+        plan=make_plan(sequence.size, len(sequence), "dual", [sanitise(frame) for frame in frames.values()]),
     )
 
 
@@ -232,6 +235,8 @@ def _summary(found: Inspection) -> list[tuple[str, str]]:
     else:
         compared = f" (compared: {found.convention.feature})" if found.convention.feature else ""
         lines.append(("convention", f"{found.convention.status.upper()}: {found.convention.message}{compared}"))
+    for i, decision in enumerate(found.plan.decisions):
+        lines.append(("" if i else "left out", f"{decision.what}: {decision.left_out} ({decision.why})"))
     return lines
 
 

@@ -134,10 +134,11 @@ def same_surface(
     validity).
 
     Relative depth difference ≤ `depth_tolerance` and cosine between the normals ≥ `normal_tolerance`, both looked up
-    at the nearest pixel; two misses are alike, a hit and a miss are not.
+    at the nearest pixel; two misses are alike, a hit and a miss are not. A normal of zero is unknown and fits any.
     """
     before, facing = fetch(depth_previous, motion), fetch(normal_previous, motion)
     hit, was_hit = depth > 0, before > 0
     near = (depth - before).abs() <= depth_tolerance * torch.maximum(depth, before)
-    aligned = (normal * facing).sum(1, keepdim=True) >= normal_tolerance
+    unknown = (normal == 0).all(1, keepdim=True) | (facing == 0).all(1, keepdim=True)
+    aligned = unknown | ((normal * facing).sum(1, keepdim=True) >= normal_tolerance)
     return torch.where(hit & was_hit, near & aligned, hit == was_hit)

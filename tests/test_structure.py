@@ -8,7 +8,8 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent / "rtdenoise"
 # A room may import the rooms above it in this list, and its own.
 ORDER = [
-    ("errors",), ("color",), ("frame",), ("ops",), ("motion",), ("motion_splat",), ("nets",), ("models",),
+    ("errors",), ("color",), ("frame",), ("ops",), ("motion",), ("motion_splat", "history"), ("nets",), ("models",),
+    ("tiles",), ("plan",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
     ("train", "denoise", "evaluate", "preview", "inspect"), ("demo",), ("cli",), ("__main__",),
 ]  # fmt: skip

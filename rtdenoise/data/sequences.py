@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -73,6 +73,15 @@ class Sequence:
         layers = {layer: convert(rule, channels, layer) for layer, rule in self.rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
         return complete(frame, self.scene) if self.scene else frame
+
+    def only(self, layers: Collection[str]) -> Sequence:
+        """The sequence without the layers of `Frame` that are not among `layers`, and what they are computed from.
+
+        Parts of a multi-part file that nothing needs are not even read from the disk.
+        """
+        computed = [layer for layer in layers if layer in DEFAULT_LAYERS and layer not in self.available]
+        wanted = {*layers, *(("position", "id") if computed else ())}
+        return replace(self, rules={layer: rule for layer, rule in self.rules.items() if layer in wanted})
 
     def require(self, *layers: str) -> Sequence:
         """The sequence itself, if it has these layers of `Frame`.
