@@ -4,7 +4,8 @@
 
 The cases are those of the tests (tests/stability_cases.py, tests/stability_ops.py), for every shipped model in float32,
 bfloat16, float16 and in training, and for every backend of the operations; static input runs for --frames frames in
-float32, and a tenth of that in the other modes.
+float32, and a tenth of that in the other modes. On the bundled sample, with a path tracer's noise: how much light the
+limit on fireflies takes away, and how much the exposure changes from frame to frame though the reference does not.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ from __future__ import annotations
 import sys
 
 import harness
+import torch
 
 sys.path.append(str(harness.ROOT / "tests"))
-from stability_cases import CASES, MODES, Subject
+from stability_cases import CASES, FIREFLY, MODES, Subject
 from stability_ops import BACKENDS, OP_CASES, backend
 
+from rtdenoise.color import exposure, limit_fireflies
+from rtdenoise.data.sequences import open_sequence
 from rtdenoise.glsl import default_context
 from rtdenoise.models import available, load
 
@@ -37,7 +41,10 @@ def main(frames: int) -> None:
         for case in OP_CASES
     ]  # fmt: skip
     devices = {"torch": harness.cpu(), "GLSL": default_context().info["GL_RENDERER"]}
-    document = {**harness.origin(devices), "frames": frames, "denoisers": rows, "operations": ops}
+    document = {
+        **harness.origin(devices), "frames": frames, "denoisers": rows, "operations": ops,
+        "sample": {signal: sample(signal) for signal in ("indirect", "color")},
+    }  # fmt: skip
     harness.write(RESULT, **document)
     broken = [row["case"] for row in ops for v in row["backends"].values() if v > row["bound"]]
     broken += [
@@ -52,6 +59,20 @@ def _run(case, denoiser, mode: str, frames: int) -> dict[str, float | int | bool
     limit = case.limit(mode)
     return {"value": value, "bound": None if mode == "training" else limit, "kept": value <= limit,
             "non_finite": subject.non_finite}  # fmt: skip
+
+
+def sample(signal: str) -> dict[str, float]:
+    """Firefly limit and exposure on 1-spp noise. Flicker: mean |log| of what an exposure changes by from one frame to
+    the next, beyond what the reference's does."""
+    frames = list(open_sequence(harness.ROOT / "samples" / "mural", signal=signal, layers=("reference",)))
+    light = sum(f.radiance.sum().item() for f in frames)
+    kept = sum(limit_fireflies(f.radiance).sum().item() for f in frames)
+    ratio = torch.stack([exposure(f.radiance).log() - exposure(f.reference).log() for f in frames]).flatten()
+    lit = frames[0].radiance.clone()
+    lit[..., 50, 60] = FIREFLY
+    moved = (exposure(lit) / exposure(frames[0].radiance)).log().abs().item()
+    return {"light_cut": 1 - kept / light, "exposure_flicker": ratio.diff().abs().mean().item(),
+            "exposure_moved_by_a_firefly": moved}  # fmt: skip
 
 
 def table(document: dict, model: str) -> str:
