@@ -22,6 +22,7 @@ from rtdenoise.data.dataset import ClipDataset
 from rtdenoise.frame import Frame, History
 from rtdenoise.history import CUT, mismatch
 
+RESULT = harness.ROOT / "bench" / "results" / "cuts.json"
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 JUMP = 5  # frames
 
@@ -50,16 +51,33 @@ def main(folders: list[Path]) -> None:
     ]  # fmt: skip
     for row in rows:
         print(row)
-    harness.write(
-        harness.ROOT / "bench" / "results" / "cuts.json",
+    document = {
         **harness.origin({"torch": harness.cpu()}),
-        clips=len(clips),
-        used=CUT,
-        pairs={kind: len(values) for kind, values in found.items()},
-        mismatch={kind: {"least": v.min().item(), "median": v.median().item(), "greatest": v.max().item()}
-                  for kind, v in found.items()},
-        rows=rows,
-    )  # fmt: skip
+        "clips": len(clips),
+        "used": CUT,
+        "pairs": {kind: len(values) for kind, values in found.items()},
+        "mismatch": {
+            kind: {"least": v.min().item(), "median": v.median().item(), "greatest": v.max().item()}
+            for kind, v in found.items()
+        },
+        "rows": rows,
+    }
+    harness.write(RESULT, **document)
+    harness.insert_all(tables(document))
+
+
+def tables(document: dict) -> dict[str, str]:
+    """What docs/stability.md has of this: precision over all cuts, recall by kind; the threshold in use is bold."""
+    pairs = document["pairs"]
+    lines = [f"| threshold | false alarms in {pairs['within']} pairs | precision | recall | recall, mirrored only |",
+             "|---|---|---|---|---|"]  # fmt: skip
+    for row in document["rows"]:
+        label = f"**{row['threshold']:g}**" if row["threshold"] == document["used"] else f"{row['threshold']:g}"
+        shares = " | ".join(f"{row[key]:.1%}" for key in ("precision", "recall", "recall_mirrored"))
+        lines.append(f"| {label} | {row['false_alarms']} | {shares} |")
+    cuts = pairs["cut"] + pairs["mirrored"]
+    lines.append(f"\n{document['clips']} clips; {cuts} cuts, {pairs['cut']} spliced and {pairs['mirrored']} mirrored.")
+    return {"cuts": "\n".join(lines)}
 
 
 def _mismatch(now: Frame, before: Frame) -> float:

@@ -23,6 +23,7 @@ import harness
 from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
 
+RESULT = harness.ROOT / "bench" / "results" / "files.json"
 SAMPLE = harness.ROOT / "samples" / "mural"
 CROP = 48  # pixels a side of the frames of the long sequence
 
@@ -33,7 +34,21 @@ def main(kills: int, frames: int) -> None:
         "kills": kill_and_resume(kills),
         "memory": long_sequence(frames),
     }
-    harness.write(harness.ROOT / "bench" / "results" / "files.json", **document)
+    harness.write(RESULT, **document)
+    harness.insert_all(tables(document))
+
+
+def tables(document: dict) -> dict[str, str]:
+    """What docs/stability.md has of this."""
+    kills, memory = document["kills"], document["memory"]
+    at = kills["finished_frames_at_kill"]
+    same = "the same files, byte by byte" if kills["identical"] else "**other files**"
+    early, late = (f"{memory[key]:.0f} MB" for key in ("mb_after_a_tenth", "mb_at_the_end"))
+    return {
+        "files": f"Killed {kills['kills']} times, after {min(at)} to {max(at)} of 12 frames: {same}, "
+        f"{kills['refused']} runs refused. A sequence of {memory['frames']} frames: {early} of memory after a tenth of "
+        f"them, {late} at the end (`python bench/files.py`, [JSON](../bench/results/files.json))."
+    }
 
 
 def kill_and_resume(kills: int) -> dict[str, object]:

@@ -98,6 +98,16 @@ def write(path: Path, **content: object) -> None:
     print(f"written: {path}")
 
 
+def insert_all(sections: dict[str, str], page: Path = ROOT / "docs" / "stability.md") -> None:
+    """Put each text between `<!-- name -->` and `<!-- /name -->` of a document."""
+    for name, text in sections.items():
+        before, found, rest = page.read_text().partition(f"<!-- {name} -->\n")
+        _, closed, after = rest.partition(f"<!-- /{name} -->")
+        if not (found and closed):
+            sys.exit(f"{page}: no <!-- {name} --> … <!-- /{name} -->")
+        page.write_text(f"{before}{found}{text}\n{closed}{after}")
+
+
 def _commit() -> str:
     """The commit, with -dirty where the code differs from it; `unknown` outside a repository."""
 

@@ -25,7 +25,6 @@ from rtdenoise.glsl import default_context
 from rtdenoise.models import available, load
 
 RESULT = harness.ROOT / "bench" / "results" / "stability.json"
-DOCUMENT = harness.ROOT / "docs" / "stability.md"
 
 
 def main(frames: int) -> None:
@@ -46,6 +45,7 @@ def main(frames: int) -> None:
         "sample": {signal: sample(signal) for signal in ("indirect", "color")},
     }  # fmt: skip
     harness.write(RESULT, **document)
+    harness.insert_all(tables(document))
     broken = [row["case"] for row in ops for v in row["backends"].values() if v > row["bound"]]
     broken += [
         r["case"] for r in rows for m in r["models"].values() for v in m.values() if v["non_finite"] or not v["kept"]
@@ -73,6 +73,18 @@ def sample(signal: str) -> dict[str, float]:
     moved = (exposure(lit) / exposure(frames[0].radiance)).log().abs().item()
     return {"light_cut": 1 - kept / light, "exposure_flicker": ratio.diff().abs().mean().item(),
             "exposure_moved_by_a_firefly": moved}  # fmt: skip
+
+
+def tables(document: dict) -> dict[str, str]:
+    """What docs/stability.md has of this, by section."""
+    models = document["denoisers"][0]["models"]
+    denoisers = "\n\n".join(f"Model `{name}`:\n\n{table(document, name)}" for name in models)
+    lines = ["| bundled sample, 1 spp | light cut | exposure, from frame to frame | exposure, by one firefly of 1e7 |",
+             "|---|---|---|---|"]  # fmt: skip
+    for signal, row in document["sample"].items():
+        cells = (row["light_cut"], row["exposure_flicker"], row["exposure_moved_by_a_firefly"])
+        lines.append(f"| {signal} | {' | '.join(f'{cell:.2%}' for cell in cells)} |")
+    return {"sample": "\n".join(lines), "denoiser": denoisers, "operations": operations_table(document)}
 
 
 def table(document: dict, model: str) -> str:

@@ -39,12 +39,26 @@ def main(width: int, height: int, tile: int) -> None:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
     non_finite = int((~image.isfinite()).sum())
     print(f"{width}×{height}: {seconds:.0f} s for two frames, {memory:.1f} GB at most, {non_finite} values not finite")
-    harness.write(
-        RESULT, **harness.origin({"torch": harness.cpu()}), reach=Tiled(denoiser).reach,
-        equal={"size": [1280, 720], "tile": 256, "greatest_error": error},
-        large={"size": [width, height], "tile": tile, "seconds": seconds, "peak_memory_gb": round(memory, 2),
-               "non_finite": non_finite, "frames": len(large)},
-    )  # fmt: skip
+    document = {
+        **harness.origin({"torch": harness.cpu()}),
+        "reach": Tiled(denoiser).reach,
+        "equal": {"size": [1280, 720], "tile": 256, "greatest_error": error},
+        "large": {"size": [width, height], "tile": tile, "seconds": seconds, "peak_memory_gb": round(memory, 2),
+                  "non_finite": non_finite, "frames": len(large)},
+    }  # fmt: skip
+    harness.write(RESULT, **document)
+    harness.insert_all(tables(document))
+
+
+def tables(document: dict) -> dict[str, str]:
+    """What docs/stability.md has of this."""
+    equal, large = document["equal"], document["large"]
+    small, size = (f"{s[0]}×{s[1]}" for s in (equal["size"], large["size"]))
+    return {
+        "tiles": f"`paper` reaches {document['reach']} pixels. {small} in tiles of {equal['tile']}: greatest error "
+        f"{equal['greatest_error']:.1g}. {size} in tiles of {large['tile']}: {large['peak_memory_gb']} GB at most, "
+        f"{large['non_finite']} values not finite (`python bench/tiles.py`, [JSON](../bench/results/tiles.json))."
+    }
 
 
 def _second(denoiser, frames: list[Frame]) -> torch.Tensor:
