@@ -23,7 +23,7 @@ from rtdenoise.color import luminance
 from rtdenoise.data.dataset import ClipDataset
 from rtdenoise.frame import stack
 from rtdenoise.motion import dual_motion, occlusion_mask
-from rtdenoise.train import TrainConfig, Trainer
+from rtdenoise.trainer import TrainConfig, Trainer
 
 BATCH, FRAMES, SIZE = 2, 9, 96
 
@@ -70,7 +70,7 @@ def cost(clips: ClipDataset) -> dict:
 def main(folder: Path, name: str) -> None:
     torch.set_num_threads(1)
     clips, rng = ClipDataset(folder), np.random.default_rng(0)
-    trainer = Trainer(TrainConfig(folder, folder, batch=BATCH, frames=FRAMES, size=SIZE))
+    trainer = Trainer(TrainConfig((folder,), folder, batch=BATCH, frames=FRAMES, size=SIZE))
 
     def load() -> list:
         windows = [

@@ -5,16 +5,11 @@ The contract is in bench/README.md.
 
 from __future__ import annotations
 
-import json
 import os
-import platform
-import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 
 # Before torch is loaded: its threads spin while they wait, which on a shared CPU can cost torch, and what is measured
@@ -22,13 +17,13 @@ from pathlib import Path
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numpy as np
-import torch
 
 ROOT = Path(__file__).parent.parent
 sys.path.append(str(ROOT / "tests"))
 from tolerances import TOLERANCES  # noqa: E402 (the one table of tolerances)
 
-LIBRARIES = ("torch", "numpy", "moderngl")
+from rtdenoise import origin as origins  # noqa: E402
+from rtdenoise.strict_json import dumps  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -61,39 +56,30 @@ def measure(methods: dict[str, Callable[[], object]], calls: int = 30, warmup: i
             method()
             if i >= warmup:
                 seconds[name].append(time.perf_counter() - start)
+    return {name: summary(values) for name, values in seconds.items()}
 
-    def timing(values: list[float]) -> Timing:
-        first, median, third = np.percentile(values, [25, 50, 75]) * 1000
-        return Timing(round(median, 3), round(third - first, 3), len(values))
 
-    return {name: timing(values) for name, values in seconds.items()}
+def summary(seconds: list[float]) -> Timing:
+    """Of the calls of one method."""
+    first, median, third = np.percentile(seconds, [25, 50, 75]) * 1000
+    return Timing(round(median, 3), round(third - first, 3), len(seconds))
 
 
 def origin(devices: dict[str, str]) -> dict[str, object]:
-    """Where numbers come from: command, commit, devices, library versions."""
-    return {
-        "command": " ".join(["python", *sys.argv]),
-        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "commit": _commit(),
-        "devices": devices,
-        "omp_wait_policy": os.environ["OMP_WAIT_POLICY"],
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in LIBRARIES},
-    }
+    """Where numbers come from, as `rtdenoise.origin` says it, with the command that is running."""
+    return origins.origin(" ".join(["python", *sys.argv]), devices)
 
 
 def cpu() -> str:
     """The processor and how many threads torch uses of it."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return f"{models[0] if models else platform.processor()}, {torch.get_num_threads()} of {os.cpu_count()} threads"
+    return origins.device_name("cpu")
 
 
 def write(path: Path, **content: object) -> None:
     """Write a result as JSON, under a temporary name first. Timings become dictionaries."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(content, indent=1, default=asdict) + "\n")
+    temporary.write_text(dumps(content, indent=1, default=asdict) + "\n")
     temporary.replace(path)
     print(f"written: {path}")
 
@@ -107,12 +93,3 @@ def insert_all(sections: dict[str, str], page: Path = ROOT / "docs" / "stability
             sys.exit(f"{page}: no <!-- {name} --> … <!-- /{name} -->")
         page.write_text(f"{before}{found}{text}\n{closed}{after}")
 
-
-def _commit() -> str:
-    """The commit, with -dirty where the code differs from it; `unknown` outside a repository."""
-
-    def git(*arguments: str) -> str:
-        return subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True).stdout.strip()
-
-    changed = git("status", "--porcelain", "--", "rtdenoise", "shaders", "samples", "bench", ":!bench/results")
-    return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")

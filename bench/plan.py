@@ -37,13 +37,16 @@ CALLS = 7
 def main(quick: bool) -> None:
     frames = [_repeat(frame, 1 if quick else 2) for _, frame in zip(range(3), open_sequence(SAMPLE), strict=False)]
     scenes = {"still": _moved(frames, 0.0), "pan": _moved(frames, 3.25), "objects": frames, "night": _night(frames)}
-    models = {name: {scene: measure(load(name), shot) for scene, shot in scenes.items()} for name in available()}
+    models = {
+        name: {scene: measure(load(name, precision="fp32"), shot) for scene, shot in scenes.items()}
+        for name in available()
+    }
     document = {
         **harness.origin({"torch": harness.cpu()}),
         "size": frames[0].size,
         "models": models,
         "layers": read_layers(frames[0]),
-        "not_left_out": {name: not_left_out(load(name), frames) for name in available()},
+        "not_left_out": {name: not_left_out(load(name, precision="fp32"), frames) for name in available()},
     }
     harness.write(RESULT, **document)
     harness.insert_all(tables(document))

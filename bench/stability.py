@@ -31,7 +31,7 @@ def main(frames: int) -> None:
     rows = [
         {"case": case.name, "promise": case.promise, "unit": case.unit,
          "models": {name: {mode: _run(case, denoiser, mode, frames) for mode in MODES}
-                    for name, denoiser in ((name, load(name)) for name in available())}}
+                    for name, denoiser in ((name, load(name, precision="fp32")) for name in available())}}
         for case in CASES
     ]  # fmt: skip
     ops = [

@@ -27,7 +27,7 @@ SAMPLE = harness.ROOT / "samples" / "mural"
 
 @torch.inference_mode()
 def main(width: int, height: int, tile: int) -> None:
-    denoiser = load()
+    denoiser = load(precision="fp32")
     small = _frames(1280, 720)
     whole, tiled = _second(denoiser, small), _second(Tiled(denoiser, 256), small)
     error = harness.check("tiles", tiled.numpy(), whole.numpy(), "float32 tiles")

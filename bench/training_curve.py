@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 def main(run: Path, name: str) -> None:
     rows = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
     options = json.loads((run / "config.json").read_text())["options"]
-    steps = [row for row in rows if "loss" in row]
+    steps = [row for row in rows if row.get("loss") is not None]  # null: a poisoned clip
     validation = [{"step": row["step"], **row["validation"]} for row in rows if "validation" in row]
     kept = [{k: round(row[k], 6) for k in ("step", "spatial", "temporal", "occlusion", "seconds")} for row in steps]
     harness.write(

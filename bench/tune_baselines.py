@@ -20,7 +20,7 @@ import numpy as np
 
 from rtdenoise.baselines import Accumulate, Svgf, Trmv
 from rtdenoise.data.dataset import ClipDataset
-from rtdenoise.evaluate import METHODS, METRICS, REGIONS, evaluate
+from rtdenoise.evaluate import METRICS, REGIONS, evaluate
 from rtdenoise.frame import Frame
 
 EVERY = 4  # clips
@@ -67,8 +67,7 @@ def main(folder: Path) -> None:
 
 def mean_errors(method, sequences: list[list[Frame]]) -> dict[str, dict[str, float]]:
     """Errors as in `evaluate.Result`, mean over the sequences that have any."""
-    METHODS["candidate"] = lambda: method.step
-    errors = [evaluate(frames, ["candidate"])[0].errors for frames in sequences]
+    errors = [evaluate(frames, {"candidate": method.step})[0].errors for frames in sequences]
     return {
         region: {metric: round(float(np.nanmean([e[region][metric] for e in errors])), 4) for metric in METRICS}
         for region in REGIONS

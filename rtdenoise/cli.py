@@ -13,7 +13,9 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from .denoise import Options
 from .errors import InputError
-from .train import TrainConfig, train
+from .progress import progress_bar
+from .train import train
+from .trainer import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,11 @@ class Denoise:
     """Also write preview.png and an animation: noisy | denoised | reference."""
 
     def run(self) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
         from .denoise import denoise
+        from .memory import keep_freed
 
-        with Progress(TextColumn("denoising"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as progress:
+        keep_freed()
+        with progress_bar("denoising") as progress:
             task = progress.add_task("denoise", total=None)
             summary = denoise(
                 self.source, self.out, self.settings, self.overwrite,
@@ -72,7 +74,8 @@ class Inspect:
     signal: str = "color"
     """'color' or 'indirect'."""
     preset: str = "auto"
-    """Layout of the files: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', or a .toml file."""
+    """Layout of the files: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
+    file."""
     allow_gaps: bool = False
     """Accept missing frame numbers."""
 
@@ -102,6 +105,8 @@ class Render:
     """With --scenes: folder of NAME.toml, the motions of these scenes."""
     exclude: tuple[str, ...] = ("street", "dining-room")
     """With --scenes: names that are left out, to validate on."""
+    textures: Path | None = None
+    """With --preset train or wide:SEED: folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""
     reference_error: float = 0.01
     """With --preset train: relative squared error that the references may have; sets their samples, 32 to 512."""
     shard: str = "0/1"
@@ -136,7 +141,9 @@ class Render:
         if self.preset == "train":
             self._training_set()
         elif self.clips:
-            from .data.clips import ClipOptions, render_clips
+            if self.textures:
+                raise InputError("--textures goes with wide:SEED and --preset train; --clips alone draws as ever")
+            from .render.clips import ClipOptions, render_clips
 
             size = (self.height or self.size or 128, self.width or self.size or 128)
             render_clips(
@@ -147,18 +154,16 @@ class Render:
                 ),
             )  # fmt: skip
         else:
-            from .data.draw import open_scene
-            from .data.render import RenderOptions, render_sequence
+            from .render.draw import open_scene
+            from .render.frames import RenderOptions, render_sequence
 
             size = (self.height or self.size or 180, self.width or self.size or 320)
             spp = 256 if self.reference_spp is None else self.reference_spp
             options = RenderOptions(size, self.spp, spp, self.max_depth, self.seed)
-            render_sequence(open_scene(self.scene, self.motion), self.out, self.frames or 12, options)
+            render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames or 12, options)
 
     def _training_set(self) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        from .data.training_set import SetOptions, find_scenes, parse_shard, render_set
+        from .render.training_set import SetOptions, find_scenes, parse_shard, render_set
 
         if self.reference_spp is not None or self.motion:
             raise InputError("--preset train takes --reference-error and --motions, not --reference-spp and --motion")
@@ -167,8 +172,9 @@ class Render:
             self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,
             max_depth=self.max_depth, workers=self.workers, shard=parse_shard(self.shard),
             scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
+            textures=str(self.textures or ""),
         )  # fmt: skip
-        with Progress(TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+        with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
 
             def report(done: int, total: int, line: str) -> None:
@@ -206,11 +212,62 @@ class Demo:
         demo(self.out, self.source or SAMPLE, self.signal)
 
 
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure error and time of many methods on sequences with references, in one run; what is there is kept."""
+
+    sources: Positional[tuple[str, ...]]
+    """Folders of EXR files with references; docs/report.md says how inputs at more samples are laid out."""
+    out: Path
+    """Folder for evaluation.json and the pictures."""
+    methods: tuple[str, ...] = ()
+    """Names as in the report (default: all)."""
+    precision: tuple[str, ...] = ("fp32",)
+    """'fp32', 'bf16'."""
+    spp: tuple[int, ...] = (1,)
+    """Samples per pixel of the inputs; n other than the sequence's own are read from its folder spp<n>."""
+    signal: str = "color"
+    """'color' or 'indirect'."""
+    preset: str = "auto"
+    """Layout of the files, as for inspect."""
+    frames: int | None = None
+    """At most so many of each sequence."""
+    device: str = "auto"
+    """'auto' (CUDA where there is a GPU), 'cpu' or 'cuda'."""
+
+    def run(self) -> None:
+        from .denoise import choose_device
+        from .evaluate.run import Options as EvaluateOptions
+        from .evaluate.run import run
+
+        device = choose_device(self.device)
+        options = EvaluateOptions(self.methods, self.precision, self.spp, self.signal, self.preset, self.frames, device)
+        document = run(list(self.sources), self.out, options)
+        print(f"{self.out}: {len(document.results)} results; `rtdenoise report {self.out}` draws them")
+
+
+@dataclass(frozen=True)
+class Report:
+    """Turn what `evaluate` measured into report.html (one file, no network), report.md and report.png."""
+
+    folder: Positional[Path]
+    """Where evaluate wrote."""
+    pictures: tuple[str, ...] = ()
+    """Methods whose pictures the page holds (default: all)."""
+
+    def run(self) -> None:
+        from .report import report
+
+        print("report:", ", ".join(str(path) for path in report(self.folder, self.pictures)))
+
+
 Command = (
     Annotated[Denoise, tyro.conf.subcommand("denoise")]
     | Annotated[Inspect, tyro.conf.subcommand("inspect")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
 )
 

@@ -34,6 +34,15 @@ def luminance(rgb: Tensor) -> Tensor:
     return (0.2126 * r + 0.7152 * g + 0.0722 * b).unsqueeze(1)
 
 
+def albedo_divisor(albedo: Tensor, depth: Tensor, least: float = 0.05) -> Tensor:
+    """What radiance is divided by to take textures out of it, `[B, 3, H, W]`, and multiplied by in the end.
+
+    The albedo, but never below `least`, so that what has none of its own (mirrors) is still filtered; 1 where nothing
+    was hit (`depth` is 0). Continuous in the albedo: dark textures that dither around a threshold stay smooth.
+    """
+    return torch.where(depth > 0, albedo.clamp(min=least), 1.0)
+
+
 def exposure(radiance: Tensor, block: int = 8) -> Tensor:
     """One over the brightness of a frame, `[B, 3, H, W] -> [B, 1, 1, 1]`, by a statistic that single pixels cannot
     move.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from rich import box
@@ -14,6 +13,7 @@ from .data.sequences import open_sequence
 from .errors import InputError
 from .evaluate import METRICS, REGIONS, Result, evaluate, uncovered
 from .preview import animate, strip
+from .strict_json import dumps
 
 SAMPLE = Path(__file__).parent.parent / "samples" / "mural"
 METHODS = ("noisy", "accumulate", "paper-traditional", "paper")
@@ -54,7 +54,7 @@ def demo(
     share = sum(mask.float().mean().item() for mask in masks) / max(len(masks), 1)
     rows = [{"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)} for r in results]
     (out / "demo.json").write_text(
-        json.dumps({"signal": signal, "uncovered_share": share, "results": rows}, indent=1) + "\n"
+        dumps({"signal": signal, "uncovered_share": share, "results": rows}, indent=1) + "\n"
     )
 
     console = Console()

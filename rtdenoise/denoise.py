@@ -1,5 +1,5 @@
 """Denoise a sequence of EXR files into a folder: `rtdenoise denoise SEQ --out DIR`. Interrupted runs go on where they
-stopped."""
+stopped, finished ones where frames have been appended."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from pathlib import Path
 
 import torch
 
+from .atomic import write_atomically
 from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
 from .frame import Frame, History, faults, sanitise
 from .history import CUT, load_history, mismatch, save_history
+from .memory import explained
 from .models import find, load
 from .plan import Plan, Planned, make_plan
+from .strict_json import dumps
 
 try:
     import fcntl
@@ -27,7 +30,7 @@ except ImportError:  # Windows: two runs on one folder are not kept apart
     fcntl = None
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
-LOCK = ".rtdenoise-lock"  # held while a run writes there; holds the fingerprint of the last one
+LOCK = ".rtdenoise-lock"  # held while a run writes there
 SUMMARY = "denoise.json"
 EXAMINED = 3  # frames that the plan looks at
 
@@ -41,7 +44,8 @@ class Options:
     model: str = "paper"
     """Name of a shipped model, or a .safetensors file that `rtdenoise train` wrote."""
     preset: str = "auto"
-    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', or a .toml file."""
+    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
+    file."""
     layout: str = "plain"
     """Of the output: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in its place)."""
     recombine: bool = False
@@ -58,6 +62,8 @@ class Options:
     """Leave out what a frame does not need (`rtdenoise inspect` says what); off: everything runs."""
     device: str = "auto"
     """'auto', 'cpu' or 'cuda'."""
+    precision: str = "auto"
+    """Of the network: 'fp32', 'bf16', or 'auto' (bf16 where the hardware is faster in it)."""
 
 
 @dataclass
@@ -86,21 +92,17 @@ def denoise(
     """Denoise every frame of `source` (folder or glob) into `out`, one file of the same name each; see `data.output`
     for what is in it.
 
-    Frames that an interrupted run with the same options has finished are skipped, and history goes on from its saved
-    state, so the outcome is that of an undisturbed run. `on_frame(done, total)` is called at the start and after each
-    frame.
+    Frames that an earlier run with the same options has finished are skipped, and history goes on from its saved
+    state, so the outcome is that of one undisturbed run: also where it was interrupted, and where frames have been
+    appended to the input since. `on_frame(done, total)` is called at the start and after each frame.
 
     Raises InputError for anything wrong with the input, the options or the output folder.
     """
     sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
-    if options.device not in ("auto", "cpu", "cuda"):
-        raise InputError(f"unknown device {options.device!r}; expected 'auto', 'cpu' or 'cuda'")
-    device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
-    if device == "cuda" and not torch.cuda.is_available():
-        raise InputError("device cuda: no CUDA device was found; use --device cpu")
-    denoiser = load(options.model, device)
+    device = choose_device(options.device)
+    denoiser = load(options.model, device, options.precision)
     out = _prepare(Path(out), sequence)
     with _locked(out):
         return _run(sequence, out, options, denoiser, device, overwrite, on_frame)
@@ -115,9 +117,10 @@ def _run(
     overwrite: bool,
     on_frame: Callable[[int, int], None],
 ) -> Summary:
-    fingerprint = _fingerprint(sequence, options)
-    done, history, summary = (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprint, device)
-    (out / LOCK).write_text(fingerprint)  # from here on files in there are this run's
+    fingerprints = _fingerprints(sequence, options)
+    done, history, summary = (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, device)
+    if not done:  # so that the next run knows the first frame for its own
+        _save_state(out / STATE, None, 0, fingerprints[0], summary)
     summary.skipped, summary.gaps = done, list(sequence.gaps)
     if options.plan:
         first = [sequence[i] for i in range(min(EXAMINED, len(sequence)))]
@@ -135,16 +138,16 @@ def _run(
         if i and frame.number != sequence.numbers[i - 1] + 1:
             history = None
         started = time.perf_counter()
-        if options.detect_cuts and history is not None and _is_cut(frame.to(device), history):
-            summary.cuts.append(frame.number)
-            history = None
-        image, history = denoiser.step(frame.to(device), history)
-        image = image.cpu()
+        with explained(frame.name, frame.size, device):
+            if options.detect_cuts and history is not None and _is_cut(frame.to(device), history):
+                summary.cuts.append(frame.number)
+                history = None
+            image, history = denoiser.step(frame.to(device), history)
+            image = image.cpu()
         summary.seconds += time.perf_counter() - started
         write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
                     keep=options.keep, float32=options.float32)  # fmt: skip
-        so_far = {"replaced": summary.replaced, "cuts": summary.cuts, "left_out": summary.left_out}
-        save_history(out / STATE, history, done=str(i + 1), fingerprint=fingerprint, so_far=json.dumps(so_far))
+        _save_state(out / STATE, history, i + 1, fingerprints[i + 1], summary)
         summary.written += 1
         on_frame(i + 1, len(sequence))
     _write_summary(out / SUMMARY, sequence, options, summary)
@@ -177,9 +180,7 @@ def _write_summary(path: Path, sequence: Sequence, options: Options, summary: Su
         "frames": len(sequence), "first": sequence.numbers[0], "last": sequence.numbers[-1], "size": sequence.size,
         "options": asdict(options), **asdict(summary), "plan": plan,
     }  # fmt: skip
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(document, indent=1) + "\n")
-    temporary.replace(path)
+    write_atomically(path, (dumps(document, indent=1) + "\n").encode())
 
 
 def _prepare(out: Path, sequence: Sequence) -> Path:
@@ -196,26 +197,43 @@ def _prepare(out: Path, sequence: Sequence) -> Path:
     return out
 
 
+def choose_device(name: str) -> str:
+    """'auto' becomes CUDA where there is a GPU. Raises InputError for a device that is unknown or not there."""
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError(f"unknown device {name!r}; expected 'auto', 'cpu' or 'cuda'")
+    device = name if name != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda: no CUDA device was found; use --device cpu")
+    return device
+
+
 def _inputs(sequence: Sequence) -> list[Path]:
     return [path for frame in sequence.files for path in frame.files.values()]
 
 
-def _fingerprint(sequence: Sequence, options: Options) -> str:
-    """Tells runs apart that would write different files."""
+def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
+    """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
     parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name != "device"}
     parts["layers"] = [repr(sequence.rules), repr(sequence.preset)]  # a preset of one's own may have been mended
-    parts["scene"] = sequence.scene
-    parts["inputs"] = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in _inputs(sequence)]
     parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode()).hexdigest()
+    scene = sequence.scene or {}
+    parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
+    cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
+    digest = hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode())
+    fingerprints = [digest.hexdigest()]
+    for frame in sequence.files:
+        inputs = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in frame.files.values()]
+        seen = [cameras.get(frame.number + step) for step in (-1, 0, 1)]  # what its motion is computed from
+        digest.update(json.dumps([inputs, seen], sort_keys=True).encode())
+        fingerprints.append(digest.hexdigest())
+    return fingerprints
 
 
-def _resume(out: Path, sequence: Sequence, fingerprint: str, device: str) -> tuple[int, History | None, Summary]:
+def _resume(out: Path, sequence: Sequence, fingerprints: list[str], device: str) -> tuple[int, History | None, Summary]:
     """How many frames are finished, the history after them, and what there was to say about them."""
     if not (out / STATE).exists():
-        clash = [path.name for path in sequence.paths if (out / path.name).exists()]
-        killed = (out / LOCK).exists() and (out / LOCK).read_text() == fingerprint  # before its first history
-        if clash and not killed:
+        clash = [name for name in sequence.names if (out / name).exists()]
+        if clash:
             raise InputError(
                 f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"
             )
@@ -225,10 +243,17 @@ def _resume(out: Path, sequence: Sequence, fingerprint: str, device: str) -> tup
         done, so_far = int(metadata["done"]), json.loads(metadata["so_far"])
     except (InputError, KeyError, ValueError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
-    if metadata.get("fingerprint") != fingerprint:
+    if not done:  # whatever is there is of a run that did not come as far as its second frame
+        return 0, None, Summary()
+    if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
         raise InputError(
             f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"
         )
-    if any(not (out / path.name).exists() for path in sequence.paths[:done]):
+    if any(not (out / name).exists() for name in sequence.names[:done]):
         return 0, None, Summary()
     return done, history, Summary(**so_far)
+
+
+def _save_state(path: Path, history: History | None, done: int, fingerprint: str, summary: Summary) -> None:
+    so_far = {"replaced": summary.replaced, "cuts": summary.cuts, "left_out": summary.left_out}
+    save_history(path, history, done=str(done), fingerprint=fingerprint, so_far=json.dumps(so_far))

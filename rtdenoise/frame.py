@@ -103,6 +103,7 @@ class History:
     depth: Tensor | None  # [B, 1, H, W] of the previous frame
     normal: Tensor | None  # [B, 3, H, W] of the previous frame
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
+    accumulated: Tensor | None = None  # [B, 3, H, W] running mean of noisy irradiance; None where nobody keeps it
 
     def layers(self) -> dict[str, Tensor]:
         """name -> tensor of what there is."""
@@ -128,6 +129,18 @@ def stack(frames: list[Frame]) -> Frame:
     """Frames of the same size and layers as one batch."""
     names = [layer for layer, _ in frames[0].layers()]
     return Frame(**{n: torch.cat([getattr(f, n) for f in frames]) for n in names}, number=frames[0].number)
+
+
+def mean_distance(depth: Tensor) -> Tensor:
+    """Of what was hit, `[B, 1, 1, 1]`; never zero."""
+    hits = (depth > 0).sum((1, 2, 3), keepdim=True).clamp(min=1)
+    return (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
+
+
+def nearness(depth: Tensor, distance: Tensor) -> Tensor:
+    """Depth `[B, 1, H, W]` as a network sees it, in [0, 1): t / (t + depth) with t the frame's mean `distance`; 0 where
+    nothing was hit."""
+    return torch.where(depth > 0, distance / (distance + depth), 0.0)
 
 
 def sanitise(frame: Frame) -> Frame:

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 from torch.nn import functional as F
 
+from .atomic import write_atomically
 from .errors import InputError
 from .frame import Frame, History
 from .motion import on_screen, same_surface
@@ -60,21 +61,15 @@ def resize(history: History, size: tuple[int, int]) -> History:
     return replace(history, **{name: resized(name, tensor) for name, tensor in history.layers().items()})
 
 
-def save_history(path: Path, history: History, **metadata: str) -> None:
-    """Write a history to a .safetensors file, under a temporary name first: a sequence that is denoised in two sittings
-    comes out as in one, to the bit. Raises OSError where it cannot be written."""
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in history.layers().items()}
-    temporary = path.with_suffix(".tmp")
-    try:
-        save_file(tensors, temporary, metadata=metadata)
-        temporary.replace(path)
-    except SafetensorError as error:  # a full disk is one of these too
-        raise OSError(f"{path}: cannot be written: {error}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+def save_history(path: Path, history: History | None, **metadata: str) -> None:
+    """Write a history, or that there is none yet, to a .safetensors file: a sequence that is denoised in two sittings
+    comes out as in one, to the bit. Raises InputError where it cannot be written."""
+    tensors = history.layers() if history else {}
+    content = save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata=metadata)
+    write_atomically(path, content)
 
 
-def load_history(path: Path, device: str | torch.device = "cpu") -> tuple[History, dict[str, str]]:
+def load_history(path: Path, device: str | torch.device = "cpu") -> tuple[History | None, dict[str, str]]:
     """What `save_history` wrote: the history and its metadata. Raises InputError where the file cannot be read or holds
     something else."""
     names = {f.name for f in fields(History)}
@@ -84,6 +79,8 @@ def load_history(path: Path, device: str | torch.device = "cpu") -> tuple[Histor
             metadata = file.metadata() or {}
     except (SafetensorError, OSError) as error:
         raise InputError(f"{path}: not a readable history ({error})") from None
+    if not stored:
+        return None, metadata
     if "radiance" not in stored or stored.keys() - names:
-        raise InputError(f"{path}: not a history of this version: it holds {', '.join(sorted(stored)) or 'nothing'}")
+        raise InputError(f"{path}: not a history of this version: it holds {', '.join(sorted(stored))}")
     return History(**{name: stored.get(name) for name in names}), metadata

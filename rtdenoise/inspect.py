@@ -10,13 +10,13 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from rtdenoise.data.conventions import Verdict, check_motion
-from rtdenoise.data.exr_format import group_channels
-from rtdenoise.data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
-from rtdenoise.frame import Frame, faults, sanitise
-from rtdenoise.motion import dual_motion, occlusion_mask, on_screen
-from rtdenoise.motion_splat import splat_motion_next
-from rtdenoise.plan import Plan, make_plan
+from .data.conventions import Verdict, check_motion
+from .data.exr_format import group_channels
+from .data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
+from .frame import Frame, faults, sanitise
+from .motion import dual_motion, occlusion_mask, on_screen
+from .motion_splat import splat_motion_next
+from .plan import Plan, make_plan
 
 READ = (*DEFAULT_LAYERS, "reference")  # what is read here; the check of the motion can use the reference
 

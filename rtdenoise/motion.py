@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .frame import OFF_SCREEN, Frame
-from .ops import fetch
+from .ops import alike, fetch
 
 # Pixels by which dual and traditional motion must differ before a pixel counts as uncovered. Where nothing was
 # uncovered they differ only because motion_next is fetched at the nearest pixel: by the motion's gradient times half a
@@ -131,14 +131,6 @@ def same_surface(
     normal_tolerance: float = 0.5,
 ) -> Tensor:  # [B, 1, H, W] bool
     """Whether history was fetched from a surface like the one that is here now (the geometric part of history
-    validity).
-
-    Relative depth difference ≤ `depth_tolerance` and cosine between the normals ≥ `normal_tolerance`, both looked up
-    at the nearest pixel; two misses are alike, a hit and a miss are not. A normal of zero is unknown and fits any.
-    """
-    before, facing = fetch(depth_previous, motion), fetch(normal_previous, motion)
-    hit, was_hit = depth > 0, before > 0
-    near = (depth - before).abs() <= depth_tolerance * torch.maximum(depth, before)
-    unknown = (normal == 0).all(1, keepdim=True) | (facing == 0).all(1, keepdim=True)
-    aligned = unknown | ((normal * facing).sum(1, keepdim=True) >= normal_tolerance)
-    return torch.where(hit & was_hit, near & aligned, hit == was_hit)
+    validity): `ops.alike`, both looked up at the nearest pixel."""
+    before = fetch(depth_previous, motion), fetch(normal_previous, motion)
+    return alike((depth, normal), before, depth_tolerance, normal_tolerance)

@@ -10,13 +10,27 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .frame import OFF_SCREEN
-from .motion import on_screen
+from .frame import OFF_SCREEN, Frame, History
+from .motion import dual_motion, occlusion_mask, on_screen
 from .ops import fetch
 
 DEPTH_TOLERANCE = 0.1  # relative; what differs by more is another surface
 REACH = 2  # pixels from which a crack in a surface is closed
 NOTHING = torch.iinfo(torch.int64).max  # key of a pixel that nothing lands on
+
+
+def history_motion(frame: Frame, history: History, kind: str = "dual") -> Tensor:
+    """The motion that fetches history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere.
+
+    `kind` is 'dual', or 'traditional' to go without. A history without `motion_next` gets it by `splat_motion_next`.
+    """
+    if kind == "traditional":
+        return frame.motion
+    motion_next = history.motion_next
+    if motion_next is None:
+        motion_next = splat_motion_next(frame.motion, frame.depth, history.depth)
+    dual = dual_motion(frame.motion, motion_next)
+    return torch.where(occlusion_mask(dual, frame.motion), dual, frame.motion)
 
 
 def splat_motion_next(

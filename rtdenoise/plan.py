@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from .frame import Frame, History, Known, sanitise
 from .motion import OCCLUSION_THRESHOLD, on_screen
-from .tiles import GEOMETRY, Tiled, light_reach, network_reach, step_in_windows
+from .tiles import Tiled, keeps_only_the_image, light_reach, network_reach, step_in_windows
 
 LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 TILED_FROM = 3840 * 2160  # pixels; some 2 GB of features in float32
@@ -85,6 +85,7 @@ class Planned:
         self.left_out = {"warp of history": 0, "dual motion": 0, "network in black rows": 0}
         self._tiled = Tiled(denoiser) if plan.tiled else None
         self._reach: tuple[int, int] | None = None  # of the network and of light; found when they are needed
+        self._rows_are_dark = keeps_only_the_image(denoiser)
 
     def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
         """As the denoiser's own step."""
@@ -112,15 +113,12 @@ class Planned:
         """First and last (excluded) row that light can reach; None where leaving out the rest is not worth while, or a
         history holds more than an image, of which black rows do not say what becomes of it."""
         H, lit = frame.size[0], _lit_rows(frame.radiance)
-        if lit == (0, H):
+        if lit == (0, H) or not self._rows_are_dark:
             return None
         spans = [lit] if lit else []
-        if history is not None:
-            if history.layers().keys() - {"radiance", *GEOMETRY}:
-                return None
-            if before := _lit_rows(history.radiance):
-                reach = _longest(frame, history)
-                spans.append((before[0] - reach, before[1] + reach))
+        if history is not None and (before := _lit_rows(history.radiance)):
+            reach = _longest(frame, history)
+            spans.append((before[0] - reach, before[1] + reach))
         if not spans:
             return 0, 0
         network, light = self._reaches()

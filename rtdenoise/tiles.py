@@ -8,6 +8,7 @@ core as the whole frame, up to the rounding of convolutions over another size, i
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import fields, replace
 
 import torch
@@ -21,31 +22,43 @@ GEOMETRY = ("motion_next", "depth", "normal")  # what a history takes over from 
 Window = tuple[int, int, int, int]  # top, left, bottom, right
 
 
-@torch.inference_mode()
 def network_reach(denoiser: nn.Module) -> int:
-    """Pixels from which the network can influence an output, rounded up to `CELL`.
+    """Pixels from which anything can influence an output, rounded up to `CELL`.
 
-    Found, not computed: one value after the first convolution is made NaN, which every later convolution, pooling and
-    softmax passes on to all that depend on it.
+    Found, not computed: in a copy whose weights are all positive and whose biases are zero, what one value of the first
+    convolution lights up is what depends on it. What the kernels add, which the network chooses, is `light_reach`.
     """
-    first = next(module for module in denoiser.modules() if isinstance(module, nn.Conv2d))
-    width, furthest = 1024, 0
+    copy, width, furthest = deepcopy(denoiser).float(), 1024, 0
+    convolutions = [module for module in copy.modules() if isinstance(module, nn.Conv2d | nn.ConvTranspose2d)]
     for offset in (0, CELL - 1):  # in a cell, what is pooled reaches further to one side
-        column = width // 2 + offset
+        column, extents = width // 2 + offset, []
 
-        def poison(_module, _inputs, output: Tensor, column: int = column) -> Tensor:
-            output = output.clone()
-            output[..., column * output.shape[-1] // width] = torch.nan
+        def light(_module, _inputs, output: Tensor, column: int = column) -> Tensor:
+            output = torch.zeros_like(output)
+            output[..., column * output.shape[-1] // width] = 1e30  # it thins out on its way, but not to nothing
             return output
 
-        hook = first.register_forward_hook(poison)
-        try:
-            image, _ = denoiser.step(_blank(denoiser, CELL, width))
-        finally:
+        def watch(_module, _inputs, output: Tensor, column: int = column, extents: list = extents) -> None:
+            lit = (output != 0).any(dim=2).any(dim=1)[0].nonzero().flatten() * width / output.shape[-1]
+            extents.append(int((lit - column).abs().max()) + width // output.shape[-1])
+
+        hooks = [convolutions[0].register_forward_hook(light)]
+        hooks += [convolution.register_forward_hook(watch) for convolution in convolutions[1:]]
+        with torch.no_grad():
+            for convolution in convolutions:
+                convolution.weight.fill_(1 / convolution.weight[0].numel())
+                convolution.bias.zero_()
+            copy.step(_blank(copy, CELL, width))
+        for hook in hooks:
             hook.remove()
-        touched = image.isnan().any(dim=1).any(dim=1)[0].nonzero()
-        furthest = max(furthest, int((touched - column).abs().max()))
-    return _up(furthest + 2)  # and the first convolution's own
+        furthest = max(furthest, *extents)
+    return _up(furthest + 2) + light_reach(denoiser)  # 2: the first convolution's own
+
+
+@torch.inference_mode()
+def keeps_only_the_image(denoiser: nn.Module) -> bool:
+    """Whether a history holds the last image and its geometry and nothing else, so that black rows stay black rows."""
+    return denoiser.step(_blank(denoiser, CELL, CELL))[1].layers().keys() <= {"radiance", *GEOMETRY}
 
 
 @torch.inference_mode()

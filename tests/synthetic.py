@@ -7,7 +7,7 @@ import torch
 
 from rtdenoise.data.exr import write_layers
 from rtdenoise.frame import Frame
-from rtdenoise.models import Config
+from rtdenoise.models.temporal_kpn import Config
 
 TINY = Config(widths=(4, 4, 4, 4))  # a network that runs in no time
 

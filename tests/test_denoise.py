@@ -1,6 +1,7 @@
 """`rtdenoise denoise` end to end, through the command line: output, resuming, and everything that can be wrong with
 the input."""
 
+import errno
 import json
 import os
 import shutil
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from synthetic import TINY, make_frames, with_bad_pixels, write_sequence
 import rtdenoise
 from rtdenoise.cli import main
 from rtdenoise.data.exr import read_channels, read_header
-from rtdenoise.denoise import LOCK, STATE, Options, denoise
+from rtdenoise.denoise import STATE, Options, denoise
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
 
@@ -87,6 +89,63 @@ def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, model):
         name = f"frame.{i:04d}.exr"
         assert np.array_equal(pixels(tmp_path / "whole" / name), pixels(tmp_path / "halves" / name)), name
     assert denoise(str(shot), tmp_path / "halves", options).written == 0
+
+
+def test_appended_frames_continue_a_finished_run(tmp_path, model):
+    """As if all frames had been there at once: also with the growing scene.json of a renderer beside them."""
+
+    def scene(last):
+        entry = {"world_to_pixel": np.diag([1.0, 1, 1, 1])[[0, 1, 3, 2]].tolist(), "camera_origin": [0, 0, 0]}
+        frames = [{"number": n, "object_to_world": {}, **entry} for n in range(-1, last + 2)]
+        return json.dumps({"format": "rtdenoise-scene-1", "width": 32, "height": 24, "objects": {}, "frames": frames})
+
+    whole = write_sequence(tmp_path / "whole", make_frames(6))
+    (whole / "scene.json").write_text(scene(5))
+    growing = tmp_path / "growing"
+    options = Options(model=model, float32=True)
+    for count in (1, 4, 6):
+        growing.mkdir(exist_ok=True)
+        for path in sorted(whole.glob("*.exr"))[:count]:
+            if not (growing / path.name).exists():
+                shutil.copy2(path, growing)
+        (growing / "scene.json").write_text(scene(count - 1))
+        summary = denoise(str(growing), tmp_path / "out", options)
+    assert (summary.skipped, summary.written) == (4, 2)
+    denoise(str(whole), tmp_path / "once", options)
+    for path in sorted(whole.glob("*.exr")):
+        assert np.array_equal(pixels(tmp_path / "out" / path.name), pixels(tmp_path / "once" / path.name)), path.name
+
+    (growing / "frame.0005.exr").unlink()  # fewer than were denoised
+    with pytest.raises(rtdenoise.InputError, match="other options or input"):
+        denoise(str(growing), tmp_path / "out", options)
+    shutil.copy2(whole / "frame.0005.exr", growing)
+    os.utime(growing / "frame.0002.exr")  # rendered anew
+    with pytest.raises(rtdenoise.InputError, match="other options or input"):
+        denoise(str(growing), tmp_path / "out", options)
+
+
+def test_a_disk_that_fills_up_is_one_line_and_the_run_goes_on_later(shot, tmp_path, model, capsys, monkeypatch):
+    """Wherever it happens: with the first frame, with the state after it, with a later one."""
+    write, out = Path.write_bytes, tmp_path / "out"
+    command = ["denoise", shot, "--out", out, "--model", model, "--float32"]
+    for written_before in (1, 2, 4):
+        room = [written_before]
+
+        def write_while_there_is_room(path, content, room=room):
+            if not room[0]:
+                write(path, content[:3])
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            room[0] -= 1
+            return write(path, content)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "write_bytes", write_while_there_is_room)
+            assert "cannot be written: No space left on device" in refused(capsys, *command)
+        assert not list(out.glob(".*.tmp"))
+    main([str(a) for a in command])
+    denoise(str(shot), tmp_path / "whole", Options(model=model, float32=True))
+    for path in sorted((tmp_path / "whole").glob("*.exr")):
+        assert np.array_equal(pixels(path), pixels(out / path.name)), path.name
 
 
 def test_gaps_reset_history(shot, tmp_path, model):
@@ -175,7 +234,6 @@ def test_other_peoples_files_and_other_options_are_not_overwritten(shot, tmp_pat
     denoise(str(shot), out, Options(model=model))
     assert "other options" in refused(capsys, "denoise", shot, "--out", out, "--model", model, "--float32")
     (out / STATE).unlink()
-    (out / LOCK).unlink()
     assert "--overwrite" in refused(capsys, "denoise", shot, "--out", out, "--model", model)
     main(["denoise", str(shot), "--out", str(out), "--model", model, "--overwrite"])
 

@@ -266,9 +266,15 @@ def test_unwritable_places(tmp_path):
     (tmp_path / "file").touch()
     layers = {"depth": noise(H, W, 1)}
     target = tmp_path / "no" / "a.exr"
-    assert message(write_layers, target, layers) == f"{target}: cannot be written: No such file or directory"
+    assert (
+        message(write_layers, target, layers)
+        == f"{target}: cannot be written: No such file or directory; run again when that is solved"
+    )
     target = tmp_path / "file" / "a.exr"
-    assert message(write_layers, target, layers) == f"{target}: cannot be written: Not a directory"
+    assert (
+        message(write_layers, target, layers)
+        == f"{target}: cannot be written: Not a directory; run again when that is solved"
+    )
     assert "unknown EXR compression 'zap'; known are b44" in message(write_layers, target, layers, compression="zap")
 
 
@@ -280,7 +286,7 @@ def test_a_full_disk_leaves_the_old_file(tmp_path):
         found = message(write_layers, tmp_path / "a.exr", {"depth": noise(H, W, 1)})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert found == f"{tmp_path / 'a.exr'}: cannot be written: File too large"
+    assert found == f"{tmp_path / 'a.exr'}: cannot be written: File too large; run again when that is solved"
     assert [p.name for p in tmp_path.iterdir()] == ["a.exr"]
     assert (read_all(tmp_path / "a.exr")["depth.Z"] == 1).all()
 

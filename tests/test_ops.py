@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, upsample, warp
+from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, reproject, upsample, warp
 
 SIZES = [(1, 1), (1, 9), (5, 17), (16, 12)]
 
@@ -159,3 +159,52 @@ def test_blend_is_equation_1_and_has_gradients():
 def test_wrong_shapes_are_named(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def surfaces(H, W, depth=3.0):
+    return torch.full((1, 1, H, W), depth), torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1).expand(1, 3, H, W)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_reproject_is_warp_where_everything_is_one_surface(size):
+    H, W = size
+    stored, motion = torch.randn(1, 4, H, W), torch.rand(1, 2, H, W) * 0.8 - 0.4
+    found, valid = reproject(stored, motion, surfaces(H, W), surfaces(H, W))
+    inner = (..., slice(1, max(H - 1, 1)), slice(1, max(W - 1, 1)))
+    torch.testing.assert_close(found[inner], warp(stored, motion)[inner])
+    assert valid.all()
+
+
+def test_reproject_takes_no_tap_from_another_surface():
+    """Half a pixel to the right of column 2 lies the edge to a deeper surface in column 3."""
+    depth, normal = surfaces(4, 8)
+    depth = torch.where(torch.arange(8).expand(1, 1, 4, 8) > 2, 9.0, depth)
+    stored = torch.arange(8.0).expand(1, 1, 4, 8)
+    motion = torch.zeros(1, 2, 4, 8)
+    motion[:, 0] = 0.5
+    found, valid = reproject(stored, motion, (depth, normal), (depth, normal))
+    assert found[0, 0, 0].tolist() == [0.5, 1.5, 2.0, 3.5, 4.5, 5.5, 6.5, 7.0] and valid.all()
+    turned = normal.flip(1)  # a surface that faces elsewhere is another one
+    found, valid = reproject(stored, motion, (depth, normal), (depth, turned))
+    assert not valid.any() and not found.any()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e30, 9.0, -9.0])
+def test_reproject_finds_nothing_off_the_screen(bad):
+    found, valid = reproject(torch.ones(1, 2, 4, 8), torch.full((1, 2, 4, 8), bad), surfaces(4, 8), surfaces(4, 8))
+    assert not valid.any() and not found.any()
+
+
+def test_reproject_knows_misses():
+    depth, normal = surfaces(4, 8, depth=0.0)
+    still = torch.zeros(1, 2, 4, 8)
+    assert reproject(torch.ones(1, 1, 4, 8), still, (depth, normal), (depth, normal))[1].all()
+    assert not reproject(torch.ones(1, 1, 4, 8), still, surfaces(4, 8), (depth, normal))[1].any()
+
+
+def test_reproject_gradients():
+    H, W = 5, 6
+    stored = torch.randn(1, 2, H, W, dtype=torch.float64, requires_grad=True)
+    motion = torch.rand(1, 2, H, W, dtype=torch.float64) * 3 - 1.5
+    surface = tuple(t.double() for t in surfaces(H, W))
+    assert torch.autograd.gradcheck(lambda x: reproject(x, motion, surface, surface)[0], stored)

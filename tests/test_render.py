@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtdenoise.data import meshes, procedural, stage, textures
-from rtdenoise.data.clips import ClipOptions, render_clip, render_clips
 from rtdenoise.data.dataset import FEATURES, RADIANCE, ClipDataset, clip_path, read_facts
-from rtdenoise.data.draw import UNCOVERING, open_scene, probe
 from rtdenoise.data.exr import read_channels, read_header
-from rtdenoise.data.motions import CameraPath, Motion
-from rtdenoise.data.render import (
+from rtdenoise.errors import InputError
+from rtdenoise.frame import OFF_SCREEN
+from rtdenoise.render import meshes, procedural, stage, textures
+from rtdenoise.render.clips import ClipOptions, render_clip, render_clips
+from rtdenoise.render.draw import UNCOVERING, open_scene, probe
+from rtdenoise.render.frames import (
     RenderOptions,
     describe_frame,
     features,
@@ -22,11 +23,10 @@ from rtdenoise.data.render import (
     render_sequence,
     uncovered,
 )  # fmt: skip
-from rtdenoise.data.sample_scene import sample
-from rtdenoise.data.scenes import Material, Object, Scene
-from rtdenoise.data.stage import Stage, find_llvm, start_mitsuba
-from rtdenoise.errors import InputError
-from rtdenoise.frame import OFF_SCREEN
+from rtdenoise.render.motions import CameraPath, Motion
+from rtdenoise.render.sample_scene import sample
+from rtdenoise.render.scenes import Material, Object, Scene
+from rtdenoise.render.stage import Stage, find_llvm, start_mitsuba
 
 SIZE = (64, 96)
 OPTIONS = RenderOptions(size=SIZE, reference_spp=64, seed=3)
@@ -215,9 +215,10 @@ def test_position_projects_into_its_own_pixel(shot):
     _, document, (layers, _) = shot
     height, width = SIZE
     hit = layers["id"][..., 0] > 0
-    points = np.concatenate([layers["position"], np.ones((height, width, 1))], -1) @ np.array(
-        document["frames"][1]["world_to_pixel"]
-    ).T
+    points = (
+        np.concatenate([layers["position"], np.ones((height, width, 1))], -1)
+        @ np.array(document["frames"][1]["world_to_pixel"]).T
+    )
     pixel = points[..., :2] / points[..., 3:]
     x, y = np.meshgrid(np.arange(width), np.arange(height))
     offset = (pixel - np.stack([x, y], -1))[hit]

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from synthetic import make_frames, write_sequence
 
 from rtdenoise.cli import main
 from rtdenoise.data.sequences import open_sequence
@@ -55,6 +56,14 @@ def test_the_demo_leaves_pictures_and_numbers(shown):
     written = json.loads((folder / "demo.json").read_text())
     assert [row["method"] for row in written["results"]] == list(errors)
     assert {path.suffix for path in folder.iterdir()} >= {".png", ".json"}
+
+
+def test_numbers_that_there_are_not_are_null(tmp_path):
+    shot = write_sequence(tmp_path / "shot", make_frames(2), without=("motion_next",))  # so nothing is known uncovered
+    demo(tmp_path / "out", shot, "color", ("noisy", "accumulate", "paper"))
+    text = (tmp_path / "out" / "demo.json").read_text()
+    assert "NaN" not in text
+    assert json.loads(text)["results"][0]["errors"]["uncovered"]["psnr"] is None
 
 
 def test_denoise_from_the_command_line(tmp_path, capsys):

@@ -185,7 +185,7 @@ def test_presets_that_do_not_fit(tmp_path):
     folder = write_native(tmp_path / "s", range(1))
     assert message(open_sequence, folder, preset="cylces") == (
         "unknown preset 'cylces' (did you mean 'cycles'?): known are auto, native, cycles, mitsuba, falcor, "
-        "bmfr, oidn, or a .toml file"
+        "bmfr, oidn, noisebase, or a .toml file"
     )
     assert message(open_sequence, folder, preset="xyz").startswith("unknown preset 'xyz': known are auto")
     assert "no <ViewLayer>.Combined.R as Cycles writes it among R,G,B" in message(
@@ -193,7 +193,7 @@ def test_presets_that_do_not_fit(tmp_path):
     )
     write_layers(tmp_path / "1.exr", {"foo": np.ones((H, W, 3)), "bar": np.ones((H, W, 1))})
     found = message(presets.detect, read_header(tmp_path / "1.exr"))
-    assert "no known layout (presets: native, cycles, mitsuba, falcor, bmfr, oidn)" in found
+    assert "no known layout (presets: native, cycles, mitsuba, falcor, bmfr, oidn, noisebase)" in found
     assert found.endswith("among bar.V, foo.{R,G,B}")
 
 

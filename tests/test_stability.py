@@ -10,7 +10,7 @@ from rtdenoise.models import available, load
 
 @pytest.fixture(scope="module")
 def denoisers():
-    return {name: load(name) for name in available()}
+    return {name: load(name, precision="fp32") for name in available()}
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

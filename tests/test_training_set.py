@@ -14,21 +14,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import save_file
 
+from rtdenoise.atomic import write_atomically
 from rtdenoise.cli import main
-from rtdenoise.data import extras, meshes, procedural, procedural_wide
 from rtdenoise.data.dataset import ClipDataset, bytes_per_clip, clip_path, read_facts
-from rtdenoise.data.draw import open_scene
-from rtdenoise.data.motions import CameraPath, Keyframes, Motion, Shots
-from rtdenoise.data.render import RenderOptions, describe_frame, features, render_sequence
-from rtdenoise.data.scenes import Scene
-from rtdenoise.data.stage import Stage
-from rtdenoise.data.training_set import SetOptions, find_scenes, parse_shard, render_set
-from rtdenoise.data.windows import Window, choose, look_through
-from rtdenoise.data.workers import only_run, run_jobs
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.motion import dual_motion, on_screen
+from rtdenoise.render import extras, meshes, procedural, procedural_wide
+from rtdenoise.render.clips import ClipOptions, render_clips
+from rtdenoise.render.draw import open_scene
+from rtdenoise.render.frames import RenderOptions, describe_frame, features, render_sequence
+from rtdenoise.render.motions import CameraPath, Keyframes, Motion, Shots
+from rtdenoise.render.scenes import Scene
+from rtdenoise.render.stage import Stage
+from rtdenoise.render.training_set import SetOptions, find_scenes, parse_shard, render_set
+from rtdenoise.render.windows import Window, choose, look_through
+from rtdenoise.render.workers import only_run, run_jobs
 
 TINY = SetOptions(count=6, size=(32, 32), frames=3, seed=5, reference_range=(4, 8), workers=1)
 SEQUENCE = RenderOptions(size=(16, 24), reference_spp=0)
@@ -188,7 +191,7 @@ def test_keyframes_move_cameras_and_objects():
     motion = Motion(pivot=(1, 0, 0), keys=keys)
     assert motion(2) @ [1, 0, 0, 1] == pytest.approx([2, 0, 0, 1])
     assert motion(4) @ [2, 0, 0, 1] == pytest.approx([3, 0, -1, 1])  # a quarter turn about +y takes +x to -z
-    with pytest.raises(InputError, match=r"undefined at frame 7: its keyframes cover 0 to 6"):
+    with pytest.raises(InputError, match=r"motion: undefined at frame 7: its keyframes cover 0 to 6"):
         motion(7)
     assert replace(motion, keys=replace(keys, hold=True))(9) == pytest.approx(motion(6))
     path = CameraPath((9, 9, 9), (0, 0, 0), keys=Keyframes((0, 10), ((0, 0, 0, 0, 0, -1), (1, 0, 0, 1, 0, -1))))
@@ -237,7 +240,7 @@ material = "metal"
     assert set(np.unique(features(stage, 0, (48, 64))["id"])) == {1, 2, 3, 4}
     light = render_sequence(scene, tmp_path / "out", 1, SEQUENCE, first=3, progress=lambda line: None)
     assert light[0].exists()
-    with pytest.raises(InputError, match="undefined at frame 10"):
+    with pytest.raises(InputError, match=r"motion\.toml: object 'crate': undefined at frame 10"):
         describe_frame(scene, 10, (8, 8))
 
 
@@ -294,8 +297,6 @@ def test_a_scene_that_does_not_load_says_why(room, wrong, complaint):
 
 
 def test_a_full_disk_is_one_line_and_leaves_no_half_clip(tmp_path, monkeypatch):
-    from rtdenoise.data.dataset import write_atomically
-
     def fill(path, content):
         path.open("wb").write(content[:3])
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -330,6 +331,29 @@ def test_two_runs_into_one_folder(tmp_path, capsys):
     assert "another run is rendering into this folder" in capsys.readouterr().err
     with only_run(tmp_path, "0-of-1"):
         pass
+
+
+def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_path):
+    facts = {"generator": 2, "seed": 5, "size": [32, 32], "frames": 3, "spp": 1, "max_depth": 6}
+    save_file({"x": np.zeros(1)}, clip_path(tmp_path, 4), metadata={"clip": json.dumps(facts)})
+    for change, complaint in (
+        ({"seed": 6}, "seed = 5, not 6"),
+        ({"size": (64, 32)}, r"size = \[32, 32\], not \[64, 32\]"),
+    ):
+        with pytest.raises(InputError, match=rf"clip_000004\.safetensors: was rendered with {complaint}"):
+            render_set(tmp_path, replace(TINY, **change), lambda *_: None)
+    with pytest.raises(InputError, match="generator = 2, not 1"):
+        render_clips(tmp_path, ClipOptions(8, (32, 32), 3))
+
+    out = tmp_path / "shot"
+    for first in (0, 1):  # more frames of the same scene are welcome
+        render_sequence(open_scene(str(room)), out, 1, SEQUENCE, first=first, progress=lambda line: None)
+    assert [f["number"] for f in json.loads((out / "scene.json").read_text())["frames"]] == [-1, 0, 1, 2]
+    before = (out / "scene.json").read_bytes()
+    moved = open_scene(str(room), script(room, "[camera]\nvelocity = [0.1, 0, 0]"))
+    with pytest.raises(InputError, match=r"scene\.json: is of another scene, motion or size"):
+        render_sequence(moved, out, 2, SEQUENCE, progress=lambda line: None)
+    assert (out / "scene.json").read_bytes() == before
 
 
 def test_wrong_options(tmp_path):

@@ -3,6 +3,7 @@
 import importlib.util
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -39,7 +40,20 @@ def test_wheel_holds_the_package_its_shaders_and_nothing_else(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     shaders = [path.relative_to(ROOT).as_posix() for path in (ROOT / "shaders").rglob("*.glsl")]
     assert {f"rtdenoise/{name}" for name in shaders} <= set(names)
+    assets = [path.relative_to(ROOT).as_posix() for path in (ROOT / "rtdenoise" / "report" / "assets").iterdir()]
+    assert "rtdenoise/report/assets/report.html" in assets and set(assets) <= set(names)
     assert {name.split("/")[0].partition("-")[0] for name in names} == {"rtdenoise"}
+
+
+def test_the_source_archive_is_all_that_the_tests_and_the_readme_need(tmp_path):
+    quicker = ["--no-isolation"] if importlib.util.find_spec("hatchling") else []
+    run(sys.executable, "-m", "build", "--sdist", *quicker, "--outdir", tmp_path, ROOT)
+    (archive,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(archive) as content:
+        names = {name.partition("/")[2] for name in content.getnames()}
+    tracked = run("git", "-C", ROOT, "ls-files").split("\n") if (ROOT / ".git").exists() else ["Makefile"]
+    missing = [name for name in tracked if name and name not in names and not name.startswith(".")]
+    assert not missing
 
 
 def test_shaders_run_from_the_wheel(wheel):

@@ -21,4 +21,8 @@ TOLERANCES = {
     "float32 tiles": Tolerance(1e-4, 1e-5),
     # Kernel logits stored as float16: |logit| < 8 is rounded by at most 2⁻⁹, one weight against another by at most 2⁻⁸.
     "float16 logits": Tolerance(4e-3, 1e-6),
+    # A whole step, radiance of about 1: the network's sums in another order, which its depth and the softmax carry on.
+    "float32 network": Tolerance(1e-3, 1e-4),
+    # ... and its values and weights rounded to 8 bits: 2⁻⁹ each. Logits of 8 are off by 2⁻⁶, weights by as much.
+    "bfloat16 network": Tolerance(5e-2, 5e-2),
 }

@@ -2,7 +2,7 @@
 # Set up what `make demo` or `make test` needs, and nothing twice:  sh tools/setup.sh demo|test
 #
 #   demo   .venv with PyTorch and the package
-#   test   ... and its extras, Mesa's OpenGL for the shaders, LLVM for rendering with Mitsuba
+#   test   ... and its extras, Mesa's OpenGL for the shaders, LLVM for rendering with Mitsuba, a browser for the report
 #
 # PYTHON and TORCH in the environment override what is chosen here. System packages are installed with apt where this runs
 # as root; elsewhere a line says what to type.
@@ -17,7 +17,7 @@ TORCH_FALLBACK=torch==2.13.0  # where that index is out of reach
 main() {
     case "${1-}" in
         demo) extras="" ;;
-        test) extras="[render,bench,dev]" ;;
+        test) extras="[render,noisebase,bench,dev]" ;;
         *) fail "usage: sh tools/setup.sh demo|test" ;;
     esac
     make_venv
@@ -28,6 +28,7 @@ main() {
         has_gl || install "OpenGL (Mesa)" $GL_PACKAGES
         has_mitsuba || install "a library of Mitsuba's" libatomic1
         has_llvm || install_llvm
+        has_browser || install "a browser" chromium
     fi
 }
 
@@ -97,6 +98,13 @@ has_mitsuba() { .venv/bin/python -c 'import mitsuba' 2>/dev/null; }
 has_llvm() {
     [ -n "${DRJIT_LIBLLVM_PATH-}" ] ||
         find /usr/lib /usr/lib64 -name 'libLLVM*.so*' 2>/dev/null | grep -Eq 'libLLVM(-|\.so\.)(1[6-9]|[2-9][0-9])'
+}
+
+has_browser() {  # the names that tests/browser.py looks for
+    for name in chromium chromium-browser google-chrome chromium-headless-shell chrome; do
+        if command -v "$name" >/dev/null; then return; fi
+    done
+    return 1
 }
 
 install_llvm() {

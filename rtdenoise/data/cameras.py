@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from rtdenoise.data.exr_format import ExrHeader
-from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame
-from rtdenoise.motion import motion_from_scene
+from ..errors import InputError
+from ..frame import Frame
+from ..motion import motion_from_scene
+from .exr_format import ExrHeader
 
 
 def complete(frame: Frame, scene: dict) -> Frame:

@@ -20,7 +20,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from rtdenoise.frame import Frame
+from ..frame import Frame
 
 MOVING = 0.25  # pixels of motion from which a pixel counts as moving, and by which readings must differ to matter
 TEXTURED = 0.02  # change of a feature in [0, 1] from pixel to pixel from which a pixel counts as textured

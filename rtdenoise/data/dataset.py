@@ -1,13 +1,13 @@
 """Training clips on disk: one safetensors file a clip, written atomically, read in slices. Needs no renderer.
 
 `clip_000123.safetensors` holds tensors `[T, C, H, W]`: float16 radiance, albedo and normal; float32 depth and motions
-(half precision would cost subpixels); uint8 id. Its header carries the clip's facts as JSON under "clip".
+(half precision would cost subpixels); uint16 id (uint8 in older ones). Its header carries the clip's facts as JSON
+under "clip".
 """
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,11 +15,12 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame
+from ..atomic import write_atomically
+from ..errors import InputError
+from ..frame import Frame
 
 RADIANCE = ("color", "indirect", "reference", "indirect_reference", "reference_half", "indirect_reference_half")
-DTYPES = {"depth": np.float32, "motion": np.float32, "motion_next": np.float32, "id": np.uint8}
+DTYPES = {"depth": np.float32, "motion": np.float32, "motion_next": np.float32, "id": np.uint16}
 SIGNALS = {
     "color": {"radiance": "color", "reference": "reference", "reference_half": "reference_half"},
     "indirect": {
@@ -39,8 +40,9 @@ def write_clip(path: Path, frames: list[Mapping[str, np.ndarray]], facts: Mappin
     for name in (*RADIANCE, *FEATURES):
         stacked = np.stack([frame[name] for frame in frames]).transpose(0, 3, 1, 2)
         dtype = DTYPES.get(name, np.float16)
-        if name == "id":  # large scene files have more objects than a byte holds; two may then share a number
-            stacked = np.where(stacked > 255, (stacked - 1) % 255 + 1, stacked)
+        if name == "id" and stacked.max() > np.iinfo(dtype).max:
+            raise InputError(f"{path}: object {stacked.max():.0f}: clips number at most {np.iinfo(dtype).max} objects; "
+                             "merge some of the scene's")  # fmt: skip
         if dtype is np.float16:
             limit = float(np.finfo(np.float16).max)
             stacked = np.clip(stacked, -limit, limit)
@@ -57,18 +59,6 @@ def bytes_per_clip(size: tuple[int, int], frames: int) -> int:
     return frames * size[0] * size[1] * sum(width * components.get(name, 3) for name, width in widths.items())
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """The file appears under its name only when it is complete. Raises InputError where the disk is full."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; run again when that is solved") from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def read_facts(path: Path) -> dict:
     """The facts of a clip: seed, samples, uncovered share and so on."""
     with _opened(path) as clip:
@@ -76,12 +66,15 @@ def read_facts(path: Path) -> dict:
 
 
 class ClipDataset:
-    """The clips of a folder, in the order of their names."""
+    """The clips of one or more folders, folder by folder in the order of their names."""
 
-    def __init__(self, folder: str | Path):
-        self.paths = sorted(Path(folder).glob("clip_*.safetensors"))
-        if not self.paths:
-            raise InputError(f"{folder}: no clips found; expected files clip_000000.safetensors and so on")
+    def __init__(self, *folders: str | Path):
+        self.paths: list[Path] = []
+        for folder in folders:
+            found = sorted(Path(folder).glob("clip_*.safetensors"))
+            if not found:
+                raise InputError(f"{folder}: no clips found; expected files clip_000000.safetensors and so on")
+            self.paths += found
 
     def __len__(self) -> int:
         return len(self.paths)

@@ -14,7 +14,6 @@ seen with the Python API of OpenEXR 3.5.3:
 
 from __future__ import annotations
 
-import contextlib
 import io
 import os
 from collections.abc import Mapping, Sequence
@@ -23,8 +22,9 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from rtdenoise.data.exr_format import ExrHeader, parse_file, single_part
-from rtdenoise.errors import InputError
+from ..atomic import write_atomically
+from ..errors import InputError
+from .exr_format import ExrHeader, parse_file, single_part
 
 NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}
 HALF_MAX = 65504.0
@@ -106,7 +106,7 @@ def write_layers(
     header = {"compression": _compression(compression), "type": OpenEXR.scanlineimage, **(attributes or {})}
     encoded = io.BytesIO()
     OpenEXR.File(header, channels).write(encoded)
-    _write_file(path, encoded.getbuffer())
+    write_atomically(path, encoded.getbuffer())
 
 
 def write_like(
@@ -131,7 +131,7 @@ def write_like(
         parts.append(OpenEXR.Part(attributes, stored, part.name))
     encoded = io.BytesIO()
     OpenEXR.File(parts).write(encoded)
-    _write_file(Path(path), encoded.getbuffer())
+    write_atomically(Path(path), encoded.getbuffer())
 
 
 def _default_dtype(key: str) -> str:
@@ -164,20 +164,6 @@ def _compression(name: str) -> OpenEXR.Compression:
     if name not in known:
         raise InputError(f"unknown EXR compression '{name}'; known are {', '.join(sorted(known))}")
     return getattr(OpenEXR, known[name])
-
-
-def _write_file(path: Path, data: memoryview) -> None:
-    """Write under a temporary name in the same folder, then rename, which is atomic."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-    finally:
-        with contextlib.suppress(OSError):  # it is gone after the rename
-            temporary.unlink()
 
 
 def _decode(path: Path, header: ExrHeader, index: int) -> dict[str, np.ndarray]:

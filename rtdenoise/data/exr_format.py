@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.errors import InputError
+from ..errors import InputError
 
 MAGIC = b"\x76\x2f\x31\x01"
 TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000  # flags beside the version number

@@ -10,16 +10,16 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from glob import glob, has_magic
 from pathlib import Path
 
 import numpy as np
 
-from rtdenoise.data.exr import read_channels, read_header
-from rtdenoise.data.exr_format import ExrHeader
-from rtdenoise.errors import InputError
+from ..errors import InputError
+from .exr import read_channels, read_header
+from .exr_format import ExrHeader
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,10 @@ class FrameFiles:
     def path(self) -> Path:
         """The file that stands for the frame in messages."""
         return next(iter(self.files.values()))
+
+    def output_name(self, file: Path) -> str:
+        """What the output is called for the one of the files that holds the signal."""
+        return file.name
 
     def header(self) -> ExrHeader:
         """All channels, those of a buffer with its name in front. Raises `InputError` as `read_header` does, and where
@@ -75,29 +79,37 @@ def find_frames(
     With `buffers`, a glob picks frames by any of their files; the others are found beside. Raises `InputError` where
     there is no file, and for numbers that are missing or there twice.
     """
-    frames = _buffers(path_or_glob, buffers) if buffers else _single_files(find_files(path_or_glob))
+    if buffers:
+        frames = _buffers(path_or_glob, buffers)
+    else:
+        frames = tuple(FrameFiles(number, {"": file}) for number, file in number_files(find_files(path_or_glob)))
+    check_gaps(frames, allow_gaps)
+    return frames
+
+
+def check_gaps(frames: Sequence[FrameFiles], allow_gaps: bool) -> None:
+    """Raise `InputError` for numbers that are missing."""
     for a, b in itertools.pairwise(frames):
         if not allow_gaps and b.number - a.number > 1:
             between = f"{a.number + 1}" if b.number - a.number == 2 else f"{a.number + 1} to {b.number - 1}"
             raise InputError(f"{a.path}: the next frame is {b.number}, missing: {between}; render what is missing, or "
                              "allow gaps (--allow-gaps): history then starts anew after each")  # fmt: skip
-    return frames
 
 
-def find_files(path_or_glob: str | os.PathLike) -> list[Path]:
-    """EXR files that are meant, in no order. Hidden files are not: that is what unfinished ones are called."""
+def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Path]:
+    """Files that are meant, in no order. Hidden files are not: that is what unfinished ones are called."""
     path = Path(path_or_glob)
     if path.is_dir():
-        found = [p for p in path.iterdir() if p.suffix.lower() == ".exr" and not p.name.startswith(".")]
+        found = [p for p in path.iterdir() if p.suffix.lower() == suffix and not p.name.startswith(".")]
         if not found:
             others = sorted(p.name for p in path.iterdir())
             what = f"holds {len(others)} files, e.g. {others[0]}" if others else "is empty"
-            raise InputError(f"{path}: no .exr file in this folder: it {what}")
+            raise InputError(f"{path}: no {suffix} file in this folder: it {what}")
         return found
     if path.is_file():
         return [path]
     if not has_magic(str(path)):
-        raise InputError(f"{path}: does not exist; give a folder of EXR files or a glob")
+        raise InputError(f"{path}: does not exist; give a folder of {suffix[1:].upper()} files or a glob")
     found = [p for p in map(Path, glob(str(path))) if p.is_file()]
     if not found:
         raise InputError(f"{path}: no file fits this glob")
@@ -111,7 +123,9 @@ def fits(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]
     return len(found) > 1 and (chosen is None or any(path in chosen for files in found for _, _, path in files))
 
 
-def _single_files(files: list[Path]) -> tuple[FrameFiles, ...]:
+def number_files(files: list[Path]) -> list[tuple[int, Path]]:
+    """Files with their frame numbers, ascending: the last run of digits in a name. Raises `InputError` where there is
+    none, or the same twice."""
     runs = {file: re.findall(r"\d+", file.stem) for file in files}
     unnumbered = [file for file in sorted(files) if not runs[file]]
     if unnumbered and len(files) > 1:
@@ -122,7 +136,7 @@ def _single_files(files: list[Path]) -> tuple[FrameFiles, ...]:
         if numbers[a] == numbers[b]:
             raise InputError(f"{b}: frame number {numbers[b]} is there twice, {a.name} has it too; "
                              "give a glob that fits one file a frame")  # fmt: skip
-    return tuple(FrameFiles(numbers[file], {"": file}) for file in ordered)
+    return [(numbers[file], file) for file in ordered]
 
 
 def _buffers(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]) -> tuple[FrameFiles, ...]:

@@ -20,11 +20,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rtdenoise.data.exr import read_channels, write_layers, write_like
-from rtdenoise.data.rules import Rule
-from rtdenoise.data.sequences import Sequence, convert
-from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame, sanitise
+from ..errors import InputError
+from ..frame import Frame, sanitise
+from .exr import read_channels, write_layers, write_like
+from .rules import Rule
+from .sequences import Sequence, convert
 
 LAYOUTS = ("plain", "source")
 PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
@@ -34,6 +34,8 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
     """Raise `InputError` for what cannot be written, before anything is denoised."""
     if layout not in LAYOUTS:
         raise InputError(f"unknown layout '{layout}': known are {', '.join(LAYOUTS)}")
+    if layout == "source" and sequence.paths[0].suffix.lower() != ".exr":
+        raise InputError(f"{sequence.paths[0]}: layout 'source' copies EXR files, this is none: choose 'plain'")
     if layout == "source" and keep:
         raise InputError("layout 'source' passes every channel on: leave --keep out")
     if recombine and sequence.signal != "color" and "radiance" not in sequence.preset.resolve(sequence.header, "color"):
@@ -62,7 +64,7 @@ def read_result(
     """What `write_frame` wrote with these options: the denoised signal, or the beauty."""
     path = sequence.paths[index]
     if layout == "plain":
-        return convert(PLAIN, read_channels(out / path.name, PLAIN.channels), "radiance")
+        return convert(PLAIN, read_channels(out / sequence.names[index], PLAIN.channels), "radiance")
     beauty = sequence.preset.beauty_rule(sequence.header) if recombine else None
     rule = beauty or _place(sequence)
     ((file, names),) = sequence.files[index].locate(rule.channels).items()
@@ -92,7 +94,7 @@ def write_frame(
     beauty = recombined(sequence, index, frame, image) if recombine else None
     path = sequence.paths[index]
     if layout == "plain":
-        _write_plain(out / path.name, sequence, index, image if beauty is None else beauty, keep, float32)
+        _write_plain(out / sequence.names[index], sequence, index, image if beauty is None else beauty, keep, float32)
         return
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.preset.beauty_rule(sequence.header)):

@@ -27,9 +27,9 @@ import difflib
 import tomllib
 from pathlib import Path
 
-from rtdenoise.data.rules import SCALES, SIGNALS, Preset, Rule
-from rtdenoise.errors import InputError
-from rtdenoise.frame import CHANNELS
+from ..errors import InputError
+from ..frame import CHANNELS
+from .rules import SCALES, SIGNALS, Preset, Rule
 
 COUNTS = {name: CHANNELS[layer] for signal in SIGNALS.values() for layer, names in signal.items() for name in names}
 COUNTS |= {layer: count for layer, count in CHANNELS.items() if layer not in ("radiance", "reference_half")}

@@ -14,6 +14,7 @@ bmfr     The data set of Koskela et al. 2019, a file a buffer: `color12.exr` (al
          from `world_position` and the cameras in `camera_matrices.h`.
 oidn     The names of Open Image Denoise's training: `name_0001spp.{hdr,alb,nrm}.exr`, `name_ref.hdr.exr`, the frame
          number at the end of `name`. They have neither depth nor motion.
+noisebase  Zarr arrays in zip files: see `noisebase.py`, which turns them into channels.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ import os
 import re
 from pathlib import Path
 
-from rtdenoise.data.exr_format import ExrHeader
-from rtdenoise.data.files import fits
-from rtdenoise.data.preset_file import read_preset
-from rtdenoise.data.rules import SIGNALS, Preset, rules
-from rtdenoise.errors import InputError
+from ..errors import InputError
+from .exr_format import ExrHeader
+from .files import fits
+from .noisebase import NOISEBASE
+from .preset_file import read_preset
+from .rules import SIGNALS, Preset, rules
 
 NATIVE = Preset(
     "native",
@@ -172,7 +174,7 @@ OIDN = Preset(
 )
 
 PRESETS = {preset.name: preset for preset in (NATIVE, MITSUBA, FALCOR, BMFR, OIDN)}
-NAMES = ("native", "cycles", "mitsuba", "falcor", "bmfr", "oidn")
+NAMES = ("native", "cycles", "mitsuba", "falcor", "bmfr", "oidn", "noisebase")
 
 
 def choose(name: str, source: str | os.PathLike) -> Preset | None:
@@ -183,6 +185,8 @@ def choose(name: str, source: str | os.PathLike) -> Preset | None:
     """
     if name.endswith(".toml"):
         return read_preset(Path(name))
+    if name.partition(":")[0] == NOISEBASE.name or (name == "auto" and _holds_archives(Path(source))):
+        return NOISEBASE
     if name == "auto":
         return next((preset for preset in (FALCOR, BMFR, OIDN) if fits(source, preset.buffers)), None)
     if name in PRESETS:
@@ -192,6 +196,20 @@ def choose(name: str, source: str | os.PathLike) -> Preset | None:
     near = difflib.get_close_matches(name.lower(), NAMES, n=1)
     suggestion = f" (did you mean '{near[0]}'?)" if near else ""
     raise InputError(f"unknown preset '{name}'{suggestion}: known are auto, {', '.join(NAMES)}, or a .toml file")
+
+
+def _holds_archives(source: Path) -> bool:
+    """Whether these are zip files, and no EXR files are among them."""
+    suffixes = {path.suffix.lower() for path in source.iterdir()} if source.is_dir() else {source.suffix.lower()}
+    return ".zip" in suffixes and ".exr" not in suffixes
+
+
+def samples(name: str) -> int:
+    """N of the preset "noisebase:N", how many samples a pixel are read; 1 without. Raises `InputError`."""
+    count = name.partition(":")[2] or "1"
+    if not count.isdecimal() or count == "0":
+        raise InputError(f"preset '{name}': expected noisebase:N with N samples a pixel, 1 or more")
+    return int(count)
 
 
 def find(name: str, header: ExrHeader) -> Preset:

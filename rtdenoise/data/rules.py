@@ -6,8 +6,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
-from rtdenoise.data.exr_format import ExrHeader
-from rtdenoise.frame import CHANNELS
+from ..frame import CHANNELS
+from .exr_format import ExrHeader
 
 SIGNALS = {  # signal -> which of a file's layers become a frame's, where they have another name
     "color": {"radiance": ("color",), "reference_half": ("half_reference",)},

@@ -1,4 +1,4 @@
-"""A folder or glob of EXR files as frames: headers are checked up front, pixels read when asked for."""
+"""A folder or glob of files as frames: headers are checked up front, pixels read when asked for."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rtdenoise.data.cameras import complete, read_cameras
-from rtdenoise.data.exr_format import ExrHeader
-from rtdenoise.data.files import FrameFiles, find_frames
-from rtdenoise.data.presets import choose, find
-from rtdenoise.data.rules import SIGNALS, Preset, Rule
-from rtdenoise.errors import InputError
-from rtdenoise.frame import CHANNELS, Frame
+from ..errors import InputError
+from ..frame import CHANNELS, Frame
+from .cameras import complete, read_cameras
+from .exr_format import ExrHeader
+from .files import FrameFiles, find_frames
+from .noisebase import NOISEBASE, find_archives
+from .presets import choose, find, samples
+from .rules import SIGNALS, Preset, Rule
 
 DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 
@@ -48,9 +49,14 @@ class Sequence:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """The file of each frame that holds the signal: what the output is named after."""
+        """The file of each frame that holds the signal."""
         channel = self.rules["radiance"].channels[0]
         return tuple(next(iter(files.locate([channel]))) for files in self.files)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the output of each frame is called."""
+        return tuple(files.output_name(path) for files, path in zip(self.files, self.paths, strict=True))
 
     @property
     def demodulated(self) -> bool:
@@ -103,7 +109,7 @@ def open_sequence(
     path_or_glob: str | os.PathLike,  # a folder, a glob, or one file
     *,
     signal: str = "color",  # "color" or "indirect"
-    preset: str = "auto",  # a name of `presets.NAMES`, "cycles:<ViewLayer>", or a .toml file
+    preset: str = "auto",  # a name of `presets.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", or a .toml file
     layers: Collection[str] | None = None,  # layers of `Frame` to read beside DEFAULT_LAYERS, where the files have them
     allow_gaps: bool = False,  # accept missing frame numbers; they are listed in `Sequence.gaps`
 ) -> Sequence:
@@ -117,7 +123,10 @@ def open_sequence(
     if unknown := [layer for layer in layers or () if layer not in CHANNELS]:
         raise InputError(f"unknown layer '{unknown[0]}': known are {', '.join(CHANNELS)}")
     chosen = choose(preset, path_or_glob)
-    files = find_frames(path_or_glob, chosen.buffers if chosen else {}, allow_gaps)
+    if chosen is NOISEBASE:
+        files = find_archives(path_or_glob, samples(preset), allow_gaps)
+    else:
+        files = find_frames(path_or_glob, chosen.buffers if chosen else {}, allow_gaps)
     header = files[0].header()
     found = chosen or find(preset, header)
     available = found.resolve(header, signal)

@@ -1,6 +1,11 @@
 """Denoisers: name -> configuration -> weights."""
 
-from .load import available, find, load, save
-from .temporal_kpn import PRESETS, Config, TemporalKPN
+from .accumulated_kpn import AccumulatedKPN
+from .load import available, find, load, read, save
+from .presets import PRESETS, Config, Denoiser, create
+from .temporal_kpn import TemporalKPN
 
-__all__ = ["PRESETS", "Config", "TemporalKPN", "available", "find", "load", "save"]
+__all__ = [
+    "PRESETS", "AccumulatedKPN", "Config", "Denoiser", "TemporalKPN", "available", "create", "find", "load", "read",
+    "save",
+]  # fmt: skip

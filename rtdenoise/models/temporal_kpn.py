@@ -12,10 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from ..color import compress, exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, sanitise
-from ..motion import dual_motion, occlusion_mask, on_screen
-from ..motion_splat import splat_motion_next
-from ..nets import UNet
+from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance, nearness, sanitise
+from ..motion import on_screen
+from ..motion_splat import history_motion
+from ..nets import UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, warp
 
 SCALES = 3  # 1, 1/2 and 1/4 of the image: "the last three layers" (§4.3)
@@ -47,9 +47,6 @@ class Config:
             raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
 
 
-PRESETS = {"paper": Config()}
-
-
 @dataclass(frozen=True)
 class Heads:
     """What the network predicts for one frame. Lists run from the finest scale to the coarsest."""
@@ -63,7 +60,7 @@ class Heads:
 class TemporalKPN(nn.Module):
     """The network and its one-frame step. State is explicit: what `step` returns goes into the next `step`."""
 
-    def __init__(self, config: Config = PRESETS["paper"]) -> None:
+    def __init__(self, config: Config = Config()) -> None:
         super().__init__()
         self.config = config
         self.unet = UNet(FEATURES, config.widths)
@@ -99,7 +96,7 @@ class TemporalKPN(nn.Module):
         elif known.still:
             warped = history.radiance
         else:
-            motion = frame.motion if known.covered else self.reprojection(frame, history)
+            motion = frame.motion if known.covered else history_motion(frame, history, self.config.motion)
             warped = torch.where(on_screen(motion), warp(history.radiance, motion), frame.radiance)
 
         # Predict kernels.
@@ -120,34 +117,23 @@ class TemporalKPN(nn.Module):
         output = output.clamp(min=0)  # eq. 4 subtracts: keep radiance physical
         return output, History(output, frame.motion_next, frame.depth, frame.normal)
 
-    def reprojection(self, frame: Frame, history: History) -> Tensor:
-        """The motion that fetches history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere."""
-        if self.config.motion == "traditional":
-            return frame.motion
-        motion_next = history.motion_next
-        if motion_next is None:
-            motion_next = splat_motion_next(frame.motion, frame.depth, history.depth)
-        dual = dual_motion(frame.motion, motion_next)
-        return torch.where(occlusion_mask(dual, frame.motion), dual, frame.motion)
-
     def features(self, frame: Frame, warped: Tensor, known: Known = NOTHING_KNOWN) -> Tensor:
         """The network's input `[B, 13, H, W]`: radiance compressed at one exposure, depth as nearness in [0, 1)."""
         scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
-        nearness = torch.where(frame.depth > 0, distance / (distance + frame.depth), 0.0)
-        return torch.cat(
-            [compress(frame.radiance * scale), frame.albedo, frame.normal, nearness, compress(warped * scale)], dim=1
-        )
+        noisy, past = compress(frame.radiance * scale), compress(warped * scale)
+        return torch.cat([noisy, frame.albedo, frame.normal, nearness(frame.depth, distance), past], dim=1)
 
     def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
         """What is taken from a frame as a whole, `[B, 1, 1, 1]` each: its exposure, and the mean distance of what was
         hit."""
-        hits = (frame.depth > 0).sum((1, 2, 3), keepdim=True).clamp(min=1)
-        return exposure(frame.radiance), (frame.depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
+        return exposure(frame.radiance), mean_distance(frame.depth)
 
     def predict(self, features: Tensor) -> Heads:
-        """Run the network. Logits are handed on in float32 whatever the autocast dtype."""
+        """Run the network. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""
         taps = self.config.kernel**2
-        fine, *coarser = (head(x).float() for head, x in zip(self.heads, self.unet(features, SCALES), strict=True))
+        levels = self.unet(as_weights(features, self), SCALES)
+        fine, *coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
         spatial, temporal, alpha_temporal = fine.split([taps, taps, 1], dim=1)
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
-        return Heads([spatial, *kernels], [a.sigmoid() for a in alphas], temporal, alpha_temporal.sigmoid())
+        alpha_temporal, *alphas = (a.float().sigmoid() for a in (alpha_temporal, *alphas))
+        return Heads([spatial, *kernels], alphas, temporal, alpha_temporal)

@@ -1,5 +1,6 @@
 """Network building blocks."""
 
+from .inference import PRECISIONS, as_weights, prepare, resolve
 from .unet import UNet
 
-__all__ = ["UNet"]
+__all__ = ["PRECISIONS", "UNet", "as_weights", "prepare", "resolve"]

@@ -25,7 +25,8 @@ class UNet(nn.Module):
         ⌈H/2^l⌉, ⌈W/2^l⌉]`."""
         H, W = x.shape[2:]
         cell = 2 ** (len(self.encoder) - 1)
-        x = F.pad(x, (0, -W % cell, 0, -H % cell), mode="replicate")
+        if H % cell or W % cell:  # a copy otherwise too
+            x = F.pad(x, (0, -W % cell, 0, -H % cell), mode="replicate")
 
         skips = []
         for level, convolve in enumerate(self.encoder):

@@ -1,11 +1,13 @@
-"""The kernel-apply operations: plain torch with gradients. Each module states its index equation and is its
-specification.
+"""The kernel-apply operations, with gradients. Each module states its index equation and has it in plain torch, which is
+the specification; `native` (CPU) and `triton` (CUDA) hold fused ones of the same names, and `path` chooses.
 
 Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, x right, y down.
 """
 
 from .apply_kernel import apply_kernel
+from .path import use
 from .pyramid import blend, compose, downsample, upsample
+from .reproject import alike, reproject
 from .warp import fetch, warp
 
-__all__ = ["apply_kernel", "blend", "compose", "downsample", "fetch", "upsample", "warp"]
+__all__ = ["alike", "apply_kernel", "blend", "compose", "downsample", "fetch", "reproject", "upsample", "use", "warp"]

@@ -10,6 +10,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
+from .path import fused
+
 
 def apply_kernel(
     image: Tensor,  # [B, C, H, W]
@@ -32,6 +34,8 @@ def apply_kernel(
     K = math.isqrt(logits.shape[1])
     if logits.shape[1] != K**2 or K % 2 == 0 or (logits.shape[0], *logits.shape[2:]) != (B, H, W):
         raise ValueError(f"expected logits [{B}, K², {H}, {W}] with K odd, got {tuple(logits.shape)}")
+    if run := fused("apply_kernel", image, logits):
+        return run(image, logits)
 
     dtype = torch.promote_types(torch.float32, image.dtype)
     weights = logits.to(dtype).masked_fill(~_inside(H, W, K, logits.device), -math.inf).softmax(dim=1)

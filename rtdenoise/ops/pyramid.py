@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 from torch.nn import functional as F
+
+from .path import fused
 
 
 def downsample(
@@ -15,11 +18,13 @@ def downsample(
     At an odd border the cell holds what exists of it. The paper prints max pooling; on unbounded Monte Carlo noise the
     maximum is biased upwards, so `mean` is the default. Raises ValueError for another `pool`.
     """
+    if pool not in ("mean", "max"):
+        raise ValueError(f"expected pool 'mean' or 'max', got {pool!r}")
+    if run := fused("downsample", image):
+        return run(image, pool)
     if pool == "mean":
         return F.avg_pool2d(image, 2, ceil_mode=True, count_include_pad=False)
-    if pool == "max":
-        return F.max_pool2d(image, 2, ceil_mode=True)
-    raise ValueError(f"expected pool 'mean' or 'max', got {pool!r}")
+    return F.max_pool2d(image, 2, ceil_mode=True)
 
 
 def upsample(
@@ -48,7 +53,18 @@ def compose(
     """Replace the low frequencies of `fine` by those of `coarse`, as far as α says (eq. 4, after Vogels et al. 2018):
 
     o = fine - U[α · D fine] + U[α · coarse]
+
+    Raises ValueError where the sizes do not fit.
     """
+    B, C, H, W = fine.shape
+    expected = (B, C, (H + 1) // 2, (W + 1) // 2)
+    if coarse.shape != expected or alpha.shape != (B, 1, *expected[2:]):
+        raise ValueError(
+            f"expected coarse {expected} and alpha {(B, 1, *expected[2:])} for fine {tuple(fine.shape)}, "
+            f"got {tuple(coarse.shape)} and {tuple(alpha.shape)}"
+        )
+    if run := fused("compose", fine, coarse, alpha):
+        return run(fine, coarse, alpha, pool)
     return fine + upsample(alpha * (coarse - downsample(fine, pool)), tuple(fine.shape[2:]))
 
 
@@ -58,4 +74,4 @@ def blend(
     alpha: Tensor,  # [B, 1, H, W] in [0, 1]
 ) -> Tensor:  # [B, C, H, W]
     """`out = α · spatial + (1 - α) · temporal` (the paper's eq. 1 with α learned per pixel)."""
-    return alpha * spatial + (1 - alpha) * temporal
+    return torch.lerp(temporal, spatial, alpha)

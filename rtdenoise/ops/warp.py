@@ -6,6 +6,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from .path import fused
+
 
 def warp(
     image: Tensor,  # [B, C, H, W]
@@ -24,7 +26,9 @@ def warp(
 
     Raises ValueError where the shapes do not fit.
     """
-    _check(image, motion)
+    check(image, motion)
+    if run := fused("warp", image, motion):
+        return run(image, motion)
     B, C, H, W = image.shape
     u, v = _targets(motion, H, W)
     x0, y0 = u.floor(), v.floor()
@@ -51,7 +55,9 @@ def fetch(
 
     Differentiable in `image` only. Raises ValueError where the shapes do not fit.
     """
-    _check(image, motion)
+    check(image, motion)
+    if run := fused("fetch", image, motion):
+        return run(image, motion)
     B, C, H, W = image.shape
     u, v = _targets(motion, H, W)
     index = (v + 0.5).floor().long() * W + (u + 0.5).floor().long()
@@ -66,7 +72,7 @@ def _targets(motion: Tensor, H: int, W: int) -> tuple[Tensor, Tensor]:
     return (motion[:, 0] + x).clamp(0, W - 1), (motion[:, 1] + y[:, None]).clamp(0, H - 1)
 
 
-def _check(image: Tensor, motion: Tensor) -> None:
+def check(image: Tensor, motion: Tensor) -> None:
     if image.ndim != 4:
         raise ValueError(f"expected image [B, C, H, W], got {tuple(image.shape)}")
     expected = (image.shape[0], 2, *image.shape[2:])

@@ -1,0 +1,164 @@
+"""The denoiser that ships: kernel prediction over an accumulated, demodulated signal.
+
+What it keeps of `temporal_kpn` (the paper): dual motion vectors, per-pixel kernels at several scales composed from
+coarse to fine, a temporal kernel, one explicit step. What it changes: textures are divided out before anything is
+filtered and given back before the previous output is blended in; noisy light is averaged along tested reprojections
+before it is filtered, as far as the network trusts it; the network runs at half size; and five scales reach far enough
+for light as sparse as one sample a pixel leaves it.
+Read `AccumulatedKPN.step` first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ..color import albedo_divisor, compress, exposure
+from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance, nearness, sanitise
+from ..motion import occlusion_mask, on_screen
+from ..motion_splat import history_motion
+from ..nets import UNet, as_weights
+from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
+
+# Noisy 3, running mean 3, previous output 3, albedo 3, normal 3, nearness 1, history length 1, uncovered 1.
+FEATURES = 18
+
+
+@dataclass(frozen=True)
+class Config:
+    """What defines a model. Stored inside its weights file."""
+
+    widths: tuple[int, ...] = (24, 40, 56, 72, 96)
+    """Channels of the U-Net at 1/2, 1/4, 1/8 ... of the image size."""
+    scales: int = 5
+    """Scales that are filtered: 1, 1/2, 1/4 ... of the image size."""
+    kernel: int = 5
+    """Side of the spatial kernels, odd."""
+    temporal_kernel: int = 3
+    """Side of the temporal kernel, odd."""
+    longest: float = 16.0
+    """Frames after which the running mean forgets: its least weight of a new frame is 1 / longest."""
+    motion: str = "dual"
+    """What history is fetched with: 'dual' or 'traditional' motion vectors."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "widths", tuple(self.widths))
+        if not 2 <= self.scales <= len(self.widths):
+            raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
+        for size in (self.kernel, self.temporal_kernel):
+            if size % 2 == 0 or size < 1:
+                raise ValueError(f"expected odd kernel sizes, got {size}")
+        if self.motion not in ("dual", "traditional"):
+            raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
+
+
+@dataclass(frozen=True)
+class Heads:
+    """What the network predicts for one frame. Lists run from the finest scale to the coarsest."""
+
+    spatial: list[Tensor]  # `scales` × [B, K², H/2^s, W/2^s] logits of the spatial kernels
+    alpha: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1], for s = 1 ...: weight of the coarser scale
+    temporal: Tensor  # [B, L², H, W] logits of the temporal kernel
+    alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
+    reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean is given up for the current frame
+
+
+class AccumulatedKPN(nn.Module):
+    """The network and its one-frame step. State is explicit: what `step` returns goes into the next `step`."""
+
+    def __init__(self, config: Config = Config()) -> None:
+        super().__init__()
+        self.config = config
+        self.stem = nn.Conv2d(FEATURES, config.widths[0], 4, stride=2, padding=1)
+        self.unet = UNet(config.widths[0], config.widths)
+        taps, full = config.kernel**2, config.kernel**2 + config.temporal_kernel**2 + 2
+        outputs = [taps + 1] * (config.scales - 1)
+        self.full_head = nn.ConvTranspose2d(config.widths[0], full, 2, stride=2)  # of the four pixels in each cell
+        self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(config.widths, outputs, strict=False))
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
+                nn.init.xavier_uniform_(module.weight)
+                nn.init.zeros_(module.bias)
+        with torch.no_grad():
+            self.full_head.bias[-1] = -4.0  # start from a plain running mean: reset near 0
+
+    def step(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History]:
+        """Denoise one frame, as `TemporalKPN.step`."""
+        frame = frame if known.sanitised else sanitise(frame)
+        needed = ("albedo", "normal", "depth")
+        if history is None:
+            frame.require(*needed)
+        else:
+            frame.require(*needed, "motion", previous=history.radiance)
+        albedo = albedo_divisor(frame.albedo, frame.depth)
+        noisy = frame.radiance / albedo  # irradiance, but for what is not diffuse
+
+        # Reproject: the running mean of irradiance from the same surface only, the previous output from wherever.
+        mean, length = torch.zeros_like(noisy), torch.zeros_like(noisy[:, :1])
+        uncovered = on = torch.zeros_like(length, dtype=torch.bool)
+        warped = frame.radiance
+        if history is not None:
+            motion = frame.motion if known.covered else history_motion(frame, history, self.config.motion)
+            kept = torch.cat([history.accumulated, history.length], dim=1)
+            here, before = (frame.depth, frame.normal), (history.depth, history.normal)
+            mean, length = reproject(kept, motion, here, before)[0].split([3, 1], dim=1)
+            on, uncovered = on_screen(motion), occlusion_mask(motion, frame.motion)
+            warped = history.radiance
+            if not known.still:
+                warped = torch.where(on, warp(warped, motion), frame.radiance)
+
+        # Predict kernels.
+        scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
+        light = torch.cat([noisy, mean, warped], dim=1) * scale
+        heads = self.predict(self.features(frame, light, nearness(frame.depth, distance), length, uncovered))
+
+        # Average over time: a running mean, given up where the network says that light has changed.
+        weight = 1 / (1 + length)
+        weight = weight + heads.reset * (1 - weight)
+        mean = blend(noisy, mean, weight)
+        length = (1 / weight).clamp(max=self.config.longest - 1)
+
+        # Filter each scale with its own kernels, the coarser ones what the finer have filtered; compose back (eq. 4).
+        filtered = [apply_kernel(mean, heads.spatial[0])]
+        for logits in heads.spatial[1:]:
+            filtered.append(apply_kernel(downsample(filtered[-1]), logits))
+        output = filtered[-1]
+        for fine, alpha in zip(filtered[-2::-1], heads.alpha[::-1], strict=True):
+            output = compose(fine, output, alpha)
+
+        # Give the texture back, then blend with the previous output: radiance, because albedo too has one sample a
+        # pixel. Over the frames its edges are averaged, which no filter of irradiance does.
+        output = output.clamp(min=0) * albedo
+        past = apply_kernel(torch.where(on, warped, output), heads.temporal)
+        output = blend(output, past, heads.alpha_temporal)
+        return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean)
+
+    def features(self, frame: Frame, light: Tensor, near: Tensor, length: Tensor, uncovered: Tensor) -> Tensor:
+        """The network's input `[B, 18, H, W]`: light compressed at one exposure, nearness and length in [0, 1]."""
+        geometry = torch.cat([frame.albedo, frame.normal, near], dim=1)
+        length = length / self.config.longest
+        return torch.cat([compress(light), geometry, length, uncovered.to(light.dtype)], dim=1)
+
+    def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
+        """As `TemporalKPN.statistics`, of the light without its textures."""
+        noisy = frame.radiance / albedo_divisor(frame.albedo, frame.depth)
+        return exposure(noisy), mean_distance(frame.depth)
+
+    def predict(self, features: Tensor) -> Heads:
+        """Run the network at half size. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""
+        H, W = features.shape[2:]
+        taps, side = self.config.kernel**2, self.config.temporal_kernel
+        x = as_weights(features, self)
+        x = F.pad(x, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else x
+        levels = self.unet(F.relu(self.stem(x)), self.config.scales - 1)
+        full = self.full_head(levels[0])[:, :, :H, :W]
+        spatial, temporal, alpha_temporal, reset = full.split([taps, side**2, 1, 1], dim=1)
+        coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
+        kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
+        alpha_temporal, reset, *alphas = (a.float().sigmoid() for a in (alpha_temporal, reset, *alphas))
+        return Heads([spatial, *kernels], alphas, temporal, alpha_temporal, reset)

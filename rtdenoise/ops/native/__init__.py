@@ -1,0 +1,149 @@
+"""Fused ops for the CPU: C files beside this one, specialised by named constants and compiled on the user's machine.
+
+Same names as in `rtdenoise.ops`, whose functions check the arguments and call these where they apply (`ops.path`).
+Sums and weights are float32 whatever the logits are stored in; parity with the plain ops is `float32` of
+tests/tolerances.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from ctypes import c_int64, c_void_p
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from .compiler import library, problem
+
+LOGITS = {torch.float32: 0, torch.bfloat16: 1, torch.float16: 2}  # LOGIT of apply_kernel.c
+
+
+def prepare() -> None:
+    """Compile the smallest file. Raises OSError where that is not possible here."""
+    library("pyramid", POOL=0)
+
+
+def unsupported(op: str, *tensors: Tensor) -> str | None:
+    """Why `op` cannot take these arguments, or None. Only `apply_kernel` has gradients here."""
+    image = tensors[0]
+    floats = tensors[:1] if op == "apply_kernel" else tensors
+    if any(t.dtype != torch.float32 for t in floats) or (op == "apply_kernel" and tensors[1].dtype not in LOGITS):
+        return f"for float32 images, not {', '.join(str(t.dtype).removeprefix('torch.') for t in tensors)}"
+    if op != "apply_kernel" and torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
+        return "it has no gradient"
+    if image.shape[1] > 8:
+        return f"for at most 8 channels, not {image.shape[1]}"
+    if image.numel() == 0 or image.shape[2] * image.shape[3] >= 2**31:
+        return f"not for images of {tuple(image.shape)}"
+    return problem("apply_kernel", **_constants(*tensors)) if op == "apply_kernel" else None
+
+
+def apply_kernel(image: Tensor, logits: Tensor) -> Tensor:
+    if torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
+        return _ApplyKernel.apply(image, logits)
+    return _forward(image.contiguous(), _rows(logits), None)
+
+
+class _ApplyKernel(torch.autograd.Function):
+    """Keeps two values a pixel (maximum and 1/sum) instead of K² weights, and computes those again on the way back."""
+
+    @staticmethod
+    def forward(ctx, image: Tensor, logits: Tensor) -> Tensor:
+        image, logits = image.contiguous(), _planes(logits)
+        stats = image.new_empty(image.shape[0], 2, *image.shape[2:])
+        out = _forward(image, logits, stats)
+        ctx.save_for_backward(image, logits, out, stats)
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, grad: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        image, logits, out, stats = ctx.saved_tensors
+        grad, grad_image, grad_logits = grad.contiguous(), None, None
+        kernels, sizes = _kernels(image, logits), _sizes(image, logits)
+        if ctx.needs_input_grad[0]:
+            grad_image = torch.empty_like(image)
+            kernels.backward_image(*map(_pointer, (logits, stats, grad, grad_image)), *sizes)
+        if ctx.needs_input_grad[1]:
+            grad_logits = torch.zeros(logits.shape)
+            kernels.backward_logits(*map(_pointer, (image, logits, out, stats, grad, grad_logits)), *sizes)
+            grad_logits = grad_logits.to(logits.dtype)
+        return grad_image, grad_logits
+
+
+def _forward(image: Tensor, logits: Tensor, stats: Tensor | None) -> Tensor:
+    out = torch.empty_like(image)
+    *sizes, threads = _sizes(image, logits)
+    step = c_int64(_step(logits))
+    _kernels(image, logits).forward(*map(_pointer, (image, logits, out, stats)), *sizes, step, threads)
+    return out
+
+
+def _kernels(image: Tensor, logits: Tensor) -> ctypes.CDLL:
+    return library("apply_kernel", **_constants(image, logits))
+
+
+def _constants(image: Tensor, logits: Tensor) -> dict[str, int]:
+    return {"K": math.isqrt(logits.shape[1]), "C": image.shape[1], "LOGIT": LOGITS[logits.dtype]}
+
+
+def _sizes(image: Tensor, logits: Tensor) -> tuple[object, ...]:
+    B, _, H, W = image.shape
+    return B, H, W, c_int64(logits.stride(0)), c_int64(logits.stride(1)), torch.get_num_threads()
+
+
+def _rows(logits: Tensor) -> Tensor:
+    """With rows evenly apart; planes, channels last and slices of their channels are taken as they are."""
+    return logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * _step(logits) else logits.contiguous()
+
+
+def _planes(logits: Tensor) -> Tensor:
+    """With every plane contiguous."""
+    logits = _rows(logits)
+    return logits if _step(logits) == 1 else logits.contiguous()
+
+
+def _step(logits: Tensor) -> int:
+    """Values from one pixel to the next. torch may give an axis of one pixel any stride."""
+    return logits.stride(3) if logits.shape[3] > 1 else logits.stride(2) if logits.shape[2] > 1 else 1
+
+
+def warp(image: Tensor, motion: Tensor) -> Tensor:
+    return _reproject("warp", image, motion)
+
+
+def fetch(image: Tensor, motion: Tensor) -> Tensor:
+    return _reproject("fetch", image, motion)
+
+
+def _reproject(name: str, image: Tensor, motion: Tensor) -> Tensor:
+    image, motion = image.contiguous(), motion.contiguous()
+    B, C, H, W = image.shape
+    out = torch.empty_like(image)
+    getattr(library("warp", C=C), name)(*map(_pointer, (image, motion, out)), B, H, W, torch.get_num_threads())
+    return out
+
+
+def downsample(image: Tensor, pool: str) -> Tensor:
+    image = image.contiguous()
+    B, C, H, W = image.shape
+    out = image.new_empty(B, C, (H + 1) // 2, (W + 1) // 2)
+    _pyramid(pool).downsample(_pointer(image), _pointer(out), B * C, H, W, torch.get_num_threads())
+    return out
+
+
+def compose(fine: Tensor, coarse: Tensor, alpha: Tensor, pool: str) -> Tensor:
+    tensors = [t.contiguous() for t in (fine, coarse, alpha)]
+    change, out = torch.empty_like(tensors[1]), torch.empty_like(tensors[0])
+    _pyramid(pool).compose(*map(_pointer, (*tensors, change, out)), *fine.shape, torch.get_num_threads())
+    return out
+
+
+def _pyramid(pool: str) -> ctypes.CDLL:
+    return library("pyramid", POOL=("mean", "max").index(pool))
+
+
+def _pointer(tensor: Tensor | None) -> c_void_p:
+    return c_void_p(tensor.data_ptr() if tensor is not None else None)

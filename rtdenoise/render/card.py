@@ -1,0 +1,117 @@
+"""The data card of a folder of clips: `dataset.json` for programs, `DATA.md` for people."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ..atomic import write_atomically
+from ..data.dataset import ClipDataset, read_facts
+
+GENERATED = "program"  # where a clip comes from if not from a scene file: no third-party data
+
+
+def write_card(folder: Path, command: str) -> dict:
+    """Write the card for the clips that are in the folder now. Returns what is in `dataset.json`."""
+    folder = Path(folder)
+    facts = [read_facts(path) for path in ClipDataset(folder).paths]
+    shares = np.array([f["uncovered"] for f in facts])
+    first = facts[0]
+    card = {
+        "clips": len(facts),
+        "frames_per_clip": first["frames"],
+        "size": first["size"],
+        "generators": sorted({f["generator"] for f in facts}),
+        "seeds": [min(f["seed"] for f in facts), max(f["seed"] for f in facts)],
+        "command": command,
+        "spp": first["spp"],
+        "reference_spp": _spread([f["reference_spp"] for f in facts]),
+        "uncovered_share": {"mean": float(shares.mean()), "clips_above_1.5%": float((shares > 0.015).mean())},
+        "kinds": _counts(f["kind"] for f in facts),
+        "seconds": float(sum(f["seconds"] for f in facts)),
+        "versions": first["versions"],
+        "sources": _counts(f.get("source", GENERATED) for f in facts),
+        "licences": {f["source"]: f["licence"] for f in facts if f.get("licence")},
+        "pictures": _pictures([f["pictures"] for f in facts if "pictures" in f]),
+    }
+    chosen = [f for f in facts if "chosen" in f]
+    if chosen:
+        card["windows"] = {
+            "chosen_where_something_happens": float(np.mean([f["chosen"] == "activity" for f in chosen])),
+            "uncovered_share_of_whole_pictures": float(np.mean([f["view_uncovered"] for f in chosen])),
+        }
+        card["reference_error"] = _spread([f["reference_error"] for f in chosen])
+    write_atomically(folder / "dataset.json", json.dumps(card, indent=2).encode())
+    write_atomically(folder / "DATA.md", _text(card).encode())
+    return card
+
+
+def _pictures(used: list[dict]) -> dict[str, dict]:
+    """Folder of pictures -> how many clips have some of it, which files, under what licence."""
+    return {
+        folder: {
+            "clips": sum(u["folder"] == folder for u in used),
+            "files": sorted({name for u in used if u["folder"] == folder for name in u["files"]}),
+            "licence": next(u["licence"] for u in used if u["folder"] == folder),
+        }
+        for folder in sorted({u["folder"] for u in used})
+    }
+
+
+def _spread(values: list[float]) -> dict[str, float]:
+    return {"min": min(values), "max": max(values), "mean": float(np.mean(values))}
+
+
+def _counts(names) -> dict[str, int]:
+    names = list(names)
+    return {name: names.count(name) for name in sorted(set(names))}
+
+
+def _text(card: dict) -> str:
+    height, width = card["size"]
+    spp, share = card["reference_spp"], card["uncovered_share"]
+    scenes = {name: count for name, count in card["sources"].items() if name != GENERATED}
+    first, last = card["seeds"]
+    generators = ", ".join(map(str, card["generators"]))
+    text = f"""# Training clips
+
+{card["clips"]} clips of {card["frames_per_clip"]} frames, {width}×{height}, seeds {first} to {last}.
+{card["sources"].get(GENERATED, 0)} are of procedural scenes (generator {generators}): closed rooms, half-open rooms and
+open ground with textured surfaces, moving objects and cameras. {_origin(card)}
+Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
+
+- noisy frames: {card["spp"]} sample(s) a pixel
+- references: {spp["min"]} to {spp["max"]} samples a pixel (mean {spp["mean"]:.0f}), more for noisier scenes;
+  the mean of two independent halves, of which the first is stored (second = 2 × mean − first)
+- moving objects uncover {100 * share["mean"]:.1f} % of the pixels a frame on average, and more than 1.5 % in
+  {100 * share["clips_above_1.5%"]:.0f} % of the clips
+"""
+    if windows := card.get("windows"):
+        error, whole = card["reference_error"], windows["uncovered_share_of_whole_pictures"]
+        chosen, times = 100 * windows["chosen_where_something_happens"], share["mean"] / max(whole, 1e-9)
+        text += f"""- windows of larger pictures: {chosen:.0f} % chosen where most is uncovered, the rest at random;
+  uncovered pixels are {times:.1f} times as frequent as in the whole pictures ({100 * whole:.1f} %)
+- relative squared error of the references, as estimated before rendering them:
+  {error["min"]:.4f} to {error["max"]:.4f} (mean {error["mean"]:.4f})
+"""
+    text += f"""- kinds: {", ".join(f"{n} {k}" for k, n in card["kinds"].items())}
+- versions: {", ".join(f"{k} {v}" for k, v in card["versions"].items())}
+- tensors `[T, C, H, W]` and conventions: `rtdenoise/data/dataset.py`, `rtdenoise/frame.py`
+"""
+    if scenes:
+        text += "\n## Scenes by others\n\n" + "".join(f"- {name}: {count} clips\n" for name, count in scenes.items())
+    for name, licence in card["licences"].items():
+        text += f"\n### {name}\n\n{licence.strip()}\n"
+    for folder, pictures in card["pictures"].items():
+        files = ", ".join(pictures["files"])
+        licence = pictures["licence"].strip() or "No LICENSE.txt lay in the folder: find out before passing clips on."
+        text += f"\n## Pictures from {folder}\n\nIn {pictures['clips']} clips: {files}\n\n{licence}\n"
+    return text
+
+
+def _origin(card: dict) -> str:
+    if card["pictures"]:
+        return "All but the pictures\non some surfaces, named below, is generated by the program."
+    return "Everything in these is generated by the program: no\nthird-party data, no licence but the program's own."

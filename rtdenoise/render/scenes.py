@@ -1,0 +1,58 @@
+"""What a renderer is given: surfaces, what they are made of, how they and the camera move. Plain data, no renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from .meshes import Mesh
+from .motions import Camera, Motion
+
+
+@dataclass(frozen=True)
+class Material:
+    """One of the few kinds that every scene uses, so that the renderer's kernels are compiled once."""
+
+    texture: np.ndarray  # [H, W, 3] reflectance
+    kind: str = "diffuse"  # diffuse | plastic | metal | glass
+    roughness: float = 0.3  # plastic, metal
+
+
+@dataclass(frozen=True)
+class Object:
+    """A surface with an identity of its own."""
+
+    id: int  # ≥ 1
+    name: str
+    mesh: Mesh | None = None  # at rest, in world space
+    material: Material | None = None
+    emission: tuple[float, float, float] | None = None  # radiance, on the side of the normals
+    motion: Motion | None = None  # None: does not move
+    shapes: tuple[str, ...] = ()  # instead of mesh and material: ids of the shapes of a Mitsuba file
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A spot light: a cone of light from a point, soft towards its edge."""
+
+    origin: tuple[float, float, float]
+    target: tuple[float, float, float]
+    intensity: tuple[float, float, float]  # radiant intensity on the axis
+    angle: float = 30.0  # degrees between the axis and darkness
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything a renderer needs. Frame numbers are the times at which `camera` and the motions are evaluated."""
+
+    name: str
+    objects: tuple[Object, ...]
+    camera: Callable[[float], Camera]
+    sky: np.ndarray | None = None  # [H, W, 3] latitude-longitude radiance; None: black
+    exposure: float = 1.0  # factor on all radiance
+    file: Path | None = None  # Mitsuba XML that has surfaces and light; objects with a mesh are added to its own
+    spots: tuple[Spot, ...] = ()
+    facts: dict = field(default_factory=dict)  # what was drawn, for the metadata

@@ -1,0 +1,175 @@
+"""Scenes as Mitsuba 3 has them. Mitsuba is imported inside functions: without it this module still imports."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from .scenes import Material, Object, Scene
+
+LLVM_PATTERNS = ("/usr/lib/*/libLLVM*.so*", "/usr/lib/llvm-*/lib/libLLVM*.so*", "/usr/lib64/libLLVM*.so*")
+
+
+def start_mitsuba(threads: int | None = None):
+    """The mitsuba module with a variant set: CUDA where it works, else LLVM. `threads`: CPU threads, None for all."""
+    llvm = None if "DRJIT_LIBLLVM_PATH" in os.environ else find_llvm()
+    if llvm:
+        os.environ["DRJIT_LIBLLVM_PATH"] = llvm
+    try:
+        import drjit as dr
+        import mitsuba as mi
+    except ImportError as error:
+        raise InputError("rendering needs Mitsuba 3, which is missing: pip install 'rtdenoise[render]'") from error
+    if mi.variant() is None:
+        if dr.has_backend(dr.JitBackend.CUDA):
+            mi.set_variant("cuda_ad_rgb")
+        elif dr.has_backend(dr.JitBackend.LLVM) and (llvm or "DRJIT_LIBLLVM_PATH" in os.environ):
+            mi.set_variant("llvm_ad_rgb")
+        else:
+            raise InputError("rendering needs a CUDA device or LLVM 16 or newer, found neither: apt install libllvm19")
+        mi.set_log_level(mi.LogLevel.Error)
+    if threads:
+        dr.set_thread_count(threads)
+    return mi
+
+
+def find_llvm(patterns: tuple[str, ...] = LLVM_PATTERNS) -> str | None:
+    """Path of the newest libLLVM of version 16 or later; older ones abort in Mitsuba's kernels."""
+    found = []
+    for path in (p for pattern in patterns for p in glob.glob(pattern)):
+        version = re.search(r"(\d+)", Path(path).name.removeprefix("libLLVM").replace(".so.", "-"))
+        if version and int(version[1]) >= 16:
+            found.append((int(version[1]), path))
+    return max(found)[1] if found else None
+
+
+class Stage:
+    """A scene loaded into Mitsuba; `at(t)` puts every object where it is at frame t."""
+
+    def __init__(self, scene: Scene):
+        mi = start_mitsuba()
+        import drjit as dr
+
+        self.scene, self.exposure, self.time = scene, scene.exposure, None
+        # One BSDF of every kind lives as long as the stage: the kernels then contain the same kinds for all scenes, and
+        # are found in the cache.
+        grey = np.full((4, 4, 3), 0.5, np.float32)
+        self._ballast = [_bsdf(mi, Material(grey, kind)) for kind in ("diffuse", "plastic", "metal", "glass")]
+        self.mitsuba = _build(mi, scene)
+        owner = {name: o for o in scene.objects for name in (o.shapes or (f"object_{o.id}",))}
+        moving = {name: o for name, o in owner.items() if o.motion is not None}
+
+        # A ray reports Mitsuba's registry id of the shape, which changes with every load.
+        numbers = {dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]: s.id() for s in self.mitsuba.shapes()}
+        table = np.zeros(max(1 << 12, max(numbers) + 1), np.uint32)  # mostly of one size, for the kernel cache
+        for number, name in numbers.items():
+            table[number] = owner[name].id
+        self.object_ids = mi.UInt32(table)
+
+        self._parameters = mi.traverse(self.mitsuba) if moving else {}
+        for name, o in moving.items():
+            if f"{name}.vertex_positions" not in self._parameters:
+                raise InputError(f"shape '{name}' of object '{o.name}' is no mesh: only meshes can move")
+        self._rest = [
+            (o, key, np.array(self._parameters[key]).reshape(-1, 3))
+            for name, o in moving.items()
+            for key in (f"{name}.vertex_positions", f"{name}.vertex_normals")
+            if key in self._parameters
+        ]
+
+    def at(self, t: float) -> Stage:
+        """Move everything to frame t."""
+        mi = start_mitsuba()
+        if self._rest and t != self.time:
+            for o, key, rest in self._rest:
+                pose = o.motion(t)
+                moved = rest @ pose[:3, :3].T + (pose[:3, 3] if key.endswith("positions") else 0)
+                self._parameters[key] = mi.Float(moved.astype(np.float32).ravel())
+            self._parameters.update()
+        self.time = t
+        return self
+
+
+def load_file(path: Path):
+    """The Mitsuba scene of an XML file, its shapes unmerged: merged ones would lose their ids."""
+    mi = start_mitsuba()
+    import drjit as dr
+
+    threads = dr.thread_count()
+    dr.set_thread_count(max(threads, 2))  # with one thread Mitsuba 3.9 waits for itself on some files, parallel or not
+    try:
+        return mi.load_file(str(path), optimize=False)
+    except RuntimeError as error:
+        raise InputError(f"{path}: Mitsuba cannot load it: {_last_line(str(error))}") from error
+    finally:
+        dr.set_thread_count(threads)
+
+
+def _last_line(message: str) -> str:
+    """Of Mitsuba's nested messages the innermost, with the list that it may end in, as one line."""
+    lines = message.strip().splitlines()
+    start = max(i for i, line in enumerate(lines) if not line.lstrip().startswith("-") or i == 0)
+    return " ".join(line.strip() for line in lines[start:])
+
+
+def _build(mi, scene: Scene):
+    """The scene of the file, if there is one, and the objects, lights and sky that come to it."""
+    made = {f"object_{o.id}": _shape(mi, o) for o in scene.objects if o.mesh is not None}
+    if scene.file and not made:
+        return load_file(scene.file)
+    description = _contents(mi, load_file(scene.file)) if scene.file else {"sensor": {"type": "perspective"}}
+    if scene.sky is not None:
+        description["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(scene.sky))}
+    for i, spot in enumerate(scene.spots):
+        description[f"spot_{i}"] = {
+            "type": "spot", "intensity": {"type": "rgb", "value": list(spot.intensity)},
+            "cutoff_angle": spot.angle, "beam_width": 0.6 * spot.angle,
+            "to_world": mi.ScalarTransform4f().look_at(list(spot.origin), list(spot.target), [0, 0.02, 1]),
+        }  # fmt: skip
+    if clash := description.keys() & made.keys():
+        raise InputError(f"{scene.file}: the id '{min(clash)}' is needed for an extra object; rename it in the file")
+    return mi.load_dict({"type": "scene"} | description | made, optimize=False)
+
+
+def _contents(mi, loaded) -> dict:
+    """Shapes, sensors and those emitters of a loaded scene that are not part of a shape, for a scene of one's own."""
+    emitters = [e for e in loaded.emitters() if not mi.has_flag(e.flags(), mi.EmitterFlags.Surface)]
+    shapes = {shape.id(): shape for shape in loaded.shapes()}  # Mitsuba takes the keys for ids
+    return shapes | {f"part {i}": part for i, part in enumerate([*loaded.sensors(), *emitters])}
+
+
+def _bsdf(mi, material: Material):
+    def bitmap(image):
+        return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image, np.float32)), "raw": True}
+
+    texture, alpha = bitmap(material.texture), float(material.roughness)
+    kinds = {
+        "diffuse": {"type": "diffuse", "reflectance": texture},
+        "plastic": {"type": "roughplastic", "diffuse_reflectance": texture, "alpha": alpha},
+        "metal": {"type": "roughconductor", "material": "none", "specular_reflectance": texture, "alpha": alpha},
+        "glass": {"type": "dielectric"},
+    }
+    return mi.load_dict(kinds[material.kind])
+
+
+def _shape(mi, o: Object):
+    properties = mi.Properties()
+    properties["bsdf"] = _bsdf(mi, o.material)
+    if o.emission is not None:
+        properties["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "rgb", "value": list(o.emission)}})
+    shape = mi.Mesh(
+        f"object_{o.id}", len(o.mesh.vertices), len(o.mesh.faces), properties,
+        has_vertex_normals=True, has_vertex_texcoords=True,
+    )  # fmt: skip
+    parameters = mi.traverse(shape)
+    parameters["faces"] = mi.UInt32(o.mesh.faces.ravel())
+    parameters["vertex_positions"] = mi.Float(o.mesh.vertices.ravel())
+    parameters["vertex_normals"] = mi.Float(o.mesh.normals.ravel())
+    parameters["vertex_texcoords"] = mi.Float(o.mesh.uv.ravel())
+    parameters.update()
+    return shape

@@ -1,0 +1,101 @@
+"""Where in a picture, and when, something happens: windows for training clips, found from features at low cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from .frames import features, uncovered
+from .stage import Stage
+
+COARSE = 4  # pixels of the picture to a pixel of the survey, each way
+MOTION = 0.002  # worth of a pixel a frame of motion, in shares of uncovered pixels, up to ten
+OVERLAP = 0.5  # two windows of a scene share less than this of their pixels and frames
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of a picture and of time."""
+
+    first: int  # frame
+    top: int  # pixels of the whole picture
+    left: int
+    uncovered: float  # share of pixels that were hidden one frame before, mean over the frames
+    motion: float  # mean length in pixels a frame
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Facts of a clip's surroundings, at one pixel in COARSE × COARSE. T frames, the first has no `uncovered`."""
+
+    uncovered: np.ndarray  # [T, h, w] bool
+    motion: np.ndarray  # [T, h, w] pixels of the whole picture; what was off the screen counts as still
+    sky: float  # share without a hit
+    near: float  # distance of the nearest twentieth
+
+
+def survey(stage: Stage, frames: int, view: tuple[int, int]) -> Survey:
+    """Look at frames 0 … frames − 1 of a picture of `view` = (height, width); nothing is traced past the first hit."""
+    size = (view[0] // COARSE, view[1] // COARSE)
+    seen = [features(stage, n, size) for n in range(frames)]
+    hidden = [np.zeros(size, bool)]
+    hidden += [uncovered(b["motion"], a["motion_next"], 0.5) for a, b in pairwise(seen)]
+    length = np.stack([np.linalg.norm(f["motion"], axis=-1) for f in seen]) * COARSE
+    depth = np.concatenate([f["depth"].ravel() for f in seen])
+    hit = depth > 0
+    return Survey(
+        np.stack(hidden),
+        np.where(length < view[1], length, 0),
+        float((~hit).mean()),
+        float(np.quantile(depth[hit], 0.05)) if hit.any() else 0.0,
+    )
+
+
+def candidates(found: Survey, size: tuple[int, int], frames: int) -> list[Window]:
+    """All windows of `size` = (height, width) and `frames` frames, on a grid of an eighth of the window and half the
+    time."""
+    h, w = size[0] // COARSE, size[1] // COARSE
+    total, H, W = found.motion.shape
+    windows = []
+    for first in range(0, total - frames + 1, max(frames // 2, 1)):
+        for top in range(0, H - h + 1, max(h // 8, 1)):
+            for left in range(0, W - w + 1, max(w // 8, 1)):
+                part = (slice(top, top + h), slice(left, left + w))
+                windows.append(
+                    Window(
+                        first,
+                        top * COARSE,
+                        left * COARSE,
+                        float(found.uncovered[(slice(first + 1, first + frames), *part)].mean()),
+                        float(found.motion[(slice(first, first + frames), *part)].mean()),
+                    )
+                )
+    return windows
+
+
+def choose(windows: list[Window], taken: list[Window], size, frames: int, active: bool, rng) -> Window:
+    """The window with the most activity, or any one; as long as there are, one that is new beside those `taken`.
+
+    Activity is the share of uncovered pixels, and a little for motion.
+    """
+    fresh = [w for w in windows if all(_overlap(w, t, size, frames) < OVERLAP for t in taken)] or windows
+    if not active:
+        return fresh[rng.integers(len(fresh))]
+    return max(fresh, key=lambda w: w.uncovered + MOTION * min(w.motion, 10))
+
+
+def _overlap(a: Window, b: Window, size, frames: int) -> float:
+    share = 1.0
+    for p, q, length in ((a.first, b.first, frames), (a.top, b.top, size[0]), (a.left, b.left, size[1])):
+        share *= max(0.0, 1 - abs(p - q) / length)
+    return share
+
+
+def look_through(stage: Stage, window: Window, view: tuple[int, int]) -> Stage:
+    """Give the stage the camera of a window of the picture that it shows now."""
+    whole = stage.scene.camera
+    part = (*view, window.top, window.left)
+    stage.scene = replace(stage.scene, camera=lambda t: replace(whole(t), window=part))
+    return stage

@@ -1,0 +1,61 @@
+"""Rendering processes: jobs in, results out as they are done, and one line when a process dies or a folder is taken."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import multiprocessing.connection
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from ..errors import InputError
+from .stage import start_mitsuba
+
+
+def run_jobs(function: Callable, jobs: list[tuple], workers: int) -> Iterator:
+    """Yield `(job, function(*job))` for every job, in the order in which they are done, from `workers` processes.
+
+    Raises InputError where a job does, and where a process was killed.
+    """
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), start_worker) as pool:
+        running = {pool.submit(function, *job): job for job in jobs}
+        try:
+            for done in as_completed(running):
+                yield running[done], done.result()
+        except BrokenProcessPool as error:
+            raise InputError(
+                "a rendering process was killed (out of memory?); what is finished is kept: run the same command "
+                "again, with fewer --workers if memory is short"
+            ) from error
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def start_worker() -> None:
+    """One rendering thread, and an end when the parent ends, however it does: nobody would read what comes after."""
+    parent = multiprocessing.parent_process().sentinel
+    threading.Thread(target=lambda: multiprocessing.connection.wait([parent]) and os._exit(1), daemon=True).start()
+    start_mitsuba(1)
+
+
+@contextlib.contextmanager
+def only_run(folder: Path, name: str) -> Iterator[None]:
+    """Hold the lock `name` of a folder; InputError where another process holds it. It falls with the process.
+
+    Where the system has no file locks nothing is held: two runs then do the same work twice, and write the same files.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    with (folder / f".lock-{name}").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(f"{folder}: another run is rendering into this folder; choose another --out") from error
+        yield

@@ -1,0 +1,69 @@
+// Axes and marks, for both charts.
+
+/** A scale: value to pixel, with ticks. `log` for what spans orders of magnitude. */
+function scale(values, [from, to], { log = false, pad = 0.08 } = {}) {
+  const f = log ? Math.log10 : (x) => x;
+  let [low, high] = [Math.min(...values.map(f)), Math.max(...values.map(f))];
+  const margin = (high - low || (log ? 0.2 : Math.abs(high) * 0.1 || 1)) * pad;
+  [low, high] = [low - margin, high + margin];
+  const at = (value) => from + (f(value) - low) / (high - low) * (to - from);
+  return { at, ticks: log ? logTicks(low, high) : linearTicks(low, high) };
+}
+
+function linearTicks(low, high) {
+  const raw = (high - low) / 6, unit = 10 ** Math.floor(Math.log10(raw));
+  const step = unit * [1, 2, 5, 10].find((k) => k * unit >= raw);
+  const ticks = [];
+  for (let i = Math.ceil(low / step); i * step <= high; i++) ticks.push(i * step);
+  return ticks;
+}
+
+/** 1, 2, 5 of every decade, or only 1 where there are many. */
+function logTicks(low, high) {
+  const ticks = [];
+  for (let e = Math.floor(low); e <= Math.ceil(high); e++) {
+    for (const k of high - low > 3 ? [1] : high - low > 0.6 ? [1, 2, 5] : [1, 1.5, 2, 3, 4, 5, 6, 7, 8]) {
+      const tick = k * 10 ** e;
+      if (Math.log10(tick) >= low && Math.log10(tick) <= high) ticks.push(tick);
+    }
+  }
+  return ticks;
+}
+
+function axes({ x, y, box, xLabel, yLabel, xText, yText }) {
+  const { left, right, top, bottom } = box;
+  return shape("g", { class: "axis" },
+    ...x.ticks.flatMap((tick) => [
+      shape("line", { class: "grid", x1: x.at(tick), x2: x.at(tick), y1: top, y2: bottom }),
+      shape("text", { x: x.at(tick), y: bottom + 18, "text-anchor": "middle" }, xText(tick))]),
+    ...y.ticks.flatMap((tick) => [
+      shape("line", { class: "grid", x1: left, x2: right, y1: y.at(tick), y2: y.at(tick) }),
+      shape("text", { x: left - 8, y: y.at(tick) + 4, "text-anchor": "end" }, yText(tick))]),
+    shape("text", { class: "title", x: right, y: bottom + 38, "text-anchor": "end" }, xLabel),
+    shape("text", { class: "title", x: left, y: top - 12 }, yLabel));
+}
+
+const plain = (value) => String(Number(value.toPrecision(3)));
+
+/** Error metrics of which less is better are drawn on a log scale, decibels and SSIM as they are. */
+const isLog = (metric) => !DATA.metrics[metric].higher;
+
+function axisTitle(metric, region) {
+  const { label, unit, higher } = DATA.metrics[metric];
+  return `${label}${unit ? `, ${unit}` : ""} (${REGIONS[region]}), better ${higher ? "↑" : "↓"}`;
+}
+
+/** The mark of a method around (x, y). */
+function mark(label, x, y, size = 7) {
+  const { colour, mark: kind } = STYLE[label];
+  const paths = {
+    square: `M${x - size},${y - size}h${2 * size}v${2 * size}h${-2 * size}z`,
+    triangle: `M${x},${y - 1.2 * size}l${1.2 * size},${2.1 * size}h${-2.4 * size}z`,
+    diamond: `M${x},${y - 1.35 * size}l${1.35 * size},${1.35 * size}l${-1.35 * size},${1.35 * size}l${-1.35 * size},${-1.35 * size}z`,
+    cross: `M${x - size},${y - size}l${2 * size},${2 * size}m0,${-2 * size}l${-2 * size},${2 * size}`,
+  };
+  if (kind === "circle") return shape("circle", { class: "mark", cx: x, cy: y, r: size * 1.15, fill: colour });
+  if (kind === "ring") return shape("circle", { class: "mark", cx: x, cy: y, r: size, fill: "#1d1d1d", stroke: colour, "stroke-width": 3 });
+  if (kind === "cross") return shape("path", { class: "mark", d: paths.cross, stroke: colour, "stroke-width": 3 });
+  return shape("path", { class: "mark", d: paths[kind], fill: colour });
+}

@@ -1,0 +1,101 @@
+"""The report for a README: what is lost first, then a table."""
+
+from __future__ import annotations
+
+from .readings import METRICS, POOL, grouped
+
+COLUMNS = ("psnr", "ssim", "relmse", "flip", "tpsnr")
+
+
+def markdown(data: dict) -> str:
+    """Of `page.payload`: a section a device, at the fewest samples per pixel."""
+    fewest = min(row["spp"] for row in data["rows"])
+    rows = [row for row in data["rows"] if row["spp"] == fewest]
+    run = data["runs"][-1]
+    parts = [
+        "# Error against run time",
+        f"{data['signal']} light, {fewest} spp, {len(data['sequences'])} sequences: {', '.join(data['sequences'])}. "
+        f"Commit {run['commit']}, {run['date']}, {', '.join(run['devices'].values())}. `report.html` has the pictures.",
+        "![Error against time](report.png)",
+        _losses(data, fewest),
+        *(_table(group, data) for group in _in_order(grouped(rows, "sequence", "device"))),
+        _readings(data),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def write_number(metric: str, value: float | None) -> str:
+    """As the metric is written; a dash where there is none."""
+    return "–" if value is None else f"{value:.{METRICS[metric].digits}f}"
+
+
+def _in_order(groups: list[list[dict]]) -> list[list[dict]]:
+    return sorted(groups, key=lambda group: group[0]["sequence"] != POOL)
+
+
+def _losses(data: dict, spp: int) -> str:
+    lost = [row for row in data["lost"] if row["spp"] == spp]
+    won = [row for row in data["won"] if row["spp"] == spp]
+    if not lost and not won:
+        return ""
+    lines = [
+        "## Where a peer wins",
+        "",
+        f"In {len(lost)} of {len(lost) + len(won)} comparisons with rtdenoise `{data['ours']}`.",
+    ]
+    if lost:
+        lines += [
+            "",
+            "| sequence | region | metric | peer | its error | ours | its time |",
+            "|---|---|---|---|---|---|---|",
+        ]
+    for row in lost:
+        metric = row["metric"]
+        values = [write_number(metric, row[key]) for key in ("peer_value", "our_value")]
+        lines.append(
+            f"| {row['sequence']} | {row['region']} | {METRICS[metric].label} | {row['peer']} | {values[0]} | "
+            f"{values[1]} | {row['time_ratio']:.2f}× |"
+        )
+    return "\n".join(lines)
+
+
+def _table(group: list[dict], data: dict) -> str:
+    ours = next((row["ms"]["median"] for row in group if row["label"] == data["ours"]), None)
+    lines = [
+        f"## {group[0]['sequence']}",
+        "",
+        f"| | {' | '.join(METRICS[m].label for m in COLUMNS)} | PSNR, uncovered | time |",
+        "|---" * (len(COLUMNS) + 3) + "|",
+    ]
+    for row in group:
+        values = [write_number(m, row["errors"]["frame"].get(m)) for m in COLUMNS]
+        values.append(write_number("psnr", row["errors"]["uncovered"].get("psnr")))
+        is_input = data["methods"][row["method"]]["family"] == "input"
+        time = "–" if is_input or not ours else f"{row['ms']['median'] / ours:.2f}×"
+        name = f"**{row['label']}**" if row["label"] == data["ours"] else row["label"]
+        lines.append(f"| {name} | {' | '.join(values)} | {time} |")
+    return "\n".join(lines)
+
+
+def _readings(data: dict) -> str:
+    """By PSNR, on all sequences together where there are several."""
+    sequence = POOL if any(row["sequence"] == POOL for row in data["comparisons"]) else next(iter(data["sequences"]))
+    rows = [r for r in data["comparisons"] if r["sequence"] == sequence and r["metric"] == "psnr"]
+    if not any(row["equal_error"] or row["area"] for row in rows):
+        return ""
+    lines = [
+        "## What it would take",
+        "",
+        f"To reach the PSNR of rtdenoise `{data['ours']}` at its fewest samples ({sequence}); ≈ is extrapolated.",
+        "",
+        "| | needs | that takes | error ratio in our time | over all budgets |",
+        "|---|---|---|---|---|",
+    ]
+    for row in rows:
+        needs, has, area = row["equal_error"], row["equal_time"], row["area"]
+        samples = f"{'≈ ' if needs['extrapolated'] else ''}{needs['spp']:.3g} spp" if needs else "–"
+        takes = f"{needs['ms']:.0f} ms" if needs and needs["ms"] else "–"
+        ratios = [f"{has['cost_ratio']:.2f}×" if has else "–", f"{area['factor']:.2f}×" if area else "–"]
+        name = "plain Monte Carlo" if row["peer"] == "noisy" else row["peer"]
+        lines.append(f"| {name} | {samples} | {takes} | {ratios[0]} | {ratios[1]} |")
+    return "\n".join(lines)

@@ -1,0 +1,107 @@
+"""The report as one HTML file that needs nothing else: template, style, scripts, numbers and pictures."""
+
+from __future__ import annotations
+
+import html
+import importlib.util
+import json
+from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..data.exr import read_channels
+from ..errors import InputError
+from ..evaluate.document import Document
+from ..metrics import flip_map
+from . import readings
+from .pictures import encode_map, encode_motion, encode_picture
+
+ASSETS = resources.files("rtdenoise") / "report" / "assets"
+SCRIPTS = (
+    "format.js", "verdict.js", "chart.js", "scatter.js", "tables.js", "lines.js", "picture.js", "compare.js", "main.js",
+)  # fmt: skip
+
+
+def page(data: dict, document: Document, folder: Path, pictures: tuple[str, ...] = ()) -> str:
+    """The page for `data` (`payload`), with the pictures in `folder` of these methods, of all if empty."""
+    blobs = _pictures(document, folder, pictures)
+    data = data | {"pictures": {name: sorted({key.split("/")[1] for key in found}) for name, found in blobs.items()}}
+    parts = [
+        f'<script type="text/plain" data-key="{html.escape(key)}">{blob}</script>'
+        for found in blobs.values()
+        for key, blob in found.items()
+    ]
+    scripts = "\n".join((ASSETS / name).read_text() for name in SCRIPTS)
+    return (
+        (ASSETS / "report.html").read_text()
+        .replace("/*STYLE*/", (ASSETS / "report.css").read_text())
+        .replace("<!--PICTURES-->", "\n".join(parts))
+        .replace("/*DATA*/", json.dumps(data, separators=(",", ":")).replace("</", "<\\/"))
+        .replace("/*SCRIPTS*/", scripts)
+    )  # fmt: skip
+
+
+def payload(document: Document) -> dict:
+    """Everything that the page shows in numbers: what was measured, and what follows from it."""
+    if not document.results:
+        raise InputError("nothing was measured: every method was left out; evaluation.json says why")
+    rows = sorted(document.results, key=lambda row: list(document.methods).index(row["method"]))  # variants together
+    rows += readings.pooled(rows, document.sequences)
+    readings.mark_fronts(rows, document.sequences, document.methods)
+    us = readings.speaks_for_us(rows, document.methods)
+    lost, won = readings.losses_and_wins(document.results, document.methods, us)
+    return {
+        "signal": document.signal,
+        "pool": readings.POOL,
+        "ours": us,
+        "metrics": {name: asdict(metric) for name, metric in readings.METRICS.items()},
+        "methods": document.methods,
+        "sequences": document.sequences,
+        "sample_ms": {
+            name: readings.sample_of(name, document.sequences) for name in (readings.POOL, *document.sequences)
+        },
+        "rows": [{k: v for k, v in row.items() if k != "fingerprint"} | {"label": readings.label(row)} for row in rows],
+        "lost": lost,
+        "won": won,
+        "comparisons": readings.comparisons(rows, document, us),
+        "skipped": document.skipped,
+        "runs": document.runs,
+    }
+
+
+def _pictures(document: Document, folder: Path, wanted: tuple[str, ...]) -> dict[str, dict[str, str]]:
+    """sequence -> "sequence/picture/kind" -> encoded; kinds are image, flip, motion and uncovered."""
+    found: dict[str, dict[str, str]] = {}
+    for name, sequence in document.sequences.items():
+        still = folder / "pictures" / name / f"{sequence['stills'][0]:04d}"
+        truth = _read(still / "reference.exr", "RGB")
+        if truth is None:
+            continue
+        exposure, blobs = sequence["exposure"], {}
+        blobs[f"{name}/reference/image"] = encode_picture(truth, exposure)
+        blobs[f"{name}/reference/motion"] = encode_motion(_read(still / "reference.exr", ("motion.X", "motion.Y")))
+        blobs[f"{name}/reference/uncovered"] = encode_map(_read(still / "reference.exr", ("uncovered.V",))[..., 0])
+        for method in wanted or document.methods:
+            image = _read(still / f"{method}.exr", "RGB")
+            if image is not None:
+                blobs[f"{name}/{method}/image"] = encode_picture(image, exposure)
+                if importlib.util.find_spec("flip_evaluator"):
+                    blobs[f"{name}/{method}/flip"] = encode_map(_flip(image, truth, exposure))
+        found[name] = blobs
+    return found
+
+
+def _read(path: Path, channels: tuple[str, ...] | str) -> np.ndarray | None:
+    """`[H, W, C]`; None where there is no such file."""
+    if not path.is_file():
+        return None
+    planes = read_channels(path, list(channels))
+    return np.stack([planes[name] for name in channels], axis=-1)
+
+
+def _flip(image: np.ndarray, truth: np.ndarray, exposure: float) -> np.ndarray:
+    a, r = (torch.from_numpy(x).permute(2, 0, 1)[None] for x in (image, truth))
+    return flip_map(a, r, exposure)[0, 0].numpy()

@@ -1,0 +1,172 @@
+"""One training step and everything that a checkpoint holds."""
+
+from __future__ import annotations
+
+import io
+import math
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .atomic import write_atomically
+from .color import exposure
+from .distributed import average_gradients, means
+from .errors import InputError
+from .frame import Frame
+from .losses import temporal_kpn_loss
+from .models import PRESETS, Config, Denoiser, create, read
+from .motion import occlusion_weights, uncovered
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Options of a run. Resuming checks that they have not changed, but for paths and device."""
+
+    data: tuple[Path, ...]
+    """Folders of training clips, written by `rtdenoise render --clips`."""
+    out: Path
+    """Run directory; a run that is there is resumed."""
+    val: Path | None = None
+    """Folder of validation clips, of other scenes than the training ones."""
+    init: Path | None = None
+    """Weights to start from instead of random ones: a .safetensors file of the same preset."""
+    preset: str = "paper"
+    """Model preset."""
+    signal: str = "indirect"
+    """What is denoised: 'indirect', 'color', or 'both', of which a third of the clips are color."""
+    motion: str = "dual"
+    """'dual', or 'traditional' for setting A of the paper."""
+    occlusion_loss: bool = True
+    """Add L_occ in the second half of the run (setting C of the paper); off: setting B."""
+    steps: int = 4000
+    """Optimiser steps in all."""
+    batch: int = 4
+    """Clips a step, of all processes together."""
+    cuts: float = 0.0
+    """Share of steps in which history is dropped at one frame, as at a cut."""
+    loss_exposure: float = 1.0
+    """The loss is taken on log(1 + loss_exposure · s · x), s the exposure of the reference."""
+    frames: int = 9
+    """Consecutive frames a clip; the recurrence is back-propagated through all of them."""
+    size: int = 128
+    """Side of the random crop in pixels."""
+    lr: float = 1e-3
+    """Peak learning rate of Adam: linear warm-up over 200 steps, then a cosine to zero."""
+    seed: int = 0
+    """Decides initial weights, order of clips, crops and augmentation."""
+    device: str = "cpu"
+    """'cpu' or 'cuda'."""
+    amp: bool = True
+    """Run the convolutions in bfloat16."""
+    validate_every: int = 500
+    """Steps between validations."""
+    checkpoint_minutes: float = 3.0
+    """Minutes between checkpoints; one is also written on Ctrl-C and on SIGTERM."""
+
+
+class Trainer:
+    """Model, optimiser, averaged weights and the step counter: what a checkpoint holds."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        torch.manual_seed(config.seed)
+        self.config = config
+        wanted = replace(PRESETS[config.preset], motion=config.motion)
+        self.model = (create(wanted) if config.init is None else _initial(config, wanted)).to(config.device)
+        self.model.unet.to(memory_format=torch.channels_last)
+        self.average = deepcopy(self.model).eval().requires_grad_(False)
+        self.optimiser = torch.optim.Adam(self.model.parameters(), lr=config.lr)
+        self.step = 0
+        self.best = -math.inf  # dB, of the best validation so far
+        self.skipped = 0  # steps that a loss or gradient that was not finite has cost
+
+    def train_step(self, clip: list[Frame]) -> dict[str, float]:
+        """One optimiser step on a batch of clips; returns the numbers to log."""
+        config = self.config
+        rate = config.lr * min(1.0, (self.step + 1) / 200) * 0.5 * (1 + math.cos(math.pi * self.step / config.steps))
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        with_occlusion = config.occlusion_loss and self.step >= config.steps // 2
+        terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
+        total = 0.0
+        rng = np.random.default_rng([config.seed, self.step])
+        cut = int(rng.integers(1, len(clip))) if len(clip) > 1 and rng.random() < config.cuts else 0
+        for i, frame in enumerate(clip):
+            if i in (0, cut):
+                history, previous = None, None
+                masks: list[Tensor] = []
+            masks = [uncovered(frame, history and history.motion_next), *masks][:3]
+            with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
+                image, history = self.model.step(frame, history)
+            weights = occlusion_weights(masks) if with_occlusion else None
+            scale = config.loss_exposure * exposure(frame.reference)
+            loss = temporal_kpn_loss(image, frame.reference, previous, weights, scale)
+            total = total + loss.total / len(clip)
+            for name in terms:
+                terms[name] += getattr(loss, name).item() / len(clip)
+            previous = (image, frame.reference)
+
+        self.optimiser.zero_grad(set_to_none=True)
+        total.backward()
+        average_gradients(self.model.parameters())
+        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0).item()
+        if math.isfinite(norm):
+            self.optimiser.step()
+        else:  # a poisoned clip must not poison the weights
+            self.skipped += 1
+        self.step += 1
+        decay = min(0.999, self.step / (self.step + 10))
+        for mean, parameter in zip(self.average.parameters(), self.model.parameters(), strict=True):
+            mean.lerp_(parameter.detach(), 1 - decay)
+        losses = means({"loss": total.item(), **terms})
+        return {"step": self.step, **losses, "grad_norm": norm, "lr": rate, "skipped": self.skipped}
+
+    def save(self, path: Path) -> None:
+        """Write the checkpoint. Raises InputError where it cannot be written."""
+        state = {
+            "step": self.step,
+            "best": self.best,
+            "skipped": self.skipped,
+            "model": self.model.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+        content = io.BytesIO()
+        torch.save(state, content)
+        write_atomically(path, content.getbuffer())
+
+    def load(self, path: Path) -> None:
+        """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one."""
+        state = torch.load(path, map_location=self.config.device, weights_only=True)
+        self.step, self.best, self.skipped = state["step"], state["best"], state.get("skipped", 0)
+        self.model.load_state_dict(state["model"])
+        self.average.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+
+
+def _initial(config: TrainConfig, wanted: Config) -> Denoiser:
+    """The network of the file `init`. Raises InputError where it is another one than the preset's."""
+    model = read(config.init, motion=wanted.motion)
+    if model.config != wanted:
+        raise InputError(f"{config.init}: its network is not that of preset {config.preset}")
+    return model.train().requires_grad_(True)
+
+
+def check(config: TrainConfig) -> None:
+    """Raises InputError for options that cannot be."""
+    for name in ("steps", "batch", "frames", "size", "validate_every"):
+        if getattr(config, name) < 1:
+            raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
+    if config.preset not in PRESETS:
+        raise InputError(f"unknown preset {config.preset!r}; expected one of {', '.join(PRESETS)}")
+    if config.signal not in ("indirect", "color", "both"):
+        raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
+    if config.motion not in ("dual", "traditional"):
+        raise InputError(f"unknown motion {config.motion!r}; expected 'dual' or 'traditional'")
+    if config.device not in ("cpu", "cuda"):
+        raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda: no CUDA device was found; use --device cpu")

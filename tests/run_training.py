@@ -1,0 +1,19 @@
+"""Train a tiny network on made-up clips: what `test_train` starts in several processes.
+
+    python run_training.py CLIPS OUT
+    python -m torch.distributed.run --nproc-per-node 2 run_training.py CLIPS OUT
+"""
+
+import sys
+from pathlib import Path
+
+from synthetic import TINY
+
+from rtdenoise.models import PRESETS
+from rtdenoise.train import train
+from rtdenoise.trainer import TrainConfig
+
+PRESETS["tiny"] = TINY
+clips, out = map(Path, sys.argv[1:])
+train(TrainConfig((clips,), out, val=clips, preset="tiny", steps=6, batch=4, frames=3, size=16, amp=False,
+                  validate_every=3))  # fmt: skip

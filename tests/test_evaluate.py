@@ -1,0 +1,176 @@
+"""Methods, errors and times of one run, and what `rtdenoise evaluate` writes of them."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import pytest
+import torch
+from synthetic import make_frames, write_sequence
+
+from rtdenoise import metrics
+from rtdenoise.cli import main
+from rtdenoise.color import display_exposure
+from rtdenoise.errors import InputError
+from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, evaluate, methods, uncovered
+from rtdenoise.evaluate.document import Document
+from rtdenoise.evaluate.inputs import reference_error
+from rtdenoise.evaluate.run import Options, run
+from rtdenoise.models import available, load
+
+PLAIN = ("noisy", "accumulate")
+
+
+@pytest.fixture
+def shot(tmp_path):
+    """A sequence with references, and its input at 4 spp."""
+    folder = write_sequence(tmp_path / "shot", make_frames(4))
+    write_sequence(folder / "spp4", make_frames(4, noise=0.5), without=("reference", "reference_half"))
+    (folder / "samples.json").write_text('{"sample_ms": 10.0}')
+    return folder
+
+
+def test_shipped_weights_are_methods_and_what_is_left_of_them():
+    known = methods()
+    for name in available():
+        assert {name, f"{name}-traditional", f"{name}-spatial"} <= known.keys()
+        assert not known[name].unavailable() and not known[name].unavailable("bf16")
+    assert known["svgf"].unavailable("bf16") == "has no bf16 version"
+
+
+def test_weights_that_ship_later_are_found(monkeypatch):
+    assert "weights" in methods()["ntasd"].unavailable()
+    monkeypatch.setattr("rtdenoise.evaluate.registry.available", lambda: ["default", "ntasd", "paper"])
+    known = methods()
+    assert known["default"].family == "network" and known["default-spatial"].family == "ablation"
+    assert not known["ntasd"].unavailable() and "ntasd-traditional" not in known
+
+
+def test_a_method_that_is_not_there_says_why():
+    with pytest.raises(InputError, match="ntasd: needs weights trained with traditional motion"):
+        methods()["ntasd"].step()
+    with pytest.raises(InputError, match="unknown method 'magic'; expected some of noisy, accumulate"):
+        evaluate(make_frames(2), ["magic"])
+
+
+def test_the_spatial_network_has_no_history():
+    frames = make_frames(3)
+    spatial = evaluate(frames, ["paper-spatial"])[0].images[2]
+    torch.testing.assert_close(spatial, load("paper").step(frames[2])[0])
+
+
+def test_bf16_is_near_fp32_and_not_the_same():
+    frames = make_frames(3)
+    images = {}
+    for precision in ("fp32", "bf16"):
+        step, history = methods()["paper"].step(precision=precision), None
+        with torch.inference_mode():
+            for frame in frames:
+                images[precision], history = step(frame, history)
+    assert images["bf16"].dtype == torch.float32
+    difference = (images["bf16"] - images["fp32"]).abs().mean() / images["fp32"].mean()
+    assert 0 < difference < 0.02
+
+
+def test_errors_are_those_of_the_metrics():
+    frames = make_frames(4)
+    steps = {"half": lambda frame, history: (frame.reference * 0.5 + frame.radiance * 0.5, None)}
+    (result,) = evaluate(frames, steps, metrics=ALL_METRICS, regions=ALL_REGIONS)
+    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
+    images, masks = [steps["half"](frame, None)[0] for frame in frames], uncovered(frames)
+    assert [row["number"] for row in result.frames] == [1, 2, 3] and len(result.times) == 3
+    for row, i in zip(result.frames, (1, 2, 3), strict=True):
+        now, pair = (
+            (images[i], frames[i].reference),
+            (tuple(images[i - 1 : i + 1]), (frames[i - 1].reference, frames[i].reference)),
+        )
+        assert row["frame"]["psnr"] == metrics.psnr(*now, scale)
+        assert row["uncovered"]["flip"] == pytest.approx(metrics.flip(*now, scale, masks[i]))
+        before = metrics.smape(*now, scale, metrics.recent_masks(masks, i)[1])
+        assert row["uncovered-1"]["smape"] == pytest.approx(before, nan_ok=True)
+        assert row["frame"]["tpsnr"] == metrics.tpsnr(*pair, scale)
+    assert result.frames[1]["uncovered-1"]["smape"] > 0
+    assert result.errors["frame"]["mse"] == pytest.approx(sum(row["frame"]["mse"] for row in result.frames) / 3)
+
+
+def test_the_references_own_error_comes_from_their_halves():
+    g = torch.Generator().manual_seed(1)
+    truth = torch.full((1, 3, 64, 64), 2.0)
+    halves = [truth + 0.1 * torch.randn(truth.shape, generator=g) for _ in range(2)]
+    frame = make_frames(1, H=64, W=64)[0]
+    frame = replace(frame, reference=(halves[0] + halves[1]) / 2, reference_half=halves[0])
+    assert reference_error([frame]) == pytest.approx(0.1**2 / 2 / 2**2, rel=0.1)
+    assert reference_error([replace(frame, reference_half=None)]) is None
+
+
+def test_a_run_measures_and_leaves_out_with_reasons(shot, tmp_path, capsys):
+    out = tmp_path / "out"
+    command = ["evaluate", str(shot), "--out", str(out), "--methods", *PLAIN, "ntasd", "--spp", "1", "4", "8"]
+    main([*command, "--device", "cpu"])
+    document = Document.read(out)
+    assert [(r["spp"], r["method"]) for r in document.results] == [(n, m) for n in (1, 4) for m in PLAIN]
+    one, four = (r["errors"]["frame"]["psnr"] for r in document.results if r["method"] == "noisy")
+    assert four > one + 3
+    reasons = {(row["spp"], row["method"]): row["reason"] for row in document.skipped}
+    assert "none are shipped" in reasons[1, "ntasd"] and "no input at 8 spp" in reasons[8, "noisy"]
+    assert document.sequences["shot"]["sample_ms"] == 10 and document.sequences["shot"]["size"] == [24, 32]
+    assert {"command", "commit", "devices", "versions"} <= document.runs[0].keys()
+    still = out / "pictures" / "shot" / f"{document.sequences['shot']['stills'][0]:04d}"
+    assert {path.stem for path in still.glob("*.exr")} == {*PLAIN, "reference"}
+    assert "no input at 8 spp" in capsys.readouterr().out
+
+
+def test_what_was_measured_is_not_measured_again(shot, tmp_path, monkeypatch):
+    out, asked = tmp_path / "out", []
+    run([str(shot)], out, Options(("noisy",)))
+
+    def count(frames, steps, **options):
+        asked.append(list(steps))
+        return evaluate(frames, steps, **options)
+
+    monkeypatch.setattr("rtdenoise.evaluate.run.evaluate", count)
+    run([str(shot)], out, Options(PLAIN))
+    assert asked == [["accumulate fp32"]]
+    run([str(shot)], out, Options(PLAIN))
+    assert len(asked) == 1
+    shutil.rmtree(shot)
+    write_sequence(shot, make_frames(4, seed=5))
+    run([str(shot)], out, Options(PLAIN))
+    assert asked[1:] == [["noisy fp32", "accumulate fp32"]]
+    assert len(Document.read(out).results) == 2
+
+
+def test_a_method_that_cannot_take_the_frames_is_left_out(tmp_path):
+    folder = write_sequence(tmp_path / "bare", make_frames(3), without=("albedo",))
+    document = run([str(folder)], tmp_path / "out", Options(("accumulate", "svgf")))
+    assert [row["method"] for row in document.results] == ["accumulate"]
+    assert "layer albedo is missing" in document.skipped[0]["reason"]
+
+
+def test_bad_requests_are_one_line(shot, tmp_path, capsys):
+    out = tmp_path / "out"
+    run([str(shot)], out, Options(("noisy",)))
+    cases = [
+        ([str(shot), "--signal", "indirect"], "holds results of the signal 'color'"),
+        ([str(shot), "--precision", "int4"], "unknown precision 'int4'"),
+        ([str(shot), str(shot)], "two sequences are called 'shot'"),
+        ([str(shot / "spp4")], "reference"),
+    ]
+    for arguments, expected in cases:
+        with pytest.raises(SystemExit) as stopped:
+            main(["evaluate", *arguments, "--out", str(out), "--methods", "noisy", "--device", "cpu"])
+        assert stopped.value.code == 2
+        message = capsys.readouterr().err
+        assert expected in message and message.count("\n") == 1
+    (shot / "samples.json").write_text("[3]")
+    with pytest.raises(InputError, match=r"samples\.json: expected"):
+        run([str(shot)], out, Options(("noisy",)))
+
+
+def test_the_file_is_json_without_nan(shot, tmp_path):
+    run([str(shot)], tmp_path, Options(("noisy",)))
+    content = json.loads((tmp_path / "evaluation.json").read_text(), parse_constant=pytest.fail)
+    assert content["results"][0]["ghost_length"] is None
+    (tmp_path / "evaluation.json").write_text('{"format": "other"}')
+    with pytest.raises(InputError, match="expected the format"):
+        Document.read(tmp_path)

@@ -1,0 +1,220 @@
+"""The report in a real browser: it opens, says what was measured, and its pictures are the pictures."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from browser import Browser
+from synthetic import make_frames, write_sequence
+
+from rtdenoise.cli import main
+from rtdenoise.color import display
+from rtdenoise.data.exr import read_channels
+from rtdenoise.demo import SAMPLE
+from rtdenoise.errors import InputError
+from rtdenoise.evaluate.document import Document
+from rtdenoise.evaluate.run import Options, run
+from rtdenoise.report import report
+
+ARTEFACTS = Path(__file__).parent / "artefacts"
+METHODS = ("noisy", "accumulate", "oidn", "paper", "ntasd")
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A folder with the results of the sample and of a sequence that has an input at 4 spp too, and their reports."""
+    folder = tmp_path_factory.mktemp("report")
+    square = write_sequence(folder / "square", make_frames(3, H=36, W=64))
+    write_sequence(square / "spp4", make_frames(3, H=36, W=64, noise=0.5), without=("reference", "reference_half"))
+    (square / "samples.json").write_text('{"sample_ms": 10.0}')
+    out = folder / "out"
+    run([str(SAMPLE), str(square)], out, Options(METHODS, spp=(1, 4), signal="indirect", frames=3))
+    document = Document.read(out)
+    decisions = [("warp of history", "3 of 3 frames examined", "where nothing moves"), ("tiles", "never", "small")]
+    document.sequences["mural"]["plan"] = {
+        "decisions": [dict(zip(("what", "left_out", "why"), decision, strict=True)) for decision in decisions]
+    }
+    document.write(out)
+    report(out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+@pytest.fixture
+def page(browser, measured):
+    browser.problems.clear()
+    browser.open(measured / "report.html")
+    browser.wait("document.getElementById('stage').dataset.ready")
+    yield browser
+    assert browser.problems == []
+
+
+def choose(page, title, value):
+    """Set a list of the toolbar or of the viewer."""
+    page.value(f"""{{
+        const list = document.querySelector('select[aria-label="{title}"]');
+        list.value = {json.dumps(value)};
+        list.dispatchEvent(new Event("change", {{ bubbles: true }}));
+    }}""")
+
+
+def press(page, value):
+    page.value(f"""document.querySelector('button[data-value="{value}"]').click()""")
+
+
+def shown(page, side="left", layer=0):
+    """The picture on one side, or the mask over it (layer 1), `[H, W, 4]` in 0 … 255."""
+    pixels = page.value(f"""(() => {{
+        const canvas = document.querySelectorAll("#stage .side.{side} canvas")[{layer}];
+        const all = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        return [canvas.height, canvas.width, Array.from(all.data)];
+    }})()""")
+    return np.array(pixels[2]).reshape(pixels[0], pixels[1], 4)
+
+
+def test_it_opens_and_everything_is_drawn(page):
+    assert page.value("document.querySelector('h1').textContent") == "Error against run time"
+    assert "mural" in page.value("document.querySelector('#origin').textContent")
+    text = page.value("document.querySelector('#skipped').textContent")
+    assert (
+        "none are shipped" in text
+        and "warp of history (3 of 3 frames examined)" in text
+        and "tiles" not in text
+        and "no input at 4 spp" in text
+    )
+    assert page.value("[...document.querySelectorAll('section')].filter((s) => s.hidden).length") == 0
+    page.screenshot(ARTEFACTS / "report.png")
+
+
+def test_what_is_lost_stands_first(page, measured):
+    assert page.value("document.querySelector('section').id") == "verdict"
+    lost = page.value("document.querySelectorAll('#verdict td.peer').length")
+    told = page.value("document.getElementById('verdict-text').textContent")
+    assert lost and f"in {lost} of " in told and "oidn" in told
+    first, second, *_ = (measured / "report.md").read_text().split("\n## ")[1:]
+    assert first.startswith("Where a peer wins") and second.startswith("all sequences")
+
+
+def test_the_chart_has_a_mark_a_method_and_tells_its_numbers(page, measured):
+    choose(page, "Sequence", "mural")
+    marks = page.value("[...document.querySelectorAll('#scatter .mark')].map((m) => m.dataset.method)")
+    assert sorted(marks) == ["accumulate", "oidn", "paper"]
+    page.value("""document.querySelector('#scatter .mark[data-method="paper"]')
+        .dispatchEvent(new MouseEvent("mousemove", { clientX: 300, clientY: 300, bubbles: true }))""")
+    result = Document.read(measured).find(sequence="mural", spp=1, method="paper", precision="fp32", device="cpu")
+    assert f"{result['errors']['frame']['psnr']:.2f} dB" in page.value("document.getElementById('tip').textContent")
+
+
+def test_rendering_counts_where_its_cost_is_known(page):
+    choose(page, "Sequence", "square")
+    press(page, "total")
+    assert page.value("document.querySelectorAll('#scatter .mark').length") == 8  # four methods at 1 and 4 spp
+    assert "spp" in page.value("document.querySelector('#readings td:nth-child(2)').textContent")
+    choose(page, "Sequence", "mural")
+    assert page.value("document.querySelector('button[data-value=total]')") is None
+
+
+def test_metric_region_and_sorting(page):
+    choose(page, "Sequence", "mural")
+    choose(page, "Metric", "relmse")
+    choose(page, "Region", "uncovered")
+    assert "relMSE (uncovered" in page.value(
+        "document.querySelector('#scatter .title:nth-of-type(2), #scatter').textContent"
+    )
+    heading = "[...document.querySelectorAll('#table th button')].find((b) => b.textContent.startsWith('time'))"
+    for expected in (1, -1):
+        page.value(f"{heading}.click()")
+        times = page.value("""[...document.querySelectorAll('#table tbody tr')].map((row) =>
+            DATA.rows.find((r) => r.sequence === "mural" && r.label === row.cells[0].textContent).ms.median)""")
+        assert times == sorted(times, reverse=expected < 0)
+
+
+def test_a_method_can_be_switched_off(page):
+    before = page.value("document.querySelectorAll('#frames polyline').length")
+    page.value("[...document.querySelectorAll('#legend button')].find((b) => b.textContent === 'oidn').click()")
+    assert page.value("document.querySelectorAll('#frames polyline').length") == before - 1
+
+
+def test_the_slider_moves(page):
+    page.value("document.getElementById('stage').scrollIntoView({block: 'center'})")
+    box = "document.getElementById('stage').getBoundingClientRect()"
+    left, top, width, height = (page.value(f"{box}.{side}") for side in ("left", "top", "width", "height"))
+    assert page.value("document.getElementById('stage').ariaValueNow") == "50"
+    page.drag((left + width / 2, top + height / 2), (left + width / 4, top + height / 2))
+    assert page.value("document.getElementById('stage').ariaValueNow") == "25"
+    clip = page.value("getComputedStyle(document.querySelector('#stage .side.left')).clipPath")
+    assert float(re.search(r"inset\(0px ([\d.]+)%", clip)[1]) == pytest.approx(75, abs=0.5)
+    page.screenshot(ARTEFACTS / "slider.png", whole=False)
+    page.scroll_wheel((left + width / 4, top + height / 2), -500)
+    page.wait("viewer.scale > 1.5 * fitScale()")
+
+
+def test_the_pictures_are_those_that_were_measured(page, measured):
+    choose(page, "Sequence", "mural")
+    page.wait("document.getElementById('stage').dataset.ready.startsWith('mural/paper/reference/image')")
+    sequence = Document.read(measured).sequences["mural"]
+    still = measured / "pictures" / "mural" / f"{sequence['stills'][0]:04d}"
+    for stops in (0, 3):
+        page.value(f"""{{
+            const exposure = document.getElementById("exposure");
+            exposure.value = {stops};
+            exposure.dispatchEvent(new Event("input"));
+        }}""")
+        for side, name in (("left", "paper"), ("right", "reference")):
+            planes = read_channels(still / f"{name}.exr", ["R", "G", "B"])
+            image = torch.from_numpy(np.stack([planes[c] for c in "RGB"]))
+            expected = display(image, sequence["exposure"] * 2**stops).permute(1, 2, 0).numpy() * 255
+            assert np.abs(shown(page, side)[..., :3] - expected).max() < 3  # a step of the codes, and rounding
+
+
+def test_flip_masks_and_motion_are_shown(page, measured):
+    choose(page, "Sequence", "mural")
+    choose(page, "Left", "noisy")
+    page.wait("document.getElementById('stage').dataset.ready.startsWith('mural/noisy')")
+    picture = shown(page)
+    press(page, "flip")
+    page.wait("document.getElementById('stage').dataset.ready.includes('/flip')")
+    assert (
+        not np.array_equal(shown(page), picture) and shown(page, "right")[..., :3].max() <= 4
+    )  # the reference has no error
+    press(page, "image")
+    press(page, "uncovered")
+    page.wait("document.getElementById('stage').dataset.ready.endsWith('image/uncovered')")
+    still = Document.read(measured).sequences["mural"]["stills"][0]
+    mask = read_channels(measured / f"pictures/mural/{still:04d}/reference.exr", ["uncovered.V"])["uncovered.V"]
+    assert mask.sum() > 100 and np.array_equal(shown(page, layer=1)[..., 3] > 0, mask > 0.5)
+    press(page, "motion")
+    page.wait("document.querySelectorAll('#stage .side.left path').length === 3")
+    page.screenshot(ARTEFACTS / "motion.png", whole=False)
+
+
+def test_the_page_stands_alone(measured):
+    text = (measured / "report.html").read_text()
+    assert not re.search(r"""(src|href)=["'](?!data:)""", text)
+    links = set(re.findall(r"https?://[^\s\"'<)]+", text))
+    assert links <= {"http://www.w3.org/2000/svg"}
+
+
+def test_picture_and_markdown_beside_it(measured):
+    text = (measured / "report.md").read_text()
+    results = Document.read(measured)
+    for row in results.results:
+        if row["spp"] == 1:
+            assert f"{row['errors']['frame']['psnr']:.2f}" in text
+    assert (measured / "report.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_a_folder_without_results_is_one_line(tmp_path, capsys, measured):
+    with pytest.raises(SystemExit) as stopped:
+        main(["report", str(tmp_path)])
+    assert stopped.value.code == 2 and "rtdenoise evaluate SEQ --out" in capsys.readouterr().err
+    with pytest.raises(InputError, match="no method 'magic'"):
+        report(measured, ("magic",))
