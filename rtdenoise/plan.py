@@ -9,7 +9,7 @@ frames, checked again in every frame, counted.
 | the network in the dark     | rows farther than `tiles.light_reach` from light of frame or history | rounded |
 | the whole frame at once     | `TILED_FROM` pixels or more: in tiles                                | rounded |
 
-Same: to the bit. Rounded: convolutions over another size sum in another order, 1e-5 relative.
+Same: to the bit. Rounded: convolutions over another size sum in another order, 1e-5 relative in float32.
 """
 
 from __future__ import annotations
