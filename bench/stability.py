@@ -22,7 +22,7 @@ from stability_ops import BACKENDS, OP_CASES, backend
 from rtdenoise.color import exposure, limit_fireflies
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.glsl import default_context
-from rtdenoise.models import available, load
+from rtdenoise.models import available
 
 RESULT = harness.ROOT / "bench" / "results" / "stability.json"
 
@@ -30,8 +30,7 @@ RESULT = harness.ROOT / "bench" / "results" / "stability.json"
 def main(frames: int) -> None:
     rows = [
         {"case": case.name, "promise": case.promise, "unit": case.unit,
-         "models": {name: {mode: _run(case, denoiser, mode, frames) for mode in MODES}
-                    for name, denoiser in ((name, load(name, precision="fp32")) for name in available())}}
+         "models": {name: {mode: _run(case, name, mode, frames) for mode in MODES} for name in available()}}
         for case in CASES
     ]  # fmt: skip
     ops = [
@@ -53,8 +52,8 @@ def main(frames: int) -> None:
     print(f"promises broken: {broken or 'none'}")
 
 
-def _run(case, denoiser, mode: str, frames: int) -> dict[str, float | int | bool]:
-    subject = Subject(denoiser, mode, frames if mode == "float32" else max(100, frames // 10))
+def _run(case, model: str, mode: str, frames: int) -> dict[str, float | int | bool]:
+    subject = Subject.of(model, mode, frames if mode == "float32" else max(100, frames // 10))
     value = case.measure(subject)
     limit = case.limit(mode)
     return {"value": value, "bound": None if mode == "training" else limit, "kept": value <= limit,
@@ -78,7 +77,9 @@ def sample(signal: str) -> dict[str, float]:
 def tables(document: dict) -> dict[str, str]:
     """What docs/stability.md has of this, by section."""
     models = document["denoisers"][0]["models"]
-    denoisers = "\n\n".join(f"Model `{name}`:\n\n{table(document, name)}" for name in models)
+    frames = document["frames"]
+    length = f"Long sequences: {frames} frames in float32, {max(100, frames // 10)} in half precision.\n\n"
+    denoisers = length + "\n\n".join(f"Model `{name}`:\n\n{table(document, name)}" for name in models)
     lines = ["| bundled sample, 1 spp | light cut | exposure, from frame to frame | exposure, by one firefly of 1e7 |",
              "|---|---|---|---|"]  # fmt: skip
     for signal, row in document["sample"].items():

@@ -20,25 +20,32 @@ from rtdenoise.color import exposure, limit_fireflies
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.losses import temporal_kpn_loss
+from rtdenoise.models import load, read
 
 MODES = ("float32", "bfloat16", "float16", "training")
-DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16, "training": torch.bfloat16}
+AUTOCAST = {"float16": torch.float16, "training": torch.bfloat16}  # the other two are precisions of a loaded model
 FIREFLY = 1e7
 AT = (12, 15)  # the pixel that is broken: row, column
 
 
 class Subject:
     """A denoiser whose steps are watched. Mode "training" also takes the loss and its gradients, in bfloat16 as
-    training does."""
+    training does. `of` gives the denoiser that goes with a mode."""
 
     def __init__(self, denoiser: torch.nn.Module, mode: str = "float32", frames: int = 100) -> None:
         self.denoiser, self.mode = denoiser, mode
         self.frames = 6 if mode == "training" else frames  # of the cases that take long sequences
         self.non_finite = 0  # values so far, over outputs, histories, losses and gradients
 
+    @classmethod
+    def of(cls, model: str, mode: str, frames: int = 100) -> Subject:
+        """A shipped model: as it is loaded, in float32 and bfloat16; as it was trained, with autocast, otherwise."""
+        precision = {"float32": "fp32", "bfloat16": "bf16"}.get(mode)
+        return cls(load(model, precision=precision) if precision else read(model), mode, frames)
+
     def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
-        training, dtype = self.mode == "training", DTYPES[self.mode]
-        with torch.autocast("cpu", dtype, enabled=dtype != torch.float32), _gradients(self.denoiser, training):
+        training, dtype = self.mode == "training", AUTOCAST.get(self.mode)
+        with torch.autocast("cpu", dtype, enabled=dtype is not None), _gradients(self.denoiser, training):
             image, history = self.denoiser.step(frame, history)
             if training:
                 reference = torch.full_like(image, 0.5)
