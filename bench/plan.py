@@ -4,7 +4,7 @@
 
 The scenes are made from the bundled sample, twice as high by repetition: `still` does not move, `pan` moves as a whole,
 `objects` is the sample's own motion, `night` has light in its lower rows only. For each, one step of the model with
-everything and one with the plan, in CPU time and in turn; the outputs are compared first, to the bit or within float32's
+everything and one with the plan, in CPU time, in turn; the outputs are compared first, to the bit or within float32's
 tolerance, and a difference ends the run. Layers: the time to read a multi-part file, one part a layer, with and without
 the layers that a single frame does not need. Also measured: what a convolution's share of constant channels could save
 at most, and how many pixels have a coarse scale with no weight at all: why those two are not left out.
