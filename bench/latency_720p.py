@@ -213,7 +213,13 @@ def table(document: dict, size: str) -> str:
     ]
     for row in rows:
         total = _median(row[TOTAL])
-        cells = ["–"] * len(STAGES) + [f"{total:.1f} ± {_iqr(row[TOTAL]):.1f}", f"{base / total:.2f}× as fast", "–", "–", "–"]
+        cells = ["–"] * len(STAGES) + [
+            f"{total:.1f} ± {_iqr(row[TOTAL]):.1f}",
+            f"{base / total:.2f}× as fast",
+            "–",
+            "–",
+            "–",
+        ]
         if "stages" in row:
             times = {stage: _median(row["stages"][stage]) for stage in STAGES}
             cells[: len(STAGES)] = [f"{t:.1f}" for t in times.values()]
@@ -231,7 +237,9 @@ def plot(document: dict, path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 5), layout="constrained")
-    axes = figure.add_subplot(xlabel="megapixels", ylabel="ms a megapixel", yscale="log", title=document["devices"]["torch"])
+    axes = figure.add_subplot(
+        xlabel="megapixels", ylabel="ms a megapixel", yscale="log", title=document["devices"]["torch"]
+    )
     for name in dict.fromkeys(row["method"] for row in document["rows"]):
         points = [(math.prod(r["pixels"]) / 1e6, _median(r[TOTAL])) for r in document["rows"] if r["method"] == name]
         style = {"linestyle": "--"} if name.startswith("oidn") else {}

@@ -103,7 +103,7 @@ class History:
     depth: Tensor | None  # [B, 1, H, W] of the previous frame
     normal: Tensor | None  # [B, 3, H, W] of the previous frame
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
-    accumulated: Tensor | None = None  # [B, 3, H, W] running mean of noisy irradiance; None where nobody keeps it
+    accumulated: Tensor | None = None  # [B, 6, H, W] running means of irradiance and albedo; None: nobody keeps them
 
     def layers(self) -> dict[str, Tensor]:
         """name -> tensor of what there is."""

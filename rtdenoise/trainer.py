@@ -50,6 +50,8 @@ class TrainConfig:
     """Share of steps in which history is dropped at one frame, as at a cut."""
     loss_exposure: float = 1.0
     """The loss is taken on log(1 + loss_exposure · s · x), s the exposure of the reference."""
+    huber: float = 0.0
+    """Error up to which the loss is quadratic instead of absolute; 0: L1, as in the paper."""
     frames: int = 9
     """Consecutive frames a clip; the recurrence is back-propagated through all of them."""
     size: int = 128
@@ -103,7 +105,7 @@ class Trainer:
                 image, history = self.model.step(frame, history)
             weights = occlusion_weights(masks) if with_occlusion else None
             scale = config.loss_exposure * exposure(frame.reference)
-            loss = temporal_kpn_loss(image, frame.reference, previous, weights, scale)
+            loss = temporal_kpn_loss(image, frame.reference, previous, weights, scale, config.huber)
             total = total + loss.total / len(clip)
             for name in terms:
                 terms[name] += getattr(loss, name).item() / len(clip)

@@ -261,21 +261,21 @@ def test_every_fault_is_counted_once_and_gone_after_sanitising():
 def test_a_static_pixel_averages_what_it_saw():
     """With the network kept from resetting, the running mean of n frames is their mean, and `length` counts them."""
     model = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False)
-    model.full_head.weight[:, -1], model.full_head.bias[-1] = 0.0, -50.0
+    model.full_head.weight[:, -2], model.full_head.bias[-2] = 0.0, -50.0
     still = replace(make_frame(), motion=torch.zeros(1, 2, 24, 32), motion_next=torch.zeros(1, 2, 24, 32))
     frames = [replace(still, radiance=make_frame(seed=s).radiance) for s in range(5)]
     history = None
     for frame in frames:
         _, history = model.step(frame, history)
     mean = torch.stack([frame.radiance for frame in frames]).mean(0) / albedo_divisor(still.albedo, still.depth)
-    torch.testing.assert_close(history.accumulated, mean)
+    torch.testing.assert_close(history.accumulated, torch.cat([mean, still.albedo], dim=1))
     torch.testing.assert_close(history.length, torch.full_like(still.depth, 5.0))
 
 
 def test_textures_pass_unfiltered():
     """Even light on any albedo comes out as that albedo: the spatial filters do not blur what is divided out."""
     model, frame = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False), make_frame()
-    model.full_head.weight[:, -2], model.full_head.bias[-2] = 0.0, 50.0  # the current frame alone
+    model.full_head.weight[:, -3], model.full_head.bias[-3] = 0.0, 50.0  # the current frame alone
     frame = replace(frame, radiance=0.7 * albedo_divisor(frame.albedo, frame.depth))
     torch.testing.assert_close(model.step(frame)[0], frame.radiance)
 
@@ -283,7 +283,7 @@ def test_textures_pass_unfiltered():
 def test_history_is_kept_off_other_surfaces():
     """A wall that was lit brightly beside a dark box: no light crosses the edge between them."""
     model = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False)
-    model.full_head.weight[:, -1], model.full_head.bias[-1] = 0.0, -50.0
+    model.full_head.weight[:, -2], model.full_head.bias[-2] = 0.0, -50.0
     box = torch.arange(32).expand(1, 1, 24, 32) < 16
     frame = replace(
         make_frame(), albedo=torch.ones(1, 3, 24, 32), depth=torch.where(box, 2.0, 4.0),
@@ -292,4 +292,4 @@ def test_history_is_kept_off_other_surfaces():
     )  # fmt: skip
     _, history = model.step(frame)
     _, history = model.step(frame, history)
-    torch.testing.assert_close(history.accumulated, frame.radiance)
+    torch.testing.assert_close(history.accumulated[:, :3], frame.radiance)

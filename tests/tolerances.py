@@ -19,6 +19,10 @@ TOLERANCES = {
     "float32": Tolerance(1e-5, 1e-6),
     # A network over a window instead of the whole frame: its convolutions sum in another order, layer after layer.
     "float32 tiles": Tolerance(1e-4, 1e-5),
+    # A quotient of such sums whose divisor may be small: bilinear weights that add up to 0.01.
+    "float32 quotient": Tolerance(1e-4, 1e-5),
+    # Differences of products with weights: a gradient may be a small rest of larger terms.
+    "float32 gradients": Tolerance(1e-5, 1e-5),
     # Kernel logits stored as float16: |logit| < 8 is rounded by at most 2⁻⁹, one weight against another by at most 2⁻⁸.
     "float16 logits": Tolerance(4e-3, 1e-6),
     # A whole step, radiance of about 1: the network's sums in another order, which its depth and the softmax carry on.

@@ -23,8 +23,9 @@ from ..motion_splat import history_motion
 from ..nets import UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
 
-# Noisy 3, running mean 3, previous output 3, albedo 3, normal 3, nearness 1, history length 1, uncovered 1.
-FEATURES = 18
+# Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
+# uncovered 1.
+FEATURES = 21
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,8 @@ class Heads:
     alpha: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1], for s = 1 ...: weight of the coarser scale
     temporal: Tensor  # [B, L², H, W] logits of the temporal kernel
     alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
-    reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean is given up for the current frame
+    reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean of light is given up for the current frame
+    sharp: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current albedo against its running mean
 
 
 class AccumulatedKPN(nn.Module):
@@ -74,7 +76,7 @@ class AccumulatedKPN(nn.Module):
         self.config = config
         self.stem = nn.Conv2d(FEATURES, config.widths[0], 4, stride=2, padding=1)
         self.unet = UNet(config.widths[0], config.widths)
-        taps, full = config.kernel**2, config.kernel**2 + config.temporal_kernel**2 + 2
+        taps, full = config.kernel**2, config.kernel**2 + config.temporal_kernel**2 + 3
         outputs = [taps + 1] * (config.scales - 1)
         self.full_head = nn.ConvTranspose2d(config.widths[0], full, 2, stride=2)  # of the four pixels in each cell
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(config.widths, outputs, strict=False))
@@ -83,7 +85,7 @@ class AccumulatedKPN(nn.Module):
                 nn.init.xavier_uniform_(module.weight)
                 nn.init.zeros_(module.bias)
         with torch.no_grad():
-            self.full_head.bias[-1] = -4.0  # start from a plain running mean: reset near 0
+            self.full_head.bias[-2] = -4.0  # start from a plain running mean: reset near 0
 
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -98,27 +100,27 @@ class AccumulatedKPN(nn.Module):
         albedo = albedo_divisor(frame.albedo, frame.depth)
         noisy = frame.radiance / albedo  # irradiance, but for what is not diffuse
 
-        # Reproject: the running mean of irradiance from the same surface only, the previous output from wherever.
-        mean, length = torch.zeros_like(noisy), torch.zeros_like(noisy[:, :1])
+        # Reproject: running means of light and albedo from the same surface only, the previous output from wherever.
+        mean, mean_albedo = torch.zeros_like(noisy), torch.zeros_like(noisy)
+        length = torch.zeros_like(noisy[:, :1])
         uncovered = on = torch.zeros_like(length, dtype=torch.bool)
         warped = frame.radiance
         if history is not None:
             motion = frame.motion if known.covered else history_motion(frame, history, self.config.motion)
             kept = torch.cat([history.accumulated, history.length], dim=1)
             here, before = (frame.depth, frame.normal), (history.depth, history.normal)
-            mean, length = reproject(kept, motion, here, before)[0].split([3, 1], dim=1)
+            mean, mean_albedo, length = reproject(kept, motion, here, before)[0].split([3, 3, 1], dim=1)
             on, uncovered = on_screen(motion), occlusion_mask(motion, frame.motion)
             warped = history.radiance
             if not known.still:
                 warped = torch.where(on, warp(warped, motion), frame.radiance)
+        weight = 1 / (1 + length)  # of the current frame in a plain mean
+        mean_albedo = blend(frame.albedo, mean_albedo, weight)
 
         # Predict kernels.
-        scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
-        light = torch.cat([noisy, mean, warped], dim=1) * scale
-        heads = self.predict(self.features(frame, light, nearness(frame.depth, distance), length, uncovered))
+        heads = self.predict(self.features(frame, noisy, mean, warped, mean_albedo, length, uncovered, known))
 
-        # Average over time: a running mean, given up where the network says that light has changed.
-        weight = 1 / (1 + length)
+        # Average light over time, but give the mean up where the network says that light has changed.
         weight = weight + heads.reset * (1 - weight)
         mean = blend(noisy, mean, weight)
         length = (1 / weight).clamp(max=self.config.longest - 1)
@@ -131,18 +133,31 @@ class AccumulatedKPN(nn.Module):
         for fine, alpha in zip(filtered[-2::-1], heads.alpha[::-1], strict=True):
             output = compose(fine, output, alpha)
 
-        # Give the texture back, then blend with the previous output: radiance, because albedo too has one sample a
-        # pixel. Over the frames its edges are averaged, which no filter of irradiance does.
-        output = output.clamp(min=0) * albedo
+        # Give the texture back. Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for what
+        # has just changed. Then blend with the previous output, which averages edges as well.
+        texture = albedo_divisor(blend(frame.albedo, mean_albedo, heads.sharp), frame.depth)
+        output = output.clamp(min=0) * texture
         past = apply_kernel(torch.where(on, warped, output), heads.temporal)
         output = blend(output, past, heads.alpha_temporal)
-        return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean)
+        accumulated = torch.cat([mean, mean_albedo], dim=1)
+        return output, History(output, frame.motion_next, frame.depth, frame.normal, length, accumulated)
 
-    def features(self, frame: Frame, light: Tensor, near: Tensor, length: Tensor, uncovered: Tensor) -> Tensor:
-        """The network's input `[B, 18, H, W]`: light compressed at one exposure, nearness and length in [0, 1]."""
-        geometry = torch.cat([frame.albedo, frame.normal, near], dim=1)
-        length = length / self.config.longest
-        return torch.cat([compress(light), geometry, length, uncovered.to(light.dtype)], dim=1)
+    def features(
+        self,
+        frame: Frame,
+        noisy: Tensor,
+        mean: Tensor,
+        warped: Tensor,
+        mean_albedo: Tensor,
+        length: Tensor,
+        uncovered: Tensor,
+        known: Known = NOTHING_KNOWN,
+    ) -> Tensor:
+        """The network's input `[B, 21, H, W]`: light compressed at one exposure, nearness and length in [0, 1]."""
+        scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
+        light = compress(torch.cat([noisy, mean, warped], dim=1) * scale)
+        geometry = torch.cat([frame.albedo, mean_albedo, frame.normal, nearness(frame.depth, distance)], dim=1)
+        return torch.cat([light, geometry, length / self.config.longest, uncovered.to(light.dtype)], dim=1)
 
     def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
         """As `TemporalKPN.statistics`, of the light without its textures."""
@@ -157,8 +172,8 @@ class AccumulatedKPN(nn.Module):
         x = F.pad(x, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else x
         levels = self.unet(F.relu(self.stem(x)), self.config.scales - 1)
         full = self.full_head(levels[0])[:, :, :H, :W]
-        spatial, temporal, alpha_temporal, reset = full.split([taps, side**2, 1, 1], dim=1)
+        spatial, temporal, alpha_temporal, reset, sharp = full.split([taps, side**2, 1, 1, 1], dim=1)
         coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
-        alpha_temporal, reset, *alphas = (a.float().sigmoid() for a in (alpha_temporal, reset, *alphas))
-        return Heads([spatial, *kernels], alphas, temporal, alpha_temporal, reset)
+        alpha_temporal, reset, sharp, *alphas = (a.float().sigmoid() for a in (alpha_temporal, reset, sharp, *alphas))
+        return Heads([spatial, *kernels], alphas, temporal, alpha_temporal, reset, sharp)

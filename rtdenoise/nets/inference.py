@@ -11,8 +11,8 @@ PRECISIONS = ("auto", "fp32", "bf16")
 
 
 def resolve(precision: str, device: str | torch.device) -> torch.dtype:
-    """The dtype that `precision` means on a device. 'auto' is bfloat16 where the hardware multiplies it faster: CPUs with
-    AVX512-BF16 or AMX, CUDA from compute capability 8.0; float32 elsewhere.
+    """The dtype that `precision` means on a device. 'auto' is bfloat16 where the hardware multiplies it faster: CPUs
+    with AVX512-BF16 or AMX, CUDA from compute capability 8.0; float32 elsewhere.
 
     Raises InputError for an unknown precision.
     """

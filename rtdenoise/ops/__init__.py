@@ -1,5 +1,5 @@
-"""The kernel-apply operations, with gradients. Each module states its index equation and has it in plain torch, which is
-the specification; `native` (CPU) and `triton` (CUDA) hold fused ones of the same names, and `path` chooses.
+"""The kernel-apply operations, with gradients. Each module states its index equation and has it in plain torch, which
+is the specification; `native` (CPU) and `triton` (CUDA) hold fused ones of the same names, and `path` chooses.
 
 Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, x right, y down.
 """

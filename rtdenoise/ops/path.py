@@ -53,7 +53,7 @@ def fused(op: str, *tensors: Tensor) -> Callable[..., Tensor] | None:
 
 @functools.cache
 def implementation(device: str) -> tuple[ModuleType | None, str | None]:
-    """The module with the fused ops of a kind of device, or None and why there is none. Said once where it is slower."""
+    """The module with the fused ops of a kind of device, or None and why there is none. That is logged."""
     try:
         if device == "cpu":
             from . import native as module

@@ -7,6 +7,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
+from .path import fused
 from .warp import check
 
 LEAST = 1e-2  # sum of bilinear weights that makes a history: dividing by less only brings out what was rounded
@@ -50,6 +51,9 @@ def reproject(
     Raises ValueError where the shapes do not fit.
     """
     check(stored, motion)
+    if run := fused("reproject", stored, motion, *surface, *surface_previous):
+        tolerances = (depth_tolerance, normal_tolerance)
+        return run(stored, motion, *surface, *surface_previous, tolerances=tolerances, least=LEAST)
     B, C, H, W = stored.shape
     x = torch.arange(W, device=motion.device, dtype=motion.dtype)
     y = torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from ctypes import c_int64, c_void_p
+from ctypes import c_float, c_int64, c_void_p
 
 import torch
 from torch import Tensor
@@ -96,7 +96,9 @@ def _sizes(image: Tensor, logits: Tensor) -> tuple[object, ...]:
 
 def _rows(logits: Tensor) -> Tensor:
     """With rows evenly apart; planes, channels last and slices of their channels are taken as they are."""
-    return logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * _step(logits) else logits.contiguous()
+    return (
+        logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * _step(logits) else logits.contiguous()
+    )
 
 
 def _planes(logits: Tensor) -> Tensor:
@@ -124,6 +126,20 @@ def _reproject(name: str, image: Tensor, motion: Tensor) -> Tensor:
     out = torch.empty_like(image)
     getattr(library("warp", C=C), name)(*map(_pointer, (image, motion, out)), B, H, W, torch.get_num_threads())
     return out
+
+
+def reproject(
+    stored: Tensor, motion: Tensor, *geometry: Tensor, tolerances: tuple[float, float], least: float
+) -> tuple[Tensor, Tensor]:
+    """`geometry` is depth, normal, depth and normal of the previous frame."""
+    tensors = [t.contiguous() for t in (stored, motion, *geometry)]
+    B, C, H, W = stored.shape
+    out = torch.empty_like(tensors[0])
+    valid = torch.empty(B, 1, H, W, dtype=torch.bool)
+    limits = map(c_float, (*tolerances, least))
+    pointers = map(_pointer, (*tensors, out, valid))
+    library("reproject", C=C).reproject(*pointers, B, H, W, *limits, torch.get_num_threads())
+    return out, valid
 
 
 def downsample(image: Tensor, pool: str) -> Tensor:

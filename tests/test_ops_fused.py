@@ -1,0 +1,190 @@
+"""The fused ops against the plain ones, which are the specification: every size, dtype and layout, extreme logits,
+gradients; and what happens where they cannot be had. CUDA's run on the GPU where there is one, else in Triton's
+interpreter."""
+
+import importlib
+import logging
+import math
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+
+if not torch.cuda.is_available():
+    os.environ["TRITON_INTERPRET"] = "1"  # read when rtdenoise.ops.triton is imported
+
+from rtdenoise import ops
+from rtdenoise.ops import native, path
+from rtdenoise.ops.native import compiler
+
+CASES = [("native", size) for size in [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]]
+CASES += [("triton", size) for size in [(1, 1), (3, 4), (1, 141)]]  # the interpreter takes its time; 141 > BLOCK
+DTYPES = (torch.float32, torch.bfloat16, torch.float16)
+KERNELS = [(*case, K, dtype) for case in CASES for K in (3, 5) for dtype in DTYPES if K == 3 or case[0] == "native"]
+
+
+@pytest.fixture
+def backend(request):
+    """The fused module of a device, and where its tensors live. `native` unless the test says otherwise."""
+    if getattr(request, "param", "native") == "native":
+        return native, "cpu"
+    module = importlib.import_module("rtdenoise.ops.triton")
+    return module, "cuda" if torch.cuda.is_available() else "cpu"
+
+
+@pytest.fixture
+def both(backend, monkeypatch):
+    """`both(op, *arguments)`: the results of the plain op and of the fused one."""
+    module, device = backend
+    monkeypatch.setattr(path, "implementation", lambda _: (module, None))
+
+    def run(op, *arguments):
+        with ops.use("plain"):
+            plain = op(*_map(torch.clone, arguments))
+        with ops.use("fused"):
+            fused = op(*_map(lambda t: t.detach().to(device), arguments))
+        return plain, _map(torch.Tensor.cpu, fused)
+
+    return run
+
+
+def _map(function, value):
+    if isinstance(value, tuple):
+        return tuple(_map(function, v) for v in value)
+    return function(value) if isinstance(value, torch.Tensor) else value
+
+
+@pytest.mark.parametrize("backend, size, K, dtype", KERNELS, indirect=["backend"], ids=str)
+def test_apply_kernel(both, assert_images_close, size, K, dtype):
+    image = torch.randn(2, 3, *size)
+    for spread, layout in ((1, torch.contiguous_format), (4, torch.channels_last), (1e4, torch.contiguous_format)):
+        logits = (spread * torch.randn(2, 2 * K * K + 1, *size)).to(dtype).contiguous(memory_format=layout)
+        plain, fused = both(ops.apply_kernel, image, logits[:, K * K : 2 * K * K])  # as a head is split
+        assert_images_close(fused, plain, "float32")
+
+
+def test_apply_kernel_reads_every_half_float(both, assert_images_close):
+    values = torch.arange(2**16, dtype=torch.int32).to(torch.int16).view(torch.float16)
+    values = values[values.isfinite()][:63000].reshape(1, 9, 7, 1000)
+    plain, fused = both(ops.apply_kernel, torch.randn(1, 3, 7, 1000), values)
+    assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("op", [ops.warp, ops.fetch])
+@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+def test_reprojection(both, assert_images_close, op, size):
+    motion = 4 * torch.randn(2, 2, *size)
+    motion[0, :, 0, 0], motion[1, :, -1, -1] = math.nan, math.inf
+    if op is ops.fetch:
+        motion = torch.floor(motion) + 0.25  # never half-way, where a rounding decides
+    plain, fused = both(op, torch.randn(2, 3, *size), motion)
+    assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+def test_tested_reprojection(both, assert_images_close, size):
+    normal, depth, motion = torch.randn(2, 3, *size), 1 + 0.3 * torch.rand(2, 1, *size), 3 * torch.randn(2, 2, *size)
+    depth[torch.rand_like(depth) < 0.2] = 0
+    motion[0, :, 0, 0], motion[1, :, -1, -1] = math.nan, -math.inf
+    before = depth + 0.05 * torch.randn_like(depth) * (depth > 0), normal + 0.5 * torch.randn_like(normal)
+    plain, fused = both(ops.reproject, torch.randn(2, 7, *size), motion, (depth, normal), before)
+    assert torch.equal(plain[1], fused[1])
+    assert_images_close(fused[0], plain[0], "float32 quotient")
+
+
+@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+@pytest.mark.parametrize("pool", ["mean", "max"])
+def test_pyramid(both, assert_images_close, size, pool):
+    coarse = [-(-n // 2) for n in size]
+    fine, alpha = torch.randn(2, 3, *size), torch.rand(2, 1, *coarse)
+    for plain, fused in (
+        both(ops.downsample, fine, pool),
+        both(ops.compose, fine, torch.randn(2, 3, *coarse), alpha, pool),
+    ):
+        assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+@pytest.mark.parametrize("spread", [1, 1e4])
+def test_apply_kernel_gradients(both, assert_images_close, size, spread):
+    grad = torch.randn(2, 3, *size)
+
+    def gradients(image, logits):
+        image, logits = image.requires_grad_(), logits.requires_grad_()
+        return torch.autograd.grad(ops.apply_kernel(image, logits), (image, logits), grad.to(image))
+
+    plain, fused = both(gradients, torch.randn(2, 3, *size), spread * torch.randn(2, 25, *size))
+    assert_images_close(fused[0], plain[0], "float32 gradients")
+    assert_images_close(fused[1], plain[1], "float32 gradients")
+
+
+def test_an_odd_picture_of_full_size(assert_images_close):
+    image, logits = torch.rand(1, 3, 719, 1281), torch.randn(1, 25, 719, 1281)
+    with ops.use("plain"):
+        plain = ops.apply_kernel(image, logits)
+    with ops.use("fused"):
+        assert_images_close(ops.apply_kernel(image, logits), plain, "float32")
+
+
+def test_the_triton_kernels_compile_for_a_gpu():
+    """Which the interpreter does not say; needs no GPU."""
+    code = """
+import torch, triton, triton.language as tl
+from triton.backends.compiler import GPUTarget
+from triton.compiler import ASTSource
+from rtdenoise.ops import triton as ops
+
+def build(kernel, constants, **types):
+    names = kernel.arg_names
+    signature = {n: "constexpr" if n in constants else types.get(n, "*fp32") for n in names}
+    source = ASTSource(kernel, signature, {(names.index(n),): v for n, v in constants.items()})
+    compiled = triton.compile(source, target=GPUTarget("cuda", 80, 32))
+    assert compiled.asm["ptx"], kernel
+
+sizes = dict(H="i32", W="i32")
+strides = dict(batch="i64", stride="i64", step="i32")
+C = dict(C=3, CP=4, BLOCK=128)
+build(ops._forward, dict(K=3, KEEP=True, **C), logits="*bf16", **sizes, **strides)
+build(ops._backward, dict(K=3, **C), **sizes, **strides)
+build(ops._warp, dict(NEAREST=False, **C), **sizes)
+build(ops._compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
+build(ops._reproject, dict(C=7, CP=8, BLOCK=128), valid="*u8", depth_tolerance="fp32", normal_tolerance="fp32",
+      least="fp32", **sizes)
+"""
+    environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert result.returncode == 0, result.stderr
+
+
+def test_the_choice_can_be_forced_and_is_taken_back():
+    image, logits = torch.rand(1, 3, 8, 9).double(), torch.randn(1, 25, 8, 9)
+    with ops.use("auto"):
+        assert ops.apply_kernel(image, logits).dtype == torch.float64  # plain: there is no fused one for doubles
+    with pytest.raises(RuntimeError, match="float32 images, not float64"), ops.use("fused"):
+        ops.apply_kernel(image, logits)
+    with pytest.raises(ValueError, match="'quick'"), ops.use("quick"):
+        pass
+    assert path._choice == os.environ.get("RTDENOISE_OPS", "auto")
+
+
+@pytest.mark.parametrize("compiler_is", ["absent", "failing"])
+def test_without_a_compiler_the_plain_ops_run_and_it_is_said_once(compiler_is, monkeypatch, tmp_path, caplog):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("CC", "false" if compiler_is == "failing" else "")
+    monkeypatch.setattr(compiler, "COMPILERS", ())
+    compiler.library.cache_clear(), path.implementation.cache_clear()
+    image, logits = torch.rand(1, 3, 8, 9), torch.randn(1, 25, 8, 9)
+    try:
+        with caplog.at_level(logging.WARNING):
+            first, again = ops.apply_kernel(image, logits), ops.apply_kernel(image, logits)
+        with ops.use("plain"):
+            assert torch.equal(first, ops.apply_kernel(image, logits)) and torch.equal(first, again)
+        with pytest.raises(RuntimeError, match=r"no C compiler|failed"), ops.use("fused"):
+            ops.apply_kernel(image, logits)
+    finally:
+        compiler.library.cache_clear(), path.implementation.cache_clear()
+    (record,) = caplog.records
+    assert "slower without fused ops on cpu" in record.getMessage()
+    assert not list(tmp_path.rglob("*.so"))

@@ -1,0 +1,84 @@
+"""A network made ready to run against the network as it was trained; memory kept, and what is said when it runs out."""
+
+import ctypes
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from synthetic import make_frames
+
+from rtdenoise import memory
+from rtdenoise.errors import InputError
+from rtdenoise.models import available, load, read
+from rtdenoise.nets import as_weights, resolve
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.mark.parametrize("name", available())
+@pytest.mark.parametrize("precision, row", [("fp32", "float32 network"), ("bf16", "bfloat16 network")])
+def test_a_sequence_comes_out_as_from_the_network_that_was_trained(assert_images_close, name, precision, row):
+    trained, ready, histories = read(name), load(name, precision=precision), [None, None]
+    for frame in make_frames(4, H=37, W=50):
+        with torch.inference_mode():
+            (a, histories[0]), (b, histories[1]) = trained.step(frame, histories[0]), ready.step(frame, histories[1])
+        assert_images_close(b, a, row)
+    assert b.dtype == torch.float32
+
+
+def test_a_ready_network_is_channels_last_with_its_relus_fused():
+    model = load("paper", precision="bf16")
+    features = as_weights(torch.rand(1, 13, 32, 32), model)
+    assert features.dtype == torch.bfloat16 and features.is_contiguous(memory_format=torch.channels_last)
+    assert not any(isinstance(module, torch.nn.ReLU) for module in model.unet.modules())
+    assert model.state_dict().keys() == read("paper").state_dict().keys()
+
+
+def test_an_unknown_precision_is_named():
+    with pytest.raises(InputError, match="'half'; expected one of auto, fp32, bf16"):
+        load("paper", precision="half")
+    assert torch.float32 == resolve("fp32", "cpu") and resolve("auto", "cpu") in (torch.float32, torch.bfloat16)
+
+
+def test_lack_of_memory_says_how_much_was_missing():
+    with pytest.raises(InputError, match=r"f\.exr: out of memory on cpu at 7×5: 1073741824 MiB more .* tiles"):  # noqa: SIM117
+        with memory.explained("f.exr", (5, 7), "cpu"):
+            torch.empty(2**50, dtype=torch.uint8)
+    with pytest.raises(RuntimeError, match="shapes"), memory.explained("f.exr", (5, 7), "cpu"):  # all else as it was
+        torch.rand(2, 3) @ torch.rand(2, 3)
+
+
+def test_freed_memory_is_kept_where_the_c_library_is_glibc():
+    """In a process of its own: a tensor made again costs no page faults, which without it are one every 4 KiB."""
+    code = """
+import resource, sys, torch
+from rtdenoise.memory import keep_freed
+told = keep_freed()
+faults = []
+for _ in range(4):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    torch.ones(64 * 2**20, dtype=torch.uint8)
+    faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+print(told, faults[-1])
+"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    told, faults = result.stdout.split()
+    assert told == str(hasattr(ctypes.CDLL(None), "mallopt"))
+    assert told == "False" or int(faults) < 1000
+
+
+def test_the_latency_benchmark_runs(tmp_path):
+    command = [sys.executable, "bench/latency_720p.py", "--quick", "--presets", "paper", "--out", tmp_path / "l.json"]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    document = json.loads((tmp_path / "l.json").read_text())
+    methods = [row["method"] for row in document["rows"]]
+    assert methods[:3] == ["paper eager", "paper fused fp32", "paper fused bf16"] and "oidn high" in methods
+    for row in document["rows"][:3]:
+        parts = sum(stage["median_ms"] for stage in row["stages"].values())
+        assert parts > 0 and row["prediction_gflop"] > 0 and row["peak_mb"] > 0
+        assert row["gb"]["kernel application"] > 0
+    assert (tmp_path / "l.png").stat().st_size > 0 and "| paper eager |" in (tmp_path / "l.md").read_text()
