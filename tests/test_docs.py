@@ -29,6 +29,13 @@ def test_the_page_on_stability_is_that_of_the_results(monkeypatch, name):
         assert f"<!-- {section} -->\n{text}\n<!-- /{section} -->" in page, section
 
 
+def test_the_latency_table_is_that_of_the_result(monkeypatch):
+    monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "bench")])
+    latency = importlib.import_module("latency_720p")
+    document = json.loads((ROOT / "bench" / "results" / "latency_720p.json").read_text())
+    assert latency.table(document, "720p") in (ROOT / "docs" / "performance.md").read_text()
+
+
 def test_every_result_says_where_it_is_from():
     for path in (ROOT / "bench" / "results").glob("*.json"):
         document = json.loads(path.read_text())

@@ -6,7 +6,15 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, reproject, upsample, warp
+from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, reproject, upsample, use, warp
+
+
+@pytest.fixture(autouse=True, params=["plain", "auto"])
+def choice(request):
+    """All of it holds for the plain ops and for whatever runs here."""
+    with use(request.param):
+        yield
+
 
 SIZES = [(1, 1), (1, 9), (5, 17), (16, 12)]
 

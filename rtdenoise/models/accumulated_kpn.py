@@ -133,8 +133,8 @@ class AccumulatedKPN(nn.Module):
         for fine, alpha in zip(filtered[-2::-1], heads.alpha[::-1], strict=True):
             output = compose(fine, output, alpha)
 
-        # Give the texture back. Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for what
-        # has just changed. Then blend with the previous output, which averages edges as well.
+        # Give the texture back. Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for
+        # what has just changed. Then blend with the previous output, which averages edges as well.
         texture = albedo_divisor(blend(frame.albedo, mean_albedo, heads.sharp), frame.depth)
         output = output.clamp(min=0) * texture
         past = apply_kernel(torch.where(on, warped, output), heads.temporal)
