@@ -30,7 +30,7 @@ wheel: $(VENV)/.ready-test  ## build dist/*.whl
 	$(VENV)/bin/python -m build --wheel
 
 clean:  ## remove .venv and whatever was built
-	rm -rf $(VENV) build dist demo tests/failures
+	rm -rf $(VENV) build dist demo tests/failures tests/artefacts
 
 $(VENV)/.ready-%: pyproject.toml tools/setup.sh
 	@sh tools/setup.sh $*

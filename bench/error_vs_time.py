@@ -1,7 +1,8 @@
 """The standard set: every method on the sample and on rendered validation sequences, as one report.
 
-    python bench/error_vs_time.py            renders what is missing into data/standard, measures into out/standard,
-                                             and keeps numbers and report: bench/results, docs/report
+    python bench/error_vs_time.py [SEQ ...]  renders what is missing into data/standard, measures it, and sequences of
+                                             one's own, into out/standard, and keeps numbers and report:
+                                             bench/results, docs/report
     python bench/error_vs_time.py --quick    four frames of the sample, nothing rendered, nothing kept: for CI
 
 No model was trained on these scenes. Inputs at 2, 4 and 8 samples per pixel are rendered like those at 1 and share
@@ -41,8 +42,8 @@ class Sequence:
     scene: str
     width: int = 320
     height: int = 180
-    frames: int = 10
-    reference_spp: int = 192
+    frames: int = 8
+    reference_spp: int = 128
 
 
 SEQUENCES = {
@@ -53,7 +54,7 @@ SEQUENCES = {
 }
 
 
-def main(quick: bool) -> None:
+def main(quick: bool, more: list[str]) -> None:
     started = time.perf_counter()
     if quick:
         sequences, out = [harness.ROOT / "samples" / "mural"], harness.ROOT / "out" / "quick"
@@ -61,7 +62,7 @@ def main(quick: bool) -> None:
     else:
         sequences, out = [prepare(name, wanted) for name, wanted in SEQUENCES.items()], OUT
         folders = [str(folder) for folder in sequences]
-        run(folders, out, Options(precisions=("fp32", "bf16"), signal="indirect"))
+        run(folders + more, out, Options(precisions=("fp32", "bf16"), signal="indirect"))
         run(folders, out, Options(OVER_SPP, spp=SPP, signal="indirect"))
     written = report(out, tuple(PICTURES) if not quick else ())
     if not quick:
@@ -113,4 +114,4 @@ def keep(out: Path, written: list[Path]) -> None:
 
 
 if __name__ == "__main__":
-    main(quick="--quick" in sys.argv[1:])
+    main(quick="--quick" in sys.argv[1:], more=[folder for folder in sys.argv[1:] if folder != "--quick"])

@@ -46,8 +46,9 @@ class Browser:
         return self
 
     def __exit__(self, *_):
-        self.process.terminate()
-        self.process.wait()
+        self.session = None
+        self.call("Browser.close")
+        self.process.wait(timeout=20)
         os.close(self.to)
         os.close(self.back)
 

@@ -44,6 +44,31 @@ def test_oidn_denoises_and_keeps_the_exposure(quality):
     assert image.mean().item() == pytest.approx(frame.reference.mean().item(), rel=0.1)
 
 
+def test_oidn_filters_what_is_accumulated_or_accumulates_what_is_filtered():
+    frames, alpha = make_frames(3, H=64, W=96), 0.5
+    plain, before, after = Oidn(), Oidn(accumulate="input", alpha=alpha), Oidn(accumulate="output", alpha=alpha)
+    histories = [None] * 4
+    for frame in frames:
+        running, histories[0] = Accumulate(alpha).step(frame, histories[0])
+        filtered, _ = plain.step(frame)
+        expected, histories[1] = Accumulate(alpha).step(replace(frame, radiance=filtered), histories[1])
+        image, histories[2] = before.step(frame, histories[2])
+        torch.testing.assert_close(image, plain.step(replace(frame, radiance=running))[0])
+        image, histories[3] = after.step(frame, histories[3])
+        torch.testing.assert_close(image, expected)
+
+
+def test_oidn_prefilters_noisy_guides_and_takes_frames_of_another_size():
+    frame = make_frames(1, H=64, W=96)[0]
+    g = torch.Generator().manual_seed(3)
+    noisy = replace(frame, albedo=(frame.albedo + 0.3 * torch.randn(frame.albedo.shape, generator=g)).clamp(0, 1))
+    method = Oidn(prefilter=True)
+    errors = [(x.step(noisy)[0] - frame.reference).square().mean() for x in (method, Oidn())]
+    assert errors[0] < errors[1]
+    smaller = frame.crop(0, 0, 48, 80)
+    torch.testing.assert_close(method.step(smaller)[0], Oidn(prefilter=True).step(smaller)[0])
+
+
 def test_clamping_pulls_history_into_the_range_of_the_neighbourhood():
     current = torch.tensor([0.0, 2.0]).repeat(1, 3, 6, 3)  # columns of 0 and 2
     history = torch.full_like(current, 50.0)

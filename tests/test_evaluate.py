@@ -155,6 +155,9 @@ def test_bad_requests_are_one_line(shot, tmp_path, capsys):
         ([str(shot), "--precision", "int4"], "unknown precision 'int4'"),
         ([str(shot), str(shot)], "two sequences are called 'shot'"),
         ([str(shot / "spp4")], "reference"),
+        ([str(shot), "--spp", "0"], "expected 1 or more, got 0"),
+        ([str(shot / "*.exr")], "expected a folder"),
+        ([], "no sequence"),
     ]
     for arguments, expected in cases:
         with pytest.raises(SystemExit) as stopped:

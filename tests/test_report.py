@@ -193,6 +193,8 @@ def test_flip_masks_and_motion_are_shown(page, measured):
     assert mask.sum() > 100 and np.array_equal(shown(page, layer=1)[..., 3] > 0, mask > 0.5)
     press(page, "motion")
     page.wait("document.querySelectorAll('#stage .side.left path').length === 3")
+    assert page.value("document.querySelector('#stage .side.left path').getBoundingClientRect().width") > 1000
+    page.value("document.getElementById('stage').scrollIntoView({block: 'center'})")
     page.screenshot(ARTEFACTS / "motion.png", whole=False)
 
 

@@ -12,8 +12,8 @@ ORDER = [
     ("color",), ("frame",), ("ops",), ("motion",), ("motion_splat", "history"), ("nets",), ("models",), ("tiles",),
     ("plan",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
-    ("render", "trainer"), ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"), ("cli",),
-    ("__main__",),
+    ("render", "trainer"), ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"),
+    ("cli_evaluate",), ("cli",), ("__main__",),
 ]  # fmt: skip
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 

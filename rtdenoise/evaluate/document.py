@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..atomic import write_atomically
 from ..errors import InputError
 from ..strict_json import dumps
 
@@ -49,12 +50,9 @@ class Document:
         return cls(**content)
 
     def write(self, folder: Path) -> None:
-        """Under a temporary name first: never half a file."""
-        path = Path(folder) / NAME
-        temporary = path.with_suffix(".tmp")
-        content = {"format": FORMAT, **vars(self)}
-        temporary.write_text(dumps(content, indent=1) + "\n")
-        temporary.replace(path)
+        """Never half a file."""
+        text = dumps({"format": FORMAT, **vars(self)}, indent=1) + "\n"
+        write_atomically(Path(folder) / NAME, text.encode())
 
     def find(self, **key: object) -> dict | None:
         """The result with this key."""

@@ -38,6 +38,8 @@ class Source:
     def open(cls, folder: str | Path, signal: str, preset: str, limit: int | None) -> Source:
         """Raises InputError where frames, references or motion are missing, or samples.json is not what it should
         be."""
+        if not Path(folder).is_dir():
+            raise InputError(f"{folder}: expected a folder of EXR files: results go by its name")
         options = {"signal": signal, "preset": preset, "layers": LAYERS}
         base = open_sequence(folder, **options).require("reference", "motion")
         facts = _facts(Path(folder) / "samples.json")
@@ -74,7 +76,7 @@ class Source:
     def fingerprint(self, spp: int) -> str:
         """Tells inputs apart that would give other errors."""
         paths = [path for sequence in (self.base, self.at(spp)) for f in sequence.files for path in f.files.values()]
-        facts = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
+        facts = [[*path.parts[-2:], path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
         text = json.dumps([facts, self.length, self.options], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

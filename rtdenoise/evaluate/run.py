@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -53,11 +54,11 @@ def run(sources: list[str], out: Path, options: Options, say: Callable[[str], No
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"two sequences are called {twice[0]!r}: results go by the folder's name; rename one")
     document = _open_document(out, options.signal)
-    document.runs.append(origin(typed(), {options.device: device_name(options.device)}, MEASURED_WITH))
     document.methods |= {method.name: {"what": method.what, "family": method.family} for method in chosen}
+    this_run = origin(typed(), {options.device: device_name(options.device)}, MEASURED_WITH)
     for source in opened:
         for spp in options.spp:
-            _measure(document, out, source, spp, chosen, options, say)
+            _Input(document, source, spp, options, say).measure(chosen, out, this_run)
             document.write(out)
     return document
 
@@ -72,70 +73,88 @@ def _open_document(out: Path, signal: str) -> Document:
     return document
 
 
-def _measure(
-    document: Document, out: Path, source: Source, spp: int, chosen: list[Method], options: Options, say: Callable
-) -> None:
-    """All methods on one input, in turn."""
-    key = {"sequence": source.name, "spp": spp, "device": options.device}
-    wanted = [(method, precision) for precision in options.precisions for method in chosen]
+@dataclass
+class _Input:
+    """One sequence at one number of samples, and what is asked of it."""
 
-    reasons: dict[str, list[str]] = {}
+    document: Document
+    source: Source
+    spp: int
+    options: Options
+    say: Callable[[str], None]
+    reasons: dict[str, list[str]] = field(default_factory=dict)  # reason -> what is left out for it
+    frames: list[Frame] = field(default_factory=list)  # read when the first method needs them
 
-    def leave_out(method: Method, precision: str, reason: str) -> None:
-        document.put(key | {"method": method.name, "precision": precision, "reason": reason})
-        reasons.setdefault(reason, []).append(f"{method.name} {precision}")
+    @property
+    def key(self) -> dict:
+        return {"sequence": self.source.name, "spp": self.spp, "device": self.options.device}
 
-    missing: dict[tuple[Method, str], Step] = {}
-    frames: list[Frame] = []
-    try:
-        fingerprint = source.fingerprint(spp)
-    except InputError as error:
-        for method, precision in wanted:
-            leave_out(method, precision, str(error))
-        wanted = []
-    for method, precision in wanted:
-        known = document.find(**key, method=method.name, precision=precision)
-        if known and known["fingerprint"] == _of(method, fingerprint):
-            continue
-        if reason := method.unavailable(precision):
-            leave_out(method, precision, reason)
-            continue
-        frames = frames or source.frames(spp)
+    def measure(self, chosen: list[Method], out: Path, this_run: dict) -> None:
+        """Run what is not in the document yet, all in turn, and put it there."""
+        wanted = [(method, precision) for precision in self.options.precisions for method in chosen]
+        steps = self._start(wanted)
+        label = f"{self.source.name}, {self.spp} spp"
+        for reason, names in self.reasons.items():
+            self.say(f"{label}: left out: {', '.join(names)}: {reason}")
+        if not steps:
+            return
+        results = evaluate(
+            self.frames, {f"{method.name} {precision}": step for (method, precision), step in steps.items()},
+            metrics=_measurable(), regions=ALL_REGIONS, device=self.options.device,
+        )  # fmt: skip
+        if this_run not in self.document.runs:
+            self.document.runs.append(this_run)
+        described = self.document.sequences.get(self.source.name, {}) | _describe(self.source, self.frames)
+        self.document.sequences[self.source.name] = described
+        for (method, precision), result in zip(steps, results, strict=True):
+            row = {"method": method.name, "precision": precision, "fingerprint": self._fingerprint(method)}
+            self.document.put(self.key | row | {"run": self.document.runs.index(this_run)} | _numbers(result))
+            if self.spp == self.source.spp and precision == "fp32":
+                _keep_pictures(out, self.source, self.frames, method.name, result)
+        self.say(f"{label}: {len(steps)} methods on {len(self.frames)} frames")
+
+    def _start(self, wanted: list[tuple[Method, str]]) -> dict[tuple[Method, str], Step]:
+        """Steps of what is wanted, not known yet, and able to run; the rest is left out."""
         try:
-            step = method.step(options.device, precision)
-            with torch.inference_mode():
-                warm_up(step, frames, options.device)
-            missing[method, precision] = step
-        except (InputError, RuntimeError) as error:  # torch and OIDN raise the latter where memory or a driver is short
-            leave_out(method, precision, str(error).partition("\n")[0])
-    for reason, names in reasons.items():
-        say(f"{source.name}, {spp} spp: left out: {', '.join(names)}: {reason}")
-    if not missing:
-        return
-    steps = {f"{method.name} {precision}": step for (method, precision), step in missing.items()}
-    results = {r.method: r for r in evaluate(
-        frames, steps, metrics=_measurable(), regions=ALL_REGIONS, device=options.device
-    )}  # fmt: skip
-    document.sequences[source.name] = document.sequences.get(source.name, {}) | _describe(source, frames)
-    for method, precision in missing:
-        result = results[f"{method.name} {precision}"]
-        row = {"method": method.name, "precision": precision, "fingerprint": _of(method, fingerprint)}
-        document.put(key | row | {"run": len(document.runs) - 1} | _numbers(result))
-        if spp == source.spp and precision == "fp32":
-            _keep_pictures(out, source, frames, method.name, result)
-    say(f"{source.name}, {spp} spp: {len(steps)} methods on {len(frames)} frames")
+            self.source.at(self.spp)
+        except InputError as error:
+            for method, precision in wanted:
+                self._leave_out(method, precision, str(error))
+            return {}
+        steps = {}
+        for method, precision in wanted:
+            known = self.document.find(**self.key, method=method.name, precision=precision)
+            if reason := method.unavailable(precision):
+                self._leave_out(method, precision, reason)
+            elif known is None or known["fingerprint"] != self._fingerprint(method):
+                self.frames = self.frames or self.source.frames(self.spp)
+                try:
+                    step = method.step(self.options.device, precision)
+                    with torch.inference_mode():
+                        warm_up(step, self.frames, self.options.device)
+                    steps[method, precision] = step
+                except (InputError, RuntimeError) as error:  # the latter where memory or a driver is short
+                    self._leave_out(method, precision, str(error).partition("\n")[0])
+        return steps
+
+    def _leave_out(self, method: Method, precision: str, reason: str) -> None:
+        self.document.put(self.key | {"method": method.name, "precision": precision, "reason": reason})
+        self.reasons.setdefault(reason, []).append(f"{method.name} {precision}")
+
+    @cached_property
+    def _of_input(self) -> str:
+        return self.source.fingerprint(self.spp)
+
+    def _fingerprint(self, method: Method) -> str:
+        """Of the input, and of the weights that it goes through."""
+        if not method.weights:
+            return self._of_input
+        return f"{self._of_input}-{hashlib.sha256(models.find(method.weights).read_bytes()).hexdigest()[:16]}"
 
 
 def _measurable() -> tuple[str, ...]:
     """FLIP where it is installed (extra `bench`), and all the others."""
     return tuple(m for m in ALL_METRICS if m != "flip" or importlib.util.find_spec("flip_evaluator"))
-
-
-def _of(method: Method, fingerprint: str) -> str:
-    """Of an input and the weights that it goes through."""
-    if not method.weights:
-        return fingerprint
-    return f"{fingerprint}-{hashlib.sha256(models.find(method.weights).read_bytes()).hexdigest()[:16]}"
 
 
 def _numbers(result: Result) -> dict:

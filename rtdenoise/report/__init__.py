@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 
+from ..atomic import write_atomically
 from ..errors import InputError
 from ..evaluate.document import Document
 from .markdown import markdown
@@ -27,14 +29,10 @@ def report(folder: Path, pictures: tuple[str, ...] = ()) -> list[Path]:
         folder / "report.html": page(data, document, folder, pictures).encode(),
         folder / "report.md": markdown(data).encode(),
     }
-    try:
+    if importlib.util.find_spec("matplotlib"):
         from .chart import chart
 
         written[folder / "report.png"] = chart(data)
-    except ImportError:
-        pass
     for path, content in written.items():
-        temporary = path.with_name(f".{path.name}")
-        temporary.write_bytes(content)
-        temporary.replace(path)
+        write_atomically(path, content)
     return list(written)

@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..evaluate.document import Document
 from ..metrics import flip_map
 from . import readings
+from .budgets import comparisons
 from .pictures import encode_map, encode_motion, encode_picture
 
 ASSETS = resources.files("rtdenoise") / "report" / "assets"
@@ -66,7 +67,7 @@ def payload(document: Document) -> dict:
         "rows": [{k: v for k, v in row.items() if k != "fingerprint"} | {"label": readings.label(row)} for row in rows],
         "lost": lost,
         "won": won,
-        "comparisons": readings.comparisons(rows, document, us),
+        "comparisons": comparisons(rows, document.methods, document.sequences, us),
         "skipped": document.skipped,
         "runs": document.runs,
     }

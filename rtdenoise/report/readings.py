@@ -1,4 +1,4 @@
-"""What the numbers say: who is ahead at which time, what it would take to be as good, and where others are better.
+"""What the numbers say: who is ahead at which time, and where others are better.
 
 Rows are those of `evaluate.document.Document.results`. Errors of all metrics are compared as costs: positive, lower is
 better, and such that noise falls with a power of the samples (a straight line in log-log).
@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
-from ..evaluate.document import Document
 
 POOL = "all sequences"
 PREFERRED = ("default", "paper")  # which network speaks for us, the first that was measured
@@ -100,12 +98,12 @@ def mark_fronts(rows: Sequence[dict], sequences: dict[str, dict], methods: dict[
         _mark(denoised, "front", [row["ms"]["median"] for row in denoised])
     for group in grouped(rows, "sequence", "device"):
         if sample := sample_of(group[0]["sequence"], sequences):
-            _mark(group, "front_total", [total_ms(row, sample, methods) for row in group])
+            _mark(group, "front_total", [row["spp"] * sample + denoising_ms(row, methods) for row in group])
 
 
-def total_ms(row: dict, sample: float, methods: dict[str, dict]) -> float:
-    """Rendering and denoising a frame; the input needs no denoising."""
-    return row["spp"] * sample + (0 if methods[row["method"]]["family"] == "input" else row["ms"]["median"])
+def denoising_ms(row: dict, methods: dict[str, dict]) -> float:
+    """Median time of a step; the input needs none."""
+    return 0.0 if methods[row["method"]]["family"] == "input" else row["ms"]["median"]
 
 
 def grouped(rows: Sequence[dict], *keys: str) -> list[list[dict]]:
@@ -122,93 +120,6 @@ def _mark(group: list[dict], name: str, times: list[float]) -> None:
             points = [(t, cost(metric, row["errors"][region].get(metric))) for t, row in zip(times, group, strict=True)]
             for i in front(points):
                 group[i][name][region].append(metric)
-
-
-@dataclass(frozen=True)
-class Curve:
-    """One method on one sequence over samples per pixel, by one metric."""
-
-    spp: tuple[int, ...]  # ascending
-    cost: tuple[float, ...]
-    ms: tuple[float, ...]  # of the denoiser
-
-    def spp_for(self, wanted: float) -> tuple[float, bool] | None:
-        """Samples at which the cost is `wanted`, log-log between what was measured; and whether that lies outside. None
-        where more samples do not help, or one alone says nothing."""
-        if len(self.spp) < 2:
-            return None
-        x, y, goal = np.log2(self.spp), np.log2(self.cost), math.log2(wanted)
-        for i in range(len(x) - 1):
-            if min(y[i : i + 2]) <= goal <= max(y[i : i + 2]) and y[i] != y[i + 1]:
-                return float(2 ** (x[i] + (goal - y[i]) * (x[i + 1] - x[i]) / (y[i + 1] - y[i]))), False
-        end = (0, 1) if wanted > max(self.cost) else (-1, -2)
-        slope = (y[end[0]] - y[end[1]]) / (x[end[0]] - x[end[1]])
-        if slope >= -0.05:  # it has levelled off: no number of samples gets there
-            return None
-        return float(2 ** (x[end[0]] + (goal - y[end[0]]) / slope)), True
-
-    def cost_at(self, spp: float) -> float | None:
-        """The cost at that many samples, log-log; None outside of what was measured."""
-        if not self.spp[0] <= spp <= self.spp[-1]:
-            return None
-        return float(2 ** np.interp(math.log2(spp), np.log2(self.spp), np.log2(self.cost)))
-
-    def total(self, sample: float) -> np.ndarray:
-        """Milliseconds of rendering and denoising at each of `spp`."""
-        return np.array(self.spp) * sample + np.array(self.ms)
-
-
-def curve(rows: Sequence[dict], name: str, metric: str, region: str = "frame") -> Curve | None:
-    """Of the rows of one sequence on one device, those of the method with this `label`."""
-    found = sorted(
-        (row["spp"], c, row["ms"]["median"])
-        for row in rows
-        if label(row) == name and (c := cost(metric, row["errors"][region].get(metric))) is not None
-    )
-    return Curve(*zip(*found, strict=True)) if found else None
-
-
-def compare(ours: Curve, peer: Curve, sample: float | None) -> dict:
-    """What it would take the peer to be as good as we are at our fewest samples, and how good it is in our time.
-
-    equal_error   {"spp", "extrapolated", "ms": rendering and denoising, None where a sample's cost is not known}, or
-                  None where it does not get there
-    equal_time    {"spp": that the peer can afford in our time, "cost_ratio": peer's cost over ours}, or None where it
-                  cannot afford one sample, its curve does not reach that far, or a sample's cost is not known
-    area          the mean of log(peer's cost / our cost) over log time, between the shortest and the longest time that
-                  both curves cover, as a factor: above 1 we are better over these budgets; with "from" and "to" in ms
-    """
-    found: dict[str, dict | None] = {"equal_error": None, "equal_time": None, "area": None}
-    if reached := peer.spp_for(ours.cost[0]):
-        spp, extrapolated = reached
-        denoising = float(np.interp(math.log2(spp), np.log2(peer.spp), peer.ms))
-        found["equal_error"] = {
-            "spp": spp, "extrapolated": extrapolated, "ms": None if sample is None else spp * sample + denoising,
-        }  # fmt: skip
-    if sample is None:
-        return found
-    affordable = (ours.spp[0] * sample + ours.ms[0] - peer.ms[0]) / sample
-    if affordable > 0 and (reachable := peer.cost_at(affordable)):
-        found["equal_time"] = {"spp": affordable, "cost_ratio": reachable / ours.cost[0]}
-    found["area"] = _area(ours, peer, sample)
-    return found
-
-
-def comparisons(rows: Sequence[dict], document: Document, us: str) -> list[dict]:
-    """`compare` of `us` with every peer, a row a sequence, device, metric of HEADLINE and peer, errors of the frame."""
-    found = []
-    for group in grouped(rows, "sequence", "device"):
-        sequence, device = group[0]["sequence"], group[0]["device"]
-        sample = sample_of(sequence, document.sequences)
-        peers = dict.fromkeys(label(r) for r in group if document.methods[r["method"]]["family"] not in OURS)
-        for metric in HEADLINE:
-            ours = curve(group, us, metric)
-            for peer in peers:
-                theirs = curve(group, peer, metric)
-                if ours and theirs:
-                    row = {"sequence": sequence, "device": device, "metric": metric, "peer": peer}
-                    found.append(row | compare(ours, theirs, sample))
-    return found
 
 
 def losses_and_wins(rows: Sequence[dict], methods: dict[str, dict], us: str) -> tuple[list[dict], list[dict]]:
@@ -234,16 +145,6 @@ def losses_and_wins(rows: Sequence[dict], methods: dict[str, dict], us: str) -> 
                     "time_ratio": peer["ms"]["median"] / own["ms"]["median"],
                 })  # fmt: skip
     return lost, won
-
-
-def _area(ours: Curve, peer: Curve, sample: float) -> dict | None:
-    (a, b), (t, u) = (ours.total(sample), peer.total(sample)), (np.log2(ours.cost), np.log2(peer.cost))
-    start, end = max(a.min(), b.min()), min(a.max(), b.max())
-    if not start < end:
-        return None
-    times = np.linspace(math.log2(start), math.log2(end), 65)
-    difference = np.interp(times, np.log2(b), u) - np.interp(times, np.log2(a), t)
-    return {"factor": float(2 ** difference.mean()), "from": float(start), "to": float(end)}
 
 
 def _pool(group: list[dict]) -> dict:

@@ -18,11 +18,11 @@ function linearTicks(low, high) {
   return ticks;
 }
 
-/** 1, 2, 5 of every decade, or only 1 where there are many. */
+/** 1, 2, 5 of every decade, only 1 where there are many, more where there is one. */
 function logTicks(low, high) {
   const ticks = [];
   for (let e = Math.floor(low); e <= Math.ceil(high); e++) {
-    for (const k of high - low > 3 ? [1] : high - low > 0.6 ? [1, 2, 5] : [1, 1.5, 2, 3, 4, 5, 6, 7, 8]) {
+    for (const k of high - low > 3 ? [1] : high - low > 1.2 ? [1, 2, 5] : [1, 1.5, 2, 3, 4, 5, 6, 7, 8]) {
       const tick = k * 10 ** e;
       if (Math.log10(tick) >= low && Math.log10(tick) <= high) ticks.push(tick);
     }

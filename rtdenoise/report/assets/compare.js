@@ -16,6 +16,8 @@ function drawPictures() {
   }
   buildControls(there);
   if (fresh) buildStage();
+  byId("compare-text").textContent = `${sequence}, frame ${DATA.sequences[sequence].stills[0]}, `
+    + `${DATA.sequences[sequence].base_spp} spp. The wheel zooms, dragging moves, double-clicking the exposure resets it.`;
   load();
 }
 
@@ -52,7 +54,7 @@ const size = () => DATA.sequences[viewer.sequence].size;
 function buildStage() {
   const [height, width] = size();
   const canvas = () => element("canvas", { width, height });
-  const overlay = () => shape("svg", { width, height, viewBox: `0 0 ${width} ${height}`, class: "overlay" });
+  const overlay = () => shape("svg", { viewBox: `0 0 ${width} ${height}`, style: `width: ${width}px; height: ${height}px` });
   const side = (name) => element("div", { class: `side ${name}` }, element("div", { class: "view" }, canvas(), canvas(), overlay()));
   byId("stage").replaceChildren(side("right"), side("left"), element("span", { class: "name left" }),
     element("span", { class: "name right" }), element("div", { class: "handle" }));
@@ -99,7 +101,7 @@ function arrows([x, y]) {
   for (let v = 6; v < height; v += 12) {
     for (let u = 6; u < width; u += 12) {
       const dx = x[v * width + u] / 4, dy = y[v * width + u] / 4;
-      if (Math.abs(dx) > width || Math.abs(dy) > height) continue;  // it was nowhere on the previous frame
+      if (!dx && !dy || Math.abs(dx) > width || Math.abs(dy) > height) continue;  // at rest, or nowhere on that frame
       found.push(`M${u + 0.5},${v + 0.5}l${dx.toFixed(2)},${dy.toFixed(2)}`);
     }
   }

@@ -89,15 +89,17 @@ function drawReadings() {
       element("thead", {}, element("tr", {}, ...head.map((title) => element("th", {}, title)))),
       element("tbody", {}, ...rows.sort((a, b) => soonest(a) - soonest(b)).map((row) => {
         const { equal_error: needs, equal_time: has, area } = row;
-        const wins = needs?.ms && needs.ms < ours;
+        const verdict = (value, peerWins) => element("td", { class: value == null ? null : peerWins ? "peer" : "win" },
+          value == null ? "–" : ratio(value));
+        const against = needs?.ms ? needs.ms / ours : null;
         return element("tr", {},
           element("td", {}, swatch(row.peer), row.peer === "noisy" ? "plain Monte Carlo" : row.peer),
           element("td", {}, needs ? `${needs.extrapolated ? "≈ " : ""}${plain(needs.spp)} spp` : "–"),
           element("td", {}, milliseconds(needs?.ms)),
-          element("td", { class: wins ? "peer" : "win" }, needs?.ms ? ratio(needs.ms / ours) : "–"),
+          verdict(against, against < 1),
           element("td", {}, has ? `${plain(has.spp)} spp` : "–"),
-          element("td", { class: has && has.cost_ratio < 1 ? "peer" : "win" }, has ? ratio(has.cost_ratio) : "–"),
-          element("td", { class: area && area.factor < 1 ? "peer" : "win" }, area ? ratio(area.factor) : "–"));
+          verdict(has?.cost_ratio, has?.cost_ratio < 1),
+          verdict(area?.factor, area?.factor < 1));
       }))),
     element("p", { class: "note" }, "≈: extrapolated from what was measured; –: never reached, not affordable, or one input alone. ",
       "Error ratios are of mean squares (dB), of 1 − SSIM, or of the metric itself. Over all budgets: the mean over log time, between the ",

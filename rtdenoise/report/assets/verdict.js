@@ -37,5 +37,5 @@ function verdictCell(row, lost) {
     `${DATA.ours} ${withUnit(row.metric, row.our_value)}`);
   const peerWins = lost.includes(row);
   return element("td", { class: peerWins ? "peer" : "win", mousemove: tip, mouseleave: hideTip },
-    `${peerWins ? row.peer : DATA.ours} by ${difference}`);
+    `by ${difference}`, element("br"), element("small", {}, peerWins ? row.peer : DATA.ours));
 }
