@@ -44,18 +44,24 @@ def check(name: str, result: np.ndarray, reference: np.ndarray, tolerance: str) 
     return float(error.max())
 
 
-def measure(methods: dict[str, Callable[[], object]], calls: int = 30, warmup: int = 3) -> dict[str, Timing]:
+def measure(
+    methods: dict[str, Callable[[], object]],
+    calls: int = 30,
+    warmup: int = 3,
+    clock: Callable[[], float] = time.perf_counter,
+) -> dict[str, Timing]:
     """Time the methods in turn, call by call, so that whatever else the machine does falls on all of them alike.
 
-    Each must return only when its work is done (synchronise inside).
+    Each must return only when its work is done (synchronise inside). `clock`: `time.process_time` for CPU time, which
+    other processes do not lengthen.
     """
     seconds: dict[str, list[float]] = {name: [] for name in methods}
     for i in range(warmup + calls):
         for name, method in methods.items():
-            start = time.perf_counter()
+            start = clock()
             method()
             if i >= warmup:
-                seconds[name].append(time.perf_counter() - start)
+                seconds[name].append(clock() - start)
     return {name: summary(values) for name, values in seconds.items()}
 
 
@@ -82,3 +88,13 @@ def write(path: Path, **content: object) -> None:
     temporary.write_text(dumps(content, indent=1, default=asdict) + "\n")
     temporary.replace(path)
     print(f"written: {path}")
+
+
+def insert_all(sections: dict[str, str], page: Path = ROOT / "docs" / "stability.md") -> None:
+    """Put each text between `<!-- name -->` and `<!-- /name -->` of a document."""
+    for name, text in sections.items():
+        before, found, rest = page.read_text().partition(f"<!-- {name} -->\n")
+        _, closed, after = rest.partition(f"<!-- /{name} -->")
+        if not (found and closed):
+            sys.exit(f"{page}: no <!-- {name} --> … <!-- /{name} -->")
+        page.write_text(f"{before}{found}{text}\n{closed}{after}")

@@ -19,6 +19,12 @@ BACKENDS = ("auto", "torch", "glsl")
 class Backend(Protocol):
     """A model, ready to run. `history` is the backend's own; None starts anew."""
 
+    def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> Any:
+        """From now on leave out what `plan.make_plan` says; counted in `left_out`. None where everything runs."""
+
+    def mismatch(self, frame: Frame, history: Any) -> float:
+        """`history.mismatch`: above `frame.CUT` history belongs to another shot."""
+
     def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
         """Denoise one frame of arrays `[1, C, H, W]`: `[1, 3, H, W]`, and the history for the next one."""
 
@@ -26,7 +32,7 @@ class Backend(Protocol):
         """A history as the fields of `frame.History` that it has, `[1, C, H, W]`: the same for every backend."""
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
-        """The inverse of `save`. Raises KeyError or TypeError where the fields are not those of this model."""
+        """The inverse of `save`. Raises InputError or KeyError where the fields are not those of a history."""
 
 
 def open_backend(name: str, model: str, device: str, precision: str) -> Backend:
@@ -70,22 +76,41 @@ class TorchBackend:
         import torch
 
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
-            image, history = self._denoiser.step(frame.map(torch.from_numpy).to(self.device), history)
+            image, history = self._denoiser.step(self._tensors(frame), history)
             return image.cpu().numpy(), history
 
-    def save(self, history: Any) -> dict[str, np.ndarray]:
-        tensors = {name: getattr(history, name) for name in type(history).__dataclass_fields__}
-        return {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items() if tensor is not None}
-
-    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
+    def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> Any:
         import torch
 
-        from .frame import History
+        from .plan import Planned, make_plan
 
-        names = History.__dataclass_fields__
-        return History(**{
-            name: torch.from_numpy(fields[name]).to(self.device) if name in fields else None for name in names
-        })  # fmt: skip
+        plan = make_plan(size, count, self._denoiser.config.motion, [frame.map(torch.from_numpy) for frame in first])
+        self._denoiser = Planned(self._denoiser, plan)
+        left_out |= self._denoiser.left_out | left_out  # the counts of earlier runs, where there are any
+        self._denoiser.left_out = left_out
+        return plan
+
+    def mismatch(self, frame: Frame, history: Any) -> float:
+        import torch
+
+        from .frame import sanitise
+        from .history import mismatch
+
+        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+            return mismatch(sanitise(self._tensors(frame)), history).item()
+
+    def save(self, history: Any) -> dict[str, np.ndarray]:
+        return {name: tensor.cpu().contiguous().numpy() for name, tensor in history.layers().items()}
+
+    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
+        from .history import from_arrays
+
+        return from_arrays(fields, self.device)
+
+    def _tensors(self, frame: Frame) -> Frame:
+        import torch
+
+        return frame.map(torch.from_numpy).to(self.device)
 
 
 class GlslBackend:
@@ -99,6 +124,12 @@ class GlslBackend:
         if precision not in ("auto", "fp32", "fp16"):
             raise InputError(f"precision {precision!r}: --backend glsl has 'fp32' and 'fp16' ('auto' is fp32)")
         self._pipeline = Pipeline.load(model, half=precision == "fp16")
+
+    def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> None:
+        return None
+
+    def mismatch(self, frame: Frame, history: Any) -> float:
+        return self._pipeline.mismatch(frame, history)
 
     def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
         return self._pipeline.step(frame, history)

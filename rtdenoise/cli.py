@@ -49,8 +49,13 @@ class Denoise:
         print(f"{self.out}: {summary.written} frames written, {summary.skipped} were there")
         if summary.written:
             print(f"denoiser: {1000 * summary.seconds / summary.written:.0f} ms a frame")
-        for layer, count in (summary.replaced or {}).items():
-            print(f"{layer}: {count} pixels were NaN or Inf and have been replaced")
+        for what, count in summary.replaced.items():
+            print(f"replaced: {what} in {count} pixels")
+        for what, count in summary.left_out.items():
+            if count:
+                print(f"left out: {what} in {count} frames")
+        if summary.cuts:
+            print(f"cuts: history starts anew at frame {', '.join(map(str, summary.cuts))}")
         if self.preview:
             from .data.sequences import open_sequence
 

@@ -57,6 +57,33 @@ def exposure(radiance: Tensor, block: int = 8) -> Tensor:
     return 1 / kept.mean(dim=1).clamp(min=1e-8).reshape(-1, 1, 1, 1)
 
 
+def limit_fireflies(radiance: Tensor, limit: float = 5.0, block: int = 8) -> Tensor:
+    """Cut single pixels that nothing around them and nothing else in the frame explains, `[B, 3, H, W]`; the hue stays.
+
+        bound = limit · max(brightest of the 8 neighbours, k-th brightest block maximum),    k = 2 + ⌊blocks / 50⌋
+
+    in luminance. What is bright in several adjacent pixels is a light and is kept; what is bright all over the frame is
+    the noise of a heavy-tailed estimator, whose energy is the picture's, and is kept: cutting it would darken. A frame
+    with fewer than `k` blocks that are not black has no measure of what is usual, and is kept. Scales with the
+    radiance.
+    """
+    brightness = luminance(radiance)
+    usual = F.max_pool2d(brightness, block, ceil_mode=True).flatten(1)
+    count = min(2 + usual.shape[1] // 50, usual.shape[1])
+    usual = usual.topk(count, dim=1).values[:, -1].reshape(-1, 1, 1, 1)
+    bound = limit * torch.maximum(_brightest_neighbour(brightness), usual)
+    cut = (brightness > bound) & (usual > 0)
+    return torch.where(cut, radiance * (bound / brightness), radiance)
+
+
+def _brightest_neighbour(image: Tensor) -> Tensor:
+    """The greatest of the 8 pixels around each, `[B, 1, H, W]`, of an image that is nowhere negative."""
+    sides = F.pad(image, (1, 1, 0, 0))
+    beside = torch.maximum(sides[..., :-2], sides[..., 2:])
+    rows = F.pad(torch.maximum(beside, image), (0, 0, 1, 1))
+    return torch.maximum(beside, torch.maximum(rows[..., :-2, :], rows[..., 2:, :]))
+
+
 def display_exposure(reference: Tensor) -> Tensor:
     """Scalar that brings the 98th percentile of the reference to 0.9, for pictures and display metrics."""
     values = reference.flatten().float()

@@ -3,27 +3,36 @@ stopped, finished ones where frames have been appended."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from typing import TYPE_CHECKING, Any
 
 from .atomic import write_atomically
 from .backends import Backend, open_backend
 from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
-from .frame import non_finite
-from .stored import find
+from .frame import CUT, faults
+from .stored import find, read_history, write_history
+from .strict_json import dumps
+
+if TYPE_CHECKING:
+    from .plan import Plan
+
+try:
+    import fcntl
+except ImportError:  # Windows: two runs on one folder are not kept apart
+    fcntl = None
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
+LOCK = ".rtdenoise-lock"  # held while a run writes there
+SUMMARY = "denoise.json"
+EXAMINED = 3  # frames that the plan looks at
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,10 @@ class Options:
     """Write 32-bit float instead of 16-bit half."""
     allow_gaps: bool = False
     """Accept missing frame numbers; history starts anew after each gap."""
+    detect_cuts: bool = True
+    """Start history anew where most pixels find another surface than the motion vectors promise."""
+    plan: bool = True
+    """Leave out what a frame does not need (`rtdenoise inspect` says what); off, and with glsl: everything runs."""
     backend: str = "auto"
     """'torch', 'glsl' (OpenGL compute shaders, needs no PyTorch), or 'auto': torch where it is installed."""
     device: str = "auto"
@@ -58,12 +71,17 @@ class Options:
 
 @dataclass
 class Summary:
-    """What a run did."""
+    """What a run did. But for `written`, `skipped` and `seconds` it counts the frames of earlier, interrupted runs
+    too."""
 
     written: int = 0
     skipped: int = 0
     seconds: float = 0.0  # in the denoiser alone
-    replaced: dict[str, int] | None = None  # layer -> pixels that were NaN or Inf
+    replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`frame.faults`)
+    cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
+    gaps: list[int] = field(default_factory=list)  # numbers of the frames that are missing
+    left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
+    plan: Plan | None = None
 
 
 def denoise(
@@ -87,28 +105,74 @@ def denoise(
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision)
     out = _prepare(Path(out), sequence)
-    fingerprints = _fingerprints(sequence, options)
-    done, history = (0, None) if overwrite else _resume(out, sequence, fingerprints, backend)
+    with _locked(out):
+        return _run(sequence, out, options, backend, overwrite, on_frame)
 
-    if not done:
-        _save_state(out / STATE, {}, 0, fingerprints[0])  # so that the next run knows the first frame for its own
-    summary = Summary(skipped=done, replaced={})
+
+def _run(
+    sequence: Sequence,
+    out: Path,
+    options: Options,
+    backend: Backend,
+    overwrite: bool,
+    on_frame: Callable[[int, int], None],
+) -> Summary:
+    fingerprints = _fingerprints(sequence, options)
+    done, history, summary = (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend)
+    if not done:  # so that the next run knows the first frame for its own
+        _save_state(out / STATE, {}, 0, fingerprints[0], summary)
+    summary.skipped, summary.gaps = done, list(sequence.gaps)
+    if options.plan:
+        first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
+        summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
+    if summary.plan:
+        sequence = sequence.only(summary.plan.layers)
+
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
         frame = sequence.read(i)
-        for layer, count in non_finite(frame).items():
-            summary.replaced[layer] = summary.replaced.get(layer, 0) + count
+        for what, count in faults(frame).items():
+            summary.replaced[what] = summary.replaced.get(what, 0) + count
         if i and frame.number != sequence.numbers[i - 1] + 1:
             history = None
         started = time.perf_counter()
+        if options.detect_cuts and history is not None and backend.mismatch(frame, history) > CUT:
+            summary.cuts.append(frame.number)
+            history = None
         image, history = backend.step(frame, history)
         summary.seconds += time.perf_counter() - started
         write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
                     keep=options.keep, float32=options.float32)  # fmt: skip
-        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1])
+        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary)
         summary.written += 1
         on_frame(i + 1, len(sequence))
+    _write_summary(out / SUMMARY, sequence, options, summary)
     return summary
+
+
+@contextlib.contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """One run at a time; the system lets go of the lock however a run ends."""
+    if fcntl is None:
+        yield
+        return
+    with (out / LOCK).open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"{out}: another run is writing there; wait for it, or choose another --out") from None
+        for abandoned in out.glob(".*.tmp"):  # by a run that was killed
+            abandoned.unlink()
+        yield
+
+
+def _write_summary(path: Path, sequence: Sequence, options: Options, summary: Summary) -> None:
+    plan = summary.plan and summary.plan.to_json()
+    document = {
+        "frames": len(sequence), "first": sequence.numbers[0], "last": sequence.numbers[-1], "size": sequence.size,
+        "options": asdict(options), **asdict(summary), "plan": plan,
+    }  # fmt: skip
+    write_atomically(path, (dumps(document, indent=1) + "\n").encode())
 
 
 def _prepare(out: Path, sequence: Sequence) -> Path:
@@ -147,32 +211,32 @@ def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
     return fingerprints
 
 
-def _resume(out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend) -> tuple[int, Any]:
-    """How many frames are finished, and the history after them."""
+def _resume(out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend) -> tuple[int, Any, Summary]:
+    """How many frames are finished, the history after them, and what there was to say about them."""
     if not (out / STATE).exists():
         clash = [name for name in sequence.names if (out / name).exists()]
         if clash:
             raise InputError(
                 f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"
             )
-        return 0, None
+        return 0, None, Summary()
     try:
-        with safe_open(out / STATE, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            done = int(metadata.get("done", 0))
-            if not done:  # whatever is there is of a run that did not come as far as its second frame
-                return 0, None
-            history = backend.restore({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118 (no dict)
-    except (SafetensorError, OSError, TypeError, KeyError) as error:
+        stored, metadata = read_history(out / STATE)
+        done, so_far = int(metadata["done"]), json.loads(metadata["so_far"])
+        history = backend.restore(stored) if stored else None
+    except (InputError, KeyError, ValueError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
+    if not done:  # whatever is there is of a run that did not come as far as its second frame
+        return 0, None, Summary()
     if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
         raise InputError(
             f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"
         )
     if any(not (out / name).exists() for name in sequence.names[:done]):
-        return 0, None
-    return done, history
+        return 0, None, Summary()
+    return done, history, Summary(**so_far)
 
 
-def _save_state(path: Path, history: dict[str, np.ndarray], done: int, fingerprint: str) -> None:
-    write_atomically(path, save(history, metadata={"done": str(done), "fingerprint": fingerprint}))
+def _save_state(path: Path, history: dict, done: int, fingerprint: str, summary: Summary) -> None:
+    so_far = {"replaced": summary.replaced, "cuts": summary.cuts, "left_out": summary.left_out}
+    write_history(path, history, {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far)})

@@ -16,7 +16,8 @@ A *signal* is what is denoised: `color` (the beauty) or `indirect` (light that b
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +29,11 @@ if TYPE_CHECKING:
 
 OFF_SCREEN = 1e4  # pixels: the motion of what was nowhere on the other frame, in any direction; half floats hold it
 FAR = 1e9  # depth from which on nothing was hit: renderers write inf, FLT_MAX or 1e10 there
+BRIGHTEST = 1e15  # radiance; its square is finite in float32
+GREATEST_ALBEDO, LONGEST_NORMAL = 16.0, 2.0  # far outside of what is meant, small enough for half precision
+# Share of mismatched pixels above which a frame belongs to another shot. Measured by bench/cuts.py: the least threshold
+# without a false alarm, and so the one that misses the fewest cuts.
+CUT = 0.3
 CHANNELS = {
     "radiance": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
     "position": 3, "id": 1, "reference": 3, "reference_half": 3,
@@ -108,6 +114,25 @@ class History:
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
     accumulated: Tensor | None = None  # [B, 6, H, W] running means of irradiance and albedo; None: nobody keeps them
 
+    def layers(self) -> dict[str, Tensor]:
+        """name -> tensor of what there is."""
+        return {f.name: tensor for f in fields(self) if (tensor := getattr(self, f.name)) is not None}
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a frame beside its buffers, so that a step need not find it out or may leave work out. It must
+    be true: nothing checks it. `plan` and `tiles` fill it in."""
+
+    still: bool = False  # motion, and motion_next of the frame before, are zero everywhere
+    covered: bool = False  # no pixel has been uncovered: `motion.occlusion_mask` is empty
+    sanitised: bool = False  # the frame has been through `sanitise`
+    exposure: Tensor | None = None  # [B, 1, 1, 1] and
+    distance: Tensor | None = None  # [B, 1, 1, 1] of the whole frame that this is a window of: `model.statistics`
+
+
+NOTHING_KNOWN = Known()
+
 
 def stack(frames: list[Frame]) -> Frame:
     """Frames of the same size and layers as one batch."""
@@ -117,51 +142,88 @@ def stack(frames: list[Frame]) -> Frame:
     return Frame(**{n: torch.cat([getattr(f, n) for f in frames]) for n in names}, number=frames[0].number)
 
 
-def nearness(depth: Tensor) -> Tensor:
-    """Depth `[B, 1, H, W]` as a network sees it, in [0, 1): t / (t + depth) with t the frame's mean distance; 0 where
+def mean_distance(depth: Tensor) -> Tensor:
+    """Of what was hit, `[B, 1, 1, 1]`; never zero."""
+    hits = (depth > 0).sum((1, 2, 3), keepdim=True).clamp(min=1)
+    return (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
+
+
+def nearness(depth: Tensor, distance: Tensor) -> Tensor:
+    """Depth `[B, 1, H, W]` as a network sees it, in [0, 1): t / (t + depth) with t the frame's mean `distance`; 0 where
     nothing was hit."""
     import torch
 
-    hit = depth > 0
-    hits = hit.sum((1, 2, 3), keepdim=True).clamp(min=1)
-    typical = (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
-    return torch.where(hit, typical / (typical + depth), 0.0)
+    return torch.where(depth > 0, distance / (distance + depth), 0.0)
 
 
 def sanitise(frame: Frame) -> Frame:
-    """Replace what no filter can use, once, before anything else sees it. Finite, valid frames come back unchanged to
-    the bit.
+    """Replace what no filter can use, once, before anything else sees it. Valid frames come back unchanged to the bit.
 
-    | layer                 | found                 | becomes |
-    |-----------------------|-----------------------|---------|
-    | radiance              | NaN, ±Inf or negative | 0       |
-    | albedo, normal        | NaN or ±Inf           | 0       |
-    | radiance              | above 1e15            | 1e15 (what follows must stay finite in float32) |
-    | depth                 | NaN, negative, above 1e9 or Inf | 0 (nothing hit) |
-    | motion, motion_next   | NaN or ±Inf           | `OFF_SCREEN`, so no history is taken |
+    | layer               | found                 | becomes |
+    |---------------------|-----------------------|---------|
+    | radiance            | NaN, ±Inf, negative   | 0       |
+    | radiance            | above 1e15            | 1e15 (what follows must stay finite in float32) |
+    | radiance            | a firefly             | what `color.limit_fireflies` leaves of it |
+    | albedo              | NaN, ±Inf, negative   | 0       |
+    | albedo              | above 16              | 16      |
+    | normal              | NaN, ±Inf             | 0       |
+    | normal              | beyond ±2             | ±2      |
+    | depth               | NaN, negative         | 0 (nothing hit) |
+    | depth               | above 1e9, Inf        | 0: that is how renderers write a miss, and no fault |
+    | motion, motion_next | NaN, ±Inf             | `OFF_SCREEN`, so no history is taken |
 
-    `non_finite` counts what this will replace.
+    `faults` counts what this will replace. Reference, position and id are left as they are.
     """
     import torch
 
-    def clean(tensor: Tensor | None, bad: float, lowest: float | None = None) -> Tensor | None:
-        if tensor is None:
-            return None
-        tensor = torch.where(tensor.isfinite(), tensor, bad)
-        return tensor if lowest is None else tensor.clamp(min=lowest)
+    from .color import limit_fireflies
 
-    return replace(
-        frame,
-        radiance=clean(frame.radiance, 0.0, lowest=0.0).clamp(max=1e15),
-        albedo=clean(frame.albedo, 0.0),
-        normal=clean(frame.normal, 0.0),
-        depth=None if frame.depth is None else torch.where((frame.depth > 0) & (frame.depth < FAR), frame.depth, 0.0),
-        motion=clean(frame.motion, OFF_SCREEN),
-        motion_next=clean(frame.motion_next, OFF_SCREEN),
-    )
+    ranges = {
+        "radiance": (0.0, BRIGHTEST), "albedo": (0.0, GREATEST_ALBEDO), "normal": (-LONGEST_NORMAL, LONGEST_NORMAL),
+    }  # fmt: skip
+    clean = {layer: tensor for layer, tensor in frame.layers() if layer in ("depth", "motion", "motion_next", *ranges)}
+    for layer, tensor in clean.items():
+        if layer == "depth":
+            clean[layer] = torch.where((tensor > 0) & (tensor < FAR), tensor, 0.0)
+        elif layer in ranges:
+            clean[layer] = torch.where(tensor.isfinite(), tensor, 0.0).clamp(*ranges[layer])
+        else:
+            clean[layer] = torch.where(tensor.isfinite(), tensor, OFF_SCREEN)
+    clean["radiance"] = limit_fireflies(clean["radiance"])
+    return replace(frame, **clean)
 
 
-def non_finite(frame: Frame) -> dict[str, int]:
-    """Number of pixels per layer that hold NaN or Inf; layers without any are left out."""
-    counts = {layer: int((~np.isfinite(np.asarray(tensor))).any(axis=1).sum()) for layer, tensor in frame.layers()}
-    return {layer: count for layer, count in counts.items() if count}
+def faults(frame: Frame) -> dict[str, int]:
+    """Pixels that `sanitise` will replace, as "layer: what is wrong with it" -> count; what is not there is left out.
+    Tensors on the CPU or numpy arrays; fireflies are counted where torch is installed."""
+    found: dict[str, np.ndarray] = {}
+    for layer, tensor in frame.layers():
+        array = np.asarray(tensor)
+        finite = np.isfinite(array)
+        if layer in ("radiance", "albedo", "normal", "motion", "motion_next"):
+            found[f"{layer}: NaN or Inf"] = ~finite
+        if layer in ("radiance", "albedo"):
+            found[f"{layer}: negative"] = finite & (array < 0)
+        if layer == "radiance":
+            found["radiance: too bright"] = finite & (array > BRIGHTEST)
+            found["radiance: firefly"] = _fireflies(np.where(finite, array, 0).clip(0.0, BRIGHTEST))
+        if layer == "albedo":
+            found["albedo: too large"] = finite & (array > GREATEST_ALBEDO)
+        if layer == "normal":
+            found["normal: too long"] = finite & (abs(array) > LONGEST_NORMAL)
+        if layer == "depth":
+            found["depth: NaN or negative"] = np.isnan(array) | (array < 0)
+    counts = {what: int(mask.any(axis=1).sum()) for what, mask in found.items()}
+    return {what: count for what, count in counts.items() if count}
+
+
+def _fireflies(radiance: np.ndarray) -> np.ndarray:
+    """Where `color.limit_fireflies` changes it."""
+    if find_spec("torch") is None:
+        return np.zeros(radiance.shape, bool)
+    import torch
+
+    from .color import limit_fireflies
+
+    tensor = torch.from_numpy(radiance)
+    return (limit_fireflies(tensor) != tensor).numpy()

@@ -13,9 +13,10 @@ from torch import Tensor
 from .data.conventions import Verdict, check_motion
 from .data.exr_format import group_channels
 from .data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
-from .frame import Frame, non_finite
+from .frame import Frame, faults, sanitise
 from .motion import dual_motion, occlusion_mask, on_screen
 from .motion_splat import splat_motion_next
+from .plan import Plan, make_plan
 
 READ = (*DEFAULT_LAYERS, "reference")  # what is read here; the check of the motion can use the reference
 
@@ -62,9 +63,10 @@ class Inspection:
     dual_motion: str  # where the dual motion comes from, in words
     scene: bool  # whether there is a scene.json
     examined: tuple[int, ...]  # numbers of the frames whose pixels were read
-    non_finite: dict[str, int]  # layer -> pixels with NaN or Inf in the examined frames; only where there are any
+    faults: dict[str, int]  # "layer: what is wrong" -> pixels of the examined frames that denoising will replace
     motion: MotionStatistics | None
     convention: Verdict | None  # None where there is no motion, or no two consecutive frames
+    plan: Plan  # what `denoise` will leave out
 
 
 def inspect(
@@ -85,8 +87,8 @@ def inspect(
     moving = [(frames[a], frames[b]) for a, b in chosen if frames[b].motion is not None]
     counts: dict[str, int] = {}
     for frame in frames.values():
-        for layer, count in non_finite(frame).items():
-            counts[layer] = counts.get(layer, 0) + count
+        for what, count in faults(frame).items():
+            counts[what] = counts.get(what, 0) + count
 
     present = {layer for frame in frames.values() for layer, _ in frame.layers()}
     computed = tuple(sorted(present - sequence.available.keys()))
@@ -108,9 +110,10 @@ def inspect(
         dual_motion=_dual_source(present, computed),
         scene=sequence.scene is not None,
         examined=tuple(frame.number for frame in frames.values()),
-        non_finite=counts,
+        faults=counts,
         motion=_motion_statistics(moving) if moving else None,
         convention=check_motion(moving) if moving else None,
+        plan=make_plan(sequence.size, len(sequence), "dual", [sanitise(frame) for frame in frames.values()]),
     )
 
 
@@ -209,14 +212,14 @@ def _summary(found: Inspection) -> list[tuple[str, str]]:
     (H, W), (first, last) = found.size, found.numbers
     gaps = f"; {len(found.gaps)} missing: {_shorten(found.gaps)}" if found.gaps else ", none missing"
     scene = "yes" if found.scene else "no"
-    bad = ", ".join(f"{layer} {count}" for layer, count in found.non_finite.items()) or "none"
+    bad = ", ".join(f"{what} ({count})" for what, count in found.faults.items()) or "none"
     divided = ", already divided by the albedo" if found.demodulated else ""
     lines = [
         ("frames", f"{found.files} files, {W}×{H}, numbers {first} to {last}{gaps}"),
         ("layout", f"{found.preset}; signal {found.signal}{divided}; scene.json: {scene}"),
         ("not used", group_channels(found.ignored) or "-"),
         ("examined", f"frames {_shorten(found.examined)}"),
-        ("non-finite", f"{bad} (pixels)"),
+        ("bad pixels", bad),
     ]
     lines.append(("dual motion", found.dual_motion))
     if found.computed:
@@ -232,6 +235,8 @@ def _summary(found: Inspection) -> list[tuple[str, str]]:
     else:
         compared = f" (compared: {found.convention.feature})" if found.convention.feature else ""
         lines.append(("convention", f"{found.convention.status.upper()}: {found.convention.message}{compared}"))
+    for i, decision in enumerate(found.plan.decisions):
+        lines.append(("" if i else "left out", f"{decision.what}: {decision.left_out} ({decision.why})"))
     return lines
 
 

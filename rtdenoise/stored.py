@@ -1,5 +1,5 @@
-"""Models on disk: safetensors with the configuration inside. Never pickle, which can run code. Read as numpy arrays;
-what makes a denoiser of them is in `models` (torch) and `glsl`."""
+"""Models and histories on disk: safetensors, a model's configuration in its metadata. Never pickle, which can run code.
+Read as numpy arrays; what makes denoisers of them is in `models` (torch) and `glsl`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
 
+from .atomic import write_atomically
 from .errors import InputError
 
 _SHIPPED = resources.files("rtdenoise") / "weights"
@@ -73,3 +75,17 @@ def read_model(model: str | Path) -> StoredModel:
     except ValueError as error:
         raise InputError(f"{path}: its configuration is not one of this version: {error}") from None
     return StoredModel(path, metadata.get("architecture", "temporal_kpn"), config, tensors)
+
+
+def write_history(path: Path, fields: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
+    """Write the fields of a history, none where there is none yet. Raises InputError where they cannot be written."""
+    write_atomically(path, save(dict(fields), metadata=dict(metadata)))
+
+
+def read_history(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """What `write_history` wrote: fields and metadata. Raises InputError where the file cannot be read."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            return {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118 (not a dict)
+    except (SafetensorError, OSError) as error:
+        raise InputError(f"{path}: not a readable history ({error})") from None

@@ -74,6 +74,8 @@ def _train(config: TrainConfig, share: tuple[int, int]) -> Path:
         trainer.save(out / "checkpoint.pt")
         if validation is None or not (out / WEIGHTS).exists():
             _save_weights(trainer, out / WEIGHTS)
+        if trainer.skipped:
+            print(f"{out}: {trainer.skipped} steps skipped: loss or gradient was not finite; log.jsonl says which")
     if stopping:
         raise KeyboardInterrupt
     return out / WEIGHTS
@@ -98,7 +100,7 @@ def _run(trainer, config, share, data, validation, stopping, log, reader) -> Non
                 continue
             progress.update(task, completed=trainer.step, loss=f"loss {row['loss']:.4f}")
             last = trainer.step == config.steps
-            if trainer.step % 20 == 0 or last:
+            if trainer.step % 20 == 0 or last or not math.isfinite(row["grad_norm"]):
                 _write(log, row)
             if validation and (trainer.step % config.validate_every == 0 or last):
                 found = validate(trainer.average, validation, config)

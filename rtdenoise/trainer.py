@@ -36,6 +36,7 @@ class Trainer:
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=config.lr)
         self.step = 0
         self.best = -math.inf  # dB, of the best validation so far
+        self.skipped = 0  # steps that a loss or gradient that was not finite has cost
 
     def train_step(self, clip: list[Frame]) -> dict[str, float]:
         """One optimiser step on a batch of clips; returns the numbers to log."""
@@ -67,19 +68,23 @@ class Trainer:
         total.backward()
         average_gradients(self.model.parameters())
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0).item()
-        if math.isfinite(norm):  # a poisoned clip must not poison the weights
+        if math.isfinite(norm):
             self.optimiser.step()
+        else:  # a poisoned clip must not poison the weights
+            self.skipped += 1
         self.step += 1
         decay = min(0.999, self.step / (self.step + 10))
         for mean, parameter in zip(self.average.parameters(), self.model.parameters(), strict=True):
             mean.lerp_(parameter.detach(), 1 - decay)
-        return {"step": self.step, **means({"loss": total.item(), **terms}), "grad_norm": norm, "lr": rate}
+        losses = means({"loss": total.item(), **terms})
+        return {"step": self.step, **losses, "grad_norm": norm, "lr": rate, "skipped": self.skipped}
 
     def save(self, path: Path) -> None:
         """Write the checkpoint. Raises InputError where it cannot be written."""
         state = {
             "step": self.step,
             "best": self.best,
+            "skipped": self.skipped,
             "model": self.model.state_dict(),
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
@@ -91,7 +96,7 @@ class Trainer:
     def load(self, path: Path) -> None:
         """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one."""
         state = torch.load(path, map_location=self.config.device, weights_only=True)
-        self.step, self.best = state["step"], state["best"]
+        self.step, self.best, self.skipped = state["step"], state["best"], state.get("skipped", 0)
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])

@@ -5,7 +5,10 @@ import errno
 import json
 import os
 import shutil
+import signal
+import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +20,7 @@ import rtdenoise
 from rtdenoise.cli import main
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.denoise import STATE, Options, denoise
+from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
 
 
@@ -156,7 +160,7 @@ def test_bad_pixels_are_replaced_and_counted(tmp_path, model, capsys):
     frames[1] = with_bad_pixels(frames[1])
     write_sequence(tmp_path / "shot", frames)
     main(["denoise", str(tmp_path / "shot"), "--out", str(tmp_path / "out"), "--model", model])
-    assert "radiance: 2 pixels were NaN or Inf" in capsys.readouterr().out
+    assert "replaced: radiance: NaN or Inf in 2 pixels" in capsys.readouterr().out
     for i in range(4):
         assert np.isfinite(pixels(tmp_path / "out" / f"frame.{i:04d}.exr")).all()
 
@@ -281,3 +285,136 @@ def test_a_mended_preset_is_another_run(shot, tmp_path, model, capsys):
 def test_unknown_device(shot, tmp_path, model, capsys):
     command = ("denoise", shot, "--out", tmp_path / "out", "--model", model, "--device", "gpu")
     assert "unknown device 'gpu'" in refused(capsys, *command)
+
+
+def spliced(folder, at=4):
+    """Two shots as one sequence, with the motion vectors that each has of its own; the second is another scene."""
+    frames = make_frames(2 * at)
+    elsewhere = [replace(f, depth=f.depth * 4, albedo=f.albedo.flip(2)) for f in frames[at:]]
+    return write_sequence(folder, frames[:at] + elsewhere)
+
+
+def test_a_cut_that_no_layer_tells_starts_anew(tmp_path, model, capsys):
+    shot = spliced(tmp_path / "shot")
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", model, "--float32"])
+    assert "history starts anew at frame 4" in capsys.readouterr().out
+    alone = rtdenoise.load(model).step(rtdenoise.open_sequence(shot)[4])[0]
+    assert np.array_equal(pixels(tmp_path / "out" / "frame.0004.exr"), alone[0].numpy())
+    summary = denoise(str(shot), tmp_path / "through", Options(model=model, detect_cuts=False))
+    assert summary.cuts == []
+    assert not np.array_equal(pixels(tmp_path / "through" / "frame.0004.exr"), alone[0].numpy())
+
+
+def test_the_summary_of_a_resumed_run_is_that_of_an_undisturbed_one(tmp_path, model):
+    shot = spliced(tmp_path / "shot")
+    write_sequence(shot, [with_bad_pixels(make_frames(2)[1])])
+
+    class Stop(Exception):
+        pass
+
+    def stop(done, total):
+        if done == 5:
+            raise Stop
+
+    denoise(str(shot), tmp_path / "whole", Options(model=model))
+    with pytest.raises(Stop):
+        denoise(str(shot), tmp_path / "halves", Options(model=model), on_frame=stop)
+    denoise(str(shot), tmp_path / "halves", Options(model=model))
+    whole, halves = (json.loads((tmp_path / name / "denoise.json").read_text()) for name in ("whole", "halves"))
+    assert whole["cuts"] == [4] and whole["replaced"] == {"radiance: NaN or Inf": 2} and whole["plan"]["layers"]
+    for own in ("seconds", "written", "skipped"):
+        del whole[own], halves[own]
+    assert whole == halves
+
+
+def test_two_runs_do_not_write_to_one_folder(shot, tmp_path, model, capsys):
+    command = ("denoise", shot, "--out", tmp_path / "out", "--model", model)
+
+    def another(done, total):
+        if done == 2:
+            assert "another run is writing there" in refused(capsys, *command)
+
+    assert denoise(str(shot), tmp_path / "out", Options(model=model), on_frame=another).written == 4
+    assert denoise(str(shot), tmp_path / "out", Options(model=model)).skipped == 4
+
+
+def in_a_process(*arguments, prefix="", **options):
+    """The command line in a process of its own."""
+    code = f"import sys\n{prefix}\nfrom rtdenoise.cli import main\nmain(sys.argv[1:])"
+    return subprocess.Popen([sys.executable, "-c", code, *map(str, arguments)], stderr=subprocess.PIPE, text=True,
+                            stdout=subprocess.DEVNULL, **options)  # fmt: skip
+
+
+def test_a_run_killed_anywhere_is_resumed_to_the_same_files(tmp_path, model):
+    """The process kills itself, with no chance to tidy up, as it is about to give a file its name: an image, then a
+    history. bench/files.py does so fifty times at random moments."""
+    shot = write_sequence(tmp_path / "shot", make_frames(6))
+    denoise(str(shot), tmp_path / "whole", Options(model=model))
+    expected = {path.name: path.read_bytes() for path in (tmp_path / "whole").glob("*.exr")}
+    prefix = (
+        "import os, signal; left = [int(os.environ['LEFT'])]; rename = os.replace\n"
+        "def replace(*names):\n"
+        "    left[0] -= 1\n"
+        "    left[0] or os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    rename(*names)\n"
+        "os.replace = replace\n"
+    )
+    command = ("denoise", shot, "--out", tmp_path / "out", "--model", model)
+    for left in (2, 3):
+        run = in_a_process(*command, prefix=prefix, env=os.environ | {"LEFT": str(left)})
+        run.communicate()
+        assert run.returncode == -signal.SIGKILL
+    denoise(str(shot), tmp_path / "out", Options(model=model))
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.exr")} == expected
+    assert not list((tmp_path / "out").glob("*.tmp"))  # what the killed runs left is gone
+
+
+def test_a_disk_that_fills_up_is_one_line_and_resumable(tmp_path, model):
+    """No file may grow beyond 4 KB: the system's own refusal, not a stand-in for it."""
+    shot = write_sequence(tmp_path / "shot", make_frames(2, H=64, W=64))
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))"
+    command = ("denoise", shot, "--out", tmp_path / "out", "--model", model)
+    run = in_a_process(*command, prefix=limit)
+    _, error = run.communicate()
+    assert run.returncode == 2 and error.startswith("rtdenoise: ") and error.count("\n") == 1, error
+    assert not list((tmp_path / "out").glob("*.exr")) and not list((tmp_path / "out").glob(".*.tmp"))
+    assert denoise(str(shot), tmp_path / "out", Options(model=model)).written == 2
+
+
+@pytest.mark.parametrize(
+    "name", ["a b'\"$(touch x);é\n.0000.exr", "..0000.exr", "-0000.exr", "*[0]?.0000.exr", "%s{}.0000.exr"]
+)
+def test_hostile_names_stay_inside_out(tmp_path, model, name):
+    shot = write_sequence(tmp_path / "sh*[ot]", make_frames(1))
+    (shot / "frame.0000.exr").rename(shot / name)
+    if name.startswith("."):  # hidden: not part of a sequence
+        with pytest.raises(InputError, match=r"no \.exr file"):
+            denoise(str(shot), tmp_path / "out", Options(model=model))
+        return
+    before = {path for path in tmp_path.rglob("*") if "out" not in path.parts}
+    assert denoise(str(shot), tmp_path / "out", Options(model=model)).written == 1
+    assert (tmp_path / "out" / name).exists()
+    assert {path for path in tmp_path.rglob("*") if "out" not in path.relative_to(tmp_path).parts} == before
+
+
+def test_a_link_out_of_the_output_folder_is_replaced_not_followed(shot, tmp_path, model):
+    victim = tmp_path / "victim.exr"
+    victim.write_text("precious")
+    out = tmp_path / "out"
+    denoise(str(shot), out, Options(model=model))
+    (out / "frame.0001.exr").unlink()
+    (out / "frame.0001.exr").symlink_to(victim)
+    denoise(str(shot), out, Options(model=model), overwrite=True)
+    assert victim.read_text() == "precious" and not (out / "frame.0001.exr").is_symlink()
+
+
+def test_weights_that_are_pickles_are_not_opened(shot, tmp_path, capsys):
+    class Bomb:
+        def __reduce__(self):
+            return (os.mkdir, (str(tmp_path / "owned"),))
+
+    for name in ("weights.safetensors", "weights.pt"):
+        torch.save({"state": Bomb()}, tmp_path / name)
+        line = refused(capsys, "denoise", shot, "--out", tmp_path / "out", "--model", tmp_path / name)
+        assert "not a readable safetensors file" in line
+    assert not (tmp_path / "owned").exists()

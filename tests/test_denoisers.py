@@ -9,7 +9,7 @@ from safetensors.torch import save_file
 
 from rtdenoise.color import albedo_divisor
 from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame, History, non_finite, sanitise
+from rtdenoise.frame import Frame, History, faults, sanitise
 from rtdenoise.models import PRESETS, AccumulatedKPN, TemporalKPN, accumulated_kpn, available, create, load, save
 from rtdenoise.models import temporal_kpn as paper
 from rtdenoise.models.presets import architecture
@@ -126,7 +126,9 @@ def test_bad_pixels_never_reach_output_or_history(denoiser, layer, bad):
     broken = getattr(frame, layer).clone()
     broken[:, :, 5, 7] = bad
     frame = replace(frame, **{layer: broken})
-    assert non_finite(frame) == {layer: 1}
+    kind = "NaN or negative" if layer == "depth" else "NaN or Inf"
+    miss = layer == "depth" and bad == math.inf  # how renderers write it
+    assert faults(frame) == ({} if miss else {f"{layer}: {kind}": 1})
     _, history = denoiser.step(frame, None)
     image, history = denoiser.step(frame, history)
     assert image.isfinite().all()
@@ -233,6 +235,27 @@ def test_unusable_weights_are_named(tmp_path, denoiser):
 def test_every_shipped_model_loads():
     for name in available():
         assert load(name).step(make_frame())[0].isfinite().all()
+
+
+def test_every_fault_is_counted_once_and_gone_after_sanitising():
+    frame = make_frame(32, 32)
+
+    def put(layer, *values):
+        tensor = getattr(frame, layer).clone()
+        for i, value in enumerate(values):
+            tensor[0, 0, 4 * i, 3] = value
+        return tensor
+
+    broken = replace(
+        frame, radiance=put("radiance", math.nan, -1.0, 1e20, 1e6), albedo=put("albedo", math.inf, -1.0, 99.0),
+        normal=put("normal", math.nan, 7.0), depth=put("depth", math.nan, -2.0, 1e10), motion=put("motion", math.inf),
+    )  # fmt: skip
+    assert faults(broken) == {
+        "radiance: NaN or Inf": 1, "radiance: negative": 1, "radiance: too bright": 1, "radiance: firefly": 2,
+        "albedo: NaN or Inf": 1, "albedo: negative": 1, "albedo: too large": 1, "normal: NaN or Inf": 1,
+        "normal: too long": 1, "depth: NaN or negative": 2, "motion: NaN or Inf": 1,
+    }  # fmt: skip
+    assert faults(sanitise(broken)) == {}
 
 
 def test_a_static_pixel_averages_what_it_saw():

@@ -6,6 +6,8 @@ import re
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "bench" / "README.md", *(ROOT / "docs").rglob("*.md")]
 
@@ -17,6 +19,14 @@ def test_the_tables_are_those_of_the_results(monkeypatch):
     assert sample.table(document, "indirect") in (ROOT / "README.md").read_text()
     for signal in ("indirect", "color"):
         assert sample.table(document, signal) in (ROOT / "docs" / "models" / "paper.md").read_text()
+
+
+@pytest.mark.parametrize("name", ["stability", "cuts", "plan", "tiles", "files"])
+def test_the_page_on_stability_is_that_of_the_results(monkeypatch, name):
+    monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "bench")])
+    bench, page = importlib.import_module(name), (ROOT / "docs" / "stability.md").read_text()
+    for section, text in bench.tables(json.loads(bench.RESULT.read_text())).items():
+        assert f"<!-- {section} -->\n{text}\n<!-- /{section} -->" in page, section
 
 
 def test_the_latency_table_is_that_of_the_result(monkeypatch):

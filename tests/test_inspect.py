@@ -224,13 +224,17 @@ def test_the_facts(tmp_path):
     assert found.missing == {"normal": "write it as normal.X, normal.Y, normal.Z"}
     assert found.ignored == ("extra.V",) and found.computed == ()
     assert found.examined == (1, 2, 3)  # 6 has no neighbour
-    assert found.non_finite == {"radiance": 1, "motion": 5}
+    assert found.faults == {"radiance: NaN or Inf": 1, "motion: NaN or Inf": 5}
     assert found.convention.status == "ok"
     json.dumps(asdict(found))
 
     text = render_text(found)
     assert "4 files, 110×72, numbers 1 to 6; 2 missing: 4, 5" in text and "native; signal color" in text
-    assert "radiance 1, motion 5 (pixels)" in text and "extra.V" in text and "write it as normal.X" in text
+    assert (
+        "radiance: NaN or Inf (1), motion: NaN or Inf (5)" in text
+        and "extra.V" in text
+        and "write it as normal.X" in text
+    )
     assert "OK: previous - current, pixels, y down" in text and "albedo.R, albedo.G" in text
 
 

@@ -8,7 +8,17 @@ import pytest
 import torch
 from skimage import metrics as skimage_metrics
 
-from rtdenoise.color import compress, display, display_exposure, expand, exposure, luminance, srgb_decode, srgb_encode
+from rtdenoise.color import (
+    compress,
+    display,
+    display_exposure,
+    expand,
+    exposure,
+    limit_fireflies,
+    luminance,
+    srgb_decode,
+    srgb_encode,
+)  # fmt: skip
 from rtdenoise.errors import InputError
 from rtdenoise.metrics import flip, flip_map, l1, mse, psnr, relmse, smape, ssim
 
@@ -185,3 +195,21 @@ def test_exposure_is_not_moved_by_one_firefly():
 def test_display_exposure_brings_the_98th_percentile_to_09():
     values = torch.rand(1, 3, 50, 50) * 7
     assert torch.quantile(values * display_exposure(values), 0.98).item() == pytest.approx(0.9, abs=1e-3)
+
+
+def test_fireflies_are_cut_and_lights_and_noise_are_not():
+    noise = torch.empty(1, 3, 48, 64).exponential_()
+    firefly = noise.clone()
+    firefly[..., 20, 30] = torch.tensor([1e7, 2e7, 4e7])
+    cut = limit_fireflies(firefly)
+    assert cut[..., 20, 30].max() < 100 and cut[0, 1, 20, 30] == pytest.approx(2 * cut[0, 0, 20, 30].item())
+    assert torch.equal(torch.where(firefly == noise, cut, 0), torch.where(firefly == noise, noise, 0))
+    torch.testing.assert_close(limit_fireflies(firefly * 1e-6), cut * 1e-6)
+
+    lamp = noise.clone()
+    lamp[..., 20:22, 30:32] = 1e7  # as bright, but four pixels of it
+    speck = torch.zeros(1, 3, 48, 64)
+    speck[..., 20, 30] = 1e7  # nothing else in the frame to measure it by
+    sparse = torch.where(torch.rand(1, 1, 48, 64) < 0.02, 1e4, noise)
+    for kept in (noise, lamp, speck, sparse):
+        assert torch.equal(limit_fireflies(kept), kept)

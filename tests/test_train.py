@@ -167,13 +167,19 @@ def test_it_learns(config):
     assert np.mean(losses[-5:]) < 0.85 * losses[0]
 
 
-def test_a_poisoned_clip_leaves_the_weights_finite(config):
-    trainer = Trainer(config)
-    clip = _batch(ClipDataset(*config.data), config, 0)
-    poisoned = [replace(frame, reference=frame.reference * float("nan")) for frame in clip]
-    trainer.train_step(poisoned)
-    trainer.train_step(clip)
-    assert all(p.isfinite().all() for p in trainer.model.parameters())
+def test_a_poisoned_clip_is_skipped_counted_and_reported(config, monkeypatch, capsys):
+    load_clip = ClipDataset.load
+
+    def poisoned(self, index, **options):
+        frames = load_clip(self, index, **options)
+        return [replace(f, reference=f.reference * float("nan")) for f in frames] if index == 2 else frames
+
+    monkeypatch.setattr(ClipDataset, "load", poisoned)
+    weights = train(replace(config, val=None, batch=1, steps=5))  # one epoch: each clip once
+    assert all(p.isfinite().all() for p in load(weights).parameters())
+    skipped = [row for row in log(config.out) if row["grad_norm"] is None]
+    assert len(skipped) == 1 and skipped[0]["loss"] is None and log(config.out)[-1]["skipped"] == 1
+    assert "1 steps skipped" in capsys.readouterr().out
 
 
 def test_every_clip_is_seen_once_an_epoch(config):

@@ -56,8 +56,7 @@ def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> T
     where the input is not finite, the rest counts as 0."""
     import torch
 
-    frame = sanitise(frame)
-    albedo = frame.albedo if sequence.demodulated else torch.ones_like(image)
+    albedo = sanitise(frame).albedo if sequence.demodulated else torch.ones_like(image)
     if sequence.signal == "color":
         return image * albedo
     rule = sequence.preset.resolve(sequence.header, "color")["radiance"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
@@ -94,6 +94,15 @@ class Sequence:
         import torch
 
         return complete(frame.map(torch.from_numpy), self.scene).map(lambda tensor: tensor.numpy())
+
+    def only(self, layers: Collection[str]) -> Sequence:
+        """The sequence without the layers of `Frame` that are not among `layers`, and what they are computed from.
+
+        Parts of a multi-part file that nothing needs are not even read from the disk.
+        """
+        computed = [layer for layer in layers if layer in DEFAULT_LAYERS and layer not in self.available]
+        wanted = {*layers, *(("position", "id") if computed else ())}
+        return replace(self, rules={layer: rule for layer, rule in self.rules.items() if layer in wanted})
 
     def require(self, *layers: str) -> Sequence:
         """The sequence itself, if it has these layers of `Frame`.

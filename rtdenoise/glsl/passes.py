@@ -15,7 +15,7 @@ from .scratch import Scratch
 from .state import History
 
 BLOCK = 8  # side of the blocks that exposure is measured in
-STATISTICS_GROUP = (256,)
+SELECT_GROUP = (256,)
 NOTHING = 0xFFFFFFFF  # in the splat: no pixel
 
 
@@ -38,18 +38,20 @@ class Passes:
     def prepare(self, layers: Mapping[str, GpuArray]) -> tuple[GpuArray, ...]:
         """Sanitised light, surface and guide, and the statistics of the frame."""
         H, W = layers["radiance"].shape[1:]
-        light, guide = self._image("light", (H, W)), self._image("guide", (H, W))
-        surface = self._fresh((H, W))
         across, down = -(-W // BLOCK), -(-H // BLOCK)
-        blocks = self._image("blocks", (down, across))
+        count, size = across * down, {"size": (W, H)}
         inputs = [layers[name] for name in ("radiance", "albedo", "normal", "depth")]
+        clean, guide, light = (self._image(name, (H, W)) for name in ("clean", "guide", "light"))
+        surface, maxima = self._fresh((H, W)), self._scratch("maxima", (down, across))
         dispatch(
-            "frame/prepare", [*inputs, light, surface, guide, blocks], (W, H), {"size": (W, H)}, (BLOCK, BLOCK),
+            "frame/sanitise", [*inputs, clean, surface, guide, maxima], (W, H), size, (BLOCK, BLOCK),
             DEMODULATE=int(self._design.accumulates),
         )  # fmt: skip
-        count, statistics = across * down, self._scratch("statistics", (2,))
-        uniforms = {"count": count, "kept": max(1, int(0.9 * count))}
-        dispatch("frame/statistics", [blocks, statistics], (1,), uniforms, STATISTICS_GROUP)
+        usual, blocks = self._scratch("usual", (1,)), self._image("blocks", (down, across))
+        dispatch("frame/usual", [maxima, usual], (1,), {"count": count}, SELECT_GROUP)
+        dispatch("frame/light", [clean, surface, guide, usual, light, blocks], (W, H), size, (BLOCK, BLOCK))
+        statistics, kept = self._scratch("statistics", (2,)), max(1, int(0.9 * count))
+        dispatch("frame/statistics", [blocks, statistics], (1,), {"count": count, "kept": kept}, SELECT_GROUP)
         return light, surface, guide, statistics
 
     def vectors(self, layers: Mapping[str, GpuArray]) -> GpuArray | None:
@@ -61,6 +63,15 @@ class Passes:
         vectors = self._fresh((H, W))
         dispatch("frame/motion", [there[0], there[-1], vectors], (W, H), {"size": (W, H)})
         return vectors
+
+    def mismatch(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> float:
+        """Share of the pixels with history on the screen that find another surface there."""
+        H, W = surface.shape[:2]
+        counts = self._scratch("mismatch", (2,), np.uint32)
+        fill(counts)
+        dispatch("frame/mismatch", [vectors, surface, surface_before, counts], (W, H), {"size": (W, H)})
+        seen, wrong = counts.read()
+        return int(wrong) / max(1, int(seen))
 
     def history_motion(self, vectors: GpuArray | None, surface: GpuArray, history: History | None) -> GpuArray | None:
         """The motion that fetches history, and what has been uncovered."""

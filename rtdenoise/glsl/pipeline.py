@@ -71,22 +71,9 @@ class Pipeline:
         sequence or resets after a cut. Raises InputError where a layer is missing, the history is of another size, or
         a buffer would be larger than the device allows.
         """
-        if len(frame.radiance) != 1:
-            raise InputError(f"{frame.name or 'frame'}: expected one frame at a time, got {len(frame.radiance)}")
-        needed = ("albedo", "normal", "depth", *(() if history is None else ("motion",)))
-        frame.require(*needed)
-        if history is not None and history.size != frame.size:
-            raise InputError(
-                f"{frame.name or 'frame'}: history is {history.size}, the frame {frame.size}; pass history=None to "
-                "start anew"
-            )
         try:
             with self._stage("upload"):
-                layers = {
-                    layer: GpuArray.upload(self.ctx, array[0])
-                    for layer, array in frame.layers()
-                    if layer in ("radiance", "motion", "motion_next", *needed)
-                }
+                layers = self._upload(frame, history)
             result, history = self.run(layers, history)
         except GpuMemoryError as error:
             H, W = frame.size
@@ -97,6 +84,13 @@ class Pipeline:
         with self._stage("download"):
             image = result.read()
         return image[None], history
+
+    def mismatch(self, frame: Frame, history: History) -> float:
+        """Share of the pixels with history on the screen that find another surface there, as `history.mismatch`: above
+        `frame.CUT` it is another shot, for which `step` wants no history. Waits for the GPU."""
+        layers = self._upload(frame, history)
+        _, surface, *_ = self.passes.prepare(layers)
+        return self.passes.mismatch(self.passes.vectors(layers), surface, history.surface)
 
     def run(self, layers: Mapping[str, GpuArray], history: History | None = None) -> tuple[GpuArray, History]:
         """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
@@ -125,6 +119,23 @@ class Pipeline:
             result, denoised = passes.blend(levels[0], past, now)
         vectors = vectors if "motion_next" in layers else None
         return result, History(denoised, surface, vectors, mean if accumulates else None, mean_albedo)
+
+    def _upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
+        """The layers that a step reads. Raises InputError where one is missing, or history is of another size."""
+        if len(frame.radiance) != 1:
+            raise InputError(f"{frame.name or 'frame'}: expected one frame at a time, got {len(frame.radiance)}")
+        needed = ("albedo", "normal", "depth", *(() if history is None else ("motion",)))
+        frame.require(*needed)
+        if history is not None and history.size != frame.size:
+            raise InputError(
+                f"{frame.name or 'frame'}: history is {history.size}, the frame {frame.size}; pass history=None to "
+                "start anew"
+            )
+        return {
+            layer: GpuArray.upload(self.ctx, array[0])
+            for layer, array in frame.layers()
+            if layer in ("radiance", "motion", "motion_next", *needed)
+        }
 
     def _stage(self, name: str):
         return nullcontext() if self.clock is None else self.clock.stage(name)

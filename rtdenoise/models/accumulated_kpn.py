@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..color import albedo_divisor, compress, exposure
-from ..frame import Frame, History, nearness, sanitise
+from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance, nearness, sanitise
 from ..motion import occlusion_mask, on_screen
 from ..motion_splat import history_motion
 from ..nets import UNet, as_weights
@@ -57,6 +57,18 @@ class Config:
 
 
 @dataclass(frozen=True)
+class Past:
+    """What the frames before say of each pixel. Zero where they say nothing."""
+
+    light: Tensor  # [B, 3, H, W] running mean of irradiance
+    albedo: Tensor  # [B, 3, H, W] running mean of albedo
+    length: Tensor  # [B, 1, H, W] frames in these means
+    output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where it was off the screen
+    on_screen: Tensor  # [B, 1, H, W] bool: where it was not
+    uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
+
+
+@dataclass(frozen=True)
 class Heads:
     """What the network predicts for one frame. Lists run from the finest scale to the coarsest."""
 
@@ -87,9 +99,11 @@ class AccumulatedKPN(nn.Module):
         with torch.no_grad():
             self.full_head.bias[-2] = -4.0  # start from a plain running mean: reset near 0
 
-    def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
+    def step(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History]:
         """Denoise one frame, as `TemporalKPN.step`."""
-        frame = sanitise(frame)
+        frame = frame if known.sanitised else sanitise(frame)
         needed = ("albedo", "normal", "depth")
         if history is None:
             frame.require(*needed)
@@ -98,27 +112,16 @@ class AccumulatedKPN(nn.Module):
         albedo = albedo_divisor(frame.albedo, frame.depth)
         noisy = frame.radiance / albedo  # irradiance, but for what is not diffuse
 
-        # Reproject: running means of light and albedo from the same surface only, the previous output from wherever.
-        mean, mean_albedo = torch.zeros_like(noisy), torch.zeros_like(noisy)
-        length = torch.zeros_like(noisy[:, :1])
-        uncovered = on = torch.zeros_like(length, dtype=torch.bool)
-        warped = frame.radiance
-        if history is not None:
-            motion = history_motion(frame, history, self.config.motion)
-            kept = torch.cat([history.accumulated, history.length], dim=1)
-            here, before = (frame.depth, frame.normal), (history.depth, history.normal)
-            mean, mean_albedo, length = reproject(kept, motion, here, before)[0].split([3, 3, 1], dim=1)
-            on, uncovered = on_screen(motion), occlusion_mask(motion, frame.motion)
-            warped = torch.where(on, warp(history.radiance, motion), frame.radiance)
-        weight = 1 / (1 + length)  # of the current frame in a plain mean
-        mean_albedo = blend(frame.albedo, mean_albedo, weight)
+        past = self.reprojected(frame, history, known)
+        weight = 1 / (1 + past.length)  # of the current frame in a plain mean
+        mean_albedo = blend(frame.albedo, past.albedo, weight)
 
         # Predict kernels.
-        heads = self.predict(self.features(frame, noisy, mean, warped, mean_albedo, length, uncovered))
+        heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
 
         # Average light over time, but give the mean up where the network says that light has changed.
         weight = weight + heads.reset * (1 - weight)
-        mean = blend(noisy, mean, weight)
+        mean = blend(noisy, past.light, weight)
         length = (1 / weight).clamp(max=self.config.longest - 1)
 
         # Filter each scale with its own kernels, the coarser ones what the finer have filtered; compose back (eq. 4).
@@ -133,25 +136,39 @@ class AccumulatedKPN(nn.Module):
         # what has just changed. Then blend with the previous output, which averages edges as well.
         texture = albedo_divisor(blend(frame.albedo, mean_albedo, heads.sharp), frame.depth)
         output = output.clamp(min=0) * texture
-        past = apply_kernel(torch.where(on, warped, output), heads.temporal)
-        output = blend(output, past, heads.alpha_temporal)
+        before = apply_kernel(torch.where(past.on_screen, past.output, output), heads.temporal)
+        output = blend(output, before, heads.alpha_temporal)
         accumulated = torch.cat([mean, mean_albedo], dim=1)
         return output, History(output, frame.motion_next, frame.depth, frame.normal, length, accumulated)
 
+    def reprojected(self, frame: Frame, history: History | None, known: Known = NOTHING_KNOWN) -> Past:
+        """History where this frame needs it: means from the same surface only, the previous output from wherever."""
+        nothing = torch.zeros_like(frame.radiance)
+        if history is None:
+            never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
+            return Past(nothing, nothing, nothing[:, :1], frame.radiance, never, never)
+        motion = frame.motion if known.covered else history_motion(frame, history, self.config.motion)
+        kept = torch.cat([history.accumulated, history.length], dim=1)
+        here, before = (frame.depth, frame.normal), (history.depth, history.normal)
+        light, albedo, length = reproject(kept, motion, here, before)[0].split([3, 3, 1], dim=1)
+        on = on_screen(motion)
+        output = history.radiance if known.still else torch.where(on, warp(history.radiance, motion), frame.radiance)
+        return Past(light, albedo, length, output, on, occlusion_mask(motion, frame.motion))
+
     def features(
-        self,
-        frame: Frame,
-        noisy: Tensor,
-        mean: Tensor,
-        warped: Tensor,
-        mean_albedo: Tensor,
-        length: Tensor,
-        uncovered: Tensor,
+        self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN
     ) -> Tensor:
         """The network's input `[B, 21, H, W]`: light compressed at one exposure, nearness and length in [0, 1]."""
-        light = compress(torch.cat([noisy, mean, warped], dim=1) * exposure(noisy))
-        geometry = torch.cat([frame.albedo, mean_albedo, frame.normal, nearness(frame.depth)], dim=1)
-        return torch.cat([light, geometry, length / self.config.longest, uncovered.to(light.dtype)], dim=1)
+        scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
+        light = compress(torch.cat([noisy, past.light, past.output], dim=1) * scale)
+        geometry = torch.cat([frame.albedo, mean_albedo, frame.normal, nearness(frame.depth, distance)], dim=1)
+        length = past.length / self.config.longest
+        return torch.cat([light, geometry, length, past.uncovered.to(light.dtype)], dim=1)
+
+    def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
+        """As `TemporalKPN.statistics`, of the light without its textures."""
+        noisy = frame.radiance / albedo_divisor(frame.albedo, frame.depth)
+        return exposure(noisy), mean_distance(frame.depth)
 
     def predict(self, features: Tensor) -> Heads:
         """Run the network at half size. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from ..color import compress, exposure
-from ..frame import Frame, History, nearness, sanitise
+from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance, nearness, sanitise
 from ..motion import on_screen
 from ..motion_splat import history_motion
 from ..nets import UNet, as_weights
@@ -72,16 +72,18 @@ class TemporalKPN(nn.Module):
                 nn.init.xavier_uniform_(module.weight)
                 nn.init.zeros_(module.bias)
 
-    def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
+    def step(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History]:
         """Denoise one frame: `[B, 3, H, W]` linear radiance, and the history for the next one.
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion. `history=None` starts a
         sequence or resets after a cut. Without `motion_next` in the previous frame it is approximated from this frame's
-        motion and both depths.
+        motion and both depths. What is `known` is neither looked for nor done in vain.
 
         Raises InputError where a layer is missing or the history is of another size.
         """
-        frame = sanitise(frame)
+        frame = frame if known.sanitised else sanitise(frame)
         needed = ("albedo", "normal", "depth")
         if history is None:
             frame.require(*needed)
@@ -91,12 +93,14 @@ class TemporalKPN(nn.Module):
         # Reproject the previous output; where that is off the screen start from the noise, like a first frame.
         if history is None:
             warped = frame.radiance
+        elif known.still:
+            warped = history.radiance
         else:
-            motion = history_motion(frame, history, self.config.motion)
+            motion = frame.motion if known.covered else history_motion(frame, history, self.config.motion)
             warped = torch.where(on_screen(motion), warp(history.radiance, motion), frame.radiance)
 
         # Predict kernels.
-        heads = self.predict(self.features(frame, warped))
+        heads = self.predict(self.features(frame, warped, known))
 
         # Filter each scale with its own kernels, then compose from coarse to fine (eq. 4).
         noisy = frame.radiance
@@ -113,11 +117,16 @@ class TemporalKPN(nn.Module):
         output = output.clamp(min=0)  # eq. 4 subtracts: keep radiance physical
         return output, History(output, frame.motion_next, frame.depth, frame.normal)
 
-    def features(self, frame: Frame, warped: Tensor) -> Tensor:
+    def features(self, frame: Frame, warped: Tensor, known: Known = NOTHING_KNOWN) -> Tensor:
         """The network's input `[B, 13, H, W]`: radiance compressed at one exposure, depth as nearness in [0, 1)."""
-        scale = exposure(frame.radiance)
+        scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
         noisy, past = compress(frame.radiance * scale), compress(warped * scale)
-        return torch.cat([noisy, frame.albedo, frame.normal, nearness(frame.depth), past], dim=1)
+        return torch.cat([noisy, frame.albedo, frame.normal, nearness(frame.depth, distance), past], dim=1)
+
+    def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
+        """What is taken from a frame as a whole, `[B, 1, 1, 1]` each: its exposure, and the mean distance of what was
+        hit."""
+        return exposure(frame.radiance), mean_distance(frame.depth)
 
     def predict(self, features: Tensor) -> Heads:
         """Run the network. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""

@@ -1,0 +1,82 @@
+"""Frames in tiles: equal to the untiled ones, and 7680×4320 in bounded memory.
+
+    python bench/tiles.py [--size 7680x4320] [--tile 1024]
+
+Two frames of a panning picture, with history, made from the bundled sample by repetition. The tiled result is compared
+with the untiled one at 640×360; at full size time and memory are measured, and values that are not finite are counted.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from dataclasses import replace
+
+import harness
+import torch
+
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.frame import Frame
+from rtdenoise.models import load
+from rtdenoise.tiles import Tiled
+
+RESULT = harness.ROOT / "bench" / "results" / "tiles.json"
+SAMPLE = harness.ROOT / "samples" / "mural"
+
+
+@torch.inference_mode()
+def main(width: int, height: int, tile: int) -> None:
+    denoiser = load(precision="fp32")
+    small = _frames(640, 360)
+    whole, tiled = _second(denoiser, small), _second(Tiled(denoiser, 256), small)
+    error = harness.check("tiles", tiled.numpy(), whole.numpy(), "float32 tiles")
+
+    large = _frames(width, height)
+    started = time.perf_counter()
+    image = _second(Tiled(denoiser, tile), large)
+    seconds = time.perf_counter() - started
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
+    non_finite = int((~image.isfinite()).sum())
+    print(f"{width}×{height}: {seconds:.0f} s for two frames, {memory:.1f} GB at most, {non_finite} values not finite")
+    document = {
+        **harness.origin({"torch": harness.cpu()}),
+        "reach": Tiled(denoiser).reach,
+        "equal": {"size": [640, 360], "tile": 256, "greatest_error": error},
+        "large": {"size": [width, height], "tile": tile, "seconds": seconds, "peak_memory_gb": round(memory, 2),
+                  "non_finite": non_finite, "frames": len(large)},
+    }  # fmt: skip
+    harness.write(RESULT, **document)
+    harness.insert_all(tables(document))
+
+
+def tables(document: dict) -> dict[str, str]:
+    """What docs/stability.md has of this."""
+    equal, large = document["equal"], document["large"]
+    small, size = (f"{s[0]}×{s[1]}" for s in (equal["size"], large["size"]))
+    return {
+        "tiles": f"`paper` reaches {document['reach']} pixels. {small} in tiles of {equal['tile']}: greatest error "
+        f"{equal['greatest_error']:.1g}. {size} in tiles of {large['tile']}: {large['peak_memory_gb']} GB at most, "
+        f"{large['non_finite']} values not finite (`python bench/tiles.py`, [JSON](../bench/results/tiles.json))."
+    }
+
+
+def _second(denoiser, frames: list[Frame]) -> torch.Tensor:
+    _, history = denoiser.step(frames[0])
+    return denoiser.step(frames[1], history)[0]
+
+
+def _frames(width: int, height: int) -> list[Frame]:
+    """Two frames of the sample, repeated to a size; everything moves by a few pixels."""
+    made = []
+    for _, frame in zip(range(2), open_sequence(SAMPLE), strict=False):
+        H, W = frame.size
+        wide = frame.map(lambda t, H=H, W=W: t.repeat(1, 1, -(-height // H), -(-width // W))[:, :, :height, :width])
+        made.append(replace(wide, motion=torch.full_like(wide.motion, -3.25),
+                            motion_next=torch.full_like(wide.motion, 3.25)))  # fmt: skip
+    return made
+
+
+if __name__ == "__main__":
+    size = sys.argv[sys.argv.index("--size") + 1] if "--size" in sys.argv else "7680x4320"
+    main(*map(int, size.split("x")), int(sys.argv[sys.argv.index("--tile") + 1]) if "--tile" in sys.argv else 1024)

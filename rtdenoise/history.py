@@ -1,0 +1,88 @@
+"""The life of a history: where it can be used, when it must end, kept on disk, carried to another picture size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from .errors import InputError
+from .frame import CUT as CUT
+from .frame import Frame, History
+from .motion import on_screen, same_surface
+from .stored import read_history, write_history
+
+NEAREST = ("depth", "normal", "motion_next", "length")  # what must not be mixed across silhouettes
+
+
+def usable(frame: Frame, history: History) -> Tensor:
+    """Per-pixel confidence in history, `[B, 1, H, W]` bool: the surface was on the screen, and what was seen there is
+    one like it (`motion.same_surface`). All of it counts as alike where history or frame has no depth or normal.
+
+    `frame` needs `motion` and is expected to be sanitised.
+    """
+    return on_screen(frame.motion) & _alike(frame, history)
+
+
+def mismatch(frame: Frame, history: History) -> Tensor:
+    """Share of the pixels with history on the screen that find another surface there, `[B]`; above `CUT` it is another
+    shot, whatever its motion vectors say. 0 where nothing was on the screen: then history leaves no trace anyway."""
+    seen = on_screen(frame.motion)
+    wrong = seen & ~_alike(frame, history)
+    return wrong.sum((1, 2, 3)) / seen.sum((1, 2, 3)).clamp(min=1)
+
+
+def _alike(frame: Frame, history: History) -> Tensor:
+    if any(layer is None for layer in (frame.depth, frame.normal, history.depth, history.normal)):
+        return torch.ones_like(frame.motion[:, :1], dtype=torch.bool)
+    return same_surface(frame.depth, frame.normal, history.depth, history.normal, frame.motion)
+
+
+def resize(history: History, size: tuple[int, int]) -> History:
+    """History for frames of another `size` (H, W): the same field of view at another resolution. Light is interpolated
+    bilinearly, geometry and motion are taken from the nearest pixel, and motion is rescaled to the new pixels."""
+    (H, W), (before_H, before_W) = size, history.radiance.shape[2:]
+    scale = torch.tensor([W / before_W, H / before_H], device=history.radiance.device).reshape(1, 2, 1, 1)
+
+    def resized(name: str, tensor: Tensor) -> Tensor:
+        h, w = (-(-n * new // old) for n, new, old in zip(tensor.shape[2:], size, (before_H, before_W), strict=True))
+        if name in NEAREST:
+            tensor = F.interpolate(tensor, (h, w), mode="nearest-exact")
+            return tensor * scale if name == "motion_next" else tensor
+        return F.interpolate(tensor, (h, w), mode="bilinear", align_corners=False, antialias=h < tensor.shape[2])
+
+    return replace(history, **{name: resized(name, tensor) for name, tensor in history.layers().items()})
+
+
+def save_history(path: Path, history: History | None, **metadata: str) -> None:
+    """Write a history, or that there is none yet, to a .safetensors file: a sequence that is denoised in two sittings
+    comes out as in one, to the bit. Raises InputError where it cannot be written."""
+    tensors = history.layers() if history else {}
+    write_history(
+        path, {name: tensor.detach().cpu().contiguous().numpy() for name, tensor in tensors.items()}, metadata
+    )
+
+
+def load_history(path: Path, device: str | torch.device = "cpu") -> tuple[History | None, dict[str, str]]:
+    """What `save_history` wrote: the history and its metadata. Raises InputError where the file cannot be read or holds
+    something else."""
+    stored, metadata = read_history(path)
+    if not stored:
+        return None, metadata
+    try:
+        return from_arrays(stored, device), metadata
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def from_arrays(stored: Mapping[str, np.ndarray], device: str | torch.device) -> History:
+    """The fields of a history as `read_history` gives them, as tensors. Raises InputError where they are none."""
+    names = {f.name for f in fields(History)}
+    if "radiance" not in stored or stored.keys() - names:
+        raise InputError(f"not a history of this version: it holds {', '.join(sorted(stored))}")
+    return History(**{name: torch.from_numpy(stored[name]).to(device) if name in stored else None for name in names})

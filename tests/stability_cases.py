@@ -1,0 +1,408 @@
+"""What the denoiser promises where input is stiff or broken: one table of cases, for the tests and bench/stability.py.
+
+A case plays frames through a `Subject` (a denoiser at some precision, or in training) and returns what was measured, to
+be compared with what is promised. Whatever the case, no value that is not finite may leave a step, enter a history or
+come out of the loss: the subject counts those.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+
+import torch
+from synthetic import make_frames
+from torch import Tensor
+
+from rtdenoise.color import exposure, limit_fireflies
+from rtdenoise.errors import InputError
+from rtdenoise.frame import OFF_SCREEN, Frame, History
+from rtdenoise.losses import temporal_kpn_loss
+from rtdenoise.models import load, read
+
+MODES = ("float32", "bfloat16", "float16", "training")
+AUTOCAST = {"float16": torch.float16, "training": torch.bfloat16}  # the other two are precisions of a loaded model
+FIREFLY = 1e7
+AT = (12, 15)  # the pixel that is broken: row, column
+
+
+class Subject:
+    """A denoiser whose steps are watched. Mode "training" also takes the loss and its gradients, in bfloat16 as
+    training does. `of` gives the denoiser that goes with a mode."""
+
+    def __init__(self, denoiser: torch.nn.Module, mode: str = "float32", frames: int = 100) -> None:
+        self.denoiser, self.mode = denoiser, mode
+        self.frames = 6 if mode == "training" else frames  # of the cases that take long sequences
+        self.non_finite = 0  # values so far, over outputs, histories, losses and gradients
+
+    @classmethod
+    def of(cls, model: str, mode: str, frames: int = 100) -> Subject:
+        """A shipped model: as it is loaded, in float32 and bfloat16; as it was trained, with autocast, otherwise."""
+        precision = {"float32": "fp32", "bfloat16": "bf16"}.get(mode)
+        return cls(load(model, precision=precision) if precision else read(model), mode, frames)
+
+    def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
+        training, dtype = self.mode == "training", AUTOCAST.get(self.mode)
+        with torch.autocast("cpu", dtype, enabled=dtype is not None), _gradients(self.denoiser, training):
+            image, history = self.denoiser.step(frame, history)
+            if training:
+                reference = torch.full_like(image, 0.5)
+                weights = torch.full_like(image[:, :1], 1.8)
+                loss = temporal_kpn_loss(image, reference, (image.detach(), reference), weights, exposure(reference))
+                parameters = [p for p in self.denoiser.parameters() if p.requires_grad]
+                gradients = torch.autograd.grad(loss.total, parameters, allow_unused=True)
+                self.count(loss.total, *(g for g in gradients if g is not None))
+        tensors = {f.name: t.detach() for f in fields(history) if (t := getattr(history, f.name)) is not None}
+        self.count(image, *tensors.values())
+        return image.detach(), replace(history, **tensors)
+
+    def play(self, frames: list[Frame], history: History | None = None) -> list[Tensor]:
+        """The outputs of consecutive frames."""
+        images = []
+        for frame in frames:
+            image, history = self.step(frame, history)
+            images.append(image)
+        return images
+
+    def count(self, *tensors: Tensor) -> None:
+        self.non_finite += sum(int((~tensor.isfinite()).sum()) for tensor in tensors)
+
+
+@contextlib.contextmanager
+def _gradients(denoiser: torch.nn.Module, wanted: bool) -> Iterator[None]:
+    before = [p.requires_grad for p in denoiser.parameters()]
+    try:
+        with torch.set_grad_enabled(wanted):
+            denoiser.requires_grad_(wanted)
+            yield
+    finally:
+        for parameter, flag in zip(denoiser.parameters(), before, strict=True):
+            parameter.requires_grad_(flag)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One promise. `measure` returns the number that must be at most `bound`, or `half` in reduced precision."""
+
+    name: str
+    promise: str
+    unit: str
+    bound: float
+    measure: Callable[[Subject], float]
+    half: float | None = None  # None: as `bound`
+
+    def limit(self, mode: str) -> float:
+        """The bound in a mode; in training nothing but finite numbers is promised."""
+        if mode == "training":
+            return math.inf
+        return self.bound if mode == "float32" or self.half is None else self.half
+
+
+CASES: list[Case] = []
+
+
+def case(name: str, promise: str, unit: str, bound: float, half: float | None = None):
+    """Enter the decorated measurement into the table."""
+
+    def enter(measure: Callable[[Subject], float]) -> Callable[[Subject], float]:
+        CASES.append(Case(name, promise, unit, bound, measure, half))
+        return measure
+
+    return enter
+
+
+def scene(count: int = 3, seed: int = 0, noise: float = 1.0) -> list[Frame]:
+    """A square sliding over a wall, 24×32."""
+    return make_frames(count, seed=seed, noise=noise)
+
+
+def still(count: int, noise: float) -> list[Frame]:
+    """The first frame of the scene again and again; nothing moves, the noise is new in each."""
+    frames = [scene(1, seed, noise)[0] for seed in range(count)] if noise else scene(1, 0, 0.0) * count
+    quiet = torch.zeros_like(frames[0].motion)
+    return [replace(f, motion=quiet, motion_next=quiet, number=i) for i, f in enumerate(frames)]
+
+
+def broken(frame: Frame, layer: str, value: float) -> Frame:
+    """One pixel of a layer replaced."""
+    tensor = getattr(frame, layer).clone()
+    tensor[..., AT[0], AT[1]] = value
+    return replace(frame, **{layer: tensor})
+
+
+def filled(frame: Frame, layer: str, value: float) -> Frame:
+    return replace(frame, **{layer: torch.full_like(getattr(frame, layer), value)})
+
+
+def greatest(a: list[Tensor], b: list[Tensor]) -> float:
+    """The greatest difference of two runs."""
+    return max((x - y).abs().max().item() for x, y in zip(a, b, strict=True))
+
+
+def relative(a: Tensor, b: Tensor) -> float:
+    """The greatest difference, relative to b, where b is dark to a tenth of its mean."""
+    return ((a - b).abs() / b.abs().clamp(min=0.1 * b.abs().mean().item() + 1e-30)).max().item()
+
+
+# Radiance
+
+for bad, label in ((math.nan, "NaN"), (math.inf, "+Inf"), (-math.inf, "−Inf"), (-3.0, "negative")):
+
+    @case(f"radiance {label} in a pixel", "as if that pixel were black", "greatest difference", 0.0)
+    def _(subject: Subject, bad: float = bad) -> float:
+        frames = scene()
+        runs = [[frames[0], broken(frames[1], "radiance", value), frames[2]] for value in (bad, 0.0)]
+        return greatest(*map(subject.play, runs))
+
+
+@case("radiance NaN in all pixels of a frame", "as if that frame were black", "greatest difference", 0.0)
+def _(subject: Subject) -> float:
+    frames = scene()
+    runs = [[frames[0], filled(frames[1], "radiance", value), frames[2]] for value in (math.nan, 0.0)]
+    return greatest(*map(subject.play, runs))
+
+
+@case("denormals in a tenth of the pixels", "as if they were black", "greatest relative difference", 1e-6, 1e-6)
+def _(subject: Subject) -> float:
+    frames = scene(2)
+    tiny = torch.rand(frames[0].radiance[:, :1].shape, generator=torch.Generator().manual_seed(3)) < 0.1
+    runs = [[replace(f, radiance=torch.where(tiny, value, f.radiance)) for f in frames] for value in (1e-41, 0.0)]
+    return max(relative(a, b) for a, b in zip(*map(subject.play, runs), strict=True))
+
+
+@case("all black", "black", "greatest value", 0.0)
+def _(subject: Subject) -> float:
+    return max(image.max().item() for image in subject.play([filled(f, "radiance", 0.0) for f in scene()]))
+
+
+@case(
+    "equal light on equal albedo", "unchanged: kernels sum to one, at borders too", "greatest relative difference", 1e-5
+)
+def _(subject: Subject) -> float:
+    frames = [filled(filled(f, "radiance", 0.3), "albedo", 0.6) for f in scene()]
+    return max(relative(image, torch.full_like(image, 0.3)) for image in subject.play(frames))
+
+
+for scale in (1e-6, 1e-3, 1e3, 1e6):
+
+    @case(f"exposure × {scale:g}", "the same picture × that", "greatest relative difference", 1e-3, 0.2)
+    def _(subject: Subject, scale: float = scale) -> float:
+        frames = scene()
+        scaled = subject.play([replace(f, radiance=f.radiance * scale) for f in frames])
+        return max(relative(a / scale, b) for a, b in zip(scaled, subject.play(frames), strict=True))
+
+
+def _after_firefly(subject: Subject) -> list[Tensor]:
+    """How much brighter each pixel is, frame by frame, than without the firefly in the first one; relative."""
+    frames = still(min(subject.frames, 40), 1.0)
+    clean = subject.play(frames)
+    lit = subject.play([broken(frames[0], "radiance", FIREFLY), *frames[1:]])
+    return [(a - b) / b.clamp(min=0.1 * b.mean().item()) for a, b in zip(lit, clean, strict=True)]
+
+
+@case("one firefly of 1e7: spread", "twice as bright no farther than 14 pixels from it", "pixels", 14)
+def _(subject: Subject) -> float:
+    far = [max(abs(y - AT[0]), abs(x - AT[1])) for d in _after_firefly(subject)[:3]
+           for y, x in (d[0].amax(0) > 1).nonzero().tolist()]  # fmt: skip
+    return max(far, default=0)
+
+
+@case("one firefly of 1e7: duration", "no pixel twice as bright after 20 frames", "frames", 20)
+def _(subject: Subject) -> float:
+    seen = [i for i, d in enumerate(_after_firefly(subject), start=1) if d.max() > 1]
+    return max(seen, default=0)
+
+
+@case("one firefly of 1e7: the rest", "the exposure of the frame does not move", "relative", 0.15)
+def _(subject: Subject) -> float:
+    frame = scene(1)[0]
+    return abs((exposure(broken(frame, "radiance", FIREFLY).radiance) / exposure(frame.radiance)).item() - 1)
+
+
+@case("1 % fireflies of 1e4", "none of their light is lost: they are the noise", "share of the light cut", 0.0)
+def _(subject: Subject) -> float:
+    frames = [_salted(frame, 0.01, 1e4) for frame in scene(3)]
+    subject.play(frames)
+    light = [(f.radiance.sum().item(), limit_fireflies(f.radiance).sum().item()) for f in frames]
+    return max(1 - after / before for before, after in light)
+
+
+def _salted(frame: Frame, share: float, value: float) -> Frame:
+    chosen = torch.rand(frame.radiance[:, :1].shape, generator=torch.Generator().manual_seed(frame.number)) < share
+    return replace(frame, radiance=torch.where(chosen, value, frame.radiance))
+
+
+# Features
+
+for layer, bad, same, label in (
+    ("normal", math.nan, 0.0, "NaN normals"), ("depth", math.inf, 0.0, "infinite depth"),
+    ("depth", -1.0, 0.0, "negative depth"), ("depth", math.nan, 0.0, "NaN depth"),
+    ("albedo", math.nan, 0.0, "NaN albedo"), ("albedo", 1e6, 16.0, "albedo 1e6"),
+):  # fmt: skip
+
+    @case(f"{label} everywhere", f"as {layer} {same:g}", "greatest difference", 0.0)
+    def _(subject: Subject, layer: str = layer, bad: float = bad, same: float = same) -> float:
+        return greatest(*(subject.play([filled(f, layer, value) for f in scene()]) for value in (bad, same)))
+
+
+for layer, value in (("normal", 0.0), ("depth", 0.0), ("albedo", 0.0), ("albedo", 2.0)):
+
+    @case(f"{layer} {value:g} everywhere", "not brighter than the brightest input", "relative", 1.0)
+    def _(subject: Subject, layer: str = layer, value: float = value) -> float:
+        frames = [filled(f, layer, value) for f in scene()]
+        return max(i.max().item() for i in subject.play(frames)) / max(f.radiance.max().item() for f in frames)
+
+
+# Motion and history
+
+for value in (math.nan, math.inf, 1e6, 3 * 32.0, OFF_SCREEN):
+
+    @case(f"motion {value:g} everywhere", "no trace of history: as a first frame", "greatest difference", 0.0)
+    def _(subject: Subject, value: float = value) -> float:
+        before, now = scene(2)
+        _, history = subject.step(before)
+        now = filled(now, "motion", value)
+        return greatest([subject.step(now, history)[0]], [subject.step(now)[0]])
+
+
+for value, label in ((0.5, "half a pixel"), (-0.5, "minus half a pixel"), (31.5, "to the very border")):
+
+    @case(f"motion by {label}", "not brighter than the brightest input", "relative", 1.0)
+    def _(subject: Subject, value: float = value) -> float:
+        frames = [filled(f, "motion", value) for f in scene()]
+        return max(i.max().item() for i in subject.play(frames)) / max(f.radiance.max().item() for f in frames)
+
+
+@case("history of another size", "refused, one line", "not refused", 0)
+def _(subject: Subject) -> float:
+    _, history = subject.step(scene(1)[0])
+    try:
+        subject.step(scene(1)[0].crop(0, 0, 16, 16), history)
+    except InputError as error:
+        return float("\n" in str(error))
+    return 1.0
+
+
+@case("every other frame dropped", "no worse than without history", "error / error of single frames", 1.1, 1.2)
+def _(subject: Subject) -> float:
+    frames = scene(8)[::2]
+    alone = [subject.step(frame)[0] for frame in frames]
+    errors = [_error(images[1:], frames[1:]) for images in (subject.play(frames), alone)]
+    return errors[0] / errors[1]
+
+
+def _error(images: list[Tensor], frames: list[Frame]) -> float:
+    return sum((i - f.reference).square().mean().item() for i, f in zip(images, frames, strict=True)) / len(images)
+
+
+# Time
+
+
+@case("static clean input, many frames", "a fixed point: no drift in the second half", "relative change", 1e-3, 0.05)
+def _(subject: Subject) -> float:
+    settled = history = None
+    for i, frame in enumerate(still(subject.frames, 0.0)):
+        image, history = subject.step(frame, history)
+        settled = image if i == subject.frames // 2 else settled
+    return relative(image, settled)
+
+
+@case("static clean input, many frames: error", "the fixed point is the input", "relative RMS", 0.5)
+def _(subject: Subject) -> float:
+    frames = still(min(subject.frames, 60), 0.0)
+    image, reference = subject.play(frames)[-1], frames[0].reference
+    return ((image - reference).square().mean().sqrt() / reference.mean()).item()
+
+
+@case("static noisy input, many frames", "brightness does not drift", "relative", 0.2)
+def _(subject: Subject) -> float:
+    frames = still(min(subject.frames, 60), 1.0)
+    images = subject.play(frames)[-10:]
+    return abs(sum(i.mean().item() for i in images) / 10 / frames[0].reference.mean().item() - 1)
+
+
+@case("exposure that alternates between × 4 and × ¼", "within the range of the input", "relative to the brightest", 1.0)
+def _(subject: Subject) -> float:
+    frames = [replace(f, radiance=f.radiance * (4.0, 0.25)[i % 2]) for i, f in enumerate(still(12, 1.0))]
+    return max(i.max().item() for i in subject.play(frames)) / max(f.radiance.max().item() for f in frames)
+
+
+@case("strobe: every other frame black", "black frames darker than lit ones", "mean / mean of lit frames", 1.0)
+def _(subject: Subject) -> float:
+    frames = [filled(f, "radiance", 0.0) if i % 2 else f for i, f in enumerate(still(12, 1.0))]
+    means = [image.mean().item() for image in subject.play(frames)]
+    return max(means[5::2]) / max(means[4::2])
+
+
+# Sizes
+
+for size in ((1, 1), (1, 9), (7, 1), (17, 5), (23, 31)):
+
+    @case(f"{size[1]}×{size[0]} pixels", "as many come out", "missing", 0)
+    def _(subject: Subject, size: tuple[int, int] = size) -> float:
+        frames = [frame.crop(0, 0, *size) for frame in scene()]
+        return sum(
+            image.shape != frame.radiance.shape for image, frame in zip(subject.play(frames), frames, strict=True)
+        )
+
+
+# The two failure cases that the paper names (§6.4)
+
+
+@case("paper's failure case: border of a panning camera", "what enters: twice a first frame's error at most",
+      "error there / of single frames", 2.0)  # fmt: skip
+def _(subject: Subject) -> float:
+    speed, frames = 4, []
+    wide = make_frames(1, W=32 + 4 * 10, noise=0.0)[0]
+    for i in range(8):
+        f = wide.crop(0, speed * i, 24, 32)
+        noise = torch.empty(f.radiance.shape).exponential_(generator=torch.Generator().manual_seed(i))
+        f = filled(filled(replace(f, radiance=f.reference * noise, number=i), "motion", 0.0), "motion_next", 0.0)
+        f.motion[:, 0], f.motion_next[:, 0] = speed, -speed
+        frames.append(f)
+    entering = (slice(None), slice(None), slice(None), slice(32 - speed, 32))
+    runs = subject.play(frames)[1:], [subject.step(f)[0] for f in frames[1:]]
+    errors = [sum((i - f.reference)[entering].square().mean().item() for i, f in zip(run, frames[1:], strict=True))
+              for run in runs]  # fmt: skip
+    return errors[0] / errors[1]
+
+
+@case("paper's failure case: fast object, dark to light", "what it uncovers: a first frame's error at most",
+      "error there / of single frames", 1.0)  # fmt: skip
+def _(subject: Subject) -> float:
+    frames = _dark_object(8, speed=3)
+    runs = subject.play(frames)[2:], [subject.step(f)[0] for f in frames[2:]]
+    errors = []
+    for run in runs:
+        inside = [
+            (i - f.reference).square() * m for i, f, m in zip(run, frames[2:], _uncovered(frames)[2:], strict=True)
+        ]
+        errors.append(sum(e.sum().item() for e in inside))
+    return errors[0] / errors[1]
+
+
+def _dark_object(count: int, speed: int) -> list[Frame]:
+    """A black square, six pixels wide, crosses a bright wall."""
+    frames = []
+    for i in range(count):
+        base = still(i + 1, 1.0)[i]
+        x = torch.arange(32).reshape(1, 1, 1, 32).expand(1, 1, 24, 32)
+        inside = (x >= 2 + speed * i) & (x < 8 + speed * i)
+        shift = torch.tensor([float(speed), 0.0]).reshape(1, 2, 1, 1)
+        wall = torch.full_like(base.reference, 2.0)
+        noise = base.radiance / base.reference.clamp(min=1e-6)
+        reference = torch.where(inside, 0.01, wall)
+        frames.append(replace(
+            base, radiance=reference * noise, reference=reference,
+            albedo=torch.where(inside, 0.1, 0.8).expand(1, 3, -1, -1),
+            depth=torch.where(inside, 3.0, 8.0), motion=torch.where(inside, -shift, 0.0),
+            motion_next=torch.where(inside, shift, 0.0),
+        ))  # fmt: skip
+    return frames
+
+
+def _uncovered(frames: list[Frame]) -> list[Tensor]:
+    before = [frames[0], *frames[:-1]]
+    return [((b.depth == 3) & (f.depth == 8)).float() for b, f in zip(before, frames, strict=True)]

@@ -1,0 +1,86 @@
+"""The life of a history: usable where the surface is, over at a cut, kept on disk, carried to another size."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from synthetic import TINY, make_frames
+
+from rtdenoise.errors import InputError
+from rtdenoise.frame import History
+from rtdenoise.history import CUT, load_history, mismatch, resize, save_history, usable
+from rtdenoise.models import TemporalKPN
+
+
+@pytest.fixture(scope="module")
+def denoiser():
+    torch.manual_seed(0)
+    return TemporalKPN(TINY).eval().requires_grad_(False)
+
+
+def history_of(frame):
+    return History(frame.radiance, frame.motion_next, frame.depth, frame.normal)
+
+
+def test_history_is_usable_but_where_something_was_uncovered_or_off_screen():
+    before, now = make_frames(2)
+    uncovered = (now.depth == 8) & (before.depth == 3)  # the wall, where the square was
+    assert torch.equal(usable(now, history_of(before)), ~uncovered)
+    away = replace(now, motion=torch.full_like(now.motion, 1e3))
+    assert not usable(away, history_of(before)).any()
+    assert usable(now, replace(history_of(before), depth=None)).all()
+
+
+def test_a_cut_is_seen_whatever_the_motion_says():
+    before, now = make_frames(2)
+    assert mismatch(now, history_of(before)) < 0.1
+    elsewhere = replace(before, depth=before.depth * 3)
+    assert mismatch(now, history_of(elsewhere)) > CUT
+    turned = replace(now, normal=torch.tensor([0.0, 1.0, 0.0]).reshape(1, 3, 1, 1).expand_as(now.normal))
+    looking_up = replace(before, normal=-turned.normal)
+    assert mismatch(turned, history_of(looking_up)) > CUT
+    nothing = replace(now, motion=torch.full_like(now.motion, 1e3))
+    assert mismatch(nothing, history_of(elsewhere)) == 0
+
+
+def test_two_halves_are_one_pass_to_the_bit(tmp_path, denoiser):
+    frames, history, whole = make_frames(6), None, []
+    for frame in frames:
+        image, history = denoiser.step(frame, history)
+        whole.append(image)
+
+    history = None
+    for frame in frames[:3]:
+        _, history = denoiser.step(frame, history)
+    save_history(tmp_path / "state.safetensors", history, shot="7")
+    history, metadata = load_history(tmp_path / "state.safetensors")
+    assert metadata == {"shot": "7"}
+    for frame, expected in zip(frames[3:], whole[3:], strict=True):
+        image, history = denoiser.step(frame, history)
+        assert torch.equal(image, expected)
+
+
+def test_what_is_no_history_is_named(tmp_path):
+    path = tmp_path / "state.safetensors"
+    path.write_bytes(b"\x80\x04 pickles are not opened")
+    with pytest.raises(InputError, match="not a readable history"):
+        load_history(path)
+    save_file({"weight": torch.zeros(1)}, path)
+    with pytest.raises(InputError, match="holds weight"):
+        load_history(path)
+
+
+@pytest.mark.parametrize("size", [(48, 64), (12, 16), (31, 40)])
+def test_history_goes_with_a_change_of_resolution(denoiser, size):
+    (before,) = make_frames(1, noise=0.0)
+    _, history = denoiser.step(before)
+    carried = resize(replace(history, length=torch.full_like(before.depth, 3.0)), size)
+    assert all(tuple(tensor.shape[2:]) == size for tensor in carried.layers().values())
+    assert carried.radiance.mean().item() == pytest.approx(history.radiance.mean().item(), rel=0.05)
+    assert carried.depth.unique().tolist() == [3, 8] and carried.length.unique().tolist() == [3]
+    speed = carried.motion_next[:, 0].max().item()
+    assert speed == pytest.approx(2 * size[1] / 32)
+    (H, W), still = size, torch.zeros(1, 2, *size)
+    frame = make_frames(1, H=H, W=W)[0]
+    assert denoiser.step(replace(frame, motion=still), carried)[0].isfinite().all()

@@ -1,0 +1,54 @@
+"""Every promise of the two tables of cases, for every shipped model in every mode and every backend."""
+
+import pytest
+import stability_cases
+import stability_ops
+from stability_cases import CASES, MODES, Subject
+
+from rtdenoise.models import available
+
+
+@pytest.fixture(scope="module")
+def denoisers():
+    """(model, mode) -> a subject's denoiser."""
+    return {(name, mode): Subject.of(name, mode).denoiser for name in available() for mode in MODES}
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("mode", MODES)
+def test_promises_of_the_denoiser(denoisers, case, mode):
+    for name in available():
+        subject = Subject(denoisers[name, mode], mode, frames=100 if mode == "float32" else 50)
+        value = case.measure(subject)
+        assert subject.non_finite == 0, f"{name}: {subject.non_finite} values are not finite"
+        assert value <= case.limit(mode), f"{name}: {value:g}, promised {case.limit(mode):g} ({case.promise})"
+
+
+@pytest.mark.parametrize("case", stability_ops.OP_CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("backend", stability_ops.BACKENDS)
+def test_promises_of_the_operations(case, backend):
+    assert case.measure(stability_ops.backend(backend)) <= case.bound, case.promise
+
+
+def test_the_tables_have_no_case_twice():
+    for cases in (CASES, stability_ops.OP_CASES):
+        assert len({case.name for case in cases}) == len(cases)
+
+
+def test_a_subject_counts_what_is_not_finite(denoisers):
+    """A table in which nothing can fail would be worth nothing."""
+
+    class Poisoned:
+        def step(self, frame, history):
+            image, history = next(iter(denoisers.values())).step(frame, history)
+            return image / 0, history
+
+        def parameters(self):
+            return iter(())
+
+        def requires_grad_(self, _):
+            return self
+
+    subject = Subject(Poisoned())
+    subject.step(stability_cases.scene(1)[0])
+    assert subject.non_finite > 0
