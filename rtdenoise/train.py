@@ -58,6 +58,9 @@ def _train(config: TrainConfig, share: tuple[int, int]) -> Path:
         raise InputError(f"batch: expected a multiple of the {count} processes, got {config.batch}")
     data = ClipDataset(*config.data)
     validation = ClipDataset(config.val) if config.val else None
+    if validation and (shared := data.scenes() & validation.scenes()):
+        raise InputError(f"{config.val}: shows scenes that are in the training clips too, such as {min(shared)}; "
+                         "validation would say nothing about others")  # fmt: skip
     _batch(data, config, 0, share)  # whatever does not fit is told before there is a run
     out = Path(config.out)
     out.mkdir(parents=True, exist_ok=True)

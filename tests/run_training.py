@@ -1,7 +1,7 @@
 """Train a tiny network on made-up clips: what `test_train` starts in several processes.
 
-    python run_training.py CLIPS OUT
-    python -m torch.distributed.run --nproc-per-node 2 run_training.py CLIPS OUT
+    python run_training.py CLIPS VALIDATION OUT
+    python -m torch.distributed.run --nproc-per-node 2 run_training.py CLIPS VALIDATION OUT
 """
 
 import sys
@@ -14,6 +14,6 @@ from rtdenoise.train import train
 from rtdenoise.trainer import TrainConfig
 
 PRESETS["tiny"] = TINY
-clips, out = map(Path, sys.argv[1:])
-train(TrainConfig((clips,), out, val=clips, preset="tiny", steps=6, batch=4, frames=3, size=16, amp=False,
+clips, other_clips, out = map(Path, sys.argv[1:])
+train(TrainConfig((clips,), out, val=other_clips, preset="tiny", steps=6, batch=4, frames=3, size=16, amp=False,
                   validate_every=3))  # fmt: skip

@@ -48,28 +48,36 @@ def test_augmentation_is_a_function_of_the_generator():
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
-    """Five clips of four frames in the format that rendering writes."""
-    folder = tmp_path_factory.mktemp("clips")
-    for index in range(5):
+    return write_clips(tmp_path_factory.mktemp("clips"), range(5))
+
+
+@pytest.fixture(scope="module")
+def other_clips(tmp_path_factory):
+    return write_clips(tmp_path_factory.mktemp("validation"), range(5, 7))
+
+
+def write_clips(folder, seeds):
+    """A clip of four frames for each seed, in the format that rendering writes."""
+    for index, seed in enumerate(seeds):
         frames = []
-        for frame in make_frames(4, H=24, W=24, seed=index):
+        for frame in make_frames(4, H=24, W=24, seed=seed):
             layers = {layer: t[0].permute(1, 2, 0).numpy() for layer, t in frame.layers()}
             layers["color"] = layers["indirect"] = layers.pop("radiance")
             layers["indirect_reference"] = layers["reference"]
             layers["indirect_reference_half"] = layers["reference_half"]
             layers["id"] = np.ones((24, 24, 1))
             frames.append(layers)
-        write_clip(clip_path(folder, index), frames, {"seed": index})
+        write_clip(clip_path(folder, index), frames, {"seed": seed, "generator": 1})
     return folder
 
 
 @pytest.fixture
-def config(clips, tmp_path, monkeypatch):
+def config(clips, other_clips, tmp_path, monkeypatch):
     monkeypatch.setitem(PRESETS, "tiny", TINY)
     return TrainConfig(
         data=(clips,),
         out=tmp_path / "run",
-        val=clips,
+        val=other_clips,
         preset="tiny",
         steps=6,
         batch=2,
@@ -202,6 +210,8 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
         train(replace(config, steps=0))
     with pytest.raises(InputError, match="no clips"):
         train(replace(config, data=(tmp_path,)))
+    with pytest.raises(InputError, match="scenes that are in the training clips too, such as generator 1, seed 0"):
+        train(replace(config, val=config.data[0]))
     with pytest.raises(InputError, match="at least"):
         train(replace(config, out=tmp_path / "big", size=512))
     assert not (tmp_path / "big").exists()  # a failed start leaves nothing that its correction would trip over
@@ -234,12 +244,12 @@ def test_a_cut_starts_anew(config):
     assert always["spatial"] == pytest.approx(sum(row["spatial"] for row in singles) / 2, rel=1e-5)
 
 
-def test_two_processes_take_the_steps_of_one(clips, tmp_path):
+def test_two_processes_take_the_steps_of_one(clips, other_clips, tmp_path):
     """torchrun with gloo: the same global batch, the same losses and validations, up to the order of additions."""
     script, environment = str(Path(__file__).parent / "run_training.py"), os.environ | {"OMP_NUM_THREADS": "1"}
     torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     for name, launcher in (("one", []), ("two", torchrun)):
-        command = [sys.executable, *launcher, script, str(clips), str(tmp_path / name)]
+        command = [sys.executable, *launcher, script, str(clips), str(other_clips), str(tmp_path / name)]
         result = subprocess.run(command, capture_output=True, text=True, env=environment)
         assert result.returncode == 0, result.stderr
     one, two = log(tmp_path / "one"), log(tmp_path / "two")

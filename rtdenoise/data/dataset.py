@@ -82,6 +82,11 @@ class ClipDataset:
     def facts(self, index: int) -> dict:
         return read_facts(self.paths[index])
 
+    def scenes(self) -> set[str]:
+        """The scenes that the clips show: a scene file's name, or a generator's version and seed. Textures and objects
+        of a generated scene are drawn from its seed, so other seeds share nothing with it."""
+        return {_scene(self.facts(index)) for index in range(len(self))}
+
     def load(
         self,
         index: int,
@@ -113,6 +118,12 @@ class ClipDataset:
             Frame(**{field: t[i : i + 1] for field, t in tensors.items()}, number=int(first) + i, name=path.name)
             for i in range(count)
         ]
+
+
+def _scene(facts: dict) -> str:
+    if facts.get("kind") == "scene file":
+        return facts["source"]
+    return f"generator {facts.get('generator')}, seed {facts.get('scene_seed', facts['seed'])}"
 
 
 def _opened(path: Path):

@@ -20,8 +20,9 @@ from .. import models
 from ..color import display_exposure
 from ..data.exr import write_layers
 from ..errors import InputError
-from ..frame import Frame
+from ..frame import Frame, sanitise
 from ..origin import LIBRARIES, device_name, origin, typed
+from ..plan import make_plan
 from .document import NAME, Document
 from .inputs import Source, reference_error
 from .measure import ALL_METRICS, ALL_REGIONS, Result, evaluate, uncovered, warm_up
@@ -179,6 +180,7 @@ def _describe(source: Source, frames: list[Frame]) -> dict:
         "uncovered_share": float(np.mean([mask.float().mean() for mask in masks[1:]] or [0.0])),
         "reference_relmse": reference_error(frames),
         "stills": [frames[i].number for i in stills(masks)],
+        "plan": make_plan(source.base.size, len(frames), "dual", [sanitise(frame) for frame in frames]).to_json(),
     }
 
 

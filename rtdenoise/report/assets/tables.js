@@ -115,7 +115,7 @@ function drawLeftOut() {
     inputs.add(`${sequence} at ${spp} spp`);
   }
   const planned = Object.entries(DATA.sequences).flatMap(([name, { plan }]) => (plan?.decisions ?? [])
-    .filter((decision) => decision.left_out !== "never")
+    .filter((decision) => !/^(never|0 of)/.test(decision.left_out))
     .map(({ what, left_out: where, why }) => [`${name}: ${what} (${where})`, why]));
   const rows = [...planned, ...Object.entries(groups).map(([reason, { methods, inputs }]) =>
     [`${[...methods].join(", ")} (${[...inputs].join(", ")})`, reason])];
