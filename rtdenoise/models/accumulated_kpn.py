@@ -176,10 +176,18 @@ class AccumulatedKPN(nn.Module):
         taps, side = self.config.kernel**2, self.config.temporal_kernel
         x = as_weights(features, self)
         x = F.pad(x, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else x
-        levels = self.unet(F.relu(self.stem(x)), self.config.scales - 1)
+        levels = self.unet(F.relu(self._stem(x)), self.config.scales - 1)
         full = self.full_head(levels[0])[:, :, :H, :W]
         spatial, temporal, alpha_temporal, reset, sharp = full.split([taps, side**2, 1, 1, 1], dim=1)
         coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
         alpha_temporal, reset, sharp, *alphas = (a.float().sigmoid() for a in (alpha_temporal, reset, sharp, *alphas))
         return Heads([spatial, *kernels], alphas, temporal, alpha_temporal, reset, sharp)
+
+    def _stem(self, x: Tensor) -> Tensor:
+        """The first convolution, `[B, 21, H, W]` to `[B, C, H/2, W/2]`. Pictures smaller than its kernel get some of
+        its zero padding beforehand: in half precision oneDNN (torch 2.13) reads memory that is not theirs."""
+        H, W = x.shape[2:]
+        if min(H, W) < 4:
+            x = F.pad(x, (0, max(0, 4 - W), 0, max(0, 4 - H)))
+        return self.stem(x)[:, :, : H // 2, : W // 2]
