@@ -186,9 +186,9 @@ def sanitise(frame: Frame) -> Frame:
         if layer == "depth":
             clean[layer] = torch.where((tensor > 0) & (tensor < FAR), tensor, 0.0)
         elif layer in ranges:
-            clean[layer] = torch.where(tensor.isfinite(), tensor, 0.0).clamp(*ranges[layer])
+            clean[layer] = torch.nan_to_num(tensor, nan=0.0, posinf=0.0, neginf=0.0).clamp_(*ranges[layer])
         else:
-            clean[layer] = torch.where(tensor.isfinite(), tensor, OFF_SCREEN)
+            clean[layer] = torch.nan_to_num(tensor, nan=OFF_SCREEN, posinf=OFF_SCREEN, neginf=OFF_SCREEN)
     clean["radiance"] = limit_fireflies(clean["radiance"])
     return replace(frame, **clean)
 

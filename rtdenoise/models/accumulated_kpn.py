@@ -159,7 +159,8 @@ class AccumulatedKPN(nn.Module):
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN
     ) -> Tensor:
         """The network's input `[B, 21, H, W]`: light compressed at one exposure, nearness and length in [0, 1]."""
-        scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
+        scale = exposure(noisy) if known.exposure is None else known.exposure
+        distance = mean_distance(frame.depth) if known.distance is None else known.distance
         light = compress(torch.cat([noisy, past.light, past.output], dim=1) * scale)
         geometry = torch.cat([frame.albedo, mean_albedo, frame.normal, nearness(frame.depth, distance)], dim=1)
         length = past.length / self.config.longest
