@@ -32,7 +32,7 @@ DATA, OUT = harness.ROOT / "data" / "standard", harness.ROOT / "out" / "standard
 RESULT, KEPT = harness.ROOT / "bench" / "results" / "error_vs_time.json", harness.ROOT / "docs" / "report"
 SPP = (2, 4, 8)  # beside 1
 OVER_SPP = ("noisy", "accumulate", "oidn-fast", "oidn", "oidn-prefiltered", *available())
-PICTURES = ("noisy", "svgf", "oidn", "oidn-prefiltered", "oidn-then-accumulated", *available())
+PICTURES = ("oidn", "default")  # beside the references: the page is part of the repository
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,14 @@ from .preview import animate, strip
 from .strict_json import dumps
 
 SAMPLE = Path(__file__).parent.parent / "samples" / "mural"
-METHODS = ("noisy", "accumulate", "paper-traditional", "paper")
+METHODS = ("noisy", "accumulate", "paper-traditional", "paper", "default")
 
 
 def demo(
     out: Path, source: Path = SAMPLE, signal: str = "indirect", methods: tuple[str, ...] = METHODS
 ) -> list[Result]:
-    """Run the demo on `source` and write `strip.png`, an animation and `demo.json` into `out`; prints the table.
+    """Run the demo on `source` and write `strip.png`, an animation and `demo.json` into `out`; prints the table. The
+    pictures show the last of `methods`.
 
     Raises InputError where the sample is not there: it comes with the repository, not with the wheel.
     """
@@ -41,7 +42,7 @@ def demo(
             {
                 "1 spp": f.radiance,
                 "accumulate": images["accumulate"][i],
-                "rtdenoise": images["paper"][i],
+                "rtdenoise": images[methods[-1]][i],
                 "reference": f.reference,
             },
             scale,

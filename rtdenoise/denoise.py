@@ -41,7 +41,7 @@ class Options:
 
     signal: str = "color"
     """What is denoised: 'color' (the beauty) or 'indirect'."""
-    model: str = "paper"
+    model: str = "default"
     """Name of a shipped model, or a .safetensors file that `rtdenoise train` wrote."""
     preset: str = "auto"
     """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml

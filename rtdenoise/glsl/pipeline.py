@@ -1,6 +1,6 @@
 """A whole frame on the GPU: what `TemporalKPN.step` and `AccumulatedKPN.step` do, as compute shaders, without torch.
 
-    pipeline, history = Pipeline.load("paper"), None
+    pipeline, history = Pipeline.load(), None
     for frame in frames:                                     # rtdenoise.frame.Frame of numpy arrays
         image, history = pipeline.step(frame, history)       # [1, 3, H, W]
 
@@ -44,7 +44,7 @@ class Pipeline:
         self.passes = Passes(self.ctx, design, tensors, half)
 
     @classmethod
-    def load(cls, model: str | Path = "paper", half: bool = False, **overrides) -> Pipeline:
+    def load(cls, model: str | Path = "default", half: bool = False, **overrides) -> Pipeline:
         """As `rtdenoise.load`: a shipped name or a .safetensors file; `overrides` replace fields of its configuration.
 
         Raises InputError for an unknown name, an unreadable file, weights that do not fit their configuration, and

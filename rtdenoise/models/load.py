@@ -19,7 +19,7 @@ __all__ = ["available", "find", "load", "read", "save"]
 
 
 def load(
-    model: str | Path = "paper", device: str | torch.device = "cpu", precision: str = "auto", **overrides
+    model: str | Path = "default", device: str | torch.device = "cpu", precision: str = "auto", **overrides
 ) -> Denoiser:
     """A denoiser with its weights, made ready to run (`nets.prepare`).
 
