@@ -13,6 +13,7 @@ and 8. Interrupted runs go on where they stopped.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -32,7 +33,8 @@ DATA, OUT = harness.ROOT / "data" / "standard", harness.ROOT / "out" / "standard
 RESULT, KEPT = harness.ROOT / "bench" / "results" / "error_vs_time.json", harness.ROOT / "docs" / "report"
 SPP = (2, 4, 8)  # beside 1
 OVER_SPP = ("noisy", "accumulate", "oidn-fast", "oidn", "oidn-prefiltered", *available())
-PICTURES = ("oidn", "default")  # beside the references: the page is part of the repository
+# The page is part of the repository, so it has pictures, beside references, of these alone.
+PICTURES, SHOWN = ("oidn", "default"), ("mural", "window", "street")
 
 
 @dataclass(frozen=True)
@@ -61,10 +63,10 @@ def main(quick: bool, more: list[str]) -> None:
         run([str(s) for s in sequences], out, Options(OVER_SPP, signal="indirect", frames=4))
     else:
         sequences, out = [prepare(name, wanted) for name, wanted in SEQUENCES.items()], OUT
-        folders = [str(folder) for folder in sequences]
+        folders = [os.path.relpath(folder) for folder in sequences]  # no path of this machine in what is kept
         run(folders + more, out, Options(precisions=("fp32", "bf16"), signal="indirect"))
         run(folders, out, Options(OVER_SPP, spp=SPP, signal="indirect"))
-    written = report(out, tuple(PICTURES) if not quick else ())
+    written = report(out) if quick else report(out, PICTURES, SHOWN)
     if not quick:
         keep(out, written)
     print(f"{', '.join(str(path) for path in written)}; {time.perf_counter() - started:.0f} s")

@@ -56,11 +56,13 @@ class Report:
     """Where evaluate wrote."""
     pictures: tuple[str, ...] = ()
     """Methods whose pictures the page holds (default: all)."""
+    sequences: tuple[str, ...] = ()
+    """Sequences whose pictures it holds (default: all)."""
 
     def run(self) -> None:
         from .report import report
 
-        written = report(self.folder, self.pictures)
+        written = report(self.folder, self.pictures, self.sequences)
         print("report:", ", ".join(str(path) for path in written))
         if "report.png" not in [path.name for path in written]:
             print("report.png needs matplotlib: pip install 'rtdenoise[bench]'")

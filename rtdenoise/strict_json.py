@@ -7,14 +7,16 @@ import math
 from collections.abc import Mapping
 
 
-def dumps(value: object, **options) -> str:
-    """`json.dumps`, with null for numbers that are not finite."""
-    return json.dumps(_finite(value), allow_nan=False, **options)
+def dumps(value: object, digits: int | None = None, **options) -> str:
+    """`json.dumps`, with null for numbers that are not finite, and the others rounded to so many significant digits."""
+    return json.dumps(_plain(value, digits), allow_nan=False, **options)
 
 
-def _finite(value: object) -> object:
+def _plain(value: object, digits: int | None) -> object:
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        if not math.isfinite(value):
+            return None
+        return value if digits is None else float(f"{value:.{digits}g}")
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value
+        return {key: _plain(item, digits) for key, item in value.items()}
+    return [_plain(item, digits) for item in value] if isinstance(value, list | tuple) else value

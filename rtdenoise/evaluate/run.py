@@ -171,7 +171,6 @@ def _numbers(result: Result) -> dict:
 def _describe(source: Source, frames: list[Frame]) -> dict:
     masks = uncovered(frames)
     return {
-        "path": str(source.folder),
         "size": list(source.base.size),
         "frames": [frame.number for frame in frames],
         "base_spp": source.spp,

@@ -14,10 +14,10 @@ from .page import page, payload
 __all__ = ["report"]
 
 
-def report(folder: Path, pictures: tuple[str, ...] = ()) -> list[Path]:
+def report(folder: Path, pictures: tuple[str, ...] = (), sequences: tuple[str, ...] = ()) -> list[Path]:
     """Write the reports of what `rtdenoise evaluate` measured into `folder`; returns the files.
 
-    `pictures`: methods whose pictures the page holds, all if empty. report.png needs matplotlib and is left out where
+    `pictures` and `sequences`: methods and sequences whose pictures the page holds, all if empty. report.png needs matplotlib and is left out where
     that is not installed. Raises InputError where there is no evaluation.json, or a method is none of it.
     """
     folder = Path(folder)
@@ -26,7 +26,7 @@ def report(folder: Path, pictures: tuple[str, ...] = ()) -> list[Path]:
         raise InputError(f"no method {unknown[0]!r} in {folder}; it has {', '.join(document.methods)}")
     data = payload(document)
     written = {
-        folder / "report.html": page(data, document, folder, pictures).encode(),
+        folder / "report.html": page(data, document, folder, pictures, sequences).encode(),
         folder / "report.md": markdown(data).encode(),
     }
     if importlib.util.find_spec("matplotlib"):

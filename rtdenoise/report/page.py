@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import importlib.util
-import json
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
@@ -16,6 +15,7 @@ from ..data.exr import read_channels
 from ..errors import InputError
 from ..evaluate.document import Document
 from ..metrics import flip_map
+from ..strict_json import dumps
 from . import readings
 from .budgets import comparisons
 from .pictures import encode_map, encode_motion, encode_picture
@@ -26,9 +26,12 @@ SCRIPTS = (
 )  # fmt: skip
 
 
-def page(data: dict, document: Document, folder: Path, pictures: tuple[str, ...] = ()) -> str:
-    """The page for `data` (`payload`), with the pictures in `folder` of these methods, of all if empty."""
-    blobs = _pictures(document, folder, pictures)
+def page(
+    data: dict, document: Document, folder: Path, pictures: tuple[str, ...] = (), sequences: tuple[str, ...] = ()
+) -> str:
+    """The page for `data` (`payload`), with the pictures in `folder` of these methods and sequences, of all if
+    empty."""
+    blobs = _pictures(document, folder, pictures, sequences)
     data = data | {"pictures": {name: sorted({key.split("/")[1] for key in found}) for name, found in blobs.items()}}
     parts = [
         f'<script type="text/plain" data-key="{html.escape(key)}">{blob}</script>'
@@ -40,7 +43,7 @@ def page(data: dict, document: Document, folder: Path, pictures: tuple[str, ...]
         (ASSETS / "report.html").read_text()
         .replace("/*STYLE*/", (ASSETS / "report.css").read_text())
         .replace("<!--PICTURES-->", "\n".join(parts))
-        .replace("/*DATA*/", json.dumps(data, separators=(",", ":")).replace("</", "<\\/"))
+        .replace("/*DATA*/", dumps(data, digits=5, separators=(",", ":")).replace("</", "<\\/"))
         .replace("/*SCRIPTS*/", scripts)
     )  # fmt: skip
 
@@ -73,13 +76,15 @@ def payload(document: Document) -> dict:
     }
 
 
-def _pictures(document: Document, folder: Path, wanted: tuple[str, ...]) -> dict[str, dict[str, str]]:
+def _pictures(
+    document: Document, folder: Path, wanted: tuple[str, ...], sequences: tuple[str, ...]
+) -> dict[str, dict[str, str]]:
     """sequence -> "sequence/picture/kind" -> encoded; kinds are image, flip, motion and uncovered."""
     found: dict[str, dict[str, str]] = {}
     for name, sequence in document.sequences.items():
         still = folder / "pictures" / name / f"{sequence['stills'][0]:04d}"
         truth = _read(still / "reference.exr", "RGB")
-        if truth is None:
+        if truth is None or (sequences and name not in sequences):
             continue
         exposure, blobs = sequence["exposure"], {}
         blobs[f"{name}/reference/image"] = encode_picture(truth, exposure)
