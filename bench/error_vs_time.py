@@ -34,7 +34,7 @@ RESULT, KEPT = harness.ROOT / "bench" / "results" / "error_vs_time.json", harnes
 SPP = (2, 4, 8)  # beside 1
 OVER_SPP = ("noisy", "accumulate", "oidn-fast", "oidn", "oidn-prefiltered", *available())
 # The page is part of the repository, so it has pictures, beside references, of these alone.
-PICTURES, SHOWN = ("oidn", "default"), ("mural", "window", "street")
+PICTURES, SHOWN = ("oidn", "default"), ("mural", "street")
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ __all__ = ["report"]
 def report(folder: Path, pictures: tuple[str, ...] = (), sequences: tuple[str, ...] = ()) -> list[Path]:
     """Write the reports of what `rtdenoise evaluate` measured into `folder`; returns the files.
 
-    `pictures` and `sequences`: methods and sequences whose pictures the page holds, all if empty. report.png needs matplotlib and is left out where
-    that is not installed. Raises InputError where there is no evaluation.json, or a method is none of it.
+    `pictures` and `sequences`: methods and sequences whose pictures the page holds, all if empty. report.png needs
+    matplotlib and is left out where that is not installed. Raises InputError where there is no evaluation.json, or a
+    method is none of it.
     """
     folder = Path(folder)
     document = Document.read(folder)

@@ -78,17 +78,19 @@ def _table(group: list[dict], data: dict) -> str:
 
 
 def _readings(data: dict) -> str:
-    """By PSNR, on all sequences together where there are several."""
-    sequence = POOL if any(row["sequence"] == POOL for row in data["comparisons"]) else next(iter(data["sequences"]))
-    rows = [r for r in data["comparisons"] if r["sequence"] == sequence and r["metric"] == "psnr"]
-    if not any(row["equal_error"] or row["area"] for row in rows):
+    """By PSNR, of each sequence that was measured at several sample counts, and of all where all were."""
+    rows = [row for row in data["comparisons"] if row["metric"] == "psnr"]
+    told = dict.fromkeys(row["sequence"] for row in rows if row["area"])
+    if not told:
         return ""
+    goal = f"To reach the PSNR of rtdenoise `{data['ours']}` at its fewest samples; ≈ is extrapolated."
+    tables = [_reading(name, [row for row in rows if row["sequence"] == name]) for name in told]
+    return "\n\n".join(["## What it would take", goal, *tables])
+
+
+def _reading(sequence: str, rows: list[dict]) -> str:
     lines = [
-        "## What it would take",
-        "",
-        f"To reach the PSNR of rtdenoise `{data['ours']}` at its fewest samples ({sequence}); ≈ is extrapolated.",
-        "",
-        "| | needs | that takes | error ratio in our time | over all budgets |",
+        f"| {sequence} | needs | that takes | error ratio in our time | over all budgets |",
         "|---|---|---|---|---|",
     ]
     for row in rows:
