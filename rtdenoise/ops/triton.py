@@ -15,6 +15,8 @@ import triton.language as tl
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from .layout import rows, step
+
 BLOCK = 128
 
 
@@ -109,7 +111,7 @@ def _backward(image, logits, out, stats, grad, grad_image, grad_logits, H, W, ba
 def apply_kernel(image: Tensor, logits: Tensor) -> Tensor:
     if torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
         return _ApplyKernel.apply(image, logits)
-    return _apply(image.contiguous(), _rows(logits), None)
+    return _apply(image.contiguous(), rows(logits), None)
 
 
 class _ApplyKernel(torch.autograd.Function):
@@ -117,7 +119,7 @@ class _ApplyKernel(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, image: Tensor, logits: Tensor) -> Tensor:
-        image, logits = image.contiguous(), _rows(logits)
+        image, logits = image.contiguous(), rows(logits)
         stats = image.new_empty(image.shape[0], 2, *image.shape[2:])
         out = _apply(image, logits, stats)
         ctx.save_for_backward(image, logits, out, stats)
@@ -154,24 +156,12 @@ def _grid(image: Tensor) -> tuple[int, int]:
 
 
 def _layout(logits: Tensor) -> tuple[int, ...]:
-    return *logits.shape[2:], logits.stride(0), logits.stride(1), _step(logits)
+    return *logits.shape[2:], logits.stride(0), logits.stride(1), step(logits)
 
 
 def _shape(image: Tensor, logits: Tensor) -> dict[str, int]:
     C = image.shape[1]
     return {"K": math.isqrt(logits.shape[1]), "C": C, "CP": triton.next_power_of_2(C), "BLOCK": BLOCK}
-
-
-def _rows(logits: Tensor) -> Tensor:
-    """With rows evenly apart; planes, channels last and slices of their channels are taken as they are."""
-    return (
-        logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * _step(logits) else logits.contiguous()
-    )
-
-
-def _step(logits: Tensor) -> int:
-    """Values from one pixel to the next. torch may give an axis of one pixel any stride."""
-    return logits.stride(3) if logits.shape[3] > 1 else logits.stride(2) if logits.shape[2] > 1 else 1
 
 
 @triton.jit

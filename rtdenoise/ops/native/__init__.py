@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from ..layout import rows, step
 from .compiler import library, problem
 
 LOGITS = {torch.float32: 0, torch.bfloat16: 1, torch.float16: 2}  # LOGIT of apply_kernel.c
@@ -43,7 +44,7 @@ def unsupported(op: str, *tensors: Tensor) -> str | None:
 def apply_kernel(image: Tensor, logits: Tensor) -> Tensor:
     if torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
         return _ApplyKernel.apply(image, logits)
-    return _forward(image.contiguous(), _rows(logits), None)
+    return _forward(image.contiguous(), rows(logits), None)
 
 
 class _ApplyKernel(torch.autograd.Function):
@@ -76,8 +77,8 @@ class _ApplyKernel(torch.autograd.Function):
 def _forward(image: Tensor, logits: Tensor, stats: Tensor | None) -> Tensor:
     out = torch.empty_like(image)
     *sizes, threads = _sizes(image, logits)
-    step = c_int64(_step(logits))
-    _kernels(image, logits).forward(*map(_pointer, (image, logits, out, stats)), *sizes, step, threads)
+    pitch = c_int64(step(logits))
+    _kernels(image, logits).forward(*map(_pointer, (image, logits, out, stats)), *sizes, pitch, threads)
     return out
 
 
@@ -94,22 +95,10 @@ def _sizes(image: Tensor, logits: Tensor) -> tuple[object, ...]:
     return B, H, W, c_int64(logits.stride(0)), c_int64(logits.stride(1)), torch.get_num_threads()
 
 
-def _rows(logits: Tensor) -> Tensor:
-    """With rows evenly apart; planes, channels last and slices of their channels are taken as they are."""
-    return (
-        logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * _step(logits) else logits.contiguous()
-    )
-
-
 def _planes(logits: Tensor) -> Tensor:
     """With every plane contiguous."""
-    logits = _rows(logits)
-    return logits if _step(logits) == 1 else logits.contiguous()
-
-
-def _step(logits: Tensor) -> int:
-    """Values from one pixel to the next. torch may give an axis of one pixel any stride."""
-    return logits.stride(3) if logits.shape[3] > 1 else logits.stride(2) if logits.shape[2] > 1 else 1
+    logits = rows(logits)
+    return logits if step(logits) == 1 else logits.contiguous()
 
 
 def warp(image: Tensor, motion: Tensor) -> Tensor:
