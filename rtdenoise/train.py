@@ -71,8 +71,8 @@ def _train(config: TrainConfig, share: tuple[int, int]) -> Path:
         trainer.load(out / "checkpoint.pt")
         if rank == 0:
             _forget_after(out / "log.jsonl", trainer.step)
-    with _until_stopped() as stopping, (out / "log.jsonl").open("a") as log, ThreadPoolExecutor(1) as reader:
-        _run(trainer, config, share, data, validation, stopping, log, reader)
+    with _until_stopped() as stopping:
+        _run(trainer, share, data, validation, stopping)
     if rank == 0:
         trainer.save(out / "checkpoint.pt")
         if validation is None or not (out / WEIGHTS).exists():
@@ -84,12 +84,14 @@ def _train(config: TrainConfig, share: tuple[int, int]) -> Path:
     return out / WEIGHTS
 
 
-def _run(trainer, config, share, data, validation, stopping, log, reader) -> None:
+def _run(
+    trainer: Trainer, share: tuple[int, int], data: ClipDataset, validation: ClipDataset | None, stopping: list[int]
+) -> None:
     """Steps until the last one, or until a process was told to stop. The next batch is read meanwhile."""
-    first, out = share[0] == 0, Path(config.out)
+    config, first, out = trainer.config, share[0] == 0, Path(trainer.config.out)
     progress = progress_bar("training", TextColumn("{task.fields[loss]}"))
     progress.disable = not first
-    with progress:
+    with progress, (out / "log.jsonl").open("a") as log, ThreadPoolExecutor(1) as reader:
         task = progress.add_task("train", total=config.steps, completed=trainer.step, loss="")
         batch = reader.submit(_batch, data, config, trainer.step, share)
         saved = time.monotonic()

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from .atomic import write_atomically
+from .backends import choose_device
 from .color import exposure
 from .distributed import average_gradients, means
 from .errors import InputError
@@ -123,5 +124,4 @@ def check(config: TrainConfig) -> None:
         raise InputError(f"unknown motion {config.motion!r}; expected 'dual' or 'traditional'")
     if config.device not in ("cpu", "cuda"):
         raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
-    if config.device == "cuda" and not torch.cuda.is_available():
-        raise InputError("device cuda: no CUDA device was found; use --device cpu")
+    choose_device(config.device)

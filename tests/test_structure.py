@@ -12,7 +12,7 @@ ORDER = [
     ("color",), ("frame",), ("ops",), ("motion",), ("motion_splat", "history"), ("nets",), ("models",), ("tiles",),
     ("plan",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
-    ("render", "trainer", "backends"),
+    ("backends",), ("render", "trainer"),
     ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"),
     ("cli_evaluate",), ("cli",), ("__main__",),
 ]  # fmt: skip
@@ -51,7 +51,7 @@ def test_dependencies_point_one_way():
 
 def test_inference_imports_no_training_rendering_or_plotting():
     heavy = ["mitsuba", "drjit", "matplotlib", "skimage"]
-    heavy += [f"rtdenoise.{room}" for room in ("train", "evaluate", "render")]
+    heavy += [f"rtdenoise.{room}" for room in ("train", "trainer", "evaluate", "render")]
     code = f"import sys, rtdenoise, rtdenoise.denoise; sys.exit(sorted(set({heavy}) & set(sys.modules)) or 0)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
