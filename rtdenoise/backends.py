@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from .errors import InputError
-from .frame import Frame
+from .frame import Frame, Known
 from .memory import explained
 
 BACKENDS = ("auto", "torch", "glsl")
@@ -22,11 +22,14 @@ class Backend(Protocol):
     def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> Any:
         """From now on leave out what `plan.make_plan` says; counted in `left_out`. None where everything runs."""
 
+    def prepare(self, frame: Frame) -> Frame:
+        """A frame of arrays `[1, C, H, W]` as `mismatch` and `step` take it: what both need is done once."""
+
     def mismatch(self, frame: Frame, history: Any) -> float:
-        """`history.mismatch`: above `frame.CUT` history belongs to another shot."""
+        """`history.mismatch` of a prepared frame: above `frame.CUT` history belongs to another shot."""
 
     def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
-        """Denoise one frame of arrays `[1, C, H, W]`: `[1, 3, H, W]`, and the history for the next one."""
+        """Denoise a prepared frame: `[1, 3, H, W]`, and the history for the next one."""
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
         """A history as the fields of `frame.History` that it has, `[1, C, H, W]`: the same for every backend."""
@@ -72,11 +75,19 @@ class TorchBackend:
         self.device = choose_device(device)
         self._denoiser = load(model, self.device, precision)
 
+    def prepare(self, frame: Frame) -> Frame:
+        import torch
+
+        from .frame import sanitise
+
+        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+            return sanitise(frame.map(torch.from_numpy).to(self.device))
+
     def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
         import torch
 
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
-            image, history = self._denoiser.step(self._tensors(frame), history)
+            image, history = self._denoiser.step(frame, history, Known(sanitised=True))
             return image.cpu().numpy(), history
 
     def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> Any:
@@ -93,11 +104,10 @@ class TorchBackend:
     def mismatch(self, frame: Frame, history: Any) -> float:
         import torch
 
-        from .frame import sanitise
         from .history import mismatch
 
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
-            return mismatch(sanitise(self._tensors(frame)), history).item()
+            return mismatch(frame, history).item()
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
         return {name: tensor.cpu().contiguous().numpy() for name, tensor in history.layers().items()}
@@ -106,11 +116,6 @@ class TorchBackend:
         from .history import from_arrays
 
         return from_arrays(fields, self.device)
-
-    def _tensors(self, frame: Frame) -> Frame:
-        import torch
-
-        return frame.map(torch.from_numpy).to(self.device)
 
 
 class GlslBackend:
@@ -127,6 +132,9 @@ class GlslBackend:
 
     def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> None:
         return None
+
+    def prepare(self, frame: Frame) -> Frame:
+        return frame
 
     def mismatch(self, frame: Frame, history: Any) -> float:
         return self._pipeline.mismatch(frame, history)

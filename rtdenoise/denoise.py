@@ -136,10 +136,11 @@ def _run(
         if i and frame.number != sequence.numbers[i - 1] + 1:
             history = None
         started = time.perf_counter()
-        if options.detect_cuts and history is not None and backend.mismatch(frame, history) > CUT:
+        prepared = backend.prepare(frame)
+        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > CUT:
             summary.cuts.append(frame.number)
             history = None
-        image, history = backend.step(frame, history)
+        image, history = backend.step(prepared, history)
         summary.seconds += time.perf_counter() - started
         write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
                     keep=options.keep, float32=options.float32)  # fmt: skip

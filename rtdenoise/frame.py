@@ -156,6 +156,17 @@ def nearness(depth: Tensor, distance: Tensor) -> Tensor:
     return torch.where(depth > 0, distance / (distance + depth), 0.0)
 
 
+def admit(frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN) -> Frame:
+    """The frame as a step that filters along surfaces works on it: sanitised, and with all that is needed.
+
+    `previous` is the image in the history, None without one. Raises InputError where albedo, normal, depth or (with
+    history) motion is missing, or the history is of another size.
+    """
+    frame = frame if known.sanitised else sanitise(frame)
+    frame.require("albedo", "normal", "depth", *(() if previous is None else ("motion",)), previous=previous)
+    return frame
+
+
 def sanitise(frame: Frame) -> Frame:
     """Replace what no filter can use, once, before anything else sees it. Valid frames come back unchanged to the bit.
 

@@ -14,13 +14,13 @@ Same: to the bit. Rounded: convolutions over another size sum in another order, 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
-from .frame import Frame, History, Known, sanitise
+from .frame import NOTHING_KNOWN, Frame, History, Known, sanitise
 from .motion import OCCLUSION_THRESHOLD, on_screen
 from .tiles import Tiled, keeps_only_the_image, light_reach, network_reach, step_in_windows
 
@@ -87,14 +87,16 @@ class Planned:
         self._reach: tuple[int, int] | None = None  # of the network and of light; found when they are needed
         self._rows_are_dark = keeps_only_the_image(denoiser)
 
-    def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
+    def step(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History]:
         """As the denoiser's own step."""
-        frame = sanitise(frame)
+        frame = frame if known.sanitised else sanitise(frame)
         still = history is not None and _still(frame, history.motion_next)
         covered = still or (history is not None and _covered(frame, history.motion_next))
         self.left_out["warp of history"] += still
         self.left_out["dual motion"] += covered
-        known = Known(still=still, covered=covered, sanitised=True)
+        known = replace(known, still=still, covered=covered, sanitised=True)
         if self._tiled:
             return self._tiled.step(frame, history, known)
         rows = self._rows(frame, history)

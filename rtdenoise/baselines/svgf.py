@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ..color import luminance
-from ..frame import Frame, sanitise
+from ..frame import Frame, admit
 from ..motion import dual_motion, occlusion_mask, on_screen, same_surface
 from ..ops import blend, fetch
 from .atrous import MISS, Surface, atrous, spatial_variance
@@ -57,12 +57,7 @@ class Svgf:
         Raises InputError where albedo, normal, depth or (with history) motion is missing, or history is of another
         size.
         """
-        frame = sanitise(frame)
-        needed = ("albedo", "normal", "depth")
-        if history is None:
-            frame.require(*needed)
-        else:
-            frame.require(*needed, "motion", previous=history.irradiance)
+        frame = admit(frame, history and history.irradiance)
         kind = kind_of(frame)
         albedo = torch.where(kind == TEXTURED, frame.albedo.clamp(min=DARK), 1.0)
         irradiance = (frame.radiance / albedo).clamp(max=BRIGHTEST)

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..color import albedo_divisor, compress, exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance, nearness, sanitise
+from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance, nearness
 from ..motion import occlusion_mask, on_screen
 from ..motion_splat import history_motion
 from ..nets import UNet, as_weights
@@ -103,12 +103,7 @@ class AccumulatedKPN(nn.Module):
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
         """Denoise one frame, as `TemporalKPN.step`."""
-        frame = frame if known.sanitised else sanitise(frame)
-        needed = ("albedo", "normal", "depth")
-        if history is None:
-            frame.require(*needed)
-        else:
-            frame.require(*needed, "motion", previous=history.radiance)
+        frame = admit(frame, history and history.radiance, known)
         albedo = albedo_divisor(frame.albedo, frame.depth)
         noisy = frame.radiance / albedo  # irradiance, but for what is not diffuse
 

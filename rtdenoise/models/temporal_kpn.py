@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from ..color import compress, exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance, nearness, sanitise
+from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance, nearness
 from ..motion import on_screen
 from ..motion_splat import history_motion
 from ..nets import UNet, as_weights
@@ -83,12 +83,7 @@ class TemporalKPN(nn.Module):
 
         Raises InputError where a layer is missing or the history is of another size.
         """
-        frame = frame if known.sanitised else sanitise(frame)
-        needed = ("albedo", "normal", "depth")
-        if history is None:
-            frame.require(*needed)
-        else:
-            frame.require(*needed, "motion", previous=history.radiance)
+        frame = admit(frame, history and history.radiance, known)
 
         # Reproject the previous output; where that is off the screen start from the noise, like a first frame.
         if history is None:
