@@ -6,16 +6,16 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
 from .cli_evaluate import Evaluate, Report
+from .cli_training import Clean, Render, Train
 from .denoise import Options
 from .errors import InputError
 from .progress import progress_bar
-from .train_config import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -88,118 +88,6 @@ class Inspect:
 
 
 @dataclass(frozen=True)
-class Render:
-    """Render with Mitsuba 3: noisy frames, features, exact motion both ways, references; as EXR or training clips."""
-
-    out: Path
-    """Folder for the frames or clips; what is there already is kept."""
-    scene: Positional[str] = "procedural"
-    """'sample', 'procedural:SEED', 'wide:SEED', or a Mitsuba scene file (.xml)."""
-    motion: Path | None = None
-    """TOML file that moves camera and objects of a scene file."""
-    clips: int = 0
-    """Render this many training clips of procedural scenes instead, with the seeds --seed, --seed + 1 ..."""
-    preset: Literal["", "train"] = ""
-    """'train': the --clips are windows of the second, wider generator's scenes, chosen where something happens."""
-    scenes: Path | None = None
-    """With --preset train: folder of NAME/scene.xml; half of the scenes are drawn from these."""
-    motions: Path | None = None
-    """With --scenes: folder of NAME.toml, the motions of these scenes."""
-    exclude: tuple[str, ...] = ("street", "dining-room")
-    """With --scenes: names that are left out, to validate on."""
-    textures: Path | None = None
-    """With --preset train or wide:SEED: folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""
-    reference_error: float = 0.01
-    """With --preset train: relative squared error that the references may have; sets their samples, 32 to 512."""
-    shard: str = "0/1"
-    """With --preset train: 'i/n' renders the i-th of n equal parts of the set, counted from 0."""
-    frames: int | None = None
-    """Frames of the sequence, or of each clip (default: 12, clips 10)."""
-    size: int | None = None
-    """Pixels: width and height, unless those are given."""
-    width: int | None = None
-    """Pixels (default: 320, clips 128)."""
-    height: int | None = None
-    """Pixels (default: 180, clips 128)."""
-    spp: int = 1
-    """Samples per pixel of the noisy frames."""
-    reference_spp: int | None = None
-    """Samples per pixel of the references (default: 256; clips 64, more in noisier scenes, fewer in cleaner ones)."""
-    max_depth: int = 6
-    """Longest light path, in edges."""
-    seed: int = 0
-    """Of the noise; with --clips, of the first scene."""
-    workers: int = 2
-    """Processes that render clips."""
-
-    def run(self) -> None:
-        for name in ("frames", "width", "height", "size", "spp", "max_depth", "workers"):
-            if (value := getattr(self, name)) is not None and value < 1:
-                raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
-        if self.clips and self.reference_spp == 0:
-            raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
-        if self.preset != "train" and (self.scenes or self.shard != "0/1"):
-            raise InputError("--scenes and --shard go with --preset train")
-        if self.preset == "train":
-            self._training_set()
-        elif self.clips:
-            if self.textures:
-                raise InputError("--textures goes with wide:SEED and --preset train; --clips alone draws as ever")
-            from .render.clips import ClipOptions, render_clips
-
-            size = (self.height or self.size or 128, self.width or self.size or 128)
-            render_clips(
-                self.out,
-                ClipOptions(
-                    self.clips, size, self.frames or 10, self.seed, self.spp, self.reference_spp or 64, self.max_depth,
-                    self.workers,
-                ),
-            )  # fmt: skip
-        else:
-            from .render.draw import open_scene
-            from .render.frames import RenderOptions, render_sequence
-
-            size = (self.height or self.size or 180, self.width or self.size or 320)
-            spp = 256 if self.reference_spp is None else self.reference_spp
-            options = RenderOptions(size, self.spp, spp, self.max_depth, self.seed)
-            render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames or 12, options)
-
-    def _training_set(self) -> None:
-        from .render.training_set import SetOptions, find_scenes, parse_shard, render_set
-
-        if self.reference_spp is not None or self.motion:
-            raise InputError("--preset train takes --reference-error and --motions, not --reference-spp and --motion")
-        size = (self.height or self.size or 128, self.width or self.size or 128)
-        options = SetOptions(
-            self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,
-            max_depth=self.max_depth, workers=self.workers, shard=parse_shard(self.shard),
-            scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
-            textures=str(self.textures or ""),
-        )  # fmt: skip
-        with progress_bar("rendering") as bar:
-            task = bar.add_task("render", total=None)
-
-            def report(done: int, total: int, line: str) -> None:
-                bar.update(task, completed=done, total=total)
-                bar.console.print(line, highlight=False, soft_wrap=True)
-
-            card = render_set(self.out, options, report)
-        print(f"{self.out}: {card['clips']} clips; DATA.md says what they are")
-
-
-@dataclass(frozen=True)
-class Train:
-    """Train a model on rendered clips; a run directory that is there is resumed."""
-
-    config: OmitArgPrefixes[TrainConfig]
-
-    def run(self) -> None:
-        from .train import train
-
-        print(f"weights: {train(self.config)}")
-
-
-@dataclass(frozen=True)
 class Demo:
     """Denoise the bundled sequence, print errors and times, and write pictures."""
 
@@ -220,6 +108,7 @@ Command = (
     Annotated[Denoise, tyro.conf.subcommand("denoise")]
     | Annotated[Inspect, tyro.conf.subcommand("inspect")]
     | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[Clean, tyro.conf.subcommand("clean")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Report, tyro.conf.subcommand("report")]

@@ -61,6 +61,9 @@ def _train(config: TrainConfig, share: tuple[int, int]) -> Path:
     if validation and (shared := data.scenes() & validation.scenes()):
         raise InputError(f"{config.val}: shows scenes that are in the training clips too, such as {min(shared)}; "
                          "validation would say nothing about others")  # fmt: skip
+    if validation and "references" in validation.facts(0):
+        raise InputError(f"{config.val}: its references are denoised, and would reward whatever is as smooth; "
+                         "validate on clips as they were rendered")  # fmt: skip
     _batch(data, config, 0, share)  # whatever does not fit is told before there is a run
     out = Path(config.out)
     out.mkdir(parents=True, exist_ok=True)

@@ -3,8 +3,10 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import torch
 
+from rtdenoise.data.dataset import clip_path, write_clip
 from rtdenoise.data.exr import write_layers
 from rtdenoise.frame import Frame
 from rtdenoise.models.temporal_kpn import Config
@@ -51,6 +53,24 @@ def write_sequence(folder, frames, without=()):
             layers["indirect_reference"] = layers["reference"]
             layers["half_reference"] = layers["half_indirect_reference"] = layers.pop("reference_half")
         write_layers(folder / f"frame.{frame.number:04d}.exr", layers, dtypes={"color": "float"})
+    return folder
+
+
+def write_clips(folder, seeds, size=24, reference_noise=0.0):
+    """A clip of four frames for each seed, in the format that rendering writes."""
+    folder.mkdir(exist_ok=True)
+    for index, seed in enumerate(seeds):
+        frames, rng = [], np.random.default_rng(seed)
+        for frame in make_frames(4, H=size, W=size, seed=seed):
+            layers = {layer: t[0].permute(1, 2, 0).numpy() for layer, t in frame.layers()}
+            layers["color"] = layers["indirect"] = layers.pop("radiance")
+            layers["indirect_reference"] = layers["reference"]
+            layers["indirect_reference_half"] = layers["reference_half"]
+            layers["id"] = np.ones((size, size, 1))
+            for name in ("reference", "indirect_reference") if reference_noise else ():
+                layers[name] = layers[name] * (1 + reference_noise * rng.uniform(-1, 1, (size, size, 1)))
+            frames.append(layers)
+        write_clip(clip_path(folder, index), frames, {"seed": seed, "generator": 1})
     return folder
 
 

@@ -12,9 +12,9 @@ ORDER = [
     ("color",), ("frame",), ("ops",), ("motion",), ("motion_splat", "history"), ("nets",), ("models",), ("tiles",),
     ("plan",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
-    ("backends",), ("render", "trainer"),
+    ("backends",), ("render", "trainer", "clean"),
     ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"),
-    ("cli_evaluate",), ("cli",), ("__main__",),
+    ("cli_evaluate", "cli_training"), ("cli",), ("__main__",),
 ]  # fmt: skip
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 

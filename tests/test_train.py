@@ -14,7 +14,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
-from synthetic import TINY, make_frames
+from synthetic import TINY, make_frames, write_clips
 
 from rtdenoise.augment import augment
 from rtdenoise.data.dataset import RADIANCE, ClipDataset, clip_path, write_clip
@@ -54,21 +54,6 @@ def clips(tmp_path_factory):
 @pytest.fixture(scope="module")
 def other_clips(tmp_path_factory):
     return write_clips(tmp_path_factory.mktemp("validation"), range(5, 7))
-
-
-def write_clips(folder, seeds):
-    """A clip of four frames for each seed, in the format that rendering writes."""
-    for index, seed in enumerate(seeds):
-        frames = []
-        for frame in make_frames(4, H=24, W=24, seed=seed):
-            layers = {layer: t[0].permute(1, 2, 0).numpy() for layer, t in frame.layers()}
-            layers["color"] = layers["indirect"] = layers.pop("radiance")
-            layers["indirect_reference"] = layers["reference"]
-            layers["indirect_reference_half"] = layers["reference_half"]
-            layers["id"] = np.ones((24, 24, 1))
-            frames.append(layers)
-        write_clip(clip_path(folder, index), frames, {"seed": seed, "generator": 1})
-    return folder
 
 
 @pytest.fixture

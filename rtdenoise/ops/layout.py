@@ -7,9 +7,7 @@ from torch import Tensor
 
 def rows(logits: Tensor) -> Tensor:
     """With rows evenly apart; planes, channels last and slices of their channels are taken as they are."""
-    return (
-        logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * step(logits) else logits.contiguous()
-    )
+    return logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * step(logits) else logits.contiguous()
 
 
 def step(logits: Tensor) -> int:

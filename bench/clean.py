@@ -1,0 +1,55 @@
+"""How much of a reference's noise `rtdenoise clean` takes, and how much light.
+
+    python bench/clean.py CLIPS [CLIPS ...]
+
+Half of each reference's samples is denoised and compared with the other half, which is independent of it: what is
+between the two is the error of the denoised one plus the noise of the other, and the latter is known, as half of what
+is between the raw halves. So the error against the converged picture comes out without a converged picture. On the
+display transform, in decibels; the mean of every third frame of every clip. The references that are trained on have
+the samples of both halves, and so less of either error.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import harness
+import numpy as np
+import torch
+
+from rtdenoise.baselines.oidn import Oidn
+from rtdenoise.color import display, display_exposure
+from rtdenoise.data.dataset import SIGNALS, ClipDataset
+
+RESULT = harness.ROOT / "bench" / "results" / "clean.json"
+
+
+def main(folders: list[Path]) -> None:
+    rows = [{"folder": f.name, "signal": s, **errors(ClipDataset(f), s)} for f in folders for s in SIGNALS]
+    for row in rows:
+        print(row)
+    harness.write(RESULT, **harness.origin({"oidn": harness.cpu()}), rows=rows)
+
+
+@torch.inference_mode()
+def errors(clips: ClipDataset, signal: str) -> dict[str, float]:
+    oidn, found = Oidn(), []
+    for index in range(len(clips)):
+        frames = clips.load(index, signal=signal)
+        scale = display_exposure(torch.cat([frame.reference for frame in frames]))
+        for frame in frames[::3]:
+            a = frame.reference_half
+            b = (2 * frame.reference - a).clamp(min=0)
+            cleaned = oidn.step(replace(frame, radiance=a))[0]
+            shown, other, raw = (display(image, scale) for image in (cleaned, b, a))
+            noise = (raw - other).square().mean().item() / 2
+            found.append((noise, (shown - other).square().mean().item() - noise, (cleaned.mean() / a.mean()).item()))
+    noise, error, light = np.mean(found, axis=0)
+    samples = np.mean([clips.facts(i)["reference_spp"] / 2 for i in range(len(clips))])
+    return {"spp": samples, "raw_psnr": -10 * np.log10(noise), "cleaned_psnr": -10 * np.log10(error), "light": light}
+
+
+if __name__ == "__main__":
+    main([Path(argument) for argument in sys.argv[1:]])

@@ -1,0 +1,65 @@
+"""References denoised for training."""
+
+import numpy as np
+import pytest
+import torch
+from synthetic import make_frames, write_clips
+
+from rtdenoise.cli import main
+from rtdenoise.data.dataset import ClipDataset, clip_path
+from rtdenoise.train import train
+from rtdenoise.trainer import TrainConfig
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory):
+    """Clips whose references are half as noisy as they are bright."""
+    return write_clips(tmp_path_factory.mktemp("noisy"), range(2), size=64, reference_noise=0.5)
+
+
+@pytest.fixture(scope="module")
+def cleaned(noisy, tmp_path_factory):
+    (noisy / "DATA.md").write_text("# Training clips\n\nA wall by Nobody, CC0.\n")
+    out = tmp_path_factory.mktemp("cleaned")
+    main(["clean", str(noisy), "--out", str(out)])
+    return out
+
+
+@pytest.mark.parametrize("signal", ["color", "indirect"])
+def test_references_lose_their_noise_and_nothing_else_changes(noisy, cleaned, signal):
+    for index in range(2):
+        truth = [frame.reference for frame in make_frames(4, H=64, W=64, seed=index)]
+        before, after = (ClipDataset(folder).load(index, signal=signal) for folder in (noisy, cleaned))
+        for a, b, converged in zip(before, after, truth, strict=True):
+            error = [(x.reference - converged).square().mean().item() for x in (a, b)]
+            assert error[1] < 0.35 * error[0]
+            assert b.reference.mean().item() == pytest.approx(a.reference.mean().item(), rel=0.03)
+            assert torch.equal(b.reference, b.reference_half)  # no two estimates, so none of its error
+            for name, layer in a.layers():
+                assert name.startswith("reference") or torch.equal(layer, getattr(b, name)), name
+
+
+def test_what_is_there_is_kept_and_the_card_says_what_it_is(noisy, cleaned, capsys):
+    clip_path(cleaned, 1).unlink()
+    written = clip_path(cleaned, 0).stat().st_mtime_ns
+    main(["clean", str(noisy), "--out", str(cleaned)])
+    assert "1 clips written" in capsys.readouterr().out
+    assert clip_path(cleaned, 0).stat().st_mtime_ns == written
+    assert ClipDataset(cleaned).facts(1)["references"].startswith("denoised by pyoidn")
+    card = (cleaned / "DATA.md").read_text()
+    assert "not for validation" in card and "A wall by Nobody, CC0." in card
+
+
+@pytest.mark.parametrize("what, message", [("itself", "is where the clips are"), ("twice", "denoised already")])
+def test_clips_are_neither_cleaned_in_place_nor_twice(noisy, cleaned, tmp_path, capsys, what, message):
+    source, out = (noisy, noisy) if what == "itself" else (cleaned, tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        main(["clean", str(source), "--out", str(out)])
+    assert message in capsys.readouterr().err
+
+
+def test_validation_is_refused(noisy, cleaned, tmp_path):
+    others = write_clips(tmp_path / "others", range(5, 7), size=64)
+    with pytest.raises(ValueError, match="validate on clips as they were rendered"):
+        train(TrainConfig(data=(others,), val=cleaned, out=tmp_path / "run", steps=1, frames=2, size=16))
+    assert np.array_equal(sorted(tmp_path.iterdir()), [others])
