@@ -1,11 +1,13 @@
 """The paper's experiment: traditional motion, dual motion, and the occlusion loss, on the same clips and budget.
 
-    python bench/ablation.py --data data/train --val data/val --runs runs/ablation --steps 1200
+    rtdenoise train --data data/train-clean --out runs/single --frames 1 --batch 16 --steps 800 --no-occlusion-loss
+    python bench/ablation.py --data data/train-clean --val data/val --init runs/single/weights.safetensors --steps 1200
 
-trains the `paper` network in each setting with each seed (a run that is there is resumed, a finished one kept), then
-measures all of them on the validation clips: over the frame, and inside what was uncovered in it, one and two frames
-before (M⁰, M¹, M²). Settings A, B and C are the paper's (§5.3); C-max has max pooling as D, as the paper prints it,
-C-bright another domain of the loss. Writes bench/results/ablation.json and prints the table.
+The first line trains on single frames, in which the settings do not differ; the second one goes on with the `paper`
+network from there in each setting with each seed (a run that is there is resumed, a finished one kept), then measures
+all of them on the validation clips: over the frame, and inside what was uncovered in it, one and two frames before (M⁰,
+M¹, M²). Settings A, B and C are the paper's (§5.3); C-max has max pooling as D, as the paper prints it, C-bright
+another domain of the loss. Writes bench/results/ablation.json and prints the table.
 """
 
 from __future__ import annotations
@@ -38,10 +40,14 @@ RESULT = harness.ROOT / "bench" / "results" / "ablation.json"
 
 @dataclass(frozen=True)
 class Options:
-    data: Path
-    """Training clips."""
+    data: tuple[Path, ...]
+    """Folders of training clips."""
     val: Path
     """Validation clips, of other scenes."""
+    init: Path | None = None
+    """Weights that every run starts from, trained on single frames: there a setting means nothing yet."""
+    frames: int = 9
+    """Frames a clip."""
     runs: Path = Path("runs/ablation")
     """Folder of the training runs."""
     steps: int = 1200
@@ -58,14 +64,19 @@ def main(options: Options) -> None:
     for seed in range(options.seeds):  # seed by seed: an interrupted bench has compared all settings once
         for setting in options.settings:
             config = TrainConfig(
-                data=(options.data,), val=None, out=options.runs / f"{setting}-{seed}", steps=options.steps, seed=seed,
-                **SETTINGS[setting],
+                data=options.data, out=options.runs / f"{setting}-{seed}", init=options.init, steps=options.steps,
+                frames=options.frames, seed=seed, **SETTINGS[setting],
             )  # fmt: skip
             row = {"setting": setting, "seed": seed, "errors": errors(train(config), clips)}
             rows.append(row)
             print(f"{setting} seed {seed}: " + ", ".join(f"{k} {v['psnr']:.2f} dB" for k, v in row["errors"].items()))
             harness.write(
-                RESULT, **harness.origin({"torch": harness.cpu()}), steps=options.steps, clips=len(clips), rows=rows
+                RESULT,
+                **harness.origin({"torch": harness.cpu()}),
+                steps=options.steps,
+                frames=options.frames,
+                clips=len(clips),
+                rows=rows,
             )
     print(table(rows))
 
