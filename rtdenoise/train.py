@@ -13,7 +13,7 @@ import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
@@ -32,11 +32,12 @@ from .metrics import psnr
 from .models import Denoiser, save
 from .motion import uncovered
 from .progress import progress_bar
-from .strict_json import dumps
 from .train_config import TrainConfig
+from .train_log import Log
 from .trainer import Trainer, check
 
 WEIGHTS = "weights.safetensors"
+ELSEWHERE = ("data", "val", "out", "device", "init", "tensorboard")  # options that may change when a run is resumed
 
 
 def train(config: TrainConfig) -> Path:
@@ -72,8 +73,6 @@ def _train(config: TrainConfig, share: tuple[int, int]) -> Path:
         _same_config(config, out / "config.json")
     if (out / "checkpoint.pt").exists():
         trainer.load(out / "checkpoint.pt")
-        if rank == 0:
-            _forget_after(out / "log.jsonl", trainer.step)
     with _until_stopped() as stopping:
         _run(trainer, share, data, validation, stopping)
     if rank == 0:
@@ -92,9 +91,10 @@ def _run(
 ) -> None:
     """Steps until the last one, or until a process was told to stop. The next batch is read meanwhile."""
     config, first, out = trainer.config, share[0] == 0, Path(trainer.config.out)
+    log = Log(out, trainer.step, config.tensorboard) if first else nullcontext()
     progress = progress_bar("training", TextColumn("{task.fields[loss]}"))
     progress.disable = not first
-    with progress, (out / "log.jsonl").open("a") as log, ThreadPoolExecutor(1) as reader:
+    with progress, log, ThreadPoolExecutor(1) as reader:
         task = progress.add_task("train", total=config.steps, completed=trainer.step, loss="")
         batch = reader.submit(_batch, data, config, trainer.step, share)
         saved = time.monotonic()
@@ -109,10 +109,10 @@ def _run(
             progress.update(task, completed=trainer.step, loss=f"loss {row['loss']:.4f}")
             last = trainer.step == config.steps
             if trainer.step % 20 == 0 or last or not math.isfinite(row["grad_norm"]):
-                _write(log, row)
+                log.write(row)
             if validation and (trainer.step % config.validate_every == 0 or last):
                 found = validate(trainer.average, validation, config)
-                _write(log, {"step": trainer.step, "validation": found})
+                log.write({"step": trainer.step, "validation": found})
                 if found["denoised"] > trainer.best:
                     trainer.best = found["denoised"]
                     _save_weights(trainer, out / WEIGHTS)
@@ -177,8 +177,8 @@ def _batch(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, 
 
 
 def _plain(config: TrainConfig) -> dict:
-    """Options as JSON holds them, without the paths, which say where and not what."""
-    return {key: value for key, value in asdict(config).items() if key not in ("data", "val", "out", "device", "init")}
+    """Options as JSON holds them, without those that say where and not what."""
+    return {key: value for key, value in asdict(config).items() if key not in ELSEWHERE}
 
 
 def _same_config(config: TrainConfig, path: Path) -> None:
@@ -194,16 +194,3 @@ def _same_config(config: TrainConfig, path: Path) -> None:
                 )
     else:
         path.write_text(json.dumps({"version": __version__, "options": options}, indent=1) + "\n")
-
-
-def _forget_after(path: Path, step: int) -> None:
-    """Drop from the log what a killed run did after its last checkpoint: it will be done again."""
-    if path.exists():
-        lines = path.read_text().splitlines(keepends=True)
-        kept = [line for line in lines if line.endswith("\n") and json.loads(line)["step"] <= step]
-        path.write_text("".join(kept))
-
-
-def _write(log, row: dict) -> None:
-    log.write(dumps(row) + "\n")
-    log.flush()

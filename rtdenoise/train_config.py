@@ -50,5 +50,7 @@ class TrainConfig:
     """Run the convolutions in bfloat16."""
     validate_every: int = 500
     """Steps between validations."""
+    tensorboard: bool = False
+    """Also write the log as TensorBoard's events, into the folder tensorboard of the run."""
     checkpoint_minutes: float = 3.0
     """Minutes between checkpoints; one is also written on Ctrl-C and on SIGTERM."""

@@ -8,8 +8,9 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent / "rtdenoise"
 # A room may import the rooms above it in this list, and its own.
 ORDER = [
-    ("errors", "strict_json", "progress", "distributed", "train_config"), ("memory", "atomic", "origin"), ("stored",),
-    ("color",), ("frame",), ("ops",), ("motion",), ("motion_splat", "history"), ("nets",), ("models",), ("tiles",),
+    ("errors", "strict_json", "progress", "distributed", "train_config"), ("memory", "atomic", "origin", "train_log"),
+    ("stored",), ("color",), ("frame",), ("ops",), ("motion",), ("motion_splat", "history"), ("nets",), ("models",),
+    ("tiles",),
     ("plan",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
     ("backends",), ("render", "trainer", "clean"),

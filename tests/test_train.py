@@ -112,6 +112,27 @@ def test_what_is_not_a_number_is_null_in_the_log(config, monkeypatch):
     assert dumps({"a": (1, float("nan")), "b": [True, "NaN"]}) == '{"a": [1, null], "b": [true, "NaN"]}'
 
 
+def test_tensorboard_has_the_log_also_of_a_resumed_run(config):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    config = replace(config, tensorboard=True)
+    train(config)
+    (config.out / "log.jsonl").open("a").write('{"step": 7, "loss": 1.0}\n')  # as after a kill
+    train(config)
+    events = EventAccumulator(str(config.out / "tensorboard"))
+    events.Reload()
+    rows = [row for row in log(config.out) if "loss" in row]
+    assert [row["step"] for row in rows] == [event.step for event in events.Scalars("loss")]
+    assert [row["loss"] for row in rows] == pytest.approx([event.value for event in events.Scalars("loss")])
+    assert "validation/denoised" in events.Tags()["scalars"]
+
+
+def test_tensorboard_that_is_missing_is_one_line(config, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with pytest.raises(InputError, match=r"pip install 'rtdenoise\[tensorboard\]'"):
+        train(replace(config, tensorboard=True))
+
+
 def test_same_seed_same_weights_other_seed_others(config, tmp_path):
     first = load(train(config)).state_dict()
     again = load(train(replace(config, out=tmp_path / "again"))).state_dict()

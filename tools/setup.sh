@@ -17,7 +17,7 @@ TORCH_FALLBACK=torch==2.13.0  # where that index is out of reach
 main() {
     case "${1-}" in
         demo) extras="" ;;
-        test) extras="[render,noisebase,bench,dev]" ;;
+        test) extras="[render,noisebase,tensorboard,bench,dev]" ;;
         *) fail "usage: sh tools/setup.sh demo|test" ;;
     esac
     make_venv
