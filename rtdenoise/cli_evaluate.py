@@ -22,10 +22,12 @@ class Evaluate:
     """Names as in the report (default: all)."""
     precision: tuple[str, ...] = ("fp32",)
     """'fp32', 'bf16'."""
+    metrics: tuple[str, ...] = ()
+    """Names as in docs/report.md (default: all but 'fovvideovdp')."""
     spp: tuple[int, ...] = (1,)
     """Samples per pixel of the inputs; n other than the sequence's own are read from its folder spp<n>."""
     signal: str = "color"
-    """'color' or 'indirect'."""
+    """'color', 'indirect', or 'both' into OUT/color and OUT/indirect."""
     preset: str = "auto"
     """Layout of the files, as for inspect."""
     frames: int | None = None
@@ -43,9 +45,13 @@ class Evaluate:
         if low := [n for n in (*self.spp, *([] if self.frames is None else [self.frames])) if n < 1]:
             raise InputError(f"--spp and --frames: expected 1 or more, got {low[0]}")
         device = choose_device(self.device)
-        options = EvaluateOptions(self.methods, self.precision, self.spp, self.signal, self.preset, self.frames, device)
-        document = run(list(self.sources), self.out, options)
-        print(f"{self.out}: {len(document.results)} results; `rtdenoise report {self.out}` draws them")
+        for signal in ("color", "indirect") if self.signal == "both" else (self.signal,):
+            options = EvaluateOptions(
+                self.methods, self.precision, self.metrics, self.spp, signal, self.preset, self.frames, device
+            )
+            out = self.out / signal if self.signal == "both" else self.out
+            document = run(list(self.sources), out, options)
+            print(f"{out}: {len(document.results)} results; `rtdenoise report {out}` draws them")
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Methods, errors and times of one run, and what `rtdenoise evaluate` writes of them."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 
@@ -14,7 +15,7 @@ from rtdenoise.color import display_exposure
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, evaluate, methods, uncovered
 from rtdenoise.evaluate.document import Document
-from rtdenoise.evaluate.inputs import reference_error
+from rtdenoise.evaluate.inputs import reference_errors
 from rtdenoise.evaluate.run import Options, run
 from rtdenoise.models import available, load
 
@@ -93,14 +94,88 @@ def test_errors_are_those_of_the_metrics():
     assert result.errors["frame"]["mse"] == pytest.approx(sum(row["frame"]["mse"] for row in result.frames) / 3)
 
 
+def with_noisy_references(frames, noise=0.05):
+    g = torch.Generator().manual_seed(2)
+    halves = [[f.reference * (1 + noise * torch.randn(f.reference.shape, generator=g)) for f in frames] for _ in "12"]
+    return [replace(f, reference=(a + b) / 2, reference_half=a) for f, a, b in zip(frames, *halves, strict=True)]
+
+
+def test_corrected_psnr_is_of_the_mean_over_frames():
+    truth = make_frames(5, H=48, W=64)
+    frames = with_noisy_references(truth)
+    steps = {"half": lambda frame, history: (truth[frame.number].reference * 1.02, None)}
+    (result,) = evaluate(frames, steps, metrics=("psnr_corrected", "psnr"), regions=("frame", "uncovered"))
+    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
+    expected = [
+        metrics.mse_corrected(
+            truth[i].reference * 1.02, frames[i].reference, scale, reference_half=frames[i].reference_half
+        )
+        for i in range(1, 5)
+    ]
+    true = sum(metrics.mse(f.reference * 1.02, f.reference, scale) for f in truth[1:]) / 4
+    found = result.errors["frame"]["psnr_corrected"]
+    assert found == pytest.approx(-10 * math.log10(sum(expected) / 4))
+    assert found == pytest.approx(-10 * math.log10(true), abs=0.3) and found > result.errors["frame"]["psnr"] + 3
+    assert set(result.errors["frame"]) == {"psnr", "psnr_corrected"}
+    # Inside the few uncovered pixels single frames can be negative; their mean counts.
+    (result,) = evaluate(frames, steps, metrics=("mse_corrected", "psnr_corrected"), regions=("uncovered",))
+    errors = result.errors["uncovered"]
+    assert errors["psnr_corrected"] == pytest.approx(-10 * math.log10(errors["mse_corrected"]))
+
+
+def test_without_half_references_nothing_is_corrected(tmp_path, capsys):
+    bare = [replace(frame, reference_half=None) for frame in make_frames(3)]
+    (result,) = evaluate(bare, ["noisy"], metrics=("psnr_corrected", "mse_corrected", "psnr"))
+    errors = result.errors["frame"]
+    assert math.isnan(errors["psnr_corrected"]) and math.isnan(errors["mse_corrected"]) and errors["psnr"] > 0
+    shot = write_sequence(tmp_path / "shot", make_frames(3), without=("reference_half",))
+    main(["evaluate", str(shot), "--out", str(tmp_path / "out"), "--methods", "noisy"])
+    assert "shot, 1 spp: no half references" in capsys.readouterr().out
+    document = Document.read(tmp_path / "out")
+    assert document.results[0]["errors"]["frame"]["psnr_corrected"] is None
+    assert document.sequences["shot"]["reference_psnr"] is None
+
+
+def test_metrics_can_be_chosen_and_what_is_missing_is_measured(shot, tmp_path):
+    out = tmp_path / "out"
+    main(["evaluate", str(shot), "--out", str(out), "--methods", "noisy", "--metrics", "psnr", "ssim"])
+    (row,) = Document.read(out).results
+    assert set(row["errors"]["uncovered"]) == {"psnr", "ssim"}
+    main(["evaluate", str(shot), "--out", str(out), "--methods", "noisy", "--metrics", "psnr", "psnr_corrected"])
+    (row,) = Document.read(out).results
+    assert set(row["errors"]["frame"]) == {"psnr", "psnr_corrected"}
+    with pytest.raises(InputError, match="unknown metric 'beauty'; expected some of psnr, psnr_corrected"):
+        run([str(shot)], out, Options(PLAIN, metrics=("beauty",)))
+
+
+def test_the_quality_of_a_sequence_is_one_number(monkeypatch):
+    given = []
+
+    def quality(images, references, scale):
+        given.append((len(images), len(references)))
+        return 7.5
+
+    monkeypatch.setattr("rtdenoise.metrics.fovvideovdp", quality)
+    (result,) = evaluate(make_frames(4), ["noisy"], metrics=("psnr", "fovvideovdp"))
+    assert result.errors["frame"]["fovvideovdp"] == 7.5 and math.isnan(result.errors["uncovered"]["fovvideovdp"])
+    assert given == [(3, 3)] and "fovvideovdp" not in result.frames[0]["frame"]
+
+
+def test_both_signals_in_one_run(shot, tmp_path):
+    main(["evaluate", str(shot), "--out", str(tmp_path / "out"), "--methods", "noisy", "--signal", "both"])
+    assert [Document.read(tmp_path / "out" / s).signal for s in ("color", "indirect")] == ["color", "indirect"]
+
+
 def test_the_references_own_error_comes_from_their_halves():
     g = torch.Generator().manual_seed(1)
     truth = torch.full((1, 3, 64, 64), 2.0)
     halves = [truth + 0.1 * torch.randn(truth.shape, generator=g) for _ in range(2)]
     frame = make_frames(1, H=64, W=64)[0]
     frame = replace(frame, reference=(halves[0] + halves[1]) / 2, reference_half=halves[0])
-    assert reference_error([frame]) == pytest.approx(0.1**2 / 2 / 2**2, rel=0.1)
-    assert reference_error([replace(frame, reference_half=None)]) is None
+    assert reference_errors([frame])["reference_relmse"] == pytest.approx(0.1**2 / 2 / 2**2, rel=0.1)
+    own = metrics.mse(frame.reference, truth, display_exposure(frame.reference))
+    assert reference_errors([frame])["reference_psnr"] == pytest.approx(-10 * math.log10(own), abs=0.3)
+    assert set(reference_errors([replace(frame, reference_half=None)]).values()) == {None}
 
 
 def test_a_run_measures_and_leaves_out_with_reasons(shot, tmp_path, capsys):

@@ -20,7 +20,19 @@ from rtdenoise.color import (
     srgb_encode,
 )  # fmt: skip
 from rtdenoise.errors import InputError
-from rtdenoise.metrics import flip, flip_map, l1, mse, psnr, relmse, smape, ssim
+from rtdenoise.metrics import (
+    flip,
+    flip_map,
+    l1,
+    mse,
+    mse_corrected,
+    psnr,
+    psnr_corrected,
+    reference_mse,
+    relmse,
+    smape,
+    ssim,
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -76,6 +88,44 @@ def test_half_references_take_the_references_noise_out_of_relmse():
     unbiased = relmse(image, reference, 1.0, reference_half=halves[0])
     assert naive > 0.0145  # 0.1² and the reference's own 0.1²/2
     assert unbiased == pytest.approx(0.01, abs=0.003)  # but for the noise of r² in the denominator
+
+
+@pytest.fixture
+def noisy_reference():
+    """(image, truth, reference, half): an image that is wrong by less than the noise of its reference."""
+    g = torch.Generator().manual_seed(7)
+    truth = torch.rand(1, 3, 256, 256, generator=g) * 0.6 + 0.2
+    image = truth + 0.01 * torch.randn(truth.shape, generator=g)
+    halves = [truth + 0.03 * torch.randn(truth.shape, generator=g) for _ in range(2)]
+    return image, truth, (halves[0] + halves[1]) / 2, halves[0]
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_corrected_mse_is_the_error_against_the_truth(noisy_reference, masked):
+    image, truth, reference, half = noisy_reference
+    mask = torch.zeros(1, 1, 256, 256, dtype=torch.bool)
+    mask[..., 40:120, 30:150] = True
+    mask = mask if masked else None
+    true, naive = mse(image, truth, 1.0, mask), mse(image, reference, 1.0, mask)
+    corrected = mse_corrected(image, reference, 1.0, mask, reference_half=half)
+    pixels = (display(image) - display(reference)).square() - (display(half) - display(2 * reference - half)) ** 2 / 4
+    pixels = pixels[mask.expand_as(pixels)] if masked else pixels
+    standard_error = (pixels.std() / math.sqrt(pixels.numel())).item()
+    # What the curve of the display does to noise is left: below 1 % of the references' error here.
+    assert abs(corrected - true) < 3 * standard_error + 0.01 * (naive - true)
+    assert naive - true > 20 * standard_error and naive > 5 * true
+    own = mse(reference, truth, 1.0, mask)
+    assert reference_mse(reference, half, 1.0, mask) == pytest.approx(own, rel=0.03)
+    decibels = psnr_corrected(image, reference, 1.0, mask, reference_half=half)
+    assert decibels == pytest.approx(-10 * math.log10(corrected)) and decibels > psnr(image, reference, 1.0, mask) + 7
+
+
+def test_corrected_psnr_is_nan_where_the_reference_cannot_tell(noisy_reference):
+    _, _, reference, half = noisy_reference
+    assert mse_corrected(reference, reference, 1.0, reference_half=half) < 0  # not independent: beyond what there is
+    assert math.isnan(psnr_corrected(reference, reference, 1.0, reference_half=half))
+    nothing = torch.zeros(1, 1, 256, 256, dtype=torch.bool)
+    assert math.isnan(psnr_corrected(reference, reference, 1.0, nothing, reference_half=half))
 
 
 def test_mse_and_l1_are_those_of_the_display_transform(images):

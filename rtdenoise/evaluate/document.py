@@ -20,8 +20,9 @@ class Document:
     """The file as an object. Lists and dictionaries hold what JSON does; errors that do not exist are null.
 
     runs        where the numbers are from (`origin.origin`); a result names the run by its number
-    sequences   name -> size [H, W], frames, exposure, share of uncovered pixels, the reference's own relMSE, cost of a
-                sample, stills; where there is one, the "plan", of whose "decisions" each has what, left_out and why
+    sequences   name -> size [H, W], frames, exposure, share of uncovered pixels, the reference's own relMSE and PSNR,
+                cost of a sample, stills; where there is one, the "plan", of whose "decisions" each has what, left_out
+                and why
     methods     name -> what it is, family
     results     one row a sequence, spp, method, precision and device
     skipped     rows of the same key with a reason instead

@@ -13,11 +13,14 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+import torch
+
 from ..color import display_exposure
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..frame import Frame
-from ..metrics.image import masked_mean
+from ..metrics.image import decibels, masked_mean, reference_mse
 
 LAYERS = ("reference", "reference_half")
 
@@ -81,17 +84,19 @@ class Source:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def reference_error(frames: list[Frame]) -> float | None:
-    """relMSE that the references themselves have, from their halves; None where these are not known.
+def reference_errors(frames: list[Frame]) -> dict[str, float | None]:
+    """`reference_relmse` and `reference_psnr`: the errors that the references themselves have, from their halves; None
+    where these are not known.
 
     r₁ being one half, E[(r - r₁)²] is the variance of r: that of a half is twice as large, and r₁ makes up half of r.
     """
     if any(frame.reference_half is None for frame in frames):
-        return None
-    scale = display_exposure(frames[0].reference)
+        return {"reference_relmse": None, "reference_psnr": None}
+    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
     pairs = [(frame.reference * scale, frame.reference_half * scale) for frame in frames]
-    errors = [masked_mean((r - half).square() / (r.square() + 0.01), None) for r, half in pairs]
-    return sum(errors) / len(errors)
+    relative = [masked_mean((r - half).square() / (r.square() + 0.01), None) for r, half in pairs]
+    shown = [reference_mse(frame.reference, frame.reference_half, scale) for frame in frames]
+    return {"reference_relmse": float(np.mean(relative)), "reference_psnr": decibels(float(np.mean(shown)))}
 
 
 def _facts(path: Path) -> dict:

@@ -24,8 +24,8 @@ from ..frame import Frame, sanitise
 from ..origin import LIBRARIES, device_name, origin, typed
 from ..plan import make_plan
 from .document import NAME, Document
-from .inputs import Source, reference_error
-from .measure import ALL_METRICS, ALL_REGIONS, Result, evaluate, uncovered, warm_up
+from .inputs import Source, reference_errors
+from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, Result, evaluate, uncovered, warm_up
 from .registry import PRECISIONS, Method, Step, choose
 
 MEASURED_WITH = (*LIBRARIES, "pyoidn", "scikit-image", "flip-evaluator")
@@ -37,6 +37,7 @@ class Options:
 
     methods: tuple[str, ...] = ()  # () : all
     precisions: tuple[str, ...] = ("fp32",)  # of PRECISIONS
+    metrics: tuple[str, ...] = ()  # of ALL_METRICS and WHOLE_METRICS; () : ALL_METRICS, without those not installed
     spp: tuple[int, ...] = (1,)
     signal: str = "color"
     preset: str = "auto"
@@ -49,6 +50,8 @@ def run(sources: list[str], out: Path, options: Options, say: Callable[[str], No
     measured; an input, a method or a precision that is missing is skipped with its reason."""
     if unknown := [name for name in options.precisions if name not in PRECISIONS]:
         raise InputError(f"unknown precision {unknown[0]!r}; expected some of {', '.join(PRECISIONS)}")
+    if unknown := [name for name in options.metrics if name not in (*ALL_METRICS, *WHOLE_METRICS)]:
+        raise InputError(f"unknown metric {unknown[0]!r}; expected some of {', '.join((*ALL_METRICS, *WHOLE_METRICS))}")
     chosen = choose(options.methods)
     opened = [Source.open(folder, options.signal, options.preset, options.frames) for folder in sources]
     names = [source.name for source in opened]
@@ -101,12 +104,14 @@ class _Input:
             return
         results = evaluate(
             self.frames, {f"{method.name} {precision}": step for (method, precision), step in steps.items()},
-            metrics=_measurable(), regions=ALL_REGIONS, device=self.options.device,
+            metrics=self._metrics, regions=ALL_REGIONS, device=self.options.device,
         )  # fmt: skip
         if this_run not in self.document.runs:
             self.document.runs.append(this_run)
         described = self.document.sequences.get(self.source.name, {}) | _describe(self.source, self.frames)
         self.document.sequences[self.source.name] = described
+        if described["reference_psnr"] is None:
+            self.say(f"{label}: no half references, so errors contain the references' noise: none of them corrected")
         for (method, precision), result in zip(steps, results, strict=True):
             row = {"method": method.name, "precision": precision, "fingerprint": self._fingerprint(method)}
             self.document.put(self.key | row | {"run": self.document.runs.index(this_run)} | _numbers(result))
@@ -127,7 +132,7 @@ class _Input:
             known = self.document.find(**self.key, method=method.name, precision=precision)
             if reason := method.unavailable(precision):
                 self._leave_out(method, precision, reason)
-            elif known is None or known["fingerprint"] != self._fingerprint(method):
+            elif known is None or not self._covers(known, method):
                 self.frames = self.frames or self.source.frames(self.spp)
                 try:
                     step = method.step(self.options.device, precision)
@@ -138,9 +143,21 @@ class _Input:
                     self._leave_out(method, precision, str(error).partition("\n")[0])
         return steps
 
+    def _covers(self, known: dict, method: Method) -> bool:
+        """Whether a result is of this input and these weights, and has all that is asked for."""
+        return (
+            known["fingerprint"] == self._fingerprint(method) and set(self._metrics) <= known["errors"]["frame"].keys()
+        )
+
     def _leave_out(self, method: Method, precision: str, reason: str) -> None:
         self.document.put(self.key | {"method": method.name, "precision": precision, "reason": reason})
         self.reasons.setdefault(reason, []).append(f"{method.name} {precision}")
+
+    @cached_property
+    def _metrics(self) -> tuple[str, ...]:
+        """What is asked for, or everything but FLIP where it is not installed (extra `bench`)."""
+        installed = importlib.util.find_spec("flip_evaluator") is not None
+        return self.options.metrics or tuple(m for m in ALL_METRICS if m != "flip" or installed)
 
     @cached_property
     def _of_input(self) -> str:
@@ -151,11 +168,6 @@ class _Input:
         if not method.weights:
             return self._of_input
         return f"{self._of_input}-{hashlib.sha256(models.find(method.weights).read_bytes()).hexdigest()[:16]}"
-
-
-def _measurable() -> tuple[str, ...]:
-    """FLIP where it is installed (extra `bench`), and all the others."""
-    return tuple(m for m in ALL_METRICS if m != "flip" or importlib.util.find_spec("flip_evaluator"))
 
 
 def _numbers(result: Result) -> dict:
@@ -177,7 +189,7 @@ def _describe(source: Source, frames: list[Frame]) -> dict:
         "sample_ms": source.sample_ms,
         "exposure": float(display_exposure(torch.cat([frame.reference for frame in frames]))),
         "uncovered_share": float(np.mean([mask.float().mean() for mask in masks[1:]] or [0.0])),
-        "reference_relmse": reference_error(frames),
+        **reference_errors(frames),
         "stills": [frames[i].number for i in stills(masks)],
         "plan": make_plan(source.base.size, len(frames), "dual", [sanitise(frame) for frame in frames]).to_json(),
     }

@@ -1,9 +1,21 @@
 """Errors of an image (`image`) and of a sequence (`video`)."""
 
-from .image import flip, flip_map, l1, mse, psnr, relmse, smape, ssim
+from .image import (
+    flip,
+    flip_map,
+    l1,
+    mse,
+    mse_corrected,
+    psnr,
+    psnr_corrected,
+    reference_mse,
+    relmse,
+    smape,
+    ssim,
+)
 from .video import fovvideovdp, ghost_length, recent_masks, temporal_relmae, tpsnr
 
 __all__ = [
-    "flip", "flip_map", "fovvideovdp", "ghost_length", "l1", "mse", "psnr", "recent_masks", "relmse", "smape", "ssim",
-    "temporal_relmae", "tpsnr",
+    "flip", "flip_map", "fovvideovdp", "ghost_length", "l1", "mse", "mse_corrected", "psnr", "psnr_corrected",
+    "recent_masks", "reference_mse", "relmse", "smape", "ssim", "temporal_relmae", "tpsnr",
 ]  # fmt: skip

@@ -2,6 +2,9 @@
 
 Display metrics (PSNR, SSIM, L1, MSE, LDR-FLIP) see what a screen shows: `color.display`. relMSE, SMAPE and HDR-FLIP see
 linear radiance, exposed by the same `scale`. Arguments are those of `psnr` throughout.
+
+A reference of finitely many samples is noisy itself, and MSE counts its noise as the image's error. The two halves of
+its samples (`reference_half` is the mean of one) tell how much that is, and `mse_corrected` takes it off again.
 """
 
 from __future__ import annotations
@@ -30,6 +33,48 @@ def psnr(
 def mse(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
     """Mean of (a - r)² on the display transform; in [0, 1]."""
     return masked_mean((display(image, scale) - display(reference, scale)).square(), mask)
+
+
+def mse_corrected(
+    image: Tensor,
+    reference: Tensor,
+    scale: Tensor | float,
+    mask: Tensor | None = None,
+    *,
+    reference_half: Tensor,  # [1, 3, H, W] mean of one half of the reference's samples
+) -> float:
+    """`mse` less the reference's own (`reference_mse`): the error against the converged picture, arguments as in `mse`.
+
+    The reference must be independent of the image. An estimate, with noise of its own: it can be 0 or less in a small
+    mask, or for an image better than its reference. Add up over frames before anything else is done with it.
+    """
+    return mse(image, reference, scale, mask) - reference_mse(reference, reference_half, scale, mask)
+
+
+def psnr_corrected(
+    image: Tensor,
+    reference: Tensor,
+    scale: Tensor | float,
+    mask: Tensor | None = None,
+    *,
+    reference_half: Tensor,
+) -> float:
+    """`mse_corrected` in dB; NaN where that is 0 or less: better than the reference can tell."""
+    corrected = mse_corrected(image, reference, scale, mask, reference_half=reference_half)
+    return decibels(corrected) if corrected > 0 else math.nan
+
+
+def reference_mse(
+    reference: Tensor, reference_half: Tensor, scale: Tensor | float, mask: Tensor | None = None
+) -> float:
+    """The error that the reference itself has against the converged picture, as `mse` counts it, arguments as there.
+
+    The variance of a mean r of two independent halves r₁ and r₂ = 2r - r₁ is E[(r₁ - r₂)²] / 4 (dual buffers: Rousselle
+    et al. 2012), here on the display transform D: mean((D(r₁) - D(r₂))²) / 4. What is left is what D, which is no
+    straight line, does to the mean of noise: of second order in the variance.
+    """
+    first, second = (display(half, scale) for half in (reference_half, 2 * reference - reference_half))
+    return masked_mean((first - second).square(), mask) / 4
 
 
 def l1(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from .readings import METRICS, POOL, grouped
 
-COLUMNS = ("psnr", "ssim", "relmse", "flip", "tpsnr")
+COLUMNS = ("psnr", "psnr_corrected", "ssim", "relmse", "flip", "tpsnr")
+UNCOVERED = COLUMNS[:2]
 
 
 def markdown(data: dict) -> str:
@@ -64,17 +65,27 @@ def _table(group: list[dict], data: dict) -> str:
     lines = [
         f"## {group[0]['sequence']}",
         "",
-        f"| | {' | '.join(METRICS[m].label for m in COLUMNS)} | PSNR, uncovered | time |",
-        "|---" * (len(COLUMNS) + 3) + "|",
+        *_references(data["sequences"].get(group[0]["sequence"])),
+        f"| | {' | '.join(METRICS[m].label for m in COLUMNS)} | "
+        f"{' | '.join(f'{METRICS[m].label}, uncovered' for m in UNCOVERED)} | time |",
+        "|---" * (len(COLUMNS) + len(UNCOVERED) + 2) + "|",
     ]
     for row in group:
         values = [write_number(m, row["errors"]["frame"].get(m)) for m in COLUMNS]
-        values.append(write_number("psnr", row["errors"]["uncovered"].get("psnr")))
+        values += [write_number(m, row["errors"]["uncovered"].get(m)) for m in UNCOVERED]
         is_input = data["methods"][row["method"]]["family"] == "input"
         time = "–" if is_input or not ours else f"{row['ms']['median'] / ours:.2f}×"
         name = f"**{row['label']}**" if row["label"] == data["ours"] else row["label"]
         lines.append(f"| {name} | {' | '.join(values)} | {time} |")
     return "\n".join(lines)
+
+
+def _references(sequence: dict | None) -> list[str]:
+    """How good the references themselves are; nothing where that is not known."""
+    if not sequence or sequence.get("reference_psnr") is None:
+        return []
+    own = [write_number(m, sequence[f"reference_{m}"]) for m in ("psnr", "relmse")]
+    return [f"The references' own error: {own[0]} dB PSNR, relMSE {own[1]}; corrected PSNR is without it.", ""]
 
 
 def _readings(data: dict) -> str:

@@ -67,13 +67,24 @@ def payload(document: Document) -> dict:
         "sample_ms": {
             name: readings.sample_of(name, document.sequences) for name in (readings.POOL, *document.sequences)
         },
-        "rows": [{k: v for k, v in row.items() if k != "fingerprint"} | {"label": readings.label(row)} for row in rows],
+        "rows": [
+            {k: v for k, v in row.items() if k != "fingerprint"}
+            | {"label": readings.label(row), "frames": _columns(row["frames"])}
+            for row in rows
+        ],
         "lost": lost,
         "won": won,
         "comparisons": comparisons(rows, document.methods, document.sequences, us),
         "skipped": document.skipped,
         "runs": document.runs,
     }
+
+
+def _columns(frames: list[dict]) -> dict:
+    """Errors of single frames as region -> metric -> list, and their numbers: what takes most room in the page."""
+    regions = [key for key in frames[0] if key != "number"] if frames else []
+    found = {region: {m: [frame[region][m] for frame in frames] for m in frames[0][region]} for region in regions}
+    return {"number": [frame["number"] for frame in frames]} | found
 
 
 def _pictures(

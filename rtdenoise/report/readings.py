@@ -30,23 +30,28 @@ class Metric:
 
 METRICS = {
     "psnr": Metric("PSNR", 2, True, "dB"),
+    "psnr_corrected": Metric("corrected PSNR", 2, True, "dB"),
     "ssim": Metric("SSIM", 3, True),
     "relmse": Metric("relMSE", 4),
     "flip": Metric("FLIP", 3),
     "smape": Metric("SMAPE", 3),
     "l1": Metric("L1", 4),
     "mse": Metric("MSE", 5),
+    "mse_corrected": Metric("corrected MSE", 5),
     "tpsnr": Metric("tPSNR", 2, True, "dB"),
     "temporal_relmae": Metric("temporal relMAE", 3),
+    "fovvideovdp": Metric("FovVideoVDP", 2, True, "JOD"),
 }
+
+BEST = {"ssim": 1.0, "fovvideovdp": 10.0}  # of qualities that are no decibels
 
 
 def cost(metric: str, value: float | None) -> float | None:
-    """The error as something positive of which less is better: decibels to mean squares, SSIM to 1 - SSIM. None where
-    there is no such number."""
+    """The error as something positive of which less is better: decibels to mean squares, other qualities to what is
+    missing to the best. None where there is no such number."""
     if value is None or not math.isfinite(value):
         return None
-    found = 10 ** (-value / 10) if METRICS[metric].unit == "dB" else 1 - value if metric == "ssim" else value
+    found = 10 ** (-value / 10) if METRICS[metric].unit == "dB" else BEST[metric] - value if metric in BEST else value
     return found if found > 0 else None
 
 

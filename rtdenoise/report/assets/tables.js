@@ -130,11 +130,11 @@ function drawOrigin() {
   const sequenceRows = Object.entries(DATA.sequences).map(([name, s]) => element("tr", {},
     element("td", {}, name), element("td", {}, `${s.size[1]}×${s.size[0]}`), element("td", {}, s.frames.length),
     element("td", {}, `${(100 * s.uncovered_share).toFixed(1)} %`),
-    element("td", {}, s.reference_relmse === null ? "–" : s.reference_relmse.toFixed(4)),
+    element("td", {}, number("psnr", s.reference_psnr ?? null)), element("td", {}, number("relmse", s.reference_relmse)),
     element("td", {}, milliseconds(s.sample_ms))));
   const head = (...titles) => element("thead", {}, element("tr", {}, ...titles.map((title) => element("th", {}, title))));
   byId("origin-table").replaceChildren(
-    element("table", {}, head("sequence", "size", "frames", "uncovered", "relMSE of its reference", "one sample per pixel"),
+    element("table", {}, head("sequence", "size", "frames", "uncovered", "PSNR of its reference", "relMSE of its reference", "one sample per pixel"),
       element("tbody", {}, ...sequenceRows)),
     element("br"),
     element("table", {}, element("tbody", {}, ...used.map((i) => {
