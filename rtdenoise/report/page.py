@@ -81,10 +81,19 @@ def payload(document: Document) -> dict:
 
 
 def _columns(frames: list[dict]) -> dict:
-    """Errors of single frames as region -> metric -> list, and their numbers: what takes most room in the page."""
-    regions = [key for key in frames[0] if key != "number"] if frames else []
-    found = {region: {m: [frame[region][m] for frame in frames] for m in frames[0][region]} for region in regions}
-    return {"number": [frame["number"] for frame in frames]} | found
+    """Errors of single frames as region -> metric -> list, and the frames' numbers.
+
+    They would take most room in the page: four digits, and only what wins and losses are counted in.
+    """
+    found: dict = {"number": [frame["number"] for frame in frames]}
+    for region in readings.REGIONS if frames else ():
+        drawn = [m for m in (*readings.HEADLINE, "psnr_corrected") if m in frames[0][region]]
+        found[region] = {m: [_shortened(frame[region][m]) for frame in frames] for m in drawn}
+    return found
+
+
+def _shortened(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.4g}")
 
 
 def _pictures(

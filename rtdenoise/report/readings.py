@@ -15,6 +15,7 @@ import numpy as np
 POOL = "all sequences"
 PREFERRED = ("default", "paper")  # which network speaks for us, the first that was measured
 HEADLINE = ("psnr", "ssim", "relmse", "flip", "tpsnr")  # metrics that wins and losses are counted in
+REGIONS = ("frame", "uncovered")  # and regions
 OURS = ("network", "ablation")  # families
 
 
@@ -136,7 +137,7 @@ def losses_and_wins(rows: Sequence[dict], methods: dict[str, dict], us: str) -> 
         peers = [r for r in group if methods[r["method"]]["family"] not in (*OURS, "input")]
         if own is None:
             continue
-        for region in ("frame", "uncovered"):
+        for region in REGIONS:
             for metric in HEADLINE:
                 mine = cost(metric, own["errors"][region].get(metric))
                 theirs = [(c, r) for r in peers if (c := cost(metric, r["errors"][region].get(metric))) is not None]

@@ -1,0 +1,186 @@
+"""Quality of every denoiser on sequences that no model was trained on: both signals, over the frame and where something
+was uncovered, with a strip of pictures of each.
+
+    python bench/quality.py [SEQ ...]   renders what is missing of the standard set, measures it, and sequences of one's
+                                        own, into out/quality, and writes bench/results/quality.json, the tables of
+                                        docs/quality.md and docs/images/quality/SEQ-SIGNAL.webp
+    python bench/quality.py --tables    the tables anew from the JSON
+
+What was measured already is kept, unless its input or its weights have changed. FovVideoVDP is among the metrics where
+pyfvvdp is installed.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+import time
+from collections.abc import Sequence
+
+import harness
+import standard
+import strips
+
+from rtdenoise.evaluate import methods
+from rtdenoise.evaluate.document import Document
+from rtdenoise.evaluate.run import Options, run
+from rtdenoise.report.markdown import write_number
+from rtdenoise.report.readings import METRICS, cost
+from rtdenoise.strict_json import dumps
+
+OUT, RESULT = harness.ROOT / "out" / "quality", harness.ROOT / "bench" / "results" / "quality.json"
+PAGE, PICTURES = harness.ROOT / "docs" / "quality.md", harness.ROOT / "docs" / "images" / "quality"
+SIGNALS = ("indirect", "color")
+LABELS = {
+    "noisy": "noisy, 1 spp",
+    "accumulate": "plain accumulation",
+    "svgf": "SVGF",
+    "oidn": "OIDN",
+    "oidn-prefiltered": "OIDN, prefiltered",
+    "ntasd": "A: `paper` trained with traditional motion",
+    "paper-traditional": "A: `paper`, traditional motion",
+    "paper": "C: `paper`",
+    "fast": "`fast`",
+    "default": "**`default`**",
+    "quality": "`quality`",
+}
+SETTING_A = ("ntasd", "paper-traditional")  # the first that was measured
+OF_FRAME = ("psnr", "psnr_corrected", "ssim", "relmse", "flip", "tpsnr", "fovvideovdp")
+OF_UNCOVERED = OF_FRAME[:-1]
+MEASURED = (*OF_FRAME[:-1], "mse", "mse_corrected")
+
+
+def main(more: list[str]) -> None:
+    started = time.perf_counter()
+    folders = standard.prepare() + more
+    measured = (*MEASURED, "fovvideovdp") if importlib.util.find_spec("pyfvvdp") else MEASURED
+    chosen = tuple(name for name in LABELS if name in methods())
+    documents = {}
+    for signal in SIGNALS:
+        documents[signal] = run(folders, OUT / signal, Options(chosen, metrics=measured, signal=signal))
+    keep(documents)
+    draw(documents)
+    harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
+    print(f"{PAGE}: {time.perf_counter() - started:.0f} s")
+
+
+def keep(documents: dict[str, Document]) -> None:
+    """What the tables are made from, in five digits, into bench/results."""
+    facts = ("size", "frames", "uncovered_share", "exposure", "reference_psnr", "reference_relmse")
+    content = {
+        "runs": {signal: document.runs for signal, document in documents.items()},
+        "sequences": {
+            signal: {
+                name: {fact: sequence[fact] for fact in facts} | {"frames": len(sequence["frames"])}
+                for name, sequence in document.sequences.items()
+            }
+            for signal, document in documents.items()
+        },
+        "rows": [
+            {
+                "signal": signal, "sequence": row["sequence"], "method": row["method"], "run": row["run"],
+                "frame": row["errors"]["frame"], "uncovered": row["errors"]["uncovered"],
+                "ghost_length": row["ghost_length"], "ms": row["ms"]["median"],
+            }
+            for signal, document in documents.items()
+            for row in document.results
+        ],
+    }  # fmt: skip
+    rounded = json.loads(dumps(content, digits=5))
+    harness.write(RESULT, **harness.origin({"torch": harness.cpu()}), **rounded)
+
+
+def draw(documents: dict[str, Document]) -> None:
+    """The strips, into docs/images."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for signal, document in documents.items():
+        for name, sequence in document.sequences.items():
+            still = OUT / signal / "pictures" / name / f"{sequence['stills'][0]:04d}"
+            a = next((method for method in SETTING_A if (still / f"{method}.exr").is_file()), SETTING_A[-1])
+            shown = {"noisy": "noisy", "OIDN": "oidn", "A (traditional motion)": a, "default": "default"}
+            picture = strips.compose(still, shown, sequence["exposure"])
+            (PICTURES / f"{name}-{signal}.webp").write_bytes(strips.encode(picture))
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def tables(document: dict) -> dict[str, str]:
+    """The sections of docs/quality.md: `aims`, and `scenes` with a table a sequence and signal."""
+    return {"aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
+
+
+def _aims(document: dict) -> str:
+    """What `default` gains over OIDN and over setting A, on every sequence."""
+    lines = [
+        "| | signal | PSNR over OIDN's | corrected PSNR over OIDN's | PSNR over A's | corrected PSNR over A's | FLIP / "
+        "OIDN's | MSE / A's, uncovered | corrected MSE / A's, uncovered |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for signal in SIGNALS:
+        for name in document["sequences"].get(signal, ()):
+            rows = _rows(document, signal, name)
+            ours, oidn = rows.get("default"), rows.get("oidn")
+            a = next((rows[method] for method in SETTING_A if method in rows), None)
+            cells = [
+                *(_difference(ours, peer, metric) for peer in (oidn, a) for metric in ("psnr", "psnr_corrected")),
+                _ratio(ours, oidn, "frame", "flip"),
+                *(_ratio(ours, a, "uncovered", metric) for metric in ("mse", "mse_corrected")),
+            ]
+            lines.append(f"| {name} | {signal} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _difference(ours: dict | None, peer: dict | None, metric: str) -> str:
+    """In dB, over the frame."""
+    values = [row and row["frame"].get(metric) for row in (ours, peer)]
+    return "–" if None in values else f"{values[0] - values[1]:+.2f} dB"
+
+
+def _ratio(ours: dict | None, peer: dict | None, region: str, metric: str) -> str:
+    costs = [row and cost(metric, row[region].get(metric)) for row in (ours, peer)]
+    return "–" if None in costs else f"{costs[0] / costs[1]:.2f}"
+
+
+def _scenes(document: dict) -> list[str]:
+    parts = []
+    for signal in SIGNALS:
+        for name, facts in document["sequences"].get(signal, {}).items():
+            height, width = facts["size"]
+            own = [write_number(metric, facts[f"reference_{metric}"]) for metric in ("psnr", "relmse")]
+            parts += [
+                f"### {name}, {signal}",
+                f"{facts['frames']} frames of {width}×{height}, {100 * facts['uncovered_share']:.1f} % uncovered; the "
+                f"references' own error: {own[0]} dB PSNR, relMSE {own[1]}.",
+                f"![noisy, OIDN, A, default, reference](images/quality/{name}-{signal}.webp)",
+                _table(_rows(document, signal, name)),
+            ]
+    return parts
+
+
+def _table(rows: dict[str, dict]) -> str:
+    heads = [METRICS[m].label for m in OF_FRAME] + [f"{METRICS[m].label}, uncovered" for m in OF_UNCOVERED]
+    lines = [f"| | {' | '.join(heads)} | ghost length |", "|---" * (len(heads) + 2) + "|"]
+    for method, row in rows.items():
+        cells = [*_cells(row["frame"], OF_FRAME), *_cells(row["uncovered"], OF_UNCOVERED)]
+        ghost = "–" if row["ghost_length"] is None else f"{row['ghost_length']:.0f}"
+        lines.append(f"| {LABELS[method]} | {' | '.join(cells)} | {ghost} |")
+    return "\n".join(lines)
+
+
+def _cells(errors: dict[str, float | None], metrics: Sequence[str]) -> list[str]:
+    return [write_number(metric, errors.get(metric)) for metric in metrics]
+
+
+def _rows(document: dict, signal: str, sequence: str) -> dict[str, dict]:
+    """method -> row, in the order of LABELS."""
+    found = {r["method"]: r for r in document["rows"] if (r["signal"], r["sequence"]) == (signal, sequence)}
+    return {method: found[method] for method in LABELS if method in found}
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["--tables"]:
+        harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
+    else:
+        main(sys.argv[1:])
