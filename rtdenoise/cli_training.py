@@ -31,7 +31,7 @@ class Render:
     """With --preset train: folder of NAME/scene.xml; half of the scenes are drawn from these."""
     motions: Path | None = None
     """With --scenes: folder of NAME.toml, the motions of these scenes."""
-    exclude: tuple[str, ...] = ("street", "dining-room")
+    exclude: tuple[str, ...] = ("street", "dining-room", "staircase2", "bathroom")
     """With --scenes: names that are left out, to validate on."""
     textures: Path | None = None
     """With --preset train or wide:SEED: folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""

@@ -31,8 +31,9 @@ def strips(quality):
 
 def row(method, psnr, corrected):
     errors = {
-        "psnr": psnr, "psnr_corrected": corrected, "ssim": 0.5, "relmse": 0.05, "flip": 0.1 * (30 - psnr), "tpsnr": 20.0,
-        "mse": 10 ** (-psnr / 10), "mse_corrected": None if corrected is None else 10 ** (-corrected / 10),
+        "psnr": psnr, "psnr_corrected": corrected, "ssim": 0.5, "relmse": 0.05, "flip": 0.1 * (30 - psnr),
+        "tpsnr": 20.0, "mse": 10 ** (-psnr / 10),
+        "mse_corrected": None if corrected is None else 10 ** (-corrected / 10),
     }  # fmt: skip
     return {
         "signal": "indirect", "sequence": "hall", "method": method, "run": 0, "frame": errors | {"fovvideovdp": 7.125},

@@ -1,9 +1,11 @@
 """Training sets, the second generator of scenes, extra objects, keyframes, cuts, and what can go wrong on the way."""
 
 import errno
+import importlib
 import json
 import multiprocessing
 import os
+import re
 import signal
 import threading
 import time
@@ -18,6 +20,7 @@ from safetensors.numpy import save_file
 
 from rtdenoise.atomic import write_atomically
 from rtdenoise.cli import main
+from rtdenoise.cli_training import Render
 from rtdenoise.data.dataset import ClipDataset, bytes_per_clip, clip_path, read_facts
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
@@ -29,10 +32,11 @@ from rtdenoise.render.frames import RenderOptions, describe_frame, features, ren
 from rtdenoise.render.motions import CameraPath, Keyframes, Motion, Shots
 from rtdenoise.render.scenes import Scene
 from rtdenoise.render.stage import Stage
-from rtdenoise.render.training_set import SetOptions, find_scenes, parse_shard, render_set
+from rtdenoise.render.training_set import HELD_OUT, SetOptions, find_scenes, parse_shard, render_set, scene_seed
 from rtdenoise.render.windows import Window, choose, look_through
 from rtdenoise.render.workers import only_run, run_jobs
 
+ROOT = Path(__file__).parent.parent
 TINY = SetOptions(count=6, size=(32, 32), frames=3, seed=5, reference_range=(4, 8), workers=1)
 SEQUENCE = RenderOptions(size=(16, 24), reference_spp=0)
 ROOM = """<scene version="3.0.0">
@@ -107,6 +111,29 @@ def test_scenes_are_mixed_in_with_their_licences(room, tmp_path):
     card = render_set(tmp_path / "out", options, lambda *_: None)
     assert card["sources"] == {"room": 4} and card["licences"] == {"room": "A room by Nobody, CC0.\n"}
     assert "A room by Nobody, CC0." in (tmp_path / "out" / "DATA.md").read_text()
+
+
+def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
+    class Fixed:
+        def __init__(self, seed):
+            self.seed = seed
+
+        def integers(self, high):
+            return self.seed
+
+    assert not {scene_seed(Fixed(seed)) for seed in HELD_OUT} & set(HELD_OUT)
+    assert scene_seed(Fixed(7)) == 7
+    monkeypatch.syspath_prepend(str(ROOT / "bench"))
+    kinds = [s.scene.partition(":") for s in importlib.import_module("standard").SEQUENCES.values()]
+    assert {kind for kind, _, _ in kinds} == {"sample", "wide"}  # the sample's is drawn by no generator
+    assert all(int(seed) in HELD_OUT for kind, _, seed in kinds if kind == "wide")
+    # Scene files that docs/quality.md is measured on are left out unless asked for.
+    files = re.search(r"data/standard/{(.*?)}", (ROOT / "docs" / "quality.md").read_text())[1].split(",")
+    for name in (*files, "hall"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scene.xml").write_text(ROOM)
+    ((scene, _),) = find_scenes(tmp_path, None, Render(out=tmp_path).exclude)
+    assert len(files) == 4 and Path(scene).parent.name == "hall"
 
 
 def test_windows_are_chosen_where_most_is_uncovered():
