@@ -16,7 +16,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, evaluate, methods, uncovered
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.inputs import reference_errors
-from rtdenoise.evaluate.run import Options, run
+from rtdenoise.evaluate.run import NEEDS, Options, run
 from rtdenoise.models import available, load
 
 PLAIN = ("noisy", "accumulate")
@@ -136,7 +136,7 @@ def test_without_half_references_nothing_is_corrected(tmp_path, capsys):
     assert document.sequences["shot"]["reference_psnr"] is None
 
 
-def test_metrics_can_be_chosen_and_what_is_missing_is_measured(shot, tmp_path):
+def test_metrics_can_be_chosen_and_what_is_missing_is_measured(shot, tmp_path, monkeypatch):
     out = tmp_path / "out"
     main(["evaluate", str(shot), "--out", str(out), "--methods", "noisy", "--metrics", "psnr", "ssim"])
     (row,) = Document.read(out).results
@@ -146,6 +146,9 @@ def test_metrics_can_be_chosen_and_what_is_missing_is_measured(shot, tmp_path):
     assert set(row["errors"]["frame"]) == {"psnr", "psnr_corrected"}
     with pytest.raises(InputError, match="unknown metric 'beauty'; expected some of psnr, psnr_corrected"):
         run([str(shot)], out, Options(PLAIN, metrics=("beauty",)))
+    monkeypatch.setitem(NEEDS, "fovvideovdp", ("nowhere", "pyfvvdp"))
+    with pytest.raises(InputError, match="metric fovvideovdp needs a package that is not there: pip install pyfvvdp"):
+        run([str(shot)], out, Options(PLAIN, metrics=("fovvideovdp",)))
 
 
 def test_the_quality_of_a_sequence_is_one_number(monkeypatch):

@@ -80,9 +80,10 @@ def shown(page, side="left", layer=0):
     return np.array(pixels[2]).reshape(pixels[0], pixels[1], 4)
 
 
-def test_it_opens_and_everything_is_drawn(page):
+def test_it_opens_and_everything_is_drawn(page, measured):
     assert page.value("document.querySelector('h1').textContent") == "Error against run time"
-    assert "mural" in page.value("document.querySelector('#origin').textContent")
+    origin = page.value("document.querySelector('#origin').textContent")
+    assert "mural" in origin and f"{Document.read(measured).sequences['mural']['reference_psnr']:.2f}" in origin
     text = page.value("document.querySelector('#skipped').textContent")
     assert (
         "none are shipped" in text
@@ -141,6 +142,15 @@ def test_a_method_can_be_switched_off(page):
     before = page.value("document.querySelectorAll('#frames polyline').length")
     page.value("[...document.querySelectorAll('#legend button')].find((b) => b.textContent === 'oidn').click()")
     assert page.value("document.querySelectorAll('#frames polyline').length") == before - 1
+
+
+def test_errors_over_frames_have_a_point_a_frame(page, measured):
+    choose(page, "Sequence", "mural")
+    choose(page, "Metric", "psnr_corrected")
+    shown = page.value("document.querySelectorAll('#frames circle').length")
+    rows = [row for row in Document.read(measured).results if (row["sequence"], row["spp"]) == ("mural", 1)]
+    known = [f for row in rows for f in row["frames"] if f["frame"]["psnr_corrected"] is not None]
+    assert shown == len(known) > 0
 
 
 def test_the_slider_moves(page):
@@ -211,6 +221,9 @@ def test_picture_and_markdown_beside_it(measured):
     for row in results.results:
         if row["spp"] == 1:
             assert f"{row['errors']['frame']['psnr']:.2f}" in text
+            assert row["sequence"] == "square" or f"{row['errors']['frame']['psnr_corrected']:.2f}" in text
+    own = results.sequences["mural"]["reference_psnr"]
+    assert 20 < own < 40 and f"The references' own error: {own:.2f} dB PSNR" in text
     assert (measured / "report.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 

@@ -99,7 +99,7 @@ def evaluate(
             region: {m: _overall(m, [f[region] for f in result.frames], weights[region]) for m in metrics}
             for region in regions
         }
-        if "fovvideovdp" in metrics and "frame" in regions:
+        if "fovvideovdp" in metrics and "frame" in regions and result.frames:
             references = [frame.reference for frame in frames[skip:]]
             result.errors["frame"]["fovvideovdp"] = measures.fovvideovdp(result.images[skip:], references, scale)
         result.ghost_length = _ghost_length(result.images, frames, masks, scale)

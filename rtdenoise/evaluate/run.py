@@ -28,7 +28,9 @@ from .inputs import Source, reference_errors
 from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, Result, evaluate, uncovered, warm_up
 from .registry import PRECISIONS, Method, Step, choose
 
-MEASURED_WITH = (*LIBRARIES, "pyoidn", "scikit-image", "flip-evaluator")
+MEASURED_WITH = (*LIBRARIES, "pyoidn", "scikit-image", "flip-evaluator", "pyfvvdp")
+# Metric -> the module it needs, what pip installs for it.
+NEEDS = {"flip": ("flip_evaluator", "'rtdenoise[bench]'"), "fovvideovdp": ("pyfvvdp", "pyfvvdp")}
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,9 @@ def run(sources: list[str], out: Path, options: Options, say: Callable[[str], No
         raise InputError(f"unknown precision {unknown[0]!r}; expected some of {', '.join(PRECISIONS)}")
     if unknown := [name for name in options.metrics if name not in (*ALL_METRICS, *WHOLE_METRICS)]:
         raise InputError(f"unknown metric {unknown[0]!r}; expected some of {', '.join((*ALL_METRICS, *WHOLE_METRICS))}")
+    for name in options.metrics:
+        if name in NEEDS and not importlib.util.find_spec(NEEDS[name][0]):
+            raise InputError(f"metric {name} needs a package that is not there: pip install {NEEDS[name][1]}")
     chosen = choose(options.methods)
     opened = [Source.open(folder, options.signal, options.preset, options.frames) for folder in sources]
     names = [source.name for source in opened]
@@ -156,7 +161,7 @@ class _Input:
     @cached_property
     def _metrics(self) -> tuple[str, ...]:
         """What is asked for, or everything but FLIP where it is not installed (extra `bench`)."""
-        installed = importlib.util.find_spec("flip_evaluator") is not None
+        installed = importlib.util.find_spec(NEEDS["flip"][0]) is not None
         return self.options.metrics or tuple(m for m in ALL_METRICS if m != "flip" or installed)
 
     @cached_property

@@ -70,8 +70,8 @@ def reference_mse(
     """The error that the reference itself has against the converged picture, as `mse` counts it, arguments as there.
 
     The variance of a mean r of two independent halves r₁ and r₂ = 2r - r₁ is E[(r₁ - r₂)²] / 4 (dual buffers: Rousselle
-    et al. 2012), here on the display transform D: mean((D(r₁) - D(r₂))²) / 4. What is left is what D, which is no
-    straight line, does to the mean of noise: of second order in the variance.
+    et al. 2012), here on the display transform D: mean((D(r₁) - D(r₂))²) / 4. What it does not know of is the bias of
+    D(r), which is no straight line: D″ · Var(r) / 2, less with more samples.
     """
     first, second = (display(half, scale) for half in (reference_half, 2 * reference - reference_half))
     return masked_mean((first - second).square(), mask) / 4
