@@ -33,7 +33,7 @@ SETTINGS = {
     "C-max": {"motion": "dual", "occlusion_loss": True, "preset": "paper-max"},
     "C-bright": {"motion": "dual", "occlusion_loss": True, "loss_exposure": 4.0},
 }
-METRICS = ("psnr", "ssim", "l1", "mse", "relmse")
+METRICS = ("psnr", "psnr_corrected", "ssim", "l1", "mse", "relmse")
 REGIONS = ("frame", "uncovered", "uncovered-1", "uncovered-2")
 RESULT = harness.ROOT / "bench" / "results" / "ablation.json"
 
