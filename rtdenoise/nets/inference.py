@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from ..errors import InputError
+from .unet import Up
 
 PRECISIONS = ("auto", "fp32", "bf16")
 
@@ -30,7 +32,8 @@ def resolve(precision: str, device: str | torch.device) -> torch.dtype:
 
 
 def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
-    """The network, changed in place: weights in `dtype` and channels last, each ReLU part of the convolution before it.
+    """The network, changed in place: weights in `dtype` and channels last, each ReLU part of the convolution before it,
+    nothing enlarged before it is convolved.
 
     Channels last is the layout that convolutions compute in, on CPUs and on tensor cores; in any other they turn their
     input and output around. `as_weights` brings the input to it. Not for training. Parameters keep their names.
@@ -38,6 +41,8 @@ def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
     for module in list(network.modules()):
         if isinstance(module, nn.Sequential):
             _fuse(module)
+        if isinstance(module, Up):
+            _FusedUp.take(module)
     return network.to(dtype=dtype, memory_format=torch.channels_last)
 
 
@@ -57,6 +62,45 @@ class _ConvRelu(nn.Conv2d):
         return torch.ops.mkldnn._convolution_pointwise(
             x, self.weight, self.bias, self.padding, self.stride, self.dilation, self.groups, "relu", [], ""
         )
+
+
+class _FusedUp(Up):
+    """A level of the decoder whose first convolution is two, summed: one of the skip connection, and one of what is
+    below that works at its size.
+
+    Of nearest enlargement a 3×3 convolution sees 2×2 different pixels, so that the two together are a transposed
+    convolution of 4×4 with stride 2, whose weights are sums of the 3×3: 16 products for 36 a channel, and neither the
+    enlarged picture nor the joined one is ever made.
+    """
+
+    @classmethod
+    def take(cls, up: Up) -> None:
+        """Make `up` one, in place. Its own weights stay where they are, under their names."""
+        weight = up[0].weight.detach()
+        up.register_buffer("of_below", enlarging(weight[:, : up.below]), persistent=False)
+        up.register_buffer("of_skip", weight[:, up.below :].clone(), persistent=False)
+        up.__class__ = cls
+
+    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        y = F.conv_transpose2d(x, self.of_below, self[0].bias, stride=2, padding=1)
+        if type(self[0]) is _ConvRelu and x.device.type == "cpu":
+            torch.ops.mkldnn._convolution_pointwise_.binary(
+                y, skip, self.of_skip, None, (1, 1), (1, 1), (1, 1), 1, "add", 1.0, "relu", [], ""
+            )
+        else:
+            y = F.relu(y + F.conv2d(skip, self.of_skip, padding=1))
+        return self[3](self[2](y))
+
+
+def enlarging(weight: Tensor) -> Tensor:
+    """Of a 3×3 convolution `[O, I, 3, 3]`: the weights `[I, O, 4, 4]` with which `conv_transpose2d(x, ..., stride=2,
+    padding=1)` is that convolution of x enlarged twice.
+
+    Along each axis pixel 2i sees i - 1 with tap 0 and i with taps 1 and 2; pixel 2i + 1 sees i with taps 0 and 1 and
+    i + 1 with tap 2. Tap t of the transposed convolution leads from pixel i to pixel 2i + t - 1.
+    """
+    sums = weight.new_tensor([[0, 0, 1], [0, 1, 1], [1, 1, 0], [1, 0, 0]])
+    return torch.einsum("ty,oiyx,sx->iots", sums, weight, sums)
 
 
 def _fuse(layers: nn.Sequential) -> None:

@@ -17,8 +17,8 @@ class UNet(nn.Module):
 
     def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
         super().__init__()
-        self.encoder = nn.ModuleList(_double(a, b) for a, b in zip((inputs, *widths), widths, strict=False))
-        self.decoder = nn.ModuleList(_double(a + b, b) for a, b in zip(widths[1:], widths, strict=False))
+        self.encoder = nn.ModuleList(nn.Sequential(*double(a, b)) for a, b in zip((inputs, *widths), widths, strict=False))
+        self.decoder = nn.ModuleList(Up(a, b) for a, b in zip(widths[1:], widths, strict=False))
 
     def forward(self, x: Tensor, scales: int) -> list[Tensor]:
         """`[B, inputs, H, W]` to decoder features of the `scales` finest levels, finest first: `[B, widths[l],
@@ -30,20 +30,39 @@ class UNet(nn.Module):
 
         skips = []
         for level, convolve in enumerate(self.encoder):
-            x = convolve(F.max_pool2d(x, 2) if level else x)
+            x = convolve(_pool(x) if level else x)
             skips.append(x)
 
         features = []
         for level in reversed(range(len(self.decoder))):
-            x = F.interpolate(x, scale_factor=2, mode="nearest")
-            x = self.decoder[level](torch.cat([x, skips[level]], dim=1))
+            x = self.decoder[level](x, skips[level])
             if level < scales:
                 features.append(x[:, :, : -(-H // 2**level), : -(-W // 2**level)])
         return features[::-1]
 
 
-def _double(inputs: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(
+def double(inputs: int, outputs: int) -> list[nn.Module]:
+    """Two 3×3 convolutions with their ReLU."""
+    return [
         nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(inplace=True),
         nn.Conv2d(outputs, outputs, 3, padding=1), nn.ReLU(inplace=True),
-    )  # fmt: skip
+    ]  # fmt: skip
+
+
+class Up(nn.Sequential):
+    """One level of the decoder: what comes from below is enlarged, joined by the skip connection, convolved twice."""
+
+    def __init__(self, below: int, outputs: int) -> None:
+        super().__init__(*double(below + outputs, outputs))
+        self.below = below
+
+    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        """`[B, below, H/2, W/2]` and `[B, outputs, H, W]` to `[B, outputs, H, W]`."""
+        return super().forward(torch.cat([F.interpolate(x, scale_factor=2, mode="nearest"), skip], dim=1))
+
+
+def _pool(x: Tensor) -> Tensor:
+    """2×2 max pooling: whole rows against each other first, which is vector code in any layout (torch's own pooling of
+    channels last is not)."""
+    x = torch.maximum(x[:, :, 0::2], x[:, :, 1::2])
+    return torch.maximum(x[..., 0::2], x[..., 1::2])
