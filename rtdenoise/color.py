@@ -68,9 +68,12 @@ def limit_fireflies(radiance: Tensor, limit: float = 5.0, block: int = 8) -> Ten
     radiance.
     """
     brightness = luminance(radiance)
-    usual = F.max_pool2d(brightness, block, ceil_mode=True).flatten(1)
-    count = min(2 + usual.shape[1] // 50, usual.shape[1])
-    usual = usual.topk(count, dim=1).values[:, -1].reshape(-1, 1, 1, 1)
+    maxima = F.max_pool2d(brightness, block, ceil_mode=True).flatten(1)
+    count = min(2 + maxima.shape[1] // 50, maxima.shape[1])
+    usual = maxima.topk(count, dim=1).values[:, -1:]
+    if radiance.device.type == "cpu" and bool((maxima <= limit * usual).all()):
+        return radiance  # nothing is that bright; a GPU would have to be waited for to know
+    usual = usual.reshape(-1, 1, 1, 1)
     bound = limit * torch.maximum(_brightest_neighbour(brightness), usual)
     cut = (brightness > bound) & (usual > 0)
     return torch.where(cut, radiance * (bound / brightness), radiance)

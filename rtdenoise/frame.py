@@ -31,6 +31,11 @@ OFF_SCREEN = 1e4  # pixels: the motion of what was nowhere on the other frame, i
 FAR = 1e9  # depth from which on nothing was hit: renderers write inf, FLT_MAX or 1e10 there
 BRIGHTEST = 1e15  # radiance; its square is finite in float32
 GREATEST_ALBEDO, LONGEST_NORMAL = 16.0, 2.0  # far outside of what is meant, small enough for half precision
+FINITE = (-3.4028234663852886e38, 3.4028234663852886e38)
+VALID = {  # the least and the greatest value that a layer may hold; `sanitise` mends what lies outside
+    "radiance": (0.0, BRIGHTEST), "albedo": (0.0, GREATEST_ALBEDO), "normal": (-LONGEST_NORMAL, LONGEST_NORMAL),
+    "depth": (0.0, 999999936.0), "motion": FINITE, "motion_next": FINITE,  # depth: the float32 before FAR
+}  # fmt: skip
 # Share of mismatched pixels above which a frame belongs to another shot. Measured by bench/cuts.py: the least threshold
 # without a false alarm, and so the one that misses the fewest cuts.
 CUT = 0.3
@@ -189,19 +194,27 @@ def sanitise(frame: Frame) -> Frame:
 
     from .color import limit_fireflies
 
-    ranges = {
-        "radiance": (0.0, BRIGHTEST), "albedo": (0.0, GREATEST_ALBEDO), "normal": (-LONGEST_NORMAL, LONGEST_NORMAL),
-    }  # fmt: skip
-    clean = {layer: tensor for layer, tensor in frame.layers() if layer in ("depth", "motion", "motion_next", *ranges)}
+    clean = {layer: tensor for layer, tensor in frame.layers() if layer in VALID}
     for layer, tensor in clean.items():
+        low, high = VALID[layer]
+        if tensor.device.type == "cpu" and _within(tensor, low, high):
+            continue  # looking is cheaper than writing; a GPU would have to be waited for
         if layer == "depth":
             clean[layer] = torch.where((tensor > 0) & (tensor < FAR), tensor, 0.0)
-        elif layer in ranges:
-            clean[layer] = torch.nan_to_num(tensor, nan=0.0, posinf=0.0, neginf=0.0).clamp_(*ranges[layer])
-        else:
+        elif layer in ("motion", "motion_next"):
             clean[layer] = torch.nan_to_num(tensor, nan=OFF_SCREEN, posinf=OFF_SCREEN, neginf=OFF_SCREEN)
+        else:
+            clean[layer] = torch.nan_to_num(tensor, nan=0.0, posinf=0.0, neginf=0.0).clamp_(low, high)
     clean["radiance"] = limit_fireflies(clean["radiance"])
     return replace(frame, **clean)
+
+
+def _within(tensor: Tensor, low: float, high: float) -> bool:
+    """Whether all values are in [low, high]. NaN is not, and makes the least and the greatest NaN."""
+    if tensor.numel() == 0:
+        return True
+    least, greatest = tensor.aminmax()
+    return bool((least >= low) & (greatest <= high))
 
 
 def faults(frame: Frame) -> dict[str, int]:

@@ -11,26 +11,38 @@ import torch
 from torch import Tensor
 
 from .frame import OFF_SCREEN, Frame, History
-from .motion import dual_motion, occlusion_mask, on_screen
+from .motion import OCCLUSION_THRESHOLD, dual_motion, occlusion_mask, on_screen
 from .ops import fetch
+from .ops.path import fused
 
 DEPTH_TOLERANCE = 0.1  # relative; what differs by more is another surface
 REACH = 2  # pixels from which a crack in a surface is closed
 NOTHING = torch.iinfo(torch.int64).max  # key of a pixel that nothing lands on
 
 
-def history_motion(frame: Frame, history: History, kind: str = "dual") -> Tensor:
-    """The motion that fetches history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere.
+def history_motion(frame: Frame, history: History, kind: str = "dual") -> tuple[Tensor, Tensor, Tensor]:
+    """Where a frame's pixels find history: the motion that fetches it, `[B, 2, H, W]`, dual inside uncovered regions,
+    traditional elsewhere; and `[B, 1, H, W]` bool each, whether it leads onto the screen and whether the pixel is in
+    such a region.
 
     `kind` is 'dual', or 'traditional' to go without. A history without `motion_next` gets it by `splat_motion_next`.
     """
     if kind == "traditional":
-        return frame.motion
+        return traditional(frame)
     motion_next = history.motion_next
     if motion_next is None:
         motion_next = splat_motion_next(frame.motion, frame.depth, history.depth)
+    if run := fused("history_motion", frame.motion, motion_next):
+        return run(frame.motion, motion_next, OCCLUSION_THRESHOLD)
     dual = dual_motion(frame.motion, motion_next)
-    return torch.where(occlusion_mask(dual, frame.motion), dual, frame.motion)
+    uncovered = occlusion_mask(dual, frame.motion)
+    motion = torch.where(uncovered, dual, frame.motion)
+    return motion, on_screen(motion), uncovered
+
+
+def traditional(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
+    """`history_motion` where no pixel is uncovered."""
+    return frame.motion, on_screen(frame.motion), torch.zeros_like(frame.depth, dtype=torch.bool)
 
 
 def splat_motion_next(

@@ -16,10 +16,13 @@ if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when rtdenoise.ops.triton is imported
 
 from rtdenoise import ops
+from rtdenoise.frame import OFF_SCREEN, Frame, History
+from rtdenoise.motion_splat import history_motion
 from rtdenoise.ops import native, path
 from rtdenoise.ops.native import compiler
 
-CASES = [("native", size) for size in [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]]
+SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
+CASES = [("native", size) for size in SIZES]
 CASES += [("triton", size) for size in [(1, 1), (3, 4), (1, 141)]]  # the interpreter takes its time; 141 > BLOCK
 DTYPES = (torch.float32, torch.bfloat16, torch.float16)
 KERNELS = [(*case, K, dtype) for case in CASES for K in (3, 5) for dtype in DTYPES if K == 3 or case[0] == "native"]
@@ -65,6 +68,24 @@ def test_apply_kernel(both, assert_images_close, size, K, dtype):
         assert_images_close(fused, plain, "float32")
 
 
+@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+def test_apply_kernel_by_cells(both, assert_images_close, size, dtype):
+    cells, image = [-(-n // 2) for n in size], torch.randn(2, 3, *size)
+    for layout in (torch.channels_last, torch.contiguous_format):
+        head = torch.randn(2, 4 * 13, *cells).to(dtype).contiguous(memory_format=layout).unflatten(1, (2, 2, 13))
+        plain, fused = both(ops.apply_kernel, image, head[:, :, :, 2:11])
+        assert_images_close(fused, plain, "float32")
+
+
+def test_logits_by_cells_are_those_of_a_transposed_convolution():
+    x, head = torch.randn(2, 6, 3, 4), torch.nn.ConvTranspose2d(6, 9, 2, stride=2)
+    cells = torch.einsum("bchw,ckij->bijkhw", x, head.weight) + head.bias[:, None, None]
+    image = torch.randn(2, 3, 5, 8)
+    expected = ops.apply_kernel(image, head(x)[:, :, :5])
+    torch.testing.assert_close(ops.apply_kernel(image, cells), expected)
+
+
 def test_apply_kernel_reads_every_half_float(both, assert_images_close):
     values = torch.arange(2**16, dtype=torch.int32).to(torch.int16).view(torch.float16)
     values = values[values.isfinite()][:63000].reshape(1, 9, 7, 1000)
@@ -81,6 +102,63 @@ def test_reprojection(both, assert_images_close, op, size):
         motion = torch.floor(motion) + 0.25  # never half-way, where a rounding decides
     plain, fused = both(op, torch.randn(2, 3, *size), motion)
     assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("shift", [(3.3, -2.6), (-40.25, 1.0), (0.0, 0.0), (0.5, 17.5)])
+def test_tested_reprojection_of_what_moves_together(both, assert_images_close, shift):
+    """Where neighbours stay neighbours they are loaded as such, but not beyond the screen."""
+    size = 40, 161
+    motion = torch.tensor(shift).reshape(1, 2, 1, 1).expand(2, 2, *size).contiguous()
+    motion[:, :, 20:] += torch.rand(20, 161).round()  # ... and here they do not
+    normal, depth = torch.randn(2, 3, *size), 1 + 0.3 * torch.rand(2, 1, *size)
+    surface = depth, normal
+    plain, fused = both(ops.reproject, torch.randn(2, 7, *size), motion, surface, surface)
+    assert torch.equal(plain[1], fused[1])
+    assert_images_close(fused[0], plain[0], "float32 quotient")
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_history_motion(both, size):
+    motion, motion_next = 4 * torch.randn(2, 2, *size), 4 * torch.randn(2, 2, *size)
+    motion[0, :, 0, 0], motion[1, :, -1, -1] = OFF_SCREEN, math.nan
+    image, depth = torch.zeros(2, 3, *size), torch.ones(2, 1, *size)
+
+    def found(motion, motion_next):
+        frame = Frame(image, depth=depth, motion=torch.floor(motion) + 0.25)  # never half-way
+        return history_motion(frame, History(image, motion_next, depth, None))
+
+    for plain, fused in zip(*both(found, motion, motion_next), strict=True):
+        torch.testing.assert_close(fused, plain, rtol=0, atol=0, equal_nan=True)
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16], ids=str)
+def test_features(both, assert_images_close, size, dtype):
+    light = [10 ** (9 * torch.rand(2, 3, *size) - 6), torch.zeros(2, 1, *size)]
+    guides = [torch.randn(2, 3, *size), torch.rand(2, 1, *size) < 0.5]
+    like = torch.empty(4, 8, 3, 3, dtype=dtype).to(memory_format=torch.channels_last)
+    scale = torch.tensor([0.3, 70.0]).reshape(2, 1, 1, 1)
+    plain, fused = both(lambda *tensors: ops.features(tensors[:2], tensors[2:], scale, like), *light, *guides)
+    assert plain.shape[1] == 8 and plain.dtype == fused.dtype == dtype
+    assert fused.stride() == plain.stride() and torch.equal(fused[:, 4:], plain[:, 4:])  # guides are only rounded
+    assert_images_close(fused.float(), plain.float(), "float32" if dtype == torch.float32 else "bfloat16 rounding")
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_what_is_done_to_each_pixel(both, assert_images_close, size):
+    def image(C: int = 3) -> torch.Tensor:
+        return torch.rand(2, C, *size)
+
+    hit = (image(1) < 0.7) * image(1)
+    for plain, fused in (
+        both(ops.demodulate, image() * 100, image(), hit),
+        both(ops.modulate, image() - 0.3, image(), image(), image(1), hit),
+    ):
+        assert_images_close(fused, plain, "float32")
+    reset = image(1).round()  # given up entirely: nothing is left of the mean, however bright it was
+    results = both(ops.accumulate, image(), 1e15 * image(), (9 * image(1)).floor() * (1 - reset), reset, 15.0)
+    for plain, fused in zip(*results, strict=True):
+        assert_images_close(fused, plain, "float32")
 
 
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
@@ -144,7 +222,7 @@ def build(kernel, constants, **types):
     assert compiled.asm["ptx"], kernel
 
 sizes = dict(H="i32", W="i32")
-strides = dict(batch="i64", stride="i64", step="i32")
+strides = dict(batch="i64", stride="i64", cell_row="i64", row="i64", cell="i32", step="i32")
 C = dict(C=3, CP=4, BLOCK=128)
 build(ops._forward, dict(K=3, KEEP=True, **C), logits="*bf16", **sizes, **strides)
 build(ops._backward, dict(K=3, **C), **sizes, **strides)

@@ -29,6 +29,8 @@ TOLERANCES = {
     "frame, float16 activations": Tolerance(3e-2, 3e-3),
     # Kernel logits stored as float16: |logit| < 8 is rounded by at most 2⁻⁹, one weight against another by at most 2⁻⁸.
     "float16 logits": Tolerance(4e-3, 1e-6),
+    # Stored as bfloat16: what float32 rounding moves across a half comes out as the next of its 8 bits.
+    "bfloat16 rounding": Tolerance(2**-7, 1e-6),
     # A whole step, radiance of about 1: the network's sums in another order, which its depth and the softmax carry on.
     "float32 network": Tolerance(1e-3, 1e-4),
     # ... and its values and weights rounded to 8 bits: 2⁻⁹ each. Logits of 8 are off by 2⁻⁶, weights by as much.

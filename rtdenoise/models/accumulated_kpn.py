@@ -16,12 +16,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ..color import albedo_divisor, compress, exposure
+from ..color import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance, nearness
-from ..motion import occlusion_mask, on_screen
 from ..motion_splat import history_motion
-from ..nets import UNet, as_weights
-from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
+from ..nets import ConvRelu, UNet
+from ..ops import (
+    accumulate, apply_kernel, blend, compose, demodulate, downsample, features, modulate, reproject, warp, whole,
+)  # fmt: skip
 
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
 # uncovered 1.
@@ -72,9 +73,9 @@ class Past:
 class Heads:
     """What the network predicts for one frame. Lists run from the finest scale to the coarsest."""
 
-    spatial: list[Tensor]  # `scales` × [B, K², H/2^s, W/2^s] logits of the spatial kernels
+    spatial: list[Tensor]  # `scales` × [B, K², H/2^s, W/2^s] logits of the spatial kernels, the first by cells
     alpha: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1], for s = 1 ...: weight of the coarser scale
-    temporal: Tensor  # [B, L², H, W] logits of the temporal kernel
+    temporal: Tensor  # [B, 2, 2, L², H/2, W/2] logits of the temporal kernel, by cells (`apply_kernel`)
     alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
     reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean of light is given up for the current frame
     sharp: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current albedo against its running mean
@@ -86,7 +87,7 @@ class AccumulatedKPN(nn.Module):
     def __init__(self, config: Config = Config()) -> None:
         super().__init__()
         self.config = config
-        self.stem = nn.Conv2d(FEATURES, config.widths[0], 4, stride=2, padding=1)
+        self.stem = ConvRelu(FEATURES, config.widths[0], 4, stride=2, padding=1)
         self.unet = UNet(config.widths[0], config.widths)
         taps, full = config.kernel**2, config.kernel**2 + config.temporal_kernel**2 + 3
         outputs = [taps + 1] * (config.scales - 1)
@@ -104,20 +105,17 @@ class AccumulatedKPN(nn.Module):
     ) -> tuple[Tensor, History]:
         """Denoise one frame, as `TemporalKPN.step`."""
         frame = admit(frame, history and history.radiance, known)
-        albedo = albedo_divisor(frame.albedo, frame.depth)
-        noisy = frame.radiance / albedo  # irradiance, but for what is not diffuse
+        noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance, but for what is not diffuse
 
         past = self.reprojected(frame, history, known)
-        weight = 1 / (1 + past.length)  # of the current frame in a plain mean
-        mean_albedo = blend(frame.albedo, past.albedo, weight)
+        most = self.config.longest - 1
+        mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.length, torch.zeros_like(past.length), most)
 
         # Predict kernels.
         heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
 
         # Average light over time, but give the mean up where the network says that light has changed.
-        weight = weight + heads.reset * (1 - weight)
-        mean = blend(noisy, past.light, weight)
-        length = (1 / weight).clamp(max=self.config.longest - 1)
+        mean, length = accumulate(noisy, past.light, past.length, heads.reset, most)
 
         # Filter each scale with its own kernels, the coarser ones what the finer have filtered; compose back (eq. 4).
         filtered = [apply_kernel(mean, heads.spatial[0])]
@@ -129,8 +127,7 @@ class AccumulatedKPN(nn.Module):
 
         # Give the texture back. Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for
         # what has just changed. Then blend with the previous output, which averages edges as well.
-        texture = albedo_divisor(blend(frame.albedo, mean_albedo, heads.sharp), frame.depth)
-        output = output.clamp(min=0) * texture
+        output = modulate(output, frame.albedo, mean_albedo, heads.sharp, frame.depth)
         before = apply_kernel(torch.where(past.on_screen, past.output, output), heads.temporal)
         output = blend(output, before, heads.alpha_temporal)
         accumulated = torch.cat([mean, mean_albedo], dim=1)
@@ -142,46 +139,56 @@ class AccumulatedKPN(nn.Module):
         if history is None:
             never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
             return Past(nothing, nothing, nothing[:, :1], frame.radiance, never, never)
-        motion = frame.motion if known.covered else history_motion(frame, history, self.config.motion)
+        motion, seen, uncovered = history_motion(frame, history, "traditional" if known.covered else self.config.motion)
         kept = torch.cat([history.accumulated, history.length], dim=1)
         here, before = (frame.depth, frame.normal), (history.depth, history.normal)
         light, albedo, length = reproject(kept, motion, here, before)[0].split([3, 3, 1], dim=1)
-        on = on_screen(motion)
-        output = history.radiance if known.still else torch.where(on, warp(history.radiance, motion), frame.radiance)
-        return Past(light, albedo, length, output, on, occlusion_mask(motion, frame.motion))
+        output = history.radiance if known.still else torch.where(seen, warp(history.radiance, motion), frame.radiance)
+        return Past(light, albedo, length, output, seen, uncovered)
 
     def features(
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN
     ) -> Tensor:
-        """The network's input `[B, 21, H, W]`: light compressed at one exposure, nearness and length in [0, 1]."""
+        """The network's input `[B, 21, H, W]`, as its weights are stored: light compressed at one exposure, nearness and
+        length in [0, 1]."""
         scale = exposure(noisy) if known.exposure is None else known.exposure
         distance = mean_distance(frame.depth) if known.distance is None else known.distance
-        light = compress(torch.cat([noisy, past.light, past.output], dim=1) * scale)
-        geometry = torch.cat([frame.albedo, mean_albedo, frame.normal, nearness(frame.depth, distance)], dim=1)
-        length = past.length / self.config.longest
-        return torch.cat([light, geometry, length, past.uncovered.to(light.dtype)], dim=1)
+        geometry = frame.albedo, mean_albedo, frame.normal, nearness(frame.depth, distance)
+        time = past.length / self.config.longest, past.uncovered
+        return features((noisy, past.light, past.output), (*geometry, *time), scale, self.stem.weight)
 
     def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
         """As `TemporalKPN.statistics`, of the light without its textures."""
-        noisy = frame.radiance / albedo_divisor(frame.albedo, frame.depth)
+        noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
         return exposure(noisy), mean_distance(frame.depth)
 
     def predict(self, features: Tensor) -> Heads:
         """Run the network at half size. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""
         H, W = features.shape[2:]
         taps, side = self.config.kernel**2, self.config.temporal_kernel
-        x = as_weights(features, self)
-        x = F.pad(x, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else x
-        levels = self.unet(F.relu(self._stem(x)), self.config.scales - 1)
-        full = self.full_head(levels[0])[:, :, :H, :W]
-        spatial, temporal, alpha_temporal, reset, sharp = full.split([taps, side**2, 1, 1, 1], dim=1)
+        x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
+        levels = self.unet(self._stem(x), self.config.scales - 1)
+        spatial, temporal, shares = self._full_head(levels[0], [taps, side**2, 3])
+        alpha_temporal, reset, sharp = whole(shares)[:, :, :H, :W].float().sigmoid().split(1, dim=1)
         coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
-        alpha_temporal, reset, sharp, *alphas = (a.float().sigmoid() for a in (alpha_temporal, reset, sharp, *alphas))
-        return Heads([spatial, *kernels], alphas, temporal, alpha_temporal, reset, sharp)
+        return Heads([spatial, *kernels], [a.float().sigmoid() for a in alphas], temporal, alpha_temporal, reset, sharp)
+
+    def _full_head(self, x: Tensor, sizes: list[int]) -> list[Tensor]:
+        """The outputs of `full_head` by cells, `[B, 2, 2, size, H/2, W/2]` each: a transposed convolution whose stride is
+        its size is one of 1×1 for each pixel of a cell. One for each of the `sizes`, so that what is used together lies
+        together."""
+
+        def part(weight: Tensor, bias: Tensor) -> Tensor:
+            C, size = weight.shape[:2]
+            weight = weight.permute(2, 3, 1, 0).reshape(4 * size, C, 1, 1)
+            return F.conv2d(x, weight, bias.repeat(4)).unflatten(1, (2, 2, size))
+
+        head = self.full_head
+        return [part(*w) for w in zip(head.weight.split(sizes, dim=1), head.bias.split(sizes), strict=True)]
 
     def _stem(self, x: Tensor) -> Tensor:
-        """The first convolution, `[B, 21, H, W]` to `[B, C, H/2, W/2]`. Pictures smaller than its kernel get some of
+        """The first convolution with its ReLU, `[B, 21, H, W]` to `[B, C, H/2, W/2]`. Pictures smaller than its kernel get some of
         its zero padding beforehand: in half precision oneDNN (torch 2.13) reads memory that is not theirs."""
         H, W = x.shape[2:]
         if min(H, W) < 4:

@@ -13,7 +13,6 @@ from torch import Tensor, nn
 
 from ..color import compress, exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance, nearness
-from ..motion import on_screen
 from ..motion_splat import history_motion
 from ..nets import UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, warp
@@ -91,8 +90,8 @@ class TemporalKPN(nn.Module):
         elif known.still:
             warped = history.radiance
         else:
-            motion = frame.motion if known.covered else history_motion(frame, history, self.config.motion)
-            warped = torch.where(on_screen(motion), warp(history.radiance, motion), frame.radiance)
+            motion, seen, _ = history_motion(frame, history, "traditional" if known.covered else self.config.motion)
+            warped = torch.where(seen, warp(history.radiance, motion), frame.radiance)
 
         # Predict kernels.
         heads = self.predict(self.features(frame, warped, known))

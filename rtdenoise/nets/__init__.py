@@ -1,6 +1,6 @@
 """Network building blocks."""
 
 from .inference import PRECISIONS, as_weights, prepare, resolve
-from .unet import UNet
+from .unet import ConvRelu, UNet
 
-__all__ = ["PRECISIONS", "UNet", "as_weights", "prepare", "resolve"]
+__all__ = ["PRECISIONS", "ConvRelu", "UNet", "as_weights", "prepare", "resolve"]

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..errors import InputError
-from .unet import Up
+from .unet import ConvRelu, Up
 
 PRECISIONS = ("auto", "fp32", "bf16")
 
@@ -41,6 +41,8 @@ def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
     for module in list(network.modules()):
         if isinstance(module, nn.Sequential):
             _fuse(module)
+        if type(module) is ConvRelu and _has_onednn():
+            module.__class__ = _FusedConvRelu
         if isinstance(module, Up):
             _FusedUp.take(module)
     return network.to(dtype=dtype, memory_format=torch.channels_last)
@@ -53,12 +55,12 @@ def as_weights(x: Tensor, network: nn.Module) -> Tensor:
     return x.to(weights[0].dtype, memory_format=torch.channels_last if last else torch.preserve_format)
 
 
-class _ConvRelu(nn.Conv2d):
-    """A convolution with its ReLU, in one pass where torch has oneDNN's (CPU)."""
+class _FusedConvRelu(ConvRelu):
+    """In one pass, where torch has oneDNN's (CPU)."""
 
     def forward(self, x: Tensor) -> Tensor:
         if x.device.type != "cpu":
-            return super().forward(x).relu_()
+            return super().forward(x)
         return torch.ops.mkldnn._convolution_pointwise(
             x, self.weight, self.bias, self.padding, self.stride, self.dilation, self.groups, "relu", [], ""
         )
@@ -83,7 +85,7 @@ class _FusedUp(Up):
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         y = F.conv_transpose2d(x, self.of_below, self[0].bias, stride=2, padding=1)
-        if type(self[0]) is _ConvRelu and x.device.type == "cpu":
+        if type(self[0]) is _FusedConvRelu and x.device.type == "cpu":
             torch.ops.mkldnn._convolution_pointwise_.binary(
                 y, skip, self.of_skip, None, (1, 1), (1, 1), (1, 1), 1, "add", 1.0, "relu", [], ""
             )
@@ -107,7 +109,7 @@ def _fuse(layers: nn.Sequential) -> None:
     for i in range(len(layers) - 1):
         convolution = layers[i]
         if type(convolution) is nn.Conv2d and isinstance(layers[i + 1], nn.ReLU) and _has_onednn():
-            convolution.__class__ = _ConvRelu
+            convolution.__class__ = _FusedConvRelu
             layers[i + 1] = nn.Identity()
 
 

@@ -7,6 +7,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 
+class ConvRelu(nn.Conv2d):
+    """A convolution with its ReLU."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.relu(super().forward(x))
+
+
 class UNet(nn.Module):
     """Encoder-decoder with skip connections (Ronneberger et al. 2015): two 3×3 convolutions a level, max pooling down,
     nearest up.

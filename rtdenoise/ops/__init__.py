@@ -5,9 +5,14 @@ Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, 
 """
 
 from .apply_kernel import apply_kernel
+from .features import features
+from .layout import whole
 from .path import use
+from .pixels import accumulate, demodulate, modulate
 from .pyramid import blend, compose, downsample, upsample
 from .reproject import alike, reproject
 from .warp import fetch, warp
 
-__all__ = ["alike", "apply_kernel", "blend", "compose", "downsample", "fetch", "reproject", "upsample", "use", "warp"]
+__all__ = [
+    "accumulate", "alike", "apply_kernel", "blend", "compose", "demodulate", "downsample", "features", "fetch", "modulate", "reproject", "upsample", "use", "warp", "whole",
+]

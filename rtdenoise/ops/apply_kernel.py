@@ -10,12 +10,13 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
+from .layout import whole
 from .path import fused
 
 
 def apply_kernel(
     image: Tensor,  # [B, C, H, W]
-    logits: Tensor,  # [B, K², H, W], K odd
+    logits: Tensor,  # [B, K², H, W], K odd, or by cells: [B, 2, 2, K², ⌈H/2⌉, ⌈W/2⌉]
 ) -> Tensor:  # [B, C, H, W]
     """Filter every pixel with its own softmax-normalised K×K kernel (Bako et al. 2017; the paper, §4.3).
 
@@ -26,17 +27,24 @@ def apply_kernel(
     between the least and the greatest tap, and grey stays grey. Softmax subtracts the maximum and accumulates in
     float32 (or float64) whatever the dtype of `logits`; the result has the dtype of `image`.
 
+    Logits by cells are what a network at half size computes, all four pixels of each 2×2 cell at once: pixel (y, x) has
+    logits[b, y mod 2, x mod 2, :, ⌊y/2⌋, ⌊x/2⌋].
+
     Raises ValueError where the shapes do not fit or K is even.
     """
-    if image.ndim != 4 or logits.ndim != 4:
+    if image.ndim != 4 or logits.ndim not in (4, 6):
         raise ValueError(f"expected image and logits [B, C, H, W], got {tuple(image.shape)} and {tuple(logits.shape)}")
     B, _, H, W = image.shape
-    K = math.isqrt(logits.shape[1])
-    if logits.shape[1] != K**2 or K % 2 == 0 or (logits.shape[0], *logits.shape[2:]) != (B, H, W):
+    K = math.isqrt(logits.shape[-3])
+    cells = (B, 2, 2, K**2, (H + 1) // 2, (W + 1) // 2)
+    if K % 2 == 0 or tuple(logits.shape) not in ((B, K**2, H, W), cells):
         raise ValueError(f"expected logits [{B}, K², {H}, {W}] with K odd, got {tuple(logits.shape)}")
+    if logits.ndim == 6 and torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
+        logits = whole(logits)[:, :, :H, :W]
     if run := fused("apply_kernel", image, logits):
         return run(image, logits)
 
+    logits = whole(logits)[:, :, :H, :W] if logits.ndim == 6 else logits
     dtype = torch.promote_types(torch.float32, image.dtype)
     weights = logits.to(dtype).masked_fill(~_inside(H, W, K, logits.device), -math.inf).softmax(dim=1)
     padded = F.pad(image.to(dtype), [K // 2] * 4)

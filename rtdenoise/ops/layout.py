@@ -5,11 +5,23 @@ from __future__ import annotations
 from torch import Tensor
 
 
-def rows(logits: Tensor) -> Tensor:
-    """With rows evenly apart; planes, channels last and slices of their channels are taken as they are."""
-    return logits if logits.shape[2] == 1 or logits.stride(2) == logits.shape[3] * step(logits) else logits.contiguous()
+def whole(logits: Tensor) -> Tensor:
+    """Logits of cells, `[B, 2, 2, K², h, w]`, as those of pixels, `[B, K², 2h, 2w]`."""
+    B, _, _, N, h, w = logits.shape
+    return logits.permute(0, 3, 4, 1, 5, 2).reshape(B, N, 2 * h, 2 * w)
 
 
-def step(logits: Tensor) -> int:
-    """Values from one pixel to the next. torch may give an axis of one pixel any stride."""
-    return logits.stride(3) if logits.shape[3] > 1 else logits.stride(2) if logits.shape[2] > 1 else 1
+def strides(logits: Tensor) -> tuple[int, int, int, int, int, int]:
+    """Values from one image, tap, row of cells, row, cell and pixel to the next, rows and pixels within their cell of
+    2×2; of logits by cells or by pixels."""
+    if logits.ndim == 6:
+        batch, row, pixel, tap, cell_row, cell = logits.stride()
+        return batch, tap, cell_row, row, cell, pixel
+    batch, tap, row, pixel = logits.stride()
+    pixel = pixel if logits.shape[3] > 1 else 1  # torch may give an axis of one pixel any stride
+    return batch, tap, 2 * row, row, 2 * pixel, pixel
+
+
+def in_planes(logits: Tensor) -> bool:
+    """Whether the pixels of a row are neighbours."""
+    return strides(logits)[4:] == (2, 1)

@@ -35,13 +35,16 @@ def use(choice: str) -> Iterator[None]:
 
 
 def fused(op: str, *tensors: Tensor) -> Callable[..., Tensor] | None:
-    """The fused implementation of `op` for these arguments, or None where the plain one has to run.
+    """The fused implementation of `op` for these arguments, or None where the plain one has to run: there may be none
+    at all for a kind of device.
 
     Raises RuntimeError where 'fused' is forced and cannot be had.
     """
     if _checked(_choice) == "plain" or torch.compiler.is_compiling():
         return None
     module, reason = implementation(tensors[0].device.type)
+    if module is not None and not hasattr(module, op):
+        return None
     if module is not None:
         reason = module.unsupported(op, *tensors)
     if reason is None:

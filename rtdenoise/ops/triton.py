@@ -15,7 +15,7 @@ import triton.language as tl
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .layout import rows, step
+from .layout import strides
 
 BLOCK = 128
 
@@ -43,12 +43,19 @@ def _place(H, W, BLOCK: tl.constexpr):
 
 
 @triton.jit
-def _forward(image, logits, out, stats, H, W, batch, stride, step, K: tl.constexpr, C: tl.constexpr,
+def _offset(y, x, cell_row, row, cell, step):
+    """Of the logits of pixel (y, x), by the strides of `layout.strides`."""
+    y, x = y.to(tl.int64), x.to(tl.int64)
+    return y // 2 * cell_row + y % 2 * row + x // 2 * cell + x % 2 * step
+
+
+@triton.jit
+def _forward(image, logits, out, stats, H, W, batch, stride, cell_row, row, cell, step, K: tl.constexpr, C: tl.constexpr,
              CP: tl.constexpr, KEEP: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     b, y, x, exists = _place(H, W, BLOCK)
     plane = H.to(tl.int64) * W
     c = tl.arange(0, CP)
-    here = logits + b * batch + (y * W + x).to(tl.int64) * step
+    here = logits + b * batch + _offset(y, x, cell_row, row, cell, step)
     most = tl.full([BLOCK], -float("inf"), tl.float32)
     for k in tl.static_range(K * K):
         i, j = y + k // K - K // 2, x + k % K - K // 2
@@ -74,8 +81,8 @@ def _forward(image, logits, out, stats, H, W, batch, stride, step, K: tl.constex
 
 
 @triton.jit
-def _backward(image, logits, out, stats, grad, grad_image, grad_logits, H, W, batch, stride, step, K: tl.constexpr,
-              C: tl.constexpr, CP: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
+def _backward(image, logits, out, stats, grad, grad_image, grad_logits, H, W, batch, stride, cell_row, row, cell, step,
+              K: tl.constexpr, C: tl.constexpr, CP: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     """Both gradients of one pixel: grad_logits[k] = w[k] · (grad · image[tap k] - grad · out), and grad_image gathered
     from the pixels q that read this one, each with its opposite tap."""
     b, y, x, exists = _place(H, W, BLOCK)
@@ -89,18 +96,17 @@ def _backward(image, logits, out, stats, grad, grad_image, grad_logits, H, W, ba
     most = tl.load(stats + b * 2 * plane + pixel, mask=exists, other=0.0)
     scale = tl.load(stats + (b * 2 + 1) * plane + pixel, mask=exists, other=0.0)
     colour = tl.zeros([BLOCK, CP], tl.float32)
+    here = logits + b * batch + _offset(y, x, cell_row, row, cell, step)
     for k in tl.static_range(K * K):
         i, j = y + k // K - K // 2, x + k % K - K // 2
         inside = exists & (i >= 0) & (i < H) & (j >= 0) & (j < W)
         q = i * W + j
         tap = inside[:, None] & (c[None, :] < C)
-        v = tl.load(logits + b * batch + pixel.to(tl.int64) * step + k * stride, mask=inside, other=-float("inf")).to(
-            tl.float32
-        )
+        v = tl.load(here + k * stride, mask=inside, other=-float("inf")).to(tl.float32)
         dot = tl.sum(g * tl.load(image + channels + q[:, None], mask=tap, other=0.0), axis=1)
         at = grad_logits + (b * K * K + k) * plane + pixel
         tl.store(at, tl.exp(v - most) * scale * (dot - mean), mask=exists)
-        there = logits + b * batch + q.to(tl.int64) * step + (K * K - 1 - k) * stride
+        there = logits + b * batch + _offset(i, j, cell_row, row, cell, step) + (K * K - 1 - k) * stride
         w = tl.exp(tl.load(there, mask=inside, other=-float("inf")).to(tl.float32)
                    - tl.load(stats + b * 2 * plane + q, mask=inside, other=0.0))  # fmt: skip
         w *= tl.load(stats + (b * 2 + 1) * plane + q, mask=inside, other=0.0)
@@ -111,7 +117,7 @@ def _backward(image, logits, out, stats, grad, grad_image, grad_logits, H, W, ba
 def apply_kernel(image: Tensor, logits: Tensor) -> Tensor:
     if torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
         return _ApplyKernel.apply(image, logits)
-    return _apply(image.contiguous(), rows(logits), None)
+    return _apply(image.contiguous(), logits, None)
 
 
 class _ApplyKernel(torch.autograd.Function):
@@ -119,7 +125,7 @@ class _ApplyKernel(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, image: Tensor, logits: Tensor) -> Tensor:
-        image, logits = image.contiguous(), rows(logits)
+        image = image.contiguous()
         stats = image.new_empty(image.shape[0], 2, *image.shape[2:])
         out = _apply(image, logits, stats)
         ctx.save_for_backward(image, logits, out, stats)
@@ -138,7 +144,7 @@ class _ApplyKernel(torch.autograd.Function):
             grad.contiguous(),
             grad_image,
             grad_logits,
-            *_layout(logits),
+            *_layout(image, logits),
             **_shape(image, logits),
         )
         return grad_image, grad_logits.to(logits.dtype)
@@ -147,7 +153,8 @@ class _ApplyKernel(torch.autograd.Function):
 def _apply(image: Tensor, logits: Tensor, stats: Tensor | None) -> Tensor:
     out = torch.empty_like(image)
     kept = out if stats is None else stats
-    _forward[_grid(image)](image, logits, out, kept, *_layout(logits), **_shape(image, logits), KEEP=stats is not None)
+    sizes = _layout(image, logits)
+    _forward[_grid(image)](image, logits, out, kept, *sizes, **_shape(image, logits), KEEP=stats is not None)
     return out
 
 
@@ -155,13 +162,13 @@ def _grid(image: Tensor) -> tuple[int, int]:
     return triton.cdiv(image.shape[3], BLOCK), image.shape[0] * image.shape[2]
 
 
-def _layout(logits: Tensor) -> tuple[int, ...]:
-    return *logits.shape[2:], logits.stride(0), logits.stride(1), step(logits)
+def _layout(image: Tensor, logits: Tensor) -> tuple[int, ...]:
+    return *image.shape[2:], *strides(logits)
 
 
 def _shape(image: Tensor, logits: Tensor) -> dict[str, int]:
     C = image.shape[1]
-    return {"K": math.isqrt(logits.shape[1]), "C": C, "CP": triton.next_power_of_2(C), "BLOCK": BLOCK}
+    return {"K": math.isqrt(logits.shape[-3]), "C": C, "CP": triton.next_power_of_2(C), "BLOCK": BLOCK}
 
 
 @triton.jit

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import ctypes
 import math
-from ctypes import c_float, c_int64, c_void_p
+from collections.abc import Sequence
+from ctypes import byref, c_float, c_int64, c_void_p
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..layout import rows, step
+from ..layout import in_planes, strides, whole
 from .compiler import library, problem
 
 LOGITS = {torch.float32: 0, torch.bfloat16: 1, torch.float16: 2}  # LOGIT of apply_kernel.c
@@ -44,7 +45,7 @@ def unsupported(op: str, *tensors: Tensor) -> str | None:
 def apply_kernel(image: Tensor, logits: Tensor) -> Tensor:
     if torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
         return _ApplyKernel.apply(image, logits)
-    return _forward(image.contiguous(), rows(logits), None)
+    return _forward(image.contiguous(), _readable(logits), None)
 
 
 class _ApplyKernel(torch.autograd.Function):
@@ -76,9 +77,9 @@ class _ApplyKernel(torch.autograd.Function):
 
 def _forward(image: Tensor, logits: Tensor, stats: Tensor | None) -> Tensor:
     out = torch.empty_like(image)
-    *sizes, threads = _sizes(image, logits)
-    pitch = c_int64(step(logits))
-    _kernels(image, logits).forward(*map(_pointer, (image, logits, out, stats)), *sizes, pitch, threads)
+    (B, _, H, W), layout = image.shape, (c_int64 * 6)(*strides(logits))
+    pointers = map(_pointer, (image, logits, out, stats))
+    _kernels(image, logits).forward(*pointers, B, H, W, byref(layout), torch.get_num_threads())
     return out
 
 
@@ -87,7 +88,7 @@ def _kernels(image: Tensor, logits: Tensor) -> ctypes.CDLL:
 
 
 def _constants(image: Tensor, logits: Tensor) -> dict[str, int]:
-    return {"K": math.isqrt(logits.shape[1]), "C": image.shape[1], "LOGIT": LOGITS[logits.dtype]}
+    return {"K": math.isqrt(logits.shape[-3]), "C": image.shape[1], "LOGIT": LOGITS[logits.dtype]}
 
 
 def _sizes(image: Tensor, logits: Tensor) -> tuple[object, ...]:
@@ -97,8 +98,14 @@ def _sizes(image: Tensor, logits: Tensor) -> tuple[object, ...]:
 
 def _planes(logits: Tensor) -> Tensor:
     """With every plane contiguous."""
-    logits = rows(logits)
-    return logits if step(logits) == 1 else logits.contiguous()
+    return logits if in_planes(logits) and strides(logits)[3] == logits.shape[3] else logits.contiguous()
+
+
+def _readable(logits: Tensor) -> Tensor:
+    """With neighbours along x or along k: planes, channels last and slices of their channels are taken as they are."""
+    if in_planes(logits) or strides(logits)[1] == 1 or logits.shape[-3] == 1:
+        return logits
+    return (whole(logits) if logits.ndim == 6 else logits).contiguous()
 
 
 def warp(image: Tensor, motion: Tensor) -> Tensor:
@@ -131,6 +138,15 @@ def reproject(
     return out, valid
 
 
+def history_motion(motion: Tensor, next_before: Tensor, threshold: float) -> tuple[Tensor, Tensor, Tensor]:
+    motion, next_before = motion.contiguous(), next_before.contiguous()
+    B, _, H, W = motion.shape
+    out, (seen, uncovered) = torch.empty_like(motion), torch.empty(2, B, 1, H, W, dtype=torch.bool)
+    pointers = map(_pointer, (motion, next_before, out, seen, uncovered))
+    library("history_motion").history_motion(*pointers, B, H, W, c_float(threshold), torch.get_num_threads())
+    return out, seen, uncovered
+
+
 def downsample(image: Tensor, pool: str) -> Tensor:
     image = image.contiguous()
     B, C, H, W = image.shape
@@ -144,6 +160,45 @@ def compose(fine: Tensor, coarse: Tensor, alpha: Tensor, pool: str) -> Tensor:
     change, out = torch.empty_like(tensors[1]), torch.empty_like(tensors[0])
     _pyramid(pool).compose(*map(_pointer, (*tensors, change, out)), *fine.shape, torch.get_num_threads())
     return out
+
+
+def features(light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype) -> Tensor:
+    """Channels last."""
+    layers = [layer.contiguous() for layer in (*light, *guides)]
+    B, _, H, W = layers[0].shape
+    channels, lit = (sum(layer.shape[1] for layer in group) for group in (layers, light))
+    out = torch.empty(B, channels, H, W, dtype=dtype, memory_format=torch.channels_last)
+    run = library("features", C=channels, LIGHT=lit, HALF=int(dtype == torch.bfloat16)).features
+    for b in range(B):
+        planes = (c_void_p * channels)(*(plane.data_ptr() for layer in layers for plane in layer[b]))
+        run(planes, c_float(scale[b].item()), _pointer(out[b]), c_int64(H * W), torch.get_num_threads())
+    return out
+
+
+def demodulate(radiance: Tensor, albedo: Tensor, depth: Tensor) -> Tensor:
+    out = torch.empty_like(radiance, memory_format=torch.contiguous_format)
+    _each_pixel("demodulate", [radiance, albedo, depth], [out])
+    return out
+
+
+def modulate(irradiance: Tensor, *textures: Tensor) -> Tensor:
+    """`textures` is albedo, mean_albedo, sharp and depth."""
+    out = torch.empty_like(irradiance, memory_format=torch.contiguous_format)
+    _each_pixel("modulate", [irradiance, *textures], [out])
+    return out
+
+
+def accumulate(new: Tensor, mean: Tensor, length: Tensor, reset: Tensor, longest: float) -> tuple[Tensor, Tensor]:
+    out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in (new, length)]
+    _each_pixel("accumulate", [new, mean, length, reset], out, c_float(longest))
+    return out[0], out[1]
+
+
+def _each_pixel(name: str, inputs: list[Tensor], outputs: list[Tensor], *constants: c_float) -> None:
+    B, C, H, W = inputs[0].shape
+    inputs = [t.contiguous() for t in inputs]
+    run = getattr(library("pixels", C=C), name)
+    run(*map(_pointer, (*inputs, *outputs)), B, c_int64(H * W), *constants, torch.get_num_threads())
 
 
 def _pyramid(pool: str) -> ctypes.CDLL:

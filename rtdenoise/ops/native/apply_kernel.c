@@ -34,6 +34,26 @@ static inline float value(logit v) {
 }
 #endif
 
+// Logits of a block of pixels, turned from channels last into planes that stay in the nearest cache. They move 32 bits at
+// a time: a word holds one float32, or two neighbouring 16-bit logits.
+#define PER (sizeof(uint32_t) / sizeof(logit))
+#define WORDS ((K * K + PER - 1) / PER)
+
+static inline float of_word(uint32_t word, int k) {
+    if (sizeof(logit) == 4) return from_bits(word);
+    return value(k % 2 ? word >> 16 : word & 0xffff);
+}
+
+// `from`: the logits of one pixel. The last word may have one logit only, with nothing behind it.
+static inline void pack(const logit *from, uint32_t *words) {
+    _Pragma("GCC unroll 49") for (int i = 0; i < (int)WORDS; i++) {
+        uint32_t word = 0;
+        int whole = (i + 1) * (int)PER <= K * K;
+        memcpy(&word, from + i * PER, whole ? sizeof word : sizeof *from);
+        words[i * BLOCK] = word;
+    }
+}
+
 typedef struct { int y0, y1, x0, x1; } Taps;  // dy in [y0, y1), dx in [x0, x1)
 
 #define FOR_TAPS(t) \
@@ -57,23 +77,25 @@ static inline Taps inside(int y, int x, int H, int W) {
     for (int x = right; x < (to); x++) PIXEL(x, inside(y, x, H, W)); \
 } while (0)
 
-// Pointers are at the row's first pixel; `logits` where its pixel x is at `column`, with planes `stride` apart. `image`
-// and `out` have planes `plane` apart.
-static inline void forward_pixel(const float *image, const logit *logits, float *out, float *stats, int64_t plane,
-                                 int64_t stride, int column, int W, int x, Taps t) {
+// Pointers are at the row's first pixel. Logit k of pixel x is in `words`, where there are some, at `column` of a block;
+// else in `logits`, with planes `stride` apart. `image` and `out` have planes `plane` apart.
+static inline void forward_pixel(const float *image, const logit *logits, const uint32_t *words, float *out,
+                                 float *stats, int64_t plane, int64_t stride, int column, int W, int x, Taps t) {
+#define LOGIT_AT(k) (words ? of_word(words[(k) / PER * BLOCK + column], k) : value(logits[(k) * stride + column]))
     float most = -INFINITY, sum = 0, colour[C] = {0};
     FOR_TAPS(t) {
-        float v = value(logits[(dy * K + dx) * stride + column]);
+        float v = LOGIT_AT(dy * K + dx);
         most = v > most ? v : most;
     }
     FOR_TAPS(t) {
-        float w = exp_negative(value(logits[(dy * K + dx) * stride + column]) - most);
+        float w = exp_negative(LOGIT_AT(dy * K + dx) - most);
         sum += w;
         FOR_CHANNELS colour[c] = fmaf(w, image[c * plane + (dy - R) * (int64_t)W + dx - R + x], colour[c]);
     }
     float scale = 1 / sum;
     FOR_CHANNELS out[c * plane + x] = colour[c] * scale;
     if (stats) stats[x] = most, stats[plane + x] = scale;
+#undef LOGIT_AT
 }
 
 // grad_logits[k] = w[k] · (grad · image[tap k] - grad · out)
@@ -111,26 +133,30 @@ static inline void backward_image_pixel(const logit *logits, const float *stats,
     int64_t pixel = (int64_t)y * W, first = b * C * plane + pixel, firstStats = b * 2 * plane + pixel; \
     const logit *l = logits + b * batch + pixel;
 
-// image, out [B, C, H, W], stats [B, 2, H, W] (maximum and 1/sum; may be null) contiguous; logits [B, K², H, W] with
-// images `batch`, planes `stride` and pixels `step` values apart, rows step · W. Where step is not 1 (a convolution's
-// output, channels last) some pixels at a time are turned into planes that stay in the nearest cache.
-void forward(const float *image, const logit *logits, float *out, float *stats, int B, int H, int W, int64_t batch,
-             int64_t stride, int64_t step, int threads) {
+// Where logits lie, in values from the first: image b, tap k, and pixel (y, x), which may be one of a cell of 2×2.
+typedef struct { int64_t batch, tap, cell_row, row, cell, pixel; } Layout;
+#define OFFSET(l, b, y, x) \
+    ((b) * (l).batch + (y) / 2 * (l).cell_row + (y) % 2 * (l).row + (x) / 2 * (l).cell + (x) % 2 * (l).pixel)
+
+// image, out [B, C, H, W], stats [B, 2, H, W] (maximum and 1/sum; may be null) contiguous. Logits of a row are
+// neighbours along x (planes) or along k (a convolution's output, channels last).
+void forward(const float *image, const logit *logits, float *out, float *stats, int B, int H, int W,
+             const Layout *layout, int threads) {
+    Layout at = *layout;
+    int planes = at.pixel == 1 && at.cell == 2;
     EACH_ROW {
         int b = row / H, y = row % H;
         int64_t pixel = (int64_t)y * W, first = b * C * plane + pixel;
-        const logit *l = logits + b * batch + pixel * step;
         float *s = stats ? stats + b * 2 * plane + pixel : 0;
-#define PIXEL(x, taps) forward_pixel(image + first, l, out + first, s, plane, stride, x, W, x, taps)
-        if (step == 1) SPAN(PIXEL, 0, W);
+        const logit *l = logits + OFFSET(at, b, y, 0);
+#define PIXEL(x, taps) forward_pixel(image + first, l, 0, out + first, s, plane, at.tap, x, W, x, taps)
+        if (planes) SPAN(PIXEL, 0, W);
 #undef PIXEL
-        for (int from = 0; step != 1 && from < W; from += BLOCK) {
+        for (int from = 0; !planes && from < W; from += BLOCK) {
             int to = MIN(from + BLOCK, W);
-            logit planes[K * K * BLOCK];
-            for (int x = from; x < to; x++)
-                _Pragma("GCC unroll 49") for (int k = 0; k < K * K; k++)
-                    planes[k * BLOCK + x - from] = l[x * step + k * stride];
-#define PIXEL(x, taps) forward_pixel(image + first, planes, out + first, s, plane, BLOCK, x - from, W, x, taps)
+            uint32_t words[WORDS * BLOCK];
+            for (int x = from; x < to; x++) pack(l + OFFSET(at, 0, 0, x), words + x - from);
+#define PIXEL(x, taps) forward_pixel(image + first, 0, words, out + first, s, plane, 0, x - from, W, x, taps)
             SPAN(PIXEL, from, to);
 #undef PIXEL
         }

@@ -6,6 +6,12 @@
 #define MIN(a, b) ((a) < (b) ? (a) : (b))
 #define MAX(a, b) ((a) > (b) ? (a) : (b))
 
+// Where a motion leads from pixel x of a row of n: clamped to the row, a motion that is not finite counting as none.
+static inline float clamped(float motion, int x, int n) {
+    float u = (fabsf(motion) <= 3.4028235e38f ? motion : 0) + x;
+    return MIN(MAX(u, 0), n - 1);
+}
+
 // exp(x) for x ≤ 0, to 1 unit in the last place; 0 below -87, where float32 has no normal numbers left. Branch-free, so
 // that the loop around it becomes vector code: 2ⁿ · exp(r) with |r| ≤ ln 2 / 2 (coefficients of Cephes' expf).
 static inline float exp_negative(float x) {

@@ -6,6 +6,54 @@ static inline float target(float motion) {  // far away is as good as off the sc
     return isnan(motion) ? 1e6f : MIN(MAX(motion, -1e6f), 1e6f);
 }
 
+#define BLOCK 32  // pixels
+
+// What is looked up, of the whole previous frame; the rest where a row of the current one begins.
+typedef struct {
+    const float *stored, *depth, *normal, *depth_before, *normal_before;
+    float *out;
+    uint8_t *valid;
+    float depth_tolerance, normal_tolerance, least;
+    int64_t plane;
+    int H, W;
+} Row;
+
+// Pixels [from, to) of a row, which look between the pixels left, left + 1 and top, top + 1, with weights f and g of the
+// second. `together`: all of them are `shift` pixels away and on the screen, which makes a load of what else is a gather.
+static inline void look(Row r, const int *left, const int *top, const float *f, const float *g, int from, int to,
+                        int together, int shift) {
+    int64_t plane = r.plane;
+#pragma omp simd
+    for (int x = from; x < to; x++) {
+        float total = 0, sum[C] = {0}, d = r.depth[x];
+        float nx = r.normal[x], ny = r.normal[plane + x], nz = r.normal[2 * plane + x];
+        float square = nx * nx + ny * ny + nz * nz;
+#pragma GCC unroll 4
+        for (int tap = 0; tap < 4; tap++) {
+            int j = left[x - from] + tap % 2, i = top[x - from] + tap / 2;
+            int inside = together || ((i >= 0) & (i < r.H) & (j >= 0) & (j < r.W));
+            int apart = MIN(MAX(i, 0), r.H - 1) * r.W + MIN(MAX(j, 0), r.W - 1);
+            int at = together ? shift + tap / 2 * r.W + tap % 2 + x : apart;
+            const float *n = r.normal_before + at;
+            float wd = r.depth_before[at], wx = n[0], wy = n[plane], wz = n[2 * plane];
+            float length = sqrtf(square * (wx * wx + wy * wy + wz * wz));
+            int near = fabsf(d - wd) <= r.depth_tolerance * MAX(d, wd);
+            int aligned = nx * wx + ny * wy + nz * wz >= r.normal_tolerance * length;
+            int hit = d > 0, was_hit = wd > 0;
+            int same = inside & ((hit & was_hit & near & aligned) | (!hit & !was_hit));
+            float fx = f[x - from], fy = g[x - from];
+            float weight = same ? (tap % 2 ? fx : 1 - fx) * (tap / 2 ? fy : 1 - fy) : 0;
+            total += weight;
+#pragma GCC unroll 8
+            for (int c = 0; c < C; c++) sum[c] = fmaf(weight, r.stored[c * plane + at], sum[c]);
+        }
+        r.valid[x] = total >= r.least;
+        float scale = total >= r.least ? 1 / total : 0;
+#pragma GCC unroll 8
+        for (int c = 0; c < C; c++) r.out[c * plane + x] = sum[c] * scale;
+    }
+}
+
 // stored, out [B, C, H, W], motion [B, 2, H, W], depths [B, 1, H, W], normals [B, 3, H, W], valid [B, 1, H, W] bool,
 // all contiguous.
 void reproject(const float *stored, const float *motion, const float *depth, const float *normal,
@@ -15,36 +63,23 @@ void reproject(const float *stored, const float *motion, const float *depth, con
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t row = 0; row < (int64_t)B * H; row++) {
         int64_t b = row / H, y = row % H, pixel = y * W;
-        const float *from = stored + b * C * plane, *mx = motion + b * 2 * plane + pixel, *my = mx + plane;
-        const float *d = depth + b * plane + pixel, *n = normal + b * 3 * plane + pixel;
-        const float *was_d = depth_before + b * plane, *was_n = normal_before + b * 3 * plane;
-        float *to = out + b * C * plane + pixel;
-        uint8_t *found = valid + b * plane + pixel;
+        const float *mx = motion + b * 2 * plane + pixel, *my = mx + plane;
+        Row r = {stored + b * C * plane, depth + b * plane + pixel, normal + b * 3 * plane + pixel,
+                 depth_before + b * plane, normal_before + b * 3 * plane, out + b * C * plane + pixel,
+                 valid + b * plane + pixel, depth_tolerance, normal_tolerance, least, plane, H, W};
+        for (int from = 0; from < W; from += BLOCK) {
+            int n = MIN(BLOCK, W - from), left[BLOCK], top[BLOCK], apart = 0;
+            float f[BLOCK], g[BLOCK];
 #pragma omp simd
-        for (int x = 0; x < W; x++) {
-            float u = target(mx[x]) + x, v = target(my[x]) + y, left = floorf(u), top = floorf(v);
-            float f = u - left, g = v - top, total = 0, sum[C] = {0};
-            float nx = n[x], ny = n[plane + x], nz = n[2 * plane + x], square = nx * nx + ny * ny + nz * nz;
-#pragma GCC unroll 4
-            for (int tap = 0; tap < 4; tap++) {
-                int j = (int)left + tap % 2, i = (int)top + tap / 2;
-                int inside = (i >= 0) & (i < H) & (j >= 0) & (j < W);
-                int at = MIN(MAX(i, 0), H - 1) * W + MIN(MAX(j, 0), W - 1);
-                float wd = was_d[at], wx = was_n[at], wy = was_n[at + plane], wz = was_n[at + 2 * plane];
-                float length = sqrtf(square * (wx * wx + wy * wy + wz * wz));
-                int near = fabsf(d[x] - wd) <= depth_tolerance * MAX(d[x], wd);
-                int aligned = nx * wx + ny * wy + nz * wz >= normal_tolerance * length;
-                int hit = d[x] > 0, was_hit = wd > 0;
-                int same = inside & ((hit & was_hit & near & aligned) | (!hit & !was_hit));
-                float weight = same ? (tap % 2 ? f : 1 - f) * (tap / 2 ? g : 1 - g) : 0;
-                total += weight;
-#pragma GCC unroll 8
-                for (int c = 0; c < C; c++) sum[c] = fmaf(weight, from[c * plane + at], sum[c]);
+            for (int x = 0; x < n; x++) {
+                float u = target(mx[from + x]) + (from + x), v = target(my[from + x]) + y;
+                left[x] = (int)floorf(u), top[x] = (int)floorf(v);
+                f[x] = u - floorf(u), g[x] = v - floorf(v);
             }
-            found[x] = total >= least;
-            float scale = total >= least ? 1 / total : 0;
-#pragma GCC unroll 8
-            for (int c = 0; c < C; c++) to[c * plane + x] = sum[c] * scale;
+            for (int x = 0; x < n; x++) apart |= (left[x] - x != left[0]) | (top[x] != top[0]);
+            int on_screen = left[0] >= 0 && left[0] + n < W && top[0] >= 0 && top[0] + 1 < H;
+            if (apart || !on_screen) look(r, left, top, f, g, from, from + n, 0, 0);
+            else look(r, left, top, f, g, from, from + n, 1, top[0] * W + left[0] - from);
         }
     }
 }

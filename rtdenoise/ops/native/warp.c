@@ -1,12 +1,6 @@
 // Reprojection in one pass. The specification is ops/warp.py; C is the number of channels. A plane has < 2³¹ pixels.
 #include "common.h"
 
-// Target of pixel x of a row of n: clamped, a motion that is not finite counting as none.
-static inline float target(float motion, int x, int n) {
-    float u = (fabsf(motion) <= 3.4028235e38f ? motion : 0) + x;
-    return MIN(MAX(u, 0), n - 1);
-}
-
 // image, out [B, C, H, W], motion [B, 2, H, W], contiguous.
 void warp(const float *image, const float *motion, float *out, int B, int H, int W, int threads) {
     int64_t plane = (int64_t)H * W;
@@ -17,7 +11,7 @@ void warp(const float *image, const float *motion, float *out, int B, int H, int
         float *to = out + b * C * plane + (int64_t)y * W;
 #pragma omp simd
         for (int x = 0; x < W; x++) {
-            float u = target(mx[x], x, W), v = target(my[x], y, H);
+            float u = clamped(mx[x], x, W), v = clamped(my[x], y, H);
             int x0 = (int)u, y0 = (int)v, x1 = MIN(x0 + 1, W - 1), y1 = MIN(y0 + 1, H - 1);
             float f = u - x0, g = v - y0;
 #pragma GCC unroll 8
@@ -40,7 +34,7 @@ void fetch(const float *image, const float *motion, float *out, int B, int H, in
         float *to = out + b * C * plane + (int64_t)y * W;
 #pragma omp simd
         for (int x = 0; x < W; x++) {
-            int at = (int)(target(my[x], y, H) + 0.5f) * W + (int)(target(mx[x], x, W) + 0.5f);
+            int at = (int)(clamped(my[x], y, H) + 0.5f) * W + (int)(clamped(mx[x], x, W) + 0.5f);
 #pragma GCC unroll 8
             for (int c = 0; c < C; c++) to[c * plane + x] = from[c * plane + at];
         }

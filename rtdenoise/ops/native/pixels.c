@@ -1,0 +1,58 @@
+// What is done to each pixel by itself, in one pass each. The specification is ops/pixels.py; C is the number of channels.
+// All images are contiguous: [B, C, H, W], and [B, 1, H, W] for depth, sharp, length, reset.
+#include "common.h"
+
+#define LEAST 0.05f  // color.albedo_divisor
+
+static inline float divisor(float albedo, float depth) { return depth > 0 ? MAX(albedo, LEAST) : 1; }
+
+// As torch's: the end itself where the weight is 0 or 1, however far apart they are.
+static inline float lerp(float from, float to, float weight) {
+    float d = to - from;
+    return weight < 0.5f ? fmaf(weight, d, from) : fmaf(weight - 1, d, to);
+}
+
+#define BLOCK 1024  // pixels
+#define EACH_BLOCK(B, plane) \
+    _Pragma("omp parallel for num_threads(threads) schedule(static) collapse(2)") \
+    for (int64_t b = 0; b < B; b++) \
+        for (int64_t from = 0; from < plane; from += BLOCK)
+#define EACH_PIXEL _Pragma("omp simd") for (int64_t x = from; x < to; x++)
+
+void demodulate(const float *radiance, const float *albedo, const float *depth, float *out, int B, int64_t plane,
+                int threads) {
+    EACH_BLOCK(B, plane) {
+        int64_t to = MIN(from + BLOCK, plane), first = b * C * plane;
+        const float *r = radiance + first, *a = albedo + first, *d = depth + b * plane;
+        float *o = out + first;
+        for (int c = 0; c < C; c++, r += plane, a += plane, o += plane) EACH_PIXEL o[x] = r[x] / divisor(a[x], d[x]);
+    }
+}
+
+void modulate(const float *irradiance, const float *albedo, const float *mean_albedo, const float *sharp,
+              const float *depth, float *out, int B, int64_t plane, int threads) {
+    EACH_BLOCK(B, plane) {
+        int64_t to = MIN(from + BLOCK, plane), first = b * C * plane;
+        const float *i = irradiance + first, *a = albedo + first, *m = mean_albedo + first;
+        const float *s = sharp + b * plane, *d = depth + b * plane;
+        float *o = out + first;
+        for (int c = 0; c < C; c++, i += plane, a += plane, m += plane, o += plane)
+            EACH_PIXEL o[x] = MAX(i[x], 0) * divisor(lerp(m[x], a[x], s[x]), d[x]);
+    }
+}
+
+void accumulate(const float *new, const float *mean, const float *length, const float *reset, float *out, float *longer,
+                int B, int64_t plane, float longest, int threads) {
+    EACH_BLOCK(B, plane) {
+        int64_t to = MIN(from + BLOCK, plane), first = b * C * plane;
+        const float *n = new + first, *m = mean + first, *l = length + b * plane, *r = reset + b * plane;
+        float *o = out + first, *next = longer + b * plane, weight[BLOCK];
+        EACH_PIXEL {
+            float w = 1 / (1 + l[x]), a = fmaf(r[x], 1 - w, w);
+            weight[x - from] = a;
+            next[x] = MIN(1 / a, longest);
+        }
+        for (int c = 0; c < C; c++, n += plane, m += plane, o += plane)
+            EACH_PIXEL o[x] = lerp(m[x], n[x], weight[x - from]);
+    }
+}

@@ -1,0 +1,52 @@
+"""What is done to each pixel by itself: textures taken out and given back, running means."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..color import albedo_divisor
+from .path import fused
+from .pyramid import blend
+
+
+def demodulate(
+    radiance: Tensor,  # [B, 3, H, W]
+    albedo: Tensor,  # [B, 3, H, W]
+    depth: Tensor,  # [B, 1, H, W], 0 where nothing was hit
+) -> Tensor:  # [B, 3, H, W]
+    """Irradiance, but for what is not diffuse: radiance over `color.albedo_divisor`. Inverse: `modulate`."""
+    if run := fused("demodulate", radiance, albedo, depth):
+        return run(radiance, albedo, depth)
+    return radiance / albedo_divisor(albedo, depth)
+
+
+def modulate(
+    irradiance: Tensor,  # [B, 3, H, W]; what is negative counts as 0
+    albedo: Tensor,  # [B, 3, H, W] of this frame
+    mean_albedo: Tensor,  # [B, 3, H, W] and over frames
+    sharp: Tensor,  # [B, 1, H, W] in [0, 1]: weight of the first against the second
+    depth: Tensor,  # [B, 1, H, W]
+) -> Tensor:  # [B, 3, H, W] ≥ 0
+    """Radiance again: the texture that `demodulate` took out is given back."""
+    if run := fused("modulate", irradiance, albedo, mean_albedo, sharp, depth):
+        return run(irradiance, albedo, mean_albedo, sharp, depth)
+    return irradiance.clamp(min=0) * albedo_divisor(blend(albedo, mean_albedo, sharp), depth)
+
+
+def accumulate(
+    new: Tensor,  # [B, C, H, W]
+    mean: Tensor,  # [B, C, H, W] of the frames before
+    length: Tensor,  # [B, 1, H, W] how many they are
+    reset: Tensor,  # [B, 1, H, W] in [0, 1]: how far the mean is given up for the new frame
+    longest: float,  # what the length is at most
+) -> tuple[Tensor, Tensor]:  # [B, C, H, W], [B, 1, H, W]
+    """A running mean and its length, one frame on:
+
+    w = 1 / (1 + length),    a = w + reset · (1 - w),    mean' = a · new + (1 - a) · mean,    length' = min(1/a, longest)
+    """
+    if run := fused("accumulate", new, mean, length, reset):
+        return run(new, mean, length, reset, longest)
+    weight = 1 / (1 + length)
+    weight = weight + reset * (1 - weight)
+    return blend(new, mean, weight), (1 / weight).clamp(max=longest)
