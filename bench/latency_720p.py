@@ -1,7 +1,7 @@
 """How long a frame takes: stages x backends x presets x sizes, with OIDN in the same run.
 
-python bench/latency_720p.py                          # 1280×720, on CUDA where it is
-python bench/latency_720p.py --sizes 360p 720p 4k     # and how that scales
+python bench/latency_720p.py                          # 1280×720, on CUDA where it is, and how `default` scales
+python bench/latency_720p.py --sizes 720p 4k          # everything at both sizes
 python bench/latency_720p.py --quick                  # 64×36, some seconds
 """
 
@@ -35,6 +35,7 @@ BACKENDS = {  # which ops, the network's dtype, row of tolerances.py against `ea
     "fused fp32": ("fused", torch.float32, "float32 network"),
     "fused bf16": ("fused", torch.bfloat16, "bfloat16 network"),
 }
+SCALED = ("fused bf16",)  # of these backends it is asked how they scale
 QUALITIES = ("high", "balanced", "fast")
 TOTAL = "total"
 
@@ -43,6 +44,8 @@ TOTAL = "total"
 class Options:
     sizes: tuple[str, ...] = ("720p",)
     """Some of 360p, 720p, 1080p, 1440p, 4k."""
+    scaling: tuple[str, ...] = ("360p", "1080p", "1440p", "4k")
+    """More sizes, at which `default` is timed in half precision only, against OIDN high."""
     presets: tuple[str, ...] = ()
     """Some of the models (default: all). Weights do not matter to the time; where none are shipped they are random."""
     calls: int = 10
@@ -80,24 +83,35 @@ def main(o: Options) -> None:
         peak = {"copy_gb_per_s": copy_rate(device), **{f"{n}_gflop_per_s": product_rate(device, d) for n, d in
                 (("fp32", torch.float32), ("bf16", torch.bfloat16))}}  # fmt: skip
         rows = [row for size in sizes for row in run(size, presets, device, calls, with_shaders)]
+        for size in () if o.quick else (size for size in o.scaling if size not in sizes):
+            rows += run(size, ("default",), device, calls, False, SCALED, ("high",))
     devices = {"torch": cpu() if device == "cpu" else torch.cuda.get_device_name(), "cpu": cpu(), "glsl": gl}
     devices["cuda"] = torch.cuda.get_device_name() if torch.cuda.is_available() else "not measured: there is none"
     document = {**origin(devices), "device": device, "measured_peaks": peak, "rows": rows}
     write(o.out, **document)
-    o.out.with_suffix(".md").write_text("\n\n".join(table(document, size) for size in sizes) + "\n")
+    tables = [*(table(document, size) for size in sizes), scaling(rows)]
+    o.out.with_suffix(".md").write_text("\n\n".join(filter(None, tables)) + "\n")
     plot(document, o.out.with_suffix(".png"))
     print(o.out.with_suffix(".md").read_text())
 
 
-def run(size: str, presets: tuple[str, ...], device: str, calls: int, with_shaders: bool) -> list[dict]:
+def run(
+    size: str,
+    presets: tuple[str, ...],
+    device: str,
+    calls: int,
+    with_shaders: bool,
+    backends: tuple[str, ...] = tuple(BACKENDS),
+    qualities: tuple[str, ...] = QUALITIES,
+) -> list[dict]:
     """Every method at one size, in turn: the rows of the result."""
     W, H = SIZES[size]
     calls = max(3, round(calls * min(1, 1280 * 720 / (W * H))))
     frame = synthetic_frame(H, W).to(device)
-    methods = [method for preset in presets for method in ours(preset, frame, device)]
+    methods = [method for preset in presets for method in ours(preset, frame, device, backends)]
     if with_shaders:
         methods += [method for preset in presets for method in shaders(preset, frame)]
-    methods += [oidn(frame, quality) for quality in QUALITIES]
+    methods += [oidn(frame, quality) for quality in qualities]
 
     def timed(method: Method) -> None:
         with ops.use(method.ops):
@@ -132,10 +146,12 @@ def run(size: str, presets: tuple[str, ...], device: str, calls: int, with_shade
     return rows
 
 
-def ours(preset: str, frame: Frame, device: str) -> list[Method]:
-    """The preset on every backend, each checked against the eager one first."""
+def ours(preset: str, frame: Frame, device: str, backends: tuple[str, ...]) -> list[Method]:
+    """The preset on each of the backends, checked against the eager one first."""
     methods, reference = [], None
     for backend, (path, dtype, tolerance) in BACKENDS.items():
+        if backend not in ("eager", *backends):
+            continue
         model = fresh(preset).to(device)
         if dtype is not None:
             model = prepare(model, dtype)
@@ -145,7 +161,7 @@ def ours(preset: str, frame: Frame, device: str) -> list[Method]:
         reference = image.double().cpu().numpy() if reference is None else reference
         check(f"{preset} {backend}", image.cpu().numpy(), reference, tolerance)
         methods.append(Method(f"{preset} {backend}", partial(model.step, frame, history), model, path))
-    return methods
+    return [method for method in methods if method.name.removeprefix(f"{preset} ") in backends]
 
 
 def shaders(preset: str, frame: Frame) -> list[Method]:
@@ -255,6 +271,20 @@ def table(document: dict, size: str) -> str:
             cells[-2] = f"{100 * row['prediction_gflop'] / times[network] * 1000 / product:.0f} %"
         lines.append(f"| {row['method']} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def scaling(rows: list[dict]) -> str:
+    """What a megapixel costs at each size, of the methods that were timed at several; in time and, of ours, memory."""
+    found: dict[str, dict[str, str]] = {}
+    for row in sorted(rows, key=lambda row: math.prod(row["pixels"])):
+        megapixels = math.prod(row["pixels"]) / 1e6
+        memory = f", {row['peak_mb'] / megapixels:.0f} MB" if row.get("peak_mb") else ""
+        found.setdefault(row["method"], {})[row["size"]] = f"{_median(row[TOTAL]) / megapixels:.1f} ms{memory}"
+    found = {method: cells for method, cells in found.items() if len(cells) > 1}
+    sizes = list(dict.fromkeys(size for cells in found.values() for size in cells))
+    lines = [f"| a megapixel | {' | '.join(sizes)} |", "|---|" + "---|" * len(sizes)]
+    lines += [f"| {method} | {' | '.join(cells.get(size, '–') for size in sizes)} |" for method, cells in found.items()]
+    return "\n".join(lines) if found else ""
 
 
 def plot(document: dict, path: Path) -> None:

@@ -14,10 +14,10 @@ from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
 STAGES = {
-    "features + kernel prediction": ("features", "predict"),
+    "features + kernel prediction": ("demodulate", "features", "predict"),
     "kernel application": ("apply_kernel", "downsample", "compose"),
-    "blending": ("blend",),
-    "reprojection": ("reprojection", "history_motion", "on_screen", "warp", "reproject", "occlusion_mask"),
+    "blending": ("accumulate", "modulate", "blend"),
+    "reprojection": ("history_motion", "warp", "reproject"),
 }
 
 

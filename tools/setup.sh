@@ -1,7 +1,8 @@
 #!/bin/sh
-# Set up what `make demo` or `make test` needs, and nothing twice:  sh tools/setup.sh demo|test
+# Set up what `make demo`, `make test` or tools/gpu_check.sh needs, and nothing twice:  sh tools/setup.sh demo|test|gpu
 #
 #   demo   .venv with PyTorch and the package
+#   gpu    ... and what tests and benchmarks of the GPU need, Mesa's OpenGL only where the driver brings none
 #   test   ... and its extras, Mesa's OpenGL for the shaders, LLVM for rendering with Mitsuba, a browser for the report
 #
 # PYTHON and TORCH in the environment override what is chosen here. System packages are installed with apt where this runs
@@ -18,14 +19,17 @@ main() {
     case "${1-}" in
         demo) extras="" ;;
         test) extras="[render,noisebase,tensorboard,bench,dev]" ;;
-        *) fail "usage: sh tools/setup.sh demo|test" ;;
+        gpu) extras="[bench,dev]" ;;
+        *) fail "usage: sh tools/setup.sh demo|test|gpu" ;;
     esac
     make_venv
     install_torch
     say "installing rtdenoise$extras"
     pip install --editable ".$extras"
-    if [ "$1" = test ]; then
+    if [ "$1" != demo ]; then
         has_gl || install "OpenGL (Mesa)" $GL_PACKAGES
+    fi
+    if [ "$1" = test ]; then
         has_mitsuba || install "a library of Mitsuba's" libatomic1
         has_llvm || install_llvm
         has_browser || install "a browser" chromium

@@ -21,7 +21,17 @@ from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance, 
 from ..motion_splat import history_motion
 from ..nets import ConvRelu, UNet
 from ..ops import (
-    accumulate, apply_kernel, blend, compose, demodulate, downsample, features, modulate, reproject, warp, whole,
+    accumulate,
+    apply_kernel,
+    blend,
+    compose,
+    demodulate,
+    downsample,
+    features,
+    modulate,
+    reproject,
+    warp,
+    whole,
 )  # fmt: skip
 
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
@@ -135,11 +145,12 @@ class AccumulatedKPN(nn.Module):
 
     def reprojected(self, frame: Frame, history: History | None, known: Known = NOTHING_KNOWN) -> Past:
         """History where this frame needs it: means from the same surface only, the previous output from wherever."""
-        nothing = torch.zeros_like(frame.radiance)
         if history is None:
+            nothing = torch.zeros_like(frame.radiance)
             never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
             return Past(nothing, nothing, nothing[:, :1], frame.radiance, never, never)
-        motion, seen, uncovered = history_motion(frame, history, "traditional" if known.covered else self.config.motion)
+        kind = "traditional" if known.covered else self.config.motion
+        motion, seen, uncovered = history_motion(frame, history, kind)
         kept = torch.cat([history.accumulated, history.length], dim=1)
         here, before = (frame.depth, frame.normal), (history.depth, history.normal)
         light, albedo, length = reproject(kept, motion, here, before)[0].split([3, 3, 1], dim=1)
@@ -149,7 +160,7 @@ class AccumulatedKPN(nn.Module):
     def features(
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN
     ) -> Tensor:
-        """The network's input `[B, 21, H, W]`, as its weights are stored: light compressed at one exposure, nearness and
+        """The network's input `[B, 21, H, W]` as its weights are stored: light compressed at one exposure, nearness and
         length in [0, 1]."""
         scale = exposure(noisy) if known.exposure is None else known.exposure
         distance = mean_distance(frame.depth) if known.distance is None else known.distance
@@ -169,15 +180,14 @@ class AccumulatedKPN(nn.Module):
         x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
         spatial, temporal, shares = self._full_head(levels[0], [taps, side**2, 3])
-        alpha_temporal, reset, sharp = whole(shares)[:, :, :H, :W].float().sigmoid().split(1, dim=1)
         coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
-        return Heads([spatial, *kernels], [a.float().sigmoid() for a in alphas], temporal, alpha_temporal, reset, sharp)
+        shares, *alphas = (a.float().sigmoid() for a in (whole(shares)[:, :, :H, :W], *alphas))
+        return Heads([spatial, *kernels], alphas, temporal, *shares.split(1, dim=1))
 
     def _full_head(self, x: Tensor, sizes: list[int]) -> list[Tensor]:
-        """The outputs of `full_head` by cells, `[B, 2, 2, size, H/2, W/2]` each: a transposed convolution whose stride is
-        its size is one of 1×1 for each pixel of a cell. One for each of the `sizes`, so that what is used together lies
-        together."""
+        """The outputs of `full_head` by cells, `[B, 2, 2, size, H/2, W/2]` for each of `sizes`, so that what is used
+        together lies together: a transposed convolution whose stride is its size is one of 1×1 for each pixel."""
 
         def part(weight: Tensor, bias: Tensor) -> Tensor:
             C, size = weight.shape[:2]
@@ -185,11 +195,13 @@ class AccumulatedKPN(nn.Module):
             return F.conv2d(x, weight, bias.repeat(4)).unflatten(1, (2, 2, size))
 
         head = self.full_head
-        return [part(*w) for w in zip(head.weight.split(sizes, dim=1), head.bias.split(sizes), strict=True)]
+        weights, biases = head.weight.split(sizes, dim=1), head.bias.split(sizes)
+        return [part(weight, bias) for weight, bias in zip(weights, biases, strict=True)]
 
     def _stem(self, x: Tensor) -> Tensor:
-        """The first convolution with its ReLU, `[B, 21, H, W]` to `[B, C, H/2, W/2]`. Pictures smaller than its kernel get some of
-        its zero padding beforehand: in half precision oneDNN (torch 2.13) reads memory that is not theirs."""
+        """The first convolution with its ReLU, `[B, 21, H, W]` to `[B, C, H/2, W/2]`. Pictures smaller than its kernel
+        get some of its zero padding beforehand: in half precision oneDNN (torch 2.13) reads memory that is not
+        theirs."""
         H, W = x.shape[2:]
         if min(H, W) < 4:
             x = F.pad(x, (0, max(0, 4 - W), 0, max(0, 4 - H)))

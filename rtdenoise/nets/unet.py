@@ -24,7 +24,9 @@ class UNet(nn.Module):
 
     def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
         super().__init__()
-        self.encoder = nn.ModuleList(nn.Sequential(*double(a, b)) for a, b in zip((inputs, *widths), widths, strict=False))
+        self.encoder = nn.ModuleList(
+            nn.Sequential(*double(a, b)) for a, b in zip((inputs, *widths), widths, strict=False)
+        )
         self.decoder = nn.ModuleList(Up(a, b) for a, b in zip(widths[1:], widths, strict=False))
 
     def forward(self, x: Tensor, scales: int) -> list[Tensor]:

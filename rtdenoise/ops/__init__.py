@@ -14,5 +14,19 @@ from .reproject import alike, reproject
 from .warp import fetch, warp
 
 __all__ = [
-    "accumulate", "alike", "apply_kernel", "blend", "compose", "demodulate", "downsample", "features", "fetch", "modulate", "reproject", "upsample", "use", "warp", "whole",
+    "accumulate",
+    "alike",
+    "apply_kernel",
+    "blend",
+    "compose",
+    "demodulate",
+    "downsample",
+    "features",
+    "fetch",
+    "modulate",
+    "reproject",
+    "upsample",
+    "use",
+    "warp",
+    "whole",
 ]

@@ -50,8 +50,8 @@ def _offset(y, x, cell_row, row, cell, step):
 
 
 @triton.jit
-def _forward(image, logits, out, stats, H, W, batch, stride, cell_row, row, cell, step, K: tl.constexpr, C: tl.constexpr,
-             CP: tl.constexpr, KEEP: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
+def _forward(image, logits, out, stats, H, W, batch, stride, cell_row, row, cell, step, K: tl.constexpr,
+             C: tl.constexpr, CP: tl.constexpr, KEEP: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     b, y, x, exists = _place(H, W, BLOCK)
     plane = H.to(tl.int64) * W
     c = tl.arange(0, CP)
