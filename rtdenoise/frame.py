@@ -110,7 +110,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class History:
-    """What one step hands to the next. Passed in and returned, never hidden."""
+    """What one step hands to the next. Passed in and returned, never hidden. Some of it may be the frame's own tensors:
+    write into none of them."""
 
     radiance: Tensor  # [B, 3, H, W] the denoised previous frame
     motion_next: Tensor | None  # [B, 2, H, W] of the previous frame; None: dual motion next time is approximate
@@ -173,7 +174,8 @@ def admit(frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN) -
 
 
 def sanitise(frame: Frame) -> Frame:
-    """Replace what no filter can use, once, before anything else sees it. Valid frames come back unchanged to the bit.
+    """Replace what no filter can use, once, before anything else sees it. Valid frames come back unchanged to the bit,
+    on a CPU as the tensors that they were.
 
     | layer               | found                 | becomes |
     |---------------------|-----------------------|---------|

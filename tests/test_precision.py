@@ -1,5 +1,6 @@
 """A network made ready to run against the network as it was trained; memory kept, and what is said when it runs out."""
 
+import copy
 import ctypes
 import json
 import subprocess
@@ -13,7 +14,7 @@ from synthetic import make_frames
 from rtdenoise import memory
 from rtdenoise.errors import InputError
 from rtdenoise.models import available, load, read
-from rtdenoise.nets import as_weights, resolve
+from rtdenoise.nets import UNet, as_weights, prepare, resolve
 
 ROOT = Path(__file__).parent.parent
 
@@ -35,6 +36,16 @@ def test_a_ready_network_is_channels_last_with_its_relus_fused():
     assert features.dtype == torch.bfloat16 and features.is_contiguous(memory_format=torch.channels_last)
     assert not any(isinstance(module, torch.nn.ReLU) for module in model.unet.modules())
     assert model.state_dict().keys() == read("paper").state_dict().keys()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (13, 22), (32, 16)], ids=str)
+def test_a_decoder_that_enlarges_nothing_is_the_one_that_was_trained(assert_images_close, size):
+    torch.manual_seed(0)
+    trained, x = UNet(5, (8, 12, 20)).eval().requires_grad_(False), torch.randn(2, 5, *size)
+    ready = prepare(copy.deepcopy(trained), torch.float32)
+    assert trained.state_dict().keys() == ready.state_dict().keys()
+    for a, b in zip(trained(x, 2), ready(as_weights(x, ready), 2), strict=True):
+        assert_images_close(b, a, "float32")
 
 
 def test_an_unknown_precision_is_named():

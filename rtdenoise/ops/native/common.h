@@ -12,20 +12,19 @@ static inline float clamped(float motion, int x, int n) {
     return MIN(MAX(u, 0), n - 1);
 }
 
-// exp(x) for x ≤ 0, to 1 unit in the last place; 0 below -87, where float32 has no normal numbers left. Branch-free, so
-// that the loop around it becomes vector code: 2ⁿ · exp(r) with |r| ≤ ln 2 / 2 (coefficients of Cephes' expf).
+// exp(x) for x ≤ 0, as 2ⁿ · 2ʳ with |r| ≤ ½ (Taylor's series), to 2 units in the last place where it is near 1; below -87
+// it stays at 2⁻¹²⁶. Branch-free, so that the loop around it becomes vector code.
 static inline float exp_negative(float x) {
-    float n = rintf(x * 1.44269504f);
-    float r = fmaf(n, 2.12194440e-4f, fmaf(n, -0.693359375f, x));
-    float p = 1.9875691500e-4f;
-    p = fmaf(p, r, 1.3981999507e-3f);
-    p = fmaf(p, r, 8.3334519073e-3f);
-    p = fmaf(p, r, 4.1665795894e-2f);
-    p = fmaf(p, r, 1.6666665459e-1f);
-    p = fmaf(p, r, 5.0000001201e-1f);
-    p = fmaf(p, r * r, r) + 1.0f;
-    int32_t bits = (int32_t)((uint32_t)(MAX((int32_t)n, -126) + 127) << 23);
-    float power;
-    memcpy(&power, &bits, sizeof power);
-    return x < -87.0f ? 0.0f : p * power;
+    float t = MAX(x * 1.44269504f, -126.0f), n = rintf(t), r = t - n, p = 1.5403530e-4f;
+    p = fmaf(p, r, 1.3333558e-3f);
+    p = fmaf(p, r, 9.6181291e-3f);
+    p = fmaf(p, r, 5.5504109e-2f);
+    p = fmaf(p, r, 2.4022651e-1f);
+    p = fmaf(p, r, 6.9314718e-1f);
+    p = fmaf(p, r, 1.0f);
+    int32_t bits;
+    memcpy(&bits, &p, sizeof bits);
+    bits += (int32_t)n * (1 << 23);
+    memcpy(&p, &bits, sizeof p);
+    return p;
 }
