@@ -18,7 +18,8 @@ if not torch.cuda.is_available():
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.motion_splat import history_motion
-from rtdenoise.ops import native, path
+from rtdenoise.ops import native, path, pixels
+from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
 
 SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
@@ -138,7 +139,7 @@ def test_features(both, assert_images_close, size, dtype):
     guides = [torch.randn(2, 3, *size), torch.rand(2, 1, *size) < 0.5]
     like = torch.empty(4, 8, 3, 3, dtype=dtype).to(memory_format=torch.channels_last)
     scale = torch.tensor([0.3, 70.0]).reshape(2, 1, 1, 1)
-    plain, fused = both(lambda *tensors: ops.features(tensors[:2], tensors[2:], scale, like), *light, *guides)
+    plain, fused = both(lambda *tensors: features(tensors[:2], tensors[2:], scale, like), *light, *guides)
     assert plain.shape[1] == 8 and plain.dtype == fused.dtype == dtype
     assert fused.stride() == plain.stride() and torch.equal(fused[:, 4:], plain[:, 4:])  # guides are only rounded
     assert_images_close(fused.float(), plain.float(), "float32" if dtype == torch.float32 else "bfloat16 rounding")
@@ -151,12 +152,12 @@ def test_what_is_done_to_each_pixel(both, assert_images_close, size):
 
     hit = (image(1) < 0.7) * image(1)
     for plain, fused in (
-        both(ops.demodulate, image() * 100, image(), hit),
-        both(ops.modulate, image() - 0.3, image(), image(), image(1), hit),
+        both(pixels.demodulate, image() * 100, image(), hit),
+        both(pixels.modulate, image() - 0.3, image(), image(), image(1), hit),
     ):
         assert_images_close(fused, plain, "float32")
     reset = image(1).round()  # given up entirely: nothing is left of the mean, however bright it was
-    results = both(ops.accumulate, image(), 1e15 * image(), (9 * image(1)).floor() * (1 - reset), reset, 15.0)
+    results = both(pixels.accumulate, image(), 1e15 * image(), (9 * image(1)).floor() * (1 - reset), reset, 15.0)
     for plain, fused in zip(*results, strict=True):
         assert_images_close(fused, plain, "float32")
 

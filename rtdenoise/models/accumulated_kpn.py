@@ -20,19 +20,10 @@ from ..color import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance, nearness
 from ..motion_splat import history_motion
 from ..nets import ConvRelu, UNet
-from ..ops import (
-    accumulate,
-    apply_kernel,
-    blend,
-    compose,
-    demodulate,
-    downsample,
-    features,
-    modulate,
-    reproject,
-    warp,
-    whole,
-)  # fmt: skip
+from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
+from ..ops.features import features
+from ..ops.layout import whole
+from ..ops.pixels import accumulate, demodulate, modulate
 
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
 # uncovered 1.
