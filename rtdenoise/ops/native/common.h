@@ -12,8 +12,8 @@ static inline float clamped(float motion, int x, int n) {
     return MIN(MAX(u, 0), n - 1);
 }
 
-// exp(x) for x ≤ 0, as 2ⁿ · 2ʳ with |r| ≤ ½ (Taylor's series), to 2 units in the last place where it is near 1; below -87
-// it stays at 2⁻¹²⁶. Branch-free, so that the loop around it becomes vector code.
+// exp(x) for x ≤ 0, as 2ⁿ · 2ʳ with |r| ≤ ½ (Taylor's series), to 2 units in the last place where it is near 1; 0 below
+// -87, where float32 has no normal numbers left. Branch-free, so that the loop around it becomes vector code.
 static inline float exp_negative(float x) {
     float t = MAX(x * 1.44269504f, -126.0f), n = rintf(t), r = t - n, p = 1.5403530e-4f;
     p = fmaf(p, r, 1.3333558e-3f);
@@ -26,5 +26,5 @@ static inline float exp_negative(float x) {
     memcpy(&bits, &p, sizeof bits);
     bits += (int32_t)n * (1 << 23);
     memcpy(&p, &bits, sizeof p);
-    return p;
+    return x < -87.0f ? 0.0f : p;
 }
