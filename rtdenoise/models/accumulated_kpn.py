@@ -26,6 +26,7 @@ from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
 # uncovered 1.
 FEATURES = 21
+FIRST = [0, 1, 2, *range(6, 19)]  # of these, what is not zero everywhere in a first frame
 
 
 @dataclass(frozen=True)
@@ -109,15 +110,20 @@ class AccumulatedKPN(nn.Module):
 
         past = self.reprojected(frame, history, known)
         weight = 1 / (1 + past.length)  # of the current frame in a plain mean
-        mean_albedo = blend(frame.albedo, past.albedo, weight)
+        mean_albedo = frame.albedo if known.first else blend(frame.albedo, past.albedo, weight)
 
         # Predict kernels.
         heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
 
         # Average light over time, but give the mean up where the network says that light has changed.
-        weight = weight + heads.reset * (1 - weight)
-        mean = blend(noisy, past.light, weight)
-        length = (1 / weight).clamp(max=self.config.longest - 1)
+        # Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for what has just changed.
+        if known.first:  # there is nothing to average
+            mean, length, texture = noisy, torch.ones_like(past.length), albedo
+        else:
+            weight = weight + heads.reset * (1 - weight)
+            mean = blend(noisy, past.light, weight)
+            length = (1 / weight).clamp(max=self.config.longest - 1)
+            texture = albedo_divisor(blend(frame.albedo, mean_albedo, heads.sharp), frame.depth)
 
         # Filter each scale with its own kernels, the coarser ones what the finer have filtered; compose back (eq. 4).
         filtered = [apply_kernel(mean, heads.spatial[0])]
@@ -127,9 +133,7 @@ class AccumulatedKPN(nn.Module):
         for fine, alpha in zip(filtered[-2::-1], heads.alpha[::-1], strict=True):
             output = compose(fine, output, alpha)
 
-        # Give the texture back. Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for
-        # what has just changed. Then blend with the previous output, which averages edges as well.
-        texture = albedo_divisor(blend(frame.albedo, mean_albedo, heads.sharp), frame.depth)
+        # Give the texture back. Then blend with the previous output, which averages edges as well.
         output = output.clamp(min=0) * texture
         before = apply_kernel(torch.where(past.on_screen, past.output, output), heads.temporal)
         output = blend(output, before, heads.alpha_temporal)
@@ -153,11 +157,15 @@ class AccumulatedKPN(nn.Module):
     def features(
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN
     ) -> Tensor:
-        """The network's input `[B, 21, H, W]`: light compressed at one exposure, nearness and length in [0, 1]."""
+        """The network's input `[B, 21, H, W]`: light compressed at one exposure, nearness and length in [0, 1]; in a
+        first frame only `FIRST` of it."""
         scale = exposure(noisy) if known.exposure is None else known.exposure
         distance = mean_distance(frame.depth) if known.distance is None else known.distance
-        light = compress(torch.cat([noisy, past.light, past.output], dim=1) * scale)
+        lights = [noisy, past.output] if known.first else [noisy, past.light, past.output]
+        light = compress(torch.cat(lights, dim=1) * scale)
         geometry = torch.cat([frame.albedo, mean_albedo, frame.normal, nearness(frame.depth, distance)], dim=1)
+        if known.first:
+            return torch.cat([light, geometry], dim=1)
         length = past.length / self.config.longest
         return torch.cat([light, geometry, length, past.uncovered.to(light.dtype)], dim=1)
 
@@ -181,9 +189,13 @@ class AccumulatedKPN(nn.Module):
         return Heads([spatial, *kernels], alphas, temporal, alpha_temporal, reset, sharp)
 
     def _stem(self, x: Tensor) -> Tensor:
-        """The first convolution, `[B, 21, H, W]` to `[B, C, H/2, W/2]`. Pictures smaller than its kernel get some of
-        its zero padding beforehand: in half precision oneDNN (torch 2.13) reads memory that is not theirs."""
+        """The first convolution, of all features or of `FIRST`, to `[B, C, H/2, W/2]`. Pictures smaller than its
+        kernel get some of its zero padding beforehand: in half precision oneDNN (torch 2.13) reads memory that is not
+        theirs."""
         H, W = x.shape[2:]
         if min(H, W) < 4:
             x = F.pad(x, (0, max(0, 4 - W), 0, max(0, 4 - H)))
-        return self.stem(x)[:, :, : H // 2, : W // 2]
+        if x.shape[1] == FEATURES:
+            return self.stem(x)[:, :, : H // 2, : W // 2]
+        weight = as_weights(self.stem.weight[:, FIRST], self)
+        return F.conv2d(x, weight, self.stem.bias, stride=2, padding=1)[:, :, : H // 2, : W // 2]
