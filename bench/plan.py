@@ -27,7 +27,8 @@ from torch import Tensor, nn
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.models import available, load
-from rtdenoise.plan import Planned, make_plan
+from rtdenoise.plan import make_plan
+from rtdenoise.planned import Planned
 
 RESULT = harness.ROOT / "bench" / "results" / "plan.json"
 SAMPLE = harness.ROOT / "samples" / "mural"

@@ -93,7 +93,8 @@ class TorchBackend:
     def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> Any:
         import torch
 
-        from .plan import Planned, make_plan
+        from .plan import make_plan
+        from .planned import Planned
 
         plan = make_plan(size, count, self._denoiser.config.motion, [frame.map(torch.from_numpy) for frame in first])
         self._denoiser = Planned(self._denoiser, plan)

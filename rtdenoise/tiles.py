@@ -1,4 +1,4 @@
-"""A frame in windows: frames too large for the memory in tiles, frames that are dark in part only where light is.
+"""A frame in windows: tiles where it is too large for the memory, one window where light is even around it.
 
 What a pixel of the output depends on ends somewhere: `network_reach` pixels away for what the network sees, further by
 the motion for what is fetched from history. A window that is wider by that on all sides gives the same pixels in its
@@ -77,7 +77,7 @@ def light_reach(denoiser: nn.Module) -> int:
 
 
 class Tiled:
-    """A denoiser that works in tiles, for frames of any size: `step` as the denoiser's. Dark tiles are not filtered."""
+    """A denoiser that works in tiles, for frames of any size: `step` as the denoiser's."""
 
     def __init__(self, denoiser: nn.Module, tile: int = 1024) -> None:
         self.denoiser, self.tile = denoiser, max(CELL, tile // CELL * CELL)
@@ -98,17 +98,18 @@ def step_in_windows(
     frame: Frame,
     history: History | None,
     known: Known,
-    cores: list[Window],  # the windows to denoise, disjoint; what none covers must be dark, and comes out black
+    cores: list[Window],  # the windows to denoise, disjoint
     reach: int,  # `network_reach` of the denoiser
+    elsewhere: Tensor | float = 0.0,  # [1, 3, 1, 1] what comes out where there is no window: light of one colour
 ) -> tuple[Tensor, History]:
     """One step, window by window."""
     frame = frame if known.sanitised else sanitise(frame)
     scale, distance = denoiser.statistics(frame)
     known = replace(known, sanitised=True, exposure=scale, distance=distance)
-    image = torch.zeros_like(frame.radiance)
-    after: dict[str, Tensor] = {}
+    image = torch.zeros_like(frame.radiance) + elsewhere
+    after = {"radiance": image.clone()}
     for core in cores:
-        top, left, bottom, right = window = _widened(core, frame, history, reach)
+        top, left, bottom, right = window = widened(core, frame, history, reach)
         size = bottom - top, right - left
         part, part_history = denoiser.step(
             frame.crop(top, left, *size), history and _crop_history(history, window, frame.size), known
@@ -120,11 +121,10 @@ def step_in_windows(
                 after[name] = tensor.new_zeros(*tensor.shape[:2], h, w)
             _paste(after[name], tensor, core, window, frame.size)
     after |= {name: tensor for name in GEOMETRY if (tensor := getattr(frame, name)) is not None}
-    after.setdefault("radiance", image)
     return image, History(**{f.name: after.get(f.name) for f in fields(History)})
 
 
-def _widened(core: Window, frame: Frame, history: History | None, reach: int) -> Window:
+def widened(core: Window, frame: Frame, history: History | None, reach: int) -> Window:
     """The window that `core` depends on: by `reach`, and by the longest motion in there that leads to the screen."""
     H, W = frame.size
     wide = _clip((core[0] - reach, core[1] - reach, core[2] + reach, core[3] + reach), H, W)

@@ -1,0 +1,78 @@
+"""A torch denoiser that follows the plan: what changes nothing is left out of every step, and counted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from .frame import NOTHING_KNOWN, Frame, History, Known, sanitise
+from .motion import on_screen
+from .plan import WORTH, Plan, look, rows_unlike, varied_rows
+from .tiles import Tiled, keeps_only_the_image, light_reach, network_reach, step_in_windows, widened
+
+
+class Planned:
+    """A denoiser that leaves out of each step what the step does not need. `step` as the denoiser's; `left_out` counts
+    the frames."""
+
+    def __init__(self, denoiser: nn.Module, plan: Plan) -> None:
+        self.denoiser = denoiser
+        self.left_out = dict.fromkeys(("running means", "warp of history", "dual motion", "network in plain rows"), 0)
+        self._tiled = Tiled(denoiser) if plan.tiled else None
+        self._reach: tuple[int, int] | None = None  # of the network and of light; found when they are needed
+        self._image_alone = keeps_only_the_image(denoiser)
+
+    def step(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History]:
+        """As the denoiser's own step."""
+        frame = frame if known.sanitised else sanitise(frame)
+        found = look(frame, history and history.motion_next, history is not None)
+        known = replace(known, first=found.first, still=found.still, covered=found.covered, sanitised=True)
+        self.left_out["running means"] += known.first and not self._image_alone
+        self.left_out["warp of history"] += known.still
+        self.left_out["dual motion"] += known.covered
+        if self._tiled:
+            return self._tiled.step(frame, history, known)
+        if self._image_alone and (plain := self._plain(frame, history)):
+            core, colour = plain
+            self.left_out["network in plain rows"] += 1
+            return step_in_windows(self.denoiser, frame, history, known, [core] if core[2] > core[0] else [],
+                                   self._reaches()[0], colour)  # fmt: skip
+        return self.denoiser.step(frame, history, known)
+
+    def _reaches(self) -> tuple[int, int]:
+        if self._reach is None:
+            self._reach = network_reach(self.denoiser), light_reach(self.denoiser)
+        return self._reach
+
+    def _plain(self, frame: Frame, history: History | None) -> tuple[tuple[int, int, int, int], Tensor] | None:
+        """The window out of which all light is of one colour, and that colour; None where leaving out the rest is not
+        worth while. For models whose history is the last image: of others one colour does not say what becomes of it.
+        """
+        H, W = frame.size
+        top, bottom, colour = varied_rows(frame.radiance)
+        if bottom - top > (1 - WORTH) * H:
+            return None
+        spans = [(top, bottom)] if bottom > top else []
+        if history is not None and (before := rows_unlike(history.radiance, colour)):
+            reach = _longest(frame, history)
+            spans.append((before[0] - reach, before[1] + reach))
+        if not spans:
+            return (0, 0, 0, W), colour
+        network, light = self._reaches()
+        core = max(0, min(s[0] for s in spans) - light), 0, min(H, max(s[1] for s in spans) + light), W
+        window = widened(core, frame, history, network)
+        return (core, colour) if window[2] - window[0] <= (1 - WORTH) * H else None
+
+
+def _longest(frame: Frame, history: History) -> int:
+    """Rows that history can be carried over: by motion, or by dual motion, where either leads to the screen."""
+    H = frame.size[0]
+    vertical = torch.where(on_screen(frame.motion), frame.motion, 0.0)[:, 1].abs().max()
+    if history.motion_next is None:
+        return int(2 * vertical) + 5  # the splat; see tiles
+    dual = history.motion_next[:, 1].abs()
+    return int(torch.maximum(vertical, torch.where(dual < H, dual, 0.0).max())) + 2
