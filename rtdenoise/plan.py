@@ -56,19 +56,19 @@ class Plan:
 
 def make_plan(
     size: tuple[int, int],  # (H, W)
-    count: int,  # frames
+    frames: int,  # how many
     model_motion: str,  # what history is fetched with: 'dual' or 'traditional'
     first: list[Frame],  # frames that have been looked at
     windows: bool = True,  # whether the backend can denoise a frame in windows
 ) -> Plan:
     """The plan for a sequence."""
     unread = {}
-    if count == 1:
+    if frames == 1:
         unread = dict.fromkeys(("motion", "motion_next"), "a single frame has no history")
     elif model_motion == "traditional":
         unread = {"motion_next": "the model fetches history with traditional motion"}
     decisions = [Decision(f"layer {layer}", "always", why) for layer, why in unread.items()]
-    where = "always" if count == 1 else "in first frames"
+    where = "always" if frames == 1 else "in first frames"
     decisions.append(Decision("running means", where, "where there is no history"))
     if pairs := [(a.motion_next, b) for a, b in pairwise(first) if b.number == a.number + 1]:
         known = [look(frame, before) for before, frame in pairs]
@@ -97,6 +97,16 @@ def look(frame: Frame, motion_next_before: Tensor | None, history: bool = True) 
         return Known(first=True)
     still = _still(frame, motion_next_before)
     return Known(still=still, covered=still or _covered(frame, motion_next_before))
+
+
+def count(left_out: dict[str, int], known: Known, keeps_means: bool) -> None:
+    """Add a frame to the numbers of frames that did without something."""
+    for what, done in (
+        ("running means", known.first and keeps_means),
+        ("warp of history", known.still),
+        ("dual motion", known.covered),
+    ):
+        left_out[what] = left_out.get(what, 0) + done
 
 
 def varied_rows(image: Tensor) -> tuple[int, int, Tensor]:

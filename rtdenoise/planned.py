@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from .frame import NOTHING_KNOWN, Frame, History, Known, sanitise
 from .motion import on_screen
-from .plan import WORTH, Plan, look, rows_unlike, varied_rows
+from .plan import WORTH, Plan, count, look, rows_unlike, varied_rows
 from .tiles import Tiled, keeps_only_the_image, light_reach, network_reach, step_in_windows, widened
 
 
@@ -19,7 +19,7 @@ class Planned:
 
     def __init__(self, denoiser: nn.Module, plan: Plan) -> None:
         self.denoiser = denoiser
-        self.left_out = dict.fromkeys(("running means", "warp of history", "dual motion", "network in plain rows"), 0)
+        self.left_out = {"network in plain rows": 0}
         self._tiled = Tiled(denoiser) if plan.tiled else None
         self._reach: tuple[int, int] | None = None  # of the network and of light; found when they are needed
         self._image_alone = keeps_only_the_image(denoiser)
@@ -31,9 +31,7 @@ class Planned:
         frame = frame if known.sanitised else sanitise(frame)
         found = look(frame, history and history.motion_next, history is not None)
         known = replace(known, first=found.first, still=found.still, covered=found.covered, sanitised=True)
-        self.left_out["running means"] += known.first and not self._image_alone
-        self.left_out["warp of history"] += known.still
-        self.left_out["dual motion"] += known.covered
+        count(self.left_out, known, keeps_means=not self._image_alone)
         if self._tiled:
             return self._tiled.step(frame, history, known)
         if self._image_alone and (plain := self._plain(frame, history)):

@@ -57,7 +57,7 @@ def network_reach(denoiser: nn.Module) -> int:
 
 @torch.inference_mode()
 def keeps_only_the_image(denoiser: nn.Module) -> bool:
-    """Whether a history holds the last image and its geometry and nothing else, so that black rows stay black rows."""
+    """Whether a history holds the last image and its geometry and nothing else, so that plain rows stay plain."""
     return denoiser.step(_blank(denoiser, CELL, CELL))[1].layers().keys() <= {"radiance", *GEOMETRY}
 
 

@@ -53,6 +53,8 @@ class Config:
         for size in (self.kernel, self.temporal_kernel):
             if size % 2 == 0 or size < 1:
                 raise ValueError(f"expected odd kernel sizes, got {size}")
+        if self.longest < 2:
+            raise ValueError(f"expected a longest mean of 2 frames or more, got {self.longest}")
         if self.motion not in ("dual", "traditional"):
             raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
 
