@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 
 from .context import GpuArray
-from .designs import Design, full_head
+from .designs import ORDER, Design, full_head
 from .dispatch import dispatch, fill
 from .network import Layer, UNet, conv_layer, head_layer
 from .scratch import Scratch
@@ -17,8 +17,6 @@ from .state import History
 BLOCK = 8  # side of the blocks that exposure is measured in
 SELECT_GROUP = (256,)
 NOTHING = 0xFFFFFFFF  # in the splat: no pixel
-# Channels of `models.accumulated_kpn` in the order of its features shader: in the end what may be zero everywhere.
-ORDER = [0, 1, 2, 18, 6, 7, 8, 15, 9, 10, 11, 16, 12, 13, 14, 17, 3, 4, 5, 19, 20]
 
 
 class Passes:
@@ -44,11 +42,8 @@ class Passes:
         across, down = -(-W // BLOCK), -(-H // BLOCK)
         count, size = across * down, {"size": (W, H)}
         inputs = [layers[name] for name in ("radiance", "albedo", "normal", "depth")]
-        clean, maxima, surface = (
-            self._image("clean", (H, W)),
-            self._scratch("maxima", (down, across)),
-            self._fresh((H, W)),
-        )
+        clean, surface = self._image("clean", (H, W)), self._fresh((H, W))
+        maxima = self._scratch("maxima", (down, across))
         guide, light = (self._fresh((H, W)) if kept else self._image(name, (H, W)) for name in ("guide", "light"))
         dispatch(
             "frame/sanitise", [*inputs, clean, surface, guide, maxima], (W, H), size, (BLOCK, BLOCK),
@@ -134,8 +129,7 @@ class Passes:
     ) -> GpuArray:  # fmt: skip
         """The network's input, padded: to whole cells of the U-Net, or to what the stem halves. `means` are what
         `reproject` returns, or nothing. With them only the first `groups` are written; the others are zero."""
-        d, (H, W) = self._design, light.shape[:2]
-        cell = 2 if d.accumulates else self._unet.cell
+        d, (H, W), cell = self._design, light.shape[:2], 2 if self._design.accumulates else self._unet.cell
         padded = (W + -W % cell, H + -H % cell)
         result = self._activations("features", d.features, padded[::-1])
         buffers = [light, surface, guide, past, statistics, *means, result]
