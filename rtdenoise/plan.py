@@ -22,6 +22,8 @@ from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from .frame import OCCLUSION_THRESHOLD, Frame, Known
 
 if TYPE_CHECKING:
@@ -95,8 +97,17 @@ def look(frame: Frame, motion_next_before: Tensor | None, history: bool = True) 
     none or there is no `history`."""
     if not history:
         return Known(first=True)
-    still = _still(frame, motion_next_before)
-    return Known(still=still, covered=still or _covered(frame, motion_next_before))
+    if frame.motion is None:
+        return Known()
+    low, high = _extent(frame.motion)
+    if motion_next_before is None:  # it is splatted from motion (`motion_splat`), so dual motion is a value of motion
+        next_low, next_high = [-v for v in high], [-v for v in low]
+    else:
+        next_low, next_high = _extent(motion_next_before)
+    still = not any([*low, *high, *next_low, *next_high])
+    # Dual motion is a value of -motion_next_before, whichever: so far is it from motion at most. NaN is not less.
+    apart = math.hypot(*(max(high[i] + next_high[i], -(low[i] + next_low[i])) for i in (0, 1)))
+    return Known(still=still, covered=apart < 0.999 * OCCLUSION_THRESHOLD)  # a margin for rounding
 
 
 def count(left_out: dict[str, int], known: Known, keeps_means: bool) -> None:
@@ -118,32 +129,16 @@ def varied_rows(image: Tensor) -> tuple[int, int, Tensor]:
     return min(spans, key=lambda span: span[1] - span[0])
 
 
-def rows_unlike(image: Tensor, colour: Tensor) -> tuple[int, int] | None:
-    """First and last (excluded) row that is not all of `colour`; None where every row is."""
-    unlike = [row for row, differs in enumerate((image != colour).any(1).any(2).any(0).tolist()) if differs]
+def rows_unlike(image: Tensor, colour: Tensor, tolerance: float = 0.0) -> tuple[int, int] | None:
+    """First and last (excluded) row that is not all of `colour`, up to `tolerance`; None where every row is."""
+    differs = ~(abs(image - colour) <= tolerance)  # NaN too
+    unlike = [row for row, found in enumerate(differs.any(1).any(2).any(0).tolist()) if found]
     return (unlike[0], unlike[-1] + 1) if unlike else None
 
 
-def _still(frame: Frame, motion_next_before: Tensor | None) -> bool:
-    if frame.motion is None or (motion_next_before is not None and bool(motion_next_before.any())):
-        return False
-    return not bool(frame.motion.any())
-
-
-def _covered(frame: Frame, motion_next_before: Tensor | None) -> bool:
-    """Whether ‖dual − motion‖ can exceed the threshold nowhere. Dual is a value of −motion_next_before, whichever;
-    where that is missing it is splatted from motion (`motion_splat`), and dual is a value of motion, whichever."""
-    if frame.motion is None:
-        return False
-    apart = []
-    for axis in (0, 1):
-        low, high = _range(frame.motion, axis)
-        next_low, next_high = (-high, -low) if motion_next_before is None else _range(motion_next_before, axis)
-        apart.append(max(high + next_high, -(low + next_low)))
-    return math.hypot(*apart) < 0.999 * OCCLUSION_THRESHOLD  # a margin for rounding; NaN is not less
-
-
-def _range(field: Tensor, axis: int) -> tuple[float, float]:
-    """Least and greatest component of a motion field."""
-    component = field[:, axis]
-    return float(component.min()), float(component.max())
+def _extent(motion: Tensor) -> tuple[list[float], list[float]]:
+    """Least and greatest x and y of a motion field."""
+    axes = (0, 2, 3)
+    if isinstance(motion, np.ndarray):
+        return motion.min(axes).tolist(), motion.max(axes).tolist()
+    return motion.amin(axes).tolist(), motion.amax(axes).tolist()

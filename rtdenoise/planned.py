@@ -7,10 +7,13 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
+from .color import exposure
 from .frame import NOTHING_KNOWN, Frame, History, Known, sanitise
 from .motion import on_screen
 from .plan import WORTH, Plan, count, look, rows_unlike, varied_rows
 from .tiles import Tiled, keeps_only_the_image, light_reach, network_reach, step_in_windows, widened
+
+FAINT = 1e-6  # of a frame's brightness: history may differ by so much from a colour that it is taken for
 
 
 class Planned:
@@ -32,14 +35,13 @@ class Planned:
         found = look(frame, history and history.motion_next, history is not None)
         known = replace(known, first=found.first, still=found.still, covered=found.covered, sanitised=True)
         count(self.left_out, known, keeps_means=not self._image_alone)
-        if self._tiled:
-            return self._tiled.step(frame, history, known)
-        if self._image_alone and (plain := self._plain(frame, history)):
-            core, colour = plain
-            self.left_out["network in plain rows"] += 1
-            return step_in_windows(self.denoiser, frame, history, known, [core] if core[2] > core[0] else [],
-                                   self._reaches()[0], colour)  # fmt: skip
-        return self.denoiser.step(frame, history, known)
+        plain = self._plain(frame, history) if self._image_alone else None
+        if plain is None:
+            return (self._tiled or self.denoiser).step(frame, history, known)
+        self.left_out["network in plain rows"] += 1
+        window, colour = plain
+        windows = self._tiled.split(window) if self._tiled else [window] if window[2] > window[0] else []
+        return step_in_windows(self.denoiser, frame, history, known, windows, self._reaches()[0], colour)
 
     def _reaches(self) -> tuple[int, int]:
         if self._reach is None:
@@ -55,9 +57,13 @@ class Planned:
         if bottom - top > (1 - WORTH) * H:
             return None
         spans = [(top, bottom)] if bottom > top else []
-        if history is not None and (before := rows_unlike(history.radiance, colour)):
-            reach = _longest(frame, history)
-            spans.append((before[0] - reach, before[1] + reach))
+        if history is not None:
+            faint = (
+                FAINT / exposure(frame.radiance).item()
+            )  # kernels have no end: without it light would seep on for ever
+            if before := rows_unlike(history.radiance, colour, faint):
+                reach = _longest(frame, history)
+                spans.append((before[0] - reach, before[1] + reach))
         if not spans:
             return (0, 0, 0, W), colour
         network, light = self._reaches()

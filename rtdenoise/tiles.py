@@ -87,10 +87,13 @@ class Tiled:
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
         """`[B, 3, H, W]` and the next history, equal to the untiled ones up to rounding."""
-        H, W = frame.size
-        cores = [(top, left, min(top + self.tile, H), min(left + self.tile, W))
-                 for top in range(0, H, self.tile) for left in range(0, W, self.tile)]  # fmt: skip
-        return step_in_windows(self.denoiser, frame, history, known, cores, self.reach)
+        return step_in_windows(self.denoiser, frame, history, known, self.split((0, 0, *frame.size)), self.reach)
+
+    def split(self, window: Window) -> list[Window]:
+        """The tiles of a window."""
+        top, left, bottom, right = window
+        return [(y, x, min(y + self.tile, bottom), min(x + self.tile, right))
+                for y in range(top, bottom, self.tile) for x in range(left, right, self.tile)]  # fmt: skip
 
 
 def step_in_windows(

@@ -155,6 +155,17 @@ def test_the_bound_holds_for_splatted_motion_next():
     assert promised > 20
 
 
+@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.parametrize("convert", [lambda tensor: tensor, torch.Tensor.numpy], ids=["torch", "numpy"])
+def test_motion_that_is_not_finite_promises_nothing(value, convert):
+    (frame,) = moved(make_frames(1), [0.0, 0.0])
+    broken = frame.motion.clone()
+    broken[0, 1, 5, 6] = value
+    for motion, before in ((broken, frame.motion), (broken, None), (frame.motion, broken), (broken, broken)):
+        known = look(replace(frame, motion=motion).map(convert), before if before is None else convert(before))
+        assert known == Known()
+
+
 def sky(count, light=0.0, H=400):
     """The upper part of the picture is black, or evenly lit; the scene lies below."""
     frames = make_frames(count, H=H, W=32)
@@ -172,6 +183,27 @@ def test_the_network_does_not_run_where_light_is_plain(denoiser, light, below):
     assert plan.left_out["network in plain rows"] == 3
     plain = [replace(f, radiance=torch.zeros_like(f.radiance) + light) for f in frames]
     assert_same(play(planned(denoiser, plain), plain), play(denoiser, plain), close)
+
+
+def test_light_does_not_seep_into_the_sky_for_ever():
+    """A softmax has no zeros: each frame takes some light of the one before a kernel further, ever less of it."""
+    model, frames = load("paper", precision="fp32"), sky(8, 1.7, H=640)
+    plan = planned(model, frames)
+    with torch.inference_mode():
+        assert_same(play(plan, frames), play(model, frames), close)
+    assert plan.left_out["network in plain rows"] == 8
+
+
+def test_no_tile_of_the_sky_is_filtered(denoiser, monkeypatch):
+    frames = sky(3, 1.7, H=500)
+    monkeypatch.setattr("rtdenoise.plan.TILED_FROM", 1)
+    plan, sizes, step = planned(denoiser, frames), [], denoiser.step
+    plan._tiled.tile = 64
+    expected, _ = play(denoiser, frames), plan._reaches()  # which take a step too
+    monkeypatch.setattr(denoiser, "step", lambda frame, *rest: sizes.append(frame.size) or step(frame, *rest))
+    assert_same(play(plan, frames), expected, close)
+    assert plan.left_out["network in plain rows"] == 3
+    assert len(sizes) <= 3 * 3 and max(sizes) <= (64 + 2 * 128, 32)  # of 8 tiles a frame, with their halo
 
 
 def test_a_colour_that_changes_is_filtered(denoiser):
