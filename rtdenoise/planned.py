@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
 from torch import Tensor, nn
 
 from .color import exposure
 from .frame import NOTHING_KNOWN, Frame, History, Known, sanitise
-from .motion import on_screen
 from .plan import WORTH, Plan, count, look, rows_unlike, varied_rows
-from .tiles import Tiled, keeps_only_the_image, light_reach, network_reach, step_in_windows, widened
+from .tiles import Tiled, carried, keeps_only_the_image, light_reach, network_reach, step_in_windows, widened
 
 FAINT = 1e-6  # of a frame's brightness: history may differ by so much from a colour that it is taken for
 
@@ -56,27 +54,16 @@ class Planned:
         top, bottom, colour = varied_rows(frame.radiance)
         if bottom - top > (1 - WORTH) * H:
             return None
-        spans = [(top, bottom)] if bottom > top else []
+        spans, lengths = [(top, bottom)] if bottom > top else [], carried(frame, history)
         if history is not None:
-            faint = (
-                FAINT / exposure(frame.radiance).item()
-            )  # kernels have no end: without it light would seep on for ever
+            # No weight of a kernel is zero: without a tolerance light would seep on, a kernel further in every frame.
+            faint = FAINT / exposure(frame.radiance).item()
             if before := rows_unlike(history.radiance, colour, faint):
-                reach = _longest(frame, history)
+                reach = int(lengths[:, 1].max())
                 spans.append((before[0] - reach, before[1] + reach))
         if not spans:
             return (0, 0, 0, W), colour
         network, light = self._reaches()
         core = max(0, min(s[0] for s in spans) - light), 0, min(H, max(s[1] for s in spans) + light), W
-        window = widened(core, frame, history, network)
+        window = widened(core, lengths, network, (H, W))
         return (core, colour) if window[2] - window[0] <= (1 - WORTH) * H else None
-
-
-def _longest(frame: Frame, history: History) -> int:
-    """Rows that history can be carried over: by motion, or by dual motion, where either leads to the screen."""
-    H = frame.size[0]
-    vertical = torch.where(on_screen(frame.motion), frame.motion, 0.0)[:, 1].abs().max()
-    if history.motion_next is None:
-        return int(2 * vertical) + 5  # the splat; see tiles
-    dual = history.motion_next[:, 1].abs()
-    return int(torch.maximum(vertical, torch.where(dual < H, dual, 0.0).max())) + 2

@@ -111,8 +111,9 @@ def step_in_windows(
     known = replace(known, sanitised=True, exposure=scale, distance=distance)
     image = torch.zeros_like(frame.radiance) + elsewhere
     after = {"radiance": image.clone()}
+    lengths = carried(frame, history)
     for core in cores:
-        top, left, bottom, right = window = widened(core, frame, history, reach)
+        top, left, bottom, right = window = widened(core, lengths, reach, frame.size)
         size = bottom - top, right - left
         part, part_history = denoiser.step(
             frame.crop(top, left, *size), history and _crop_history(history, window, frame.size), known
@@ -127,21 +128,27 @@ def step_in_windows(
     return image, History(**{f.name: after.get(f.name) for f in fields(History)})
 
 
-def widened(core: Window, frame: Frame, history: History | None, reach: int) -> Window:
-    """The window that `core` depends on: by `reach`, and by the longest motion in there that leads to the screen."""
-    H, W = frame.size
-    wide = _clip((core[0] - reach, core[1] - reach, core[2] + reach, core[3] + reach), H, W)
+def carried(frame: Frame, history: History | None) -> Tensor | None:
+    """How far history is fetched from at most, `[1, 2, H, W]` pixels in x and y: as far as motion leads, or dual
+    motion, where either leads to the screen, and what lies between pixels. None without history."""
     if history is None:
-        return wide
-    inside = (..., slice(wide[0], wide[2]), slice(wide[1], wide[3]))
-    lengths = torch.where(on_screen(frame.motion), frame.motion.abs(), 0.0)[inside].amax((0, 2, 3))
+        return None
+    lengths = torch.where(on_screen(frame.motion), frame.motion.abs(), 0.0)
     if history.motion_next is None:  # splatted from motion, to where motion leads, and looked up there
         lengths = 2 * lengths
     else:
         dual = history.motion_next.abs()
-        lengths = lengths.maximum(torch.where(dual < max(H, W), dual, 0.0).amax((0, 2, 3)))
-    x, y = (int(length) + 5 for length in lengths.tolist())  # lookup between pixels, cracks of the splat
-    return _clip((wide[0] - y, wide[1] - x, wide[2] + y, wide[3] + x), H, W)
+        lengths = lengths.maximum(torch.where(dual < max(frame.size), dual, 0.0))
+    return lengths + 5  # lookup between pixels, cracks of the splat
+
+
+def widened(core: Window, lengths: Tensor | None, reach: int, size: tuple[int, int]) -> Window:
+    """The window that `core` depends on: by `reach`, and by the longest way in there that history is `carried`."""
+    wide = _clip((core[0] - reach, core[1] - reach, core[2] + reach, core[3] + reach), *size)
+    if lengths is None:
+        return wide
+    x, y = map(int, lengths[..., wide[0] : wide[2], wide[1] : wide[3]].amax((0, 2, 3)).tolist())
+    return _clip((wide[0] - y, wide[1] - x, wide[2] + y, wide[3] + x), *size)
 
 
 def _clip(window: Window, H: int, W: int) -> Window:
