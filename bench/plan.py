@@ -1,18 +1,19 @@
 """What the plan saves: each omission on frames that qualify for it and on frames that do not.
 
-    python bench/plan.py [--quick]        (320×360; --quick: 320×180)
+    python bench/plan.py
 
-The scenes are made from the bundled sample, twice as high by repetition: `still` does not move, `pan` moves as a whole,
-`objects` is the sample's own motion, `night` has light in its lower rows only. For each, one step of the model with
-everything and one with the plan, in CPU time, in turn; the outputs are compared first, to the bit or within float32's
-tolerance, and a difference ends the run. Layers: the time to read a multi-part file, one part a layer, with and without
-the layers that a single frame does not need. Also measured: what a convolution's share of constant channels could save
-at most, and how many pixels have a coarse scale with no weight at all: why those two are not left out.
+The scenes are made from the bundled sample, for torch twice as high by repetition (320×360), for the shaders a quarter
+of it (160×90): a single picture; `still` does not move, `pan` moves as a whole, `objects` is the sample's own motion,
+each also without motion_next; `night` and `sky`, twice as high again, have black and evenly lit upper three quarters.
+For each, one step of the model with everything and one with the plan, in CPU time, in turn; the outputs are compared
+first, to the bit or within float32's tolerance, and a difference ends the run. Layers: the time to read a multi-part
+file, one part a layer, with and without the layers that a single frame does not need. Direct light without noise: the
+beauty denoised as a whole, and its indirect part alone. Also measured: what a convolution's share of constant channels
+could save at most, and how many pixels have a coarse scale with no weight at all: why those two are not left out.
 """
 
 from __future__ import annotations
 
-import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -24,49 +25,91 @@ import OpenEXR
 import torch
 from torch import Tensor, nn
 
+from rtdenoise.backends import open_backend
+from rtdenoise.color import display_exposure
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
+from rtdenoise.glsl import default_context
+from rtdenoise.metrics import psnr
 from rtdenoise.models import available, load
-from rtdenoise.plan import Planned, make_plan
+from rtdenoise.plan import make_plan
 
 RESULT = harness.ROOT / "bench" / "results" / "plan.json"
 SAMPLE = harness.ROOT / "samples" / "mural"
-CALLS = 5
+CALLS = {"torch": 5, "glsl": 5}
+TORCH_ALONE = ("night", "sky")  # scenes for an omission that the shaders do not have
 
 
 @torch.inference_mode()
-def main(quick: bool) -> None:
-    frames = [_repeat(frame, 1 if quick else 2) for _, frame in zip(range(3), open_sequence(SAMPLE), strict=False)]
-    scenes = {"still": _moved(frames, 0.0), "pan": _moved(frames, 3.25), "objects": frames, "night": _night(frames)}
+def main() -> None:
+    sample = [frame for _, frame in zip(range(3), open_sequence(SAMPLE), strict=False)]
+    shots = {
+        "torch": scenes([_repeat(frame, 2) for frame in sample]),
+        "glsl": scenes([frame.crop(0, 0, 90, 160) for frame in sample]),
+    }
     models = {
-        name: {scene: measure(load(name, precision="fp32"), shot) for scene, shot in scenes.items()}
+        name: {
+            scene: {b: measure(b, name, shots[b][scene]) for b in shots if b == "torch" or scene not in TORCH_ALONE}
+            for scene in shots["torch"]
+        }
         for name in available()
     }
     document = {
-        **harness.origin({"torch": harness.cpu()}),
-        "size": frames[0].size,
+        **harness.origin({"torch": harness.cpu(), "glsl": default_context().info["GL_RENDERER"]}),
+        "sizes": {backend: made["objects"][0].size for backend, made in shots.items()},
         "models": models,
-        "layers": read_layers(frames[0]),
-        "not_left_out": {name: not_left_out(load(name, precision="fp32"), frames) for name in available()},
+        "layers": read_layers(shots["torch"]["objects"][0]),
+        "direct": direct_light("paper"),
+        "not_left_out": {name: not_left_out(load(name, precision="fp32"), sample) for name in available()},
     }
     harness.write(RESULT, **document)
     harness.insert_all(tables(document))
 
 
-def measure(denoiser: nn.Module, frames: list[Frame]) -> dict[str, object]:
-    """One step with history: everything against the plan."""
-    _, history = denoiser.step(frames[1], denoiser.step(frames[0])[1])
-    planned = Planned(denoiser, make_plan(frames[0].size, len(frames), denoiser.config.motion, frames))
-    everything, less = denoiser.step(frames[2], history)[0], planned.step(frames[2], history)[0]
-    left_out = [what for what, count in planned.left_out.items() if count]
-    exact = torch.equal(everything, less)
-    error = harness.check("plan", less.numpy(), everything.numpy(), "exact" if exact else "float32 tiles")
+def scenes(frames: list[Frame]) -> dict[str, list[Frame]]:
+    """Name -> frames, of which the last is measured."""
+    moving = {"still": _moved(frames, 0.0), "pan": _moved(frames, 3.25), "objects": frames}
+    without = {f"{name}, no motion_next": [replace(f, motion_next=None) for f in shot] for name, shot in moving.items()}
+    high = [_repeat(frame, 2) for frame in frames]
+    return {"single picture": frames[:1], **moving, **without, "night": _upper(high, 0.0), "sky": _upper(high, 1.0)}
+
+
+def measure(backend: str, model: str, frames: list[Frame]) -> dict[str, object]:
+    """One step, with history where there are frames before it: everything against the plan."""
+    everything, planned = (open_backend(backend, model, "cpu" if backend == "torch" else "auto", "fp32") for _ in "ab")
+    left_out: dict[str, int] = {}
+    arrays = [frame.map(lambda tensor: np.ascontiguousarray(tensor)) for frame in frames]
+    planned.plan(frames[0].size, len(frames), arrays, left_out)
+    *before, last = map(everything.prepare, arrays)
+    history = None
+    for frame in before:
+        history = planned.step(frame, history)[1]
+    left_out.update(dict.fromkeys(left_out, 0))
+    expected, found = everything.step(last, history)[0], planned.step(last, history)[0]
+    exact = np.array_equal(expected, found)
+    error = harness.check("plan", found, expected, "exact" if exact else "float32 tiles")
+    named = [what for what, count in left_out.items() if count]
     timings = harness.measure(
-        {"everything": lambda: denoiser.step(frames[2], history), "plan": lambda: planned.step(frames[2], history)},
-        calls=CALLS, warmup=1, clock=time.process_time,
+        {"everything": lambda: everything.step(last, history), "plan": lambda: planned.step(last, history)},
+        calls=CALLS[backend], warmup=1, clock=time.process_time,
     )  # fmt: skip
-    return {"left_out": left_out, "exact": exact, "greatest_error": error, **timings,
+    return {"left_out": named, "exact": exact, "greatest_error": error, **timings,
             "ratio": round(timings["plan"].median_ms / timings["everything"].median_ms, 3)}  # fmt: skip
+
+
+def direct_light(model: str) -> dict[str, float]:
+    """PSNR of the beauty, where direct light has no noise: denoised as a whole, and with its indirect part denoised and
+    the rest passed through."""
+    denoiser, errors, histories = load(model, precision="fp32"), {"whole": [], "indirect": []}, {}
+    pairs = zip(*(open_sequence(SAMPLE, signal=s, layers=("reference",)) for s in ("color", "indirect")), strict=True)
+    for beauty, indirect in pairs:
+        direct = (beauty.reference - indirect.reference).clamp(min=0)
+        shot = {"whole": replace(beauty, radiance=direct + indirect.radiance), "indirect": indirect}
+        for name, frame in shot.items():
+            image, histories[name] = denoiser.step(frame, histories.get(name))
+            image = image + direct if name == "indirect" else image
+            errors[name].append(psnr(image, beauty.reference, display_exposure(beauty.reference)))
+    return {name: round(float(np.mean(values)), 2) for name, values in errors.items()}
 
 
 def read_layers(frame: Frame) -> dict[str, object]:
@@ -95,49 +138,62 @@ def read_layers(frame: Frame) -> dict[str, object]:
 
 
 def not_left_out(denoiser: nn.Module, frames: list[Frame]) -> dict[str, float]:
-    """Share of the network's multiplications that one constant input channel causes, and the least weight of a coarse
-    scale anywhere."""
+    """Share of the network's multiplications that one constant input channel causes, the least weight of a coarse scale
+    anywhere, and how many of those weights are zero."""
     counts: list[int] = []
-    alphas: list[float] = []
+    alphas: list[Tensor] = []
     hooks = [module.register_forward_hook(lambda m, i, o: counts.append(o[0].numel() * m.weight[0].numel()))
              for module in denoiser.modules() if isinstance(module, nn.Conv2d)]  # fmt: skip
     predict = denoiser.predict
 
     def watched(features: Tensor):
         heads = predict(features)
-        alphas.append(min(alpha.min().item() for alpha in heads.alpha))
+        alphas.extend(alpha.flatten() for alpha in heads.alpha)
         return heads
 
     denoiser.predict = watched
-    denoiser.step(frames[0])
+    _, history = denoiser.step(frames[0])
     for hook in hooks:
         hook.remove()
+    for frame in frames[1:]:
+        _, history = denoiser.step(frame, history)
     inputs = next(m for m in denoiser.modules() if isinstance(m, nn.Conv2d)).in_channels
-    return {"multiplications_of_one_channel": counts[0] / inputs / sum(counts), "least_alpha": min(alphas)}
+    weights = torch.cat(alphas)
+    return {"multiplications_of_one_channel": counts[0] / inputs / sum(counts), "least_alpha": weights.min().item(),
+            "alphas": weights.numel(), "zero_alphas": int((weights == 0).sum())}  # fmt: skip
 
 
 def tables(document: dict) -> dict[str, str]:
     """What docs/stability.md has of this, by section."""
-    models = "\n\n".join(f"Model `{name}`:\n\n{table(document, name)}" for name in document["models"])
+    models = "\n\n".join(f"Model `{name}`:\n\n{table(rows)}" for name, rows in document["models"].items())
+    layers, direct = document["layers"]["ratio"], document["direct"]
+    models += (
+        f"\n\nReading one frame of a multi-part file without motion and motion_next takes {layers:.2f} of the time. "
+        f"The sample with direct light that has no noise: {direct['indirect']} dB with its indirect light denoised and "
+        f"the rest passed through, {direct['whole']} dB with the beauty denoised as a whole (`paper`)."
+    )
     reasons = document["not_left_out"].values()
     channel, alpha = (max(r["multiplications_of_one_channel"] for r in reasons), min(r["least_alpha"] for r in reasons))
+    zeros, count = (sum(r[key] for r in reasons) for key in ("zero_alphas", "alphas"))
     why = (
-        f"One constant input channel is {channel:.1%} of the network's multiplications; the least α of a "
-        f"coarse scale on the sample is {alpha:.1g}."
+        f"One constant input channel is {channel:.1%} of the network's multiplications at most; of {count} weights of "
+        f"coarse scales on the sample {zeros} are zero, the least is {alpha:.1g}."
     )
     return {"plan": models, "not left out": why}
 
 
-def table(document: dict, model: str) -> str:
-    """The savings as Markdown."""
-    lines = ["| scene | left out | output | CPU time, plan / everything |", "|---|---|---|---|"]
-    for scene, row in document["models"][model].items():
-        output = "same to the bit" if row["exact"] else f"within {row['greatest_error']:.1g}"
-        lines.append(f"| {scene} | {', '.join(row['left_out']) or 'nothing'} | {output} | {row['ratio']:.2f} |")
-    layers = document["layers"]["ratio"]
-    lines.append(
-        f"| one frame, multi-part file | reading motion, motion_next | same to the bit | {layers:.2f} (reading) |"
-    )
+def table(rows: dict) -> str:
+    """The savings of one model as Markdown."""
+    lines = [
+        "| scene | left out | output | torch, plan / everything | shaders, plan / everything |",
+        "|---|---|---|---|---|",
+    ]
+    for scene, backends in rows.items():
+        left_out = dict.fromkeys(what for row in backends.values() for what in row["left_out"])
+        error = max(row["greatest_error"] for row in backends.values())
+        output = "same to the bit" if all(row["exact"] for row in backends.values()) else f"within {error:.1g}"
+        ratios = [f"{backends[b]['ratio']:.2f}" if b in backends else "–" for b in CALLS]
+        lines.append(f"| {scene} | {', '.join(left_out) or 'nothing'} | {output} | {' | '.join(ratios)} |")
     return "\n".join(lines)
 
 
@@ -155,12 +211,12 @@ def _moved(frames: list[Frame], speed: float) -> list[Frame]:
             for f in frames]  # fmt: skip
 
 
-def _night(frames: list[Frame]) -> list[Frame]:
-    """Black but for the lower quarter."""
+def _upper(frames: list[Frame], light: float) -> list[Frame]:
+    """The upper three quarters evenly lit."""
     H = frames[0].size[0]
-    dark = torch.arange(H).reshape(1, 1, H, 1) < H * 3 // 4
-    return [replace(f, radiance=torch.where(dark, 0.0, f.radiance)) for f in frames]
+    above = torch.arange(H).reshape(1, 1, H, 1) < H * 3 // 4
+    return [replace(f, radiance=torch.where(above, light, f.radiance)) for f in frames]
 
 
 if __name__ == "__main__":
-    main("--quick" in sys.argv)
+    main()

@@ -11,6 +11,7 @@ from __future__ import annotations
 import resource
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import harness
@@ -22,29 +23,29 @@ from rtdenoise.models import load
 from rtdenoise.tiles import Tiled
 
 RESULT = harness.ROOT / "bench" / "results" / "tiles.json"
+MODEL = "default"
 SAMPLE = harness.ROOT / "samples" / "mural"
 
 
 @torch.inference_mode()
 def main(width: int, height: int, tile: int) -> None:
-    denoiser = load(precision="fp32")
-    small = _frames(640, 360)
-    whole, tiled = _second(denoiser, small), _second(Tiled(denoiser, 256), small)
+    denoiser = load(MODEL, precision="fp32")
+    whole, tiled = (_second(model, _frames(640, 360)) for model in (denoiser, Tiled(denoiser, 256)))
     error = harness.check("tiles", tiled.numpy(), whole.numpy(), "float32 tiles")
 
-    large = _frames(width, height)
     started = time.perf_counter()
-    image = _second(Tiled(denoiser, tile), large)
+    image = _second(Tiled(denoiser, tile), _frames(width, height))
     seconds = time.perf_counter() - started
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
     non_finite = int((~image.isfinite()).sum())
     print(f"{width}×{height}: {seconds:.0f} s for two frames, {memory:.1f} GB at most, {non_finite} values not finite")
     document = {
         **harness.origin({"torch": harness.cpu()}),
+        "model": MODEL,
         "reach": Tiled(denoiser).reach,
         "equal": {"size": [640, 360], "tile": 256, "greatest_error": error},
         "large": {"size": [width, height], "tile": tile, "seconds": seconds, "peak_memory_gb": round(memory, 2),
-                  "non_finite": non_finite, "frames": len(large)},
+                  "non_finite": non_finite, "frames": 2},
     }  # fmt: skip
     harness.write(RESULT, **document)
     harness.insert_all(tables(document))
@@ -55,26 +56,24 @@ def tables(document: dict) -> dict[str, str]:
     equal, large = document["equal"], document["large"]
     small, size = (f"{s[0]}×{s[1]}" for s in (equal["size"], large["size"]))
     return {
-        "tiles": f"`paper` reaches {document['reach']} pixels. {small} in tiles of {equal['tile']}: greatest error "
-        f"{equal['greatest_error']:.1g}. {size} in tiles of {large['tile']}: {large['peak_memory_gb']} GB at most, "
-        f"{large['non_finite']} values not finite (`python bench/tiles.py`, [JSON](../bench/results/tiles.json))."
+        "tiles": f"`{document['model']}` reaches {document['reach']} pixels. {small} in tiles of {equal['tile']}: "
+        f"greatest error {equal['greatest_error']:.1g}. {size} in tiles of {large['tile']}: "
+        f"{large['peak_memory_gb']} GB at most, {large['non_finite']} values not finite "
+        f"(`{document['command']}`, [JSON](../bench/results/tiles.json))."
     }
 
 
-def _second(denoiser, frames: list[Frame]) -> torch.Tensor:
-    _, history = denoiser.step(frames[0])
-    return denoiser.step(frames[1], history)[0]
+def _second(denoiser, frames: Iterator[Frame]) -> torch.Tensor:
+    _, history = denoiser.step(next(frames))
+    return denoiser.step(next(frames), history)[0]
 
 
-def _frames(width: int, height: int) -> list[Frame]:
+def _frames(width: int, height: int) -> Iterator[Frame]:
     """Two frames of the sample, repeated to a size; everything moves by a few pixels."""
-    made = []
     for _, frame in zip(range(2), open_sequence(SAMPLE), strict=False):
         H, W = frame.size
         wide = frame.map(lambda t, H=H, W=W: t.repeat(1, 1, -(-height // H), -(-width // W))[:, :, :height, :width])
-        made.append(replace(wide, motion=torch.full_like(wide.motion, -3.25),
-                            motion_next=torch.full_like(wide.motion, 3.25)))  # fmt: skip
-    return made
+        yield replace(wide, motion=torch.full_like(wide.motion, -3.25), motion_next=torch.full_like(wide.motion, 3.25))
 
 
 if __name__ == "__main__":

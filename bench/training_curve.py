@@ -1,4 +1,9 @@
-"""The loss curve of a run, as JSON and as a picture.   python bench/training_curve.py RUN NAME"""
+"""The loss curve of the runs that made some weights, as JSON and as a picture.
+
+    python bench/training_curve.py NAME RUN [RUN ...]
+
+Several runs are those that started from one another's weights, in this order; their steps are counted on.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +17,16 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+LOGGED = 20  # steps between the lines of a log (rtdenoise.train)
 
-def main(run: Path, name: str) -> None:
-    rows = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
-    options = json.loads((run / "config.json").read_text())["options"]
+
+def main(name: str, runs: list[Path]) -> None:
+    rows, options = [], []
+    for run in runs:
+        before = rows[-1]["step"] if rows else 0
+        found = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
+        rows += [row | {"step": before + row["step"]} for row in found]
+        options.append(json.loads((run / "config.json").read_text())["options"] | {"steps_taken": found[-1]["step"]})
     steps = [row for row in rows if row.get("loss") is not None]  # null: a poisoned clip
     validation = [{"step": row["step"], **row["validation"]} for row in rows if "validation" in row]
     kept = [{k: round(row[k], 6) for k in ("step", "spatial", "temporal", "occlusion", "seconds")} for row in steps]
@@ -23,7 +34,7 @@ def main(run: Path, name: str) -> None:
         harness.ROOT / "bench" / "results" / f"train_{name}.json",
         **harness.origin({"torch": harness.cpu()}),
         options=options,
-        seconds_a_step=sorted(row["seconds"] for row in steps)[len(steps) // 2],
+        hours=sum(row["seconds"] for row in steps) * LOGGED / 3600,
         validation=validation,
         log=kept[:: max(1, len(kept) // 100)],
     )
@@ -45,4 +56,4 @@ def main(run: Path, name: str) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    main(sys.argv[1], [Path(argument) for argument in sys.argv[2:]])

@@ -10,8 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from .errors import InputError
-from .frame import Frame, Known
+from .frame import NOTHING_KNOWN, Frame, Known
 from .memory import explained
+from .plan import Plan, count, look, make_plan
 
 BACKENDS = ("auto", "torch", "glsl")
 
@@ -19,8 +20,8 @@ BACKENDS = ("auto", "torch", "glsl")
 class Backend(Protocol):
     """A model, ready to run. `history` is the backend's own; None starts anew."""
 
-    def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> Any:
-        """From now on leave out what `plan.make_plan` says; counted in `left_out`. None where everything runs."""
+    def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
+        """From now on leave out what `plan.make_plan` says; counted in `left_out`."""
 
     def prepare(self, frame: Frame) -> Frame:
         """A frame of arrays `[1, C, H, W]` as `mismatch` and `step` take it: what both need is done once."""
@@ -90,12 +91,10 @@ class TorchBackend:
             image, history = self._denoiser.step(frame, history, Known(sanitised=True))
             return image.cpu().numpy(), history
 
-    def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> Any:
-        import torch
+    def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
+        from .planned import Planned
 
-        from .plan import Planned, make_plan
-
-        plan = make_plan(size, count, self._denoiser.config.motion, [frame.map(torch.from_numpy) for frame in first])
+        plan = make_plan(size, frames, self._denoiser.config.motion, first)
         self._denoiser = Planned(self._denoiser, plan)
         left_out |= self._denoiser.left_out | left_out  # the counts of earlier runs, where there are any
         self._denoiser.left_out = left_out
@@ -129,23 +128,31 @@ class GlslBackend:
         if precision not in ("auto", "fp32", "fp16"):
             raise InputError(f"precision {precision!r}: --backend glsl has 'fp32' and 'fp16' ('auto' is fp32)")
         self._pipeline = Pipeline.load(model, half=precision == "fp16")
+        self._left_out: dict[str, int] | None = None  # None: nothing is left out
 
-    def plan(self, size: tuple[int, int], count: int, first: list[Frame], left_out: dict[str, int]) -> None:
-        return None
+    def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
+        self._left_out = left_out
+        return make_plan(size, frames, self._pipeline.design.motion, first, windows=False)
 
     def prepare(self, frame: Frame) -> Frame:
         return frame
 
     def mismatch(self, frame: Frame, history: Any) -> float:
-        return self._pipeline.mismatch(frame, history)
+        return self._pipeline.mismatch(frame, history[0])
 
     def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
-        return self._pipeline.step(frame, history)
+        resident, motion_next = history or (None, None)
+        known = NOTHING_KNOWN
+        if self._left_out is not None:
+            known = look(frame, motion_next, history is not None)
+            count(self._left_out, known, self._pipeline.design.accumulates)
+        image, resident = self._pipeline.step(frame, resident, known)
+        return image, (resident, frame.motion_next)  # which says what the next frame can do without
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
-        return history.read()
+        return history[0].read()
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
         from .glsl import History
 
-        return History.upload(self._pipeline.ctx, fields)
+        return History.upload(self._pipeline.ctx, fields), fields.get("motion_next")

@@ -34,13 +34,16 @@ def luminance(rgb: Tensor) -> Tensor:
     return (0.2126 * r + 0.7152 * g + 0.0722 * b).unsqueeze(1)
 
 
-def albedo_divisor(albedo: Tensor, depth: Tensor, least: float = 0.05) -> Tensor:
+def albedo_divisor(albedo: Tensor, depth: Tensor, least: float = 0.1, share: float = 0.25) -> Tensor:
     """What radiance is divided by to take textures out of it, `[B, 3, H, W]`, and multiplied by in the end.
 
-    The albedo, but never below `least`, so that what has none of its own (mirrors) is still filtered; 1 where nothing
-    was hit (`depth` is 0). Continuous in the albedo: dark textures that dither around a threshold stay smooth.
+    The albedo, but never below `least`, nor below `share` of its brightest channel; 1 where nothing was hit (`depth` is
+    0). Not all light takes the albedo's colour: what mirrors or gloss send back, divided by a deep red, would be a
+    glaring cyan, which a filter would spread beyond the red. Continuous in the albedo: dark textures that dither around
+    a threshold stay smooth.
     """
-    return torch.where(depth > 0, albedo.clamp(min=least), 1.0)
+    floor = (share * albedo.amax(dim=1, keepdim=True)).clamp(min=least)
+    return torch.where(depth > 0, torch.maximum(albedo, floor), 1.0)
 
 
 def exposure(radiance: Tensor, block: int = 8) -> Tensor:

@@ -59,7 +59,7 @@ class Options:
     detect_cuts: bool = True
     """Start history anew where most pixels find another surface than the motion vectors promise."""
     plan: bool = True
-    """Leave out what a frame does not need (`rtdenoise inspect` says what); off, and with glsl: everything runs."""
+    """Leave out what a frame does not need (`rtdenoise inspect` says what); off: everything runs."""
     backend: str = "auto"
     """'torch', 'glsl' (OpenGL compute shaders, needs no PyTorch), or 'auto': torch where it is installed."""
     device: str = "auto"

@@ -7,14 +7,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from .frame import OFF_SCREEN, Frame
+from .frame import OCCLUSION_THRESHOLD, OFF_SCREEN, Frame
 from .ops import alike, fetch
-
-# Pixels by which dual and traditional motion must differ before a pixel counts as uncovered. Where nothing was
-# uncovered they differ only because motion_next is fetched at the nearest pixel: by the motion's gradient times half a
-# pixel at most. Measured by bench/occlusion_threshold.py: at 0.5, 98 % of what is marked was hidden; less soon marks
-# more noise than occlusions, more gains little.
-OCCLUSION_THRESHOLD = 0.5
 
 
 def dual_motion(

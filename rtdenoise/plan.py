@@ -6,27 +6,32 @@ frames, checked again in every frame, counted.
 | layers that nobody asks for | one frame; a model without dual motion                               | same    |
 | the warp of history         | motion, and motion_next before it, are zero everywhere               | same    |
 | dual motion                 | motion + motion_next before it: short, whichever pixels are compared | same    |
-| the network in the dark     | rows farther than `tiles.light_reach` from light of frame or history | rounded |
+| running means               | no history: a first frame, a frame after a cut, a single picture     | rounded |
+| the network in plain rows   | rows farther than `tiles.light_reach` from light that varies         | rounded |
 | the whole frame at once     | `TILED_FROM` pixels or more: in tiles                                | rounded |
 
-Same: to the bit. Rounded: convolutions over another size sum in another order, 1e-5 relative in float32.
+Same: to the bit. Rounded: convolutions over another size or fewer channels sum in another order, 1e-5 relative in
+float32. The last two are torch's (`planned.Planned`), the others every backend's. Here nothing needs torch: layers are
+tensors or numpy arrays.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+import math
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor, nn
+import numpy as np
 
-from .frame import NOTHING_KNOWN, Frame, History, Known, sanitise
-from .motion import OCCLUSION_THRESHOLD, on_screen
-from .tiles import Tiled, keeps_only_the_image, light_reach, network_reach, step_in_windows
+from .frame import OCCLUSION_THRESHOLD, Frame, Known
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 TILED_FROM = 3840 * 2160  # pixels; some 2 GB of features in float32
-WORTH = 0.15  # share of the rows that must be dark for the rest to be denoised as a window of its own
+WORTH = 0.25  # share of the rows that must be plain for the rest to be denoised as a window of its own
 
 
 @dataclass(frozen=True)
@@ -51,111 +56,89 @@ class Plan:
         return asdict(self)
 
 
-def make_plan(size: tuple[int, int], count: int, model_motion: str, first: list[Frame]) -> Plan:
-    """The plan for `count` frames of `size` (H, W), of which the `first` have been looked at, and a model that fetches
-    history with `model_motion` ('dual' or 'traditional')."""
+def make_plan(
+    size: tuple[int, int],  # (H, W)
+    frames: int,  # how many
+    model_motion: str,  # what history is fetched with: 'dual' or 'traditional'
+    first: list[Frame],  # frames that have been looked at
+    windows: bool = True,  # whether the backend can denoise a frame in windows
+) -> Plan:
+    """The plan for a sequence."""
     unread = {}
-    if count == 1:
+    if frames == 1:
         unread = dict.fromkeys(("motion", "motion_next"), "a single frame has no history")
     elif model_motion == "traditional":
         unread = {"motion_next": "the model fetches history with traditional motion"}
     decisions = [Decision(f"layer {layer}", "always", why) for layer, why in unread.items()]
+    where = "always" if frames == 1 else "in first frames"
+    decisions.append(Decision("running means", where, "where there is no history"))
     if pairs := [(a.motion_next, b) for a, b in pairwise(first) if b.number == a.number + 1]:
-        still, covered = (sum(holds(frame, before) for before, frame in pairs) for holds in (_still, _covered))
+        known = [look(frame, before) for before, frame in pairs]
+        still, covered = sum(k.still for k in known), sum(k.covered for k in known)
         decisions += [
             Decision("warp of history", f"{still} of {len(pairs)} frames examined", "where nothing moves"),
             Decision("dual motion", f"{covered} of {len(pairs)} frames examined", "where no pixel can be uncovered"),
         ]
-    lit = [_lit_rows(frame.radiance) or (0, 0) for frame in first]
-    dark = sum(bottom - top <= (1 - WORTH) * size[0] for top, bottom in lit)
-    decisions.append(Decision("network in black rows", f"{dark} of {len(first)} frames examined at most",
-                              "where no light reaches them"))  # fmt: skip
-    tiled = size[0] * size[1] >= TILED_FROM
-    decisions.append(Decision("the whole frame at once", "always, in tiles" if tiled else "never",
-                              f"from {TILED_FROM:,} pixels on, here {size[0] * size[1]:,}"))  # fmt: skip
+    tiled = windows and size[0] * size[1] >= TILED_FROM
+    if windows:
+        varied = [varied_rows(frame.radiance) for frame in first]
+        plain = sum(bottom - top <= (1 - WORTH) * size[0] for top, bottom, _ in varied)
+        decisions += [
+            Decision("network in plain rows", f"{plain} of {len(first)} frames examined at most",
+                     "where light is the same far and wide"),
+            Decision("the whole frame at once", "always, in tiles" if tiled else "never",
+                     f"from {TILED_FROM:,} pixels on, here {size[0] * size[1]:,}"),
+        ]  # fmt: skip
     return Plan(tuple(layer for layer in LAYERS if layer not in unread), tiled, tuple(decisions))
 
 
-class Planned:
-    """A denoiser that leaves out of each step what the step does not need. `step` as the denoiser's; `left_out` counts
-    the frames."""
-
-    def __init__(self, denoiser: nn.Module, plan: Plan) -> None:
-        self.denoiser = denoiser
-        self.left_out = {"warp of history": 0, "dual motion": 0, "network in black rows": 0}
-        self._tiled = Tiled(denoiser) if plan.tiled else None
-        self._reach: tuple[int, int] | None = None  # of the network and of light; found when they are needed
-        self._rows_are_dark = keeps_only_the_image(denoiser)
-
-    def step(
-        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
-    ) -> tuple[Tensor, History]:
-        """As the denoiser's own step."""
-        frame = frame if known.sanitised else sanitise(frame)
-        still = history is not None and _still(frame, history.motion_next)
-        covered = still or (history is not None and _covered(frame, history.motion_next))
-        self.left_out["warp of history"] += still
-        self.left_out["dual motion"] += covered
-        known = replace(known, still=still, covered=covered, sanitised=True)
-        if self._tiled:
-            return self._tiled.step(frame, history, known)
-        rows = self._rows(frame, history)
-        if rows is None:
-            return self.denoiser.step(frame, history, known)
-        self.left_out["network in black rows"] += 1
-        cores = [(rows[0], 0, rows[1], frame.size[1])] if rows[1] > rows[0] else []
-        return step_in_windows(self.denoiser, frame, history, known, cores, self._reaches()[0])
-
-    def _reaches(self) -> tuple[int, int]:
-        if self._reach is None:
-            self._reach = network_reach(self.denoiser), light_reach(self.denoiser)
-        return self._reach
-
-    def _rows(self, frame: Frame, history: History | None) -> tuple[int, int] | None:
-        """First and last (excluded) row that light can reach; None where leaving out the rest is not worth while, or a
-        history holds more than an image, of which black rows do not say what becomes of it."""
-        H, lit = frame.size[0], _lit_rows(frame.radiance)
-        if lit == (0, H) or not self._rows_are_dark:
-            return None
-        spans = [lit] if lit else []
-        if history is not None and (before := _lit_rows(history.radiance)):
-            reach = _longest(frame, history)
-            spans.append((before[0] - reach, before[1] + reach))
-        if not spans:
-            return 0, 0
-        network, light = self._reaches()
-        top, bottom = min(s[0] for s in spans) - light, max(s[1] for s in spans) + light
-        kept = min(H, bottom + network) - max(0, top - network)
-        return (max(0, top), min(H, bottom)) if kept <= (1 - WORTH) * H else None
+def look(frame: Frame, motion_next_before: Tensor | None, history: bool = True) -> Known:
+    """What a step of `frame` can do without. `motion_next_before` is that of the previous frame, None where it has
+    none or there is no `history`."""
+    if not history:
+        return Known(first=True)
+    if frame.motion is None:
+        return Known()
+    low, high = _extent(frame.motion)
+    if motion_next_before is None:  # it is splatted from motion (`motion_splat`), so dual motion is a value of motion
+        next_low, next_high = [-v for v in high], [-v for v in low]
+    else:
+        next_low, next_high = _extent(motion_next_before)
+    still = not any([*low, *high, *next_low, *next_high])
+    # Dual motion is a value of -motion_next_before, whichever: so far is it from motion at most. NaN is not less.
+    apart = math.hypot(*(max(high[i] + next_high[i], -(low[i] + next_low[i])) for i in (0, 1)))
+    return Known(still=still, covered=apart < 0.999 * OCCLUSION_THRESHOLD)  # a margin for rounding
 
 
-def _still(frame: Frame, motion_next_before: Tensor | None) -> bool:
-    if frame.motion is None or (motion_next_before is not None and bool(motion_next_before.any())):
-        return False
-    return not bool(frame.motion.any())
+def count(left_out: dict[str, int], known: Known, keeps_means: bool) -> None:
+    """Add a frame to the numbers of frames that did without something."""
+    for what, done in (
+        ("running means", known.first and keeps_means),
+        ("warp of history", known.still),
+        ("dual motion", known.covered),
+    ):
+        left_out[what] = left_out.get(what, 0) + done
 
 
-def _covered(frame: Frame, motion_next_before: Tensor | None) -> bool:
-    """Whether ‖dual − motion‖ can exceed the threshold nowhere: dual is a value of −motion_next, whichever."""
-    if frame.motion is None or motion_next_before is None:
-        return False
-    low, high = torch.aminmax(frame.motion.transpose(0, 1).flatten(1), dim=1)
-    next_low, next_high = torch.aminmax(motion_next_before.transpose(0, 1).flatten(1), dim=1)
-    farthest = torch.maximum(high + next_high, -(low + next_low))
-    return bool(farthest.norm() < 0.999 * OCCLUSION_THRESHOLD)  # a margin for rounding
+def varied_rows(image: Tensor) -> tuple[int, int, Tensor]:
+    """First and last (excluded) row of `image` `[1, 3, H, W]` that is not all of one colour, and that colour
+    `[1, 3, 1, 1]`: a night above a street, an even sky. (0, 0) where there is none. The colour is that of a corner,
+    the first pixel or the last, whichever leaves fewer rows."""
+    corners = image[..., :1, :1], image[..., -1:, -1:]
+    spans = [(*(rows_unlike(image, colour) or (0, 0)), colour) for colour in corners]
+    return min(spans, key=lambda span: span[1] - span[0])
 
 
-def _lit_rows(image: Tensor) -> tuple[int, int] | None:
-    """First and last (excluded) row with light in it; None in a black image."""
-    rows = (image != 0).any(dim=1).any(dim=2)[0].nonzero()
-    return (int(rows[0]), int(rows[-1]) + 1) if len(rows) else None
+def rows_unlike(image: Tensor, colour: Tensor, tolerance: float = 0.0) -> tuple[int, int] | None:
+    """First and last (excluded) row that is not all of `colour`, up to `tolerance`; None where every row is."""
+    differs = ~(abs(image - colour) <= tolerance)  # NaN too
+    unlike = [row for row, found in enumerate(differs.any(1).any(2).any(0).tolist()) if found]
+    return (unlike[0], unlike[-1] + 1) if unlike else None
 
 
-def _longest(frame: Frame, history: History) -> int:
-    """Rows that history can be carried over: by motion, or by dual motion, where either leads to the screen."""
-    H = frame.size[0]
-    vertical = torch.where(on_screen(frame.motion), frame.motion, 0.0)[:, 1].abs().max()
-    if history.motion_next is None:
-        return int(2 * vertical) + 5  # the splat; see tiles
-    dual = history.motion_next[:, 1].abs()
-    return int(torch.maximum(vertical, torch.where(dual < H, dual, 0.0).max())) + 2
+def _extent(motion: Tensor) -> tuple[list[float], list[float]]:
+    """Least and greatest x and y of a motion field."""
+    axes = (0, 2, 3)
+    if isinstance(motion, np.ndarray):
+        return motion.min(axes).tolist(), motion.max(axes).tolist()
+    return motion.amin(axes).tolist(), motion.amax(axes).tolist()

@@ -1,4 +1,4 @@
-"""A frame in windows: frames too large for the memory in tiles, frames that are dark in part only where light is.
+"""A frame in windows: tiles where it is too large for the memory, one window where light is even around it.
 
 What a pixel of the output depends on ends somewhere: `network_reach` pixels away for what the network sees, further by
 the motion for what is fetched from history. A window that is wider by that on all sides gives the same pixels in its
@@ -57,7 +57,7 @@ def network_reach(denoiser: nn.Module) -> int:
 
 @torch.inference_mode()
 def keeps_only_the_image(denoiser: nn.Module) -> bool:
-    """Whether a history holds the last image and its geometry and nothing else, so that black rows stay black rows."""
+    """Whether a history holds the last image and its geometry and nothing else, so that plain rows stay plain."""
     return denoiser.step(_blank(denoiser, CELL, CELL))[1].layers().keys() <= {"radiance", *GEOMETRY}
 
 
@@ -77,7 +77,7 @@ def light_reach(denoiser: nn.Module) -> int:
 
 
 class Tiled:
-    """A denoiser that works in tiles, for frames of any size: `step` as the denoiser's. Dark tiles are not filtered."""
+    """A denoiser that works in tiles, for frames of any size: `step` as the denoiser's."""
 
     def __init__(self, denoiser: nn.Module, tile: int = 1024) -> None:
         self.denoiser, self.tile = denoiser, max(CELL, tile // CELL * CELL)
@@ -87,10 +87,13 @@ class Tiled:
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
         """`[B, 3, H, W]` and the next history, equal to the untiled ones up to rounding."""
-        H, W = frame.size
-        cores = [(top, left, min(top + self.tile, H), min(left + self.tile, W))
-                 for top in range(0, H, self.tile) for left in range(0, W, self.tile)]  # fmt: skip
-        return step_in_windows(self.denoiser, frame, history, known, cores, self.reach)
+        return step_in_windows(self.denoiser, frame, history, known, self.split((0, 0, *frame.size)), self.reach)
+
+    def split(self, window: Window) -> list[Window]:
+        """The tiles of a window."""
+        top, left, bottom, right = window
+        return [(y, x, min(y + self.tile, bottom), min(x + self.tile, right))
+                for y in range(top, bottom, self.tile) for x in range(left, right, self.tile)]  # fmt: skip
 
 
 def step_in_windows(
@@ -98,17 +101,19 @@ def step_in_windows(
     frame: Frame,
     history: History | None,
     known: Known,
-    cores: list[Window],  # the windows to denoise, disjoint; what none covers must be dark, and comes out black
+    cores: list[Window],  # the windows to denoise, disjoint
     reach: int,  # `network_reach` of the denoiser
+    elsewhere: Tensor | float = 0.0,  # [1, 3, 1, 1] what comes out where there is no window: light of one colour
 ) -> tuple[Tensor, History]:
     """One step, window by window."""
     frame = frame if known.sanitised else sanitise(frame)
     scale, distance = denoiser.statistics(frame)
     known = replace(known, sanitised=True, exposure=scale, distance=distance)
-    image = torch.zeros_like(frame.radiance)
-    after: dict[str, Tensor] = {}
+    image = torch.zeros_like(frame.radiance) + elsewhere
+    after = {"radiance": image.clone()}
+    lengths = carried(frame, history)
     for core in cores:
-        top, left, bottom, right = window = _widened(core, frame, history, reach)
+        top, left, bottom, right = window = widened(core, lengths, reach, frame.size)
         size = bottom - top, right - left
         part, part_history = denoiser.step(
             frame.crop(top, left, *size), history and _crop_history(history, window, frame.size), known
@@ -120,25 +125,30 @@ def step_in_windows(
                 after[name] = tensor.new_zeros(*tensor.shape[:2], h, w)
             _paste(after[name], tensor, core, window, frame.size)
     after |= {name: tensor for name in GEOMETRY if (tensor := getattr(frame, name)) is not None}
-    after.setdefault("radiance", image)
     return image, History(**{f.name: after.get(f.name) for f in fields(History)})
 
 
-def _widened(core: Window, frame: Frame, history: History | None, reach: int) -> Window:
-    """The window that `core` depends on: by `reach`, and by the longest motion in there that leads to the screen."""
-    H, W = frame.size
-    wide = _clip((core[0] - reach, core[1] - reach, core[2] + reach, core[3] + reach), H, W)
+def carried(frame: Frame, history: History | None) -> Tensor | None:
+    """How far history is fetched from at most, `[1, 2, H, W]` pixels in x and y: as far as motion leads, or dual
+    motion, where either leads to the screen, and what lies between pixels. None without history."""
     if history is None:
-        return wide
-    inside = (..., slice(wide[0], wide[2]), slice(wide[1], wide[3]))
-    lengths = torch.where(on_screen(frame.motion), frame.motion.abs(), 0.0)[inside].amax((0, 2, 3))
+        return None
+    lengths = torch.where(on_screen(frame.motion), frame.motion.abs(), 0.0)
     if history.motion_next is None:  # splatted from motion, to where motion leads, and looked up there
         lengths = 2 * lengths
     else:
         dual = history.motion_next.abs()
-        lengths = lengths.maximum(torch.where(dual < max(H, W), dual, 0.0).amax((0, 2, 3)))
-    x, y = (int(length) + 5 for length in lengths.tolist())  # lookup between pixels, cracks of the splat
-    return _clip((wide[0] - y, wide[1] - x, wide[2] + y, wide[3] + x), H, W)
+        lengths = lengths.maximum(torch.where(dual < max(frame.size), dual, 0.0))
+    return lengths + 5  # lookup between pixels, cracks of the splat
+
+
+def widened(core: Window, lengths: Tensor | None, reach: int, size: tuple[int, int]) -> Window:
+    """The window that `core` depends on: by `reach`, and by the longest way in there that history is `carried`."""
+    wide = _clip((core[0] - reach, core[1] - reach, core[2] + reach, core[3] + reach), *size)
+    if lengths is None:
+        return wide
+    x, y = map(int, lengths[..., wide[0] : wide[2], wide[1] : wide[3]].amax((0, 2, 3)).tolist())
+    return _clip((wide[0] - y, wide[1] - x, wide[2] + y, wide[3] + x), *size)
 
 
 def _clip(window: Window, H: int, W: int) -> Window:

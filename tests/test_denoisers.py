@@ -272,6 +272,18 @@ def test_a_static_pixel_averages_what_it_saw():
     torch.testing.assert_close(history.length, torch.full_like(still.depth, 5.0))
 
 
+def test_the_divisor_has_no_glaring_complement():
+    """Gloss on a deep red is white: divided by that red it must not become so cyan that a filter would tint what is
+    beside it. Continuous, and 1 where nothing was hit."""
+    red = torch.tensor([0.8, 0.01, 0.0]).reshape(1, 3, 1, 1).expand(1, 3, 1, 2)
+    hit, missed = albedo_divisor(red, torch.tensor([[[[2.0, 0.0]]]])).unbind(-1)
+    assert torch.equal(hit.flatten(), torch.tensor([0.8, 0.2, 0.2])) and torch.equal(missed.flatten(), torch.ones(3))
+    grey = torch.linspace(0, 1, 1001).reshape(1, 1, 1, -1).expand(1, 3, 1, -1)
+    found = albedo_divisor(grey, torch.ones(1, 1, 1, 1001))
+    assert found.min() == pytest.approx(0.1) and found.diff(dim=3).abs().max() < 0.0011
+    assert torch.equal(found[grey >= 0.11], grey[grey >= 0.11])
+
+
 def test_textures_pass_unfiltered():
     """Even light on any albedo comes out as that albedo: the spatial filters do not blur what is divided out."""
     model, frame = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False), make_frame()

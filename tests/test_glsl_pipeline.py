@@ -20,11 +20,12 @@ from rtdenoise.data.exr import read_channels
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
-from rtdenoise.frame import mean_distance, sanitise
+from rtdenoise.frame import Known, mean_distance, sanitise
 from rtdenoise.glsl import GpuArray, Pipeline
 from rtdenoise.glsl.program import shaders
 from rtdenoise.history import mismatch
 from rtdenoise.models import PRESETS, accumulated_kpn
+from rtdenoise.plan import look
 
 SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4))}  # preset of that architecture
 
@@ -190,6 +191,48 @@ def test_no_pass_has_more_buffers_than_opengl_43_guarantees():
     folder = Path(str(shaders()))
     bindings = {path: re.findall(r"binding = (\d+)", path.read_text()) for path in folder.rglob("*.glsl")}
     assert {int(n) for found in bindings.values() for n in found} == set(range(8))
+
+
+# What is left out
+
+
+def moved(frames, speed):
+    motion = torch.tensor(speed).reshape(1, 2, 1, 1).expand_as(frames[0].motion).contiguous()
+    return [replace(frame, motion=-motion, motion_next=motion) for frame in frames]
+
+
+@pytest.mark.parametrize("half", [False, True])
+@pytest.mark.parametrize("preset", SMALL)
+@pytest.mark.parametrize("speed", [(0.0, 0.0), (3.25, -1.5)], ids=["still", "pan"])
+def test_what_is_left_out_changes_no_bit(weights, preset, speed, half):
+    pipeline, frames = Pipeline.load(weights(SMALL[preset]), half), moved(make_frames(4, H=35, W=43), speed)
+    without = [replace(f, motion_next=None) for f in frames]
+    for run in (frames, without):
+        history = planned = None
+        for frame in map(arrays, run):
+            known = look(frame, arrays(run[0]).motion_next, planned is not None)
+            assert known == Known(first=True) if history is None else known.covered and known.still == (speed[0] == 0)
+            image, history = pipeline.step(frame, history)
+            less, planned = pipeline.step(frame, planned, known)
+            assert np.array_equal(image, less)
+            for name, values in history.read().items():
+                assert np.array_equal(values, planned.read()[name])
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_a_planned_run_is_that_of_torch(weights, tmp_path, assert_images_close, preset):
+    frames = moved(make_frames(3), (0.0, 0.0)) + make_frames(6)[3:]  # at first nothing moves
+    shot = write_sequence(tmp_path / "shot", frames)
+    options = Options(model=weights(SMALL[preset]), precision="fp32", float32=True)
+    counts = {}
+    for name, changed in {"torch": {"backend": "torch"}, "glsl": {}, "all": {"plan": False}}.items():
+        summary = denoise(str(shot), tmp_path / name, replace(options, **({"backend": "glsl"} | changed)))
+        counts[name] = {what: n for what, n in summary.left_out.items() if n}
+    means = {"running means": 1} if preset == "default" else {}
+    assert counts == {"torch": counts["glsl"], "glsl": means | {"warp of history": 2, "dual motion": 2}, "all": {}}
+    for path in sorted((tmp_path / "torch").glob("*.exr")):
+        assert_images_close(pixels(tmp_path / "glsl" / path.name), pixels(path), "frame")
+        assert np.array_equal(pixels(tmp_path / "glsl" / path.name), pixels(tmp_path / "all" / path.name))
 
 
 # State

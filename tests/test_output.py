@@ -40,6 +40,20 @@ def test_native_indirect_light_contains_the_albedo(tmp_path):
     assert torch.equal(recombined(sequence, 0, sequence[0], image), torch.full((1, 3, H, W), 1.5))
 
 
+def test_direct_light_passes_through(tmp_path):
+    """What is not indirect light comes out as it was: to the bit where that is black, within rounding elsewhere."""
+    random = np.random.default_rng(0).random
+    direct, noisy = random((H, W, 3), np.float32), random((H, W, 3), np.float32) * 4
+    noisy[:, : W // 2] = 0
+    sequence = native(tmp_path / "1.exr", direct + noisy, noisy)
+    image = torch.from_numpy(random((1, 3, H, W), np.float32))
+    image[..., : W // 2] = 0
+    beauty = recombined(sequence, 0, sequence[0], image)
+    direct = torch.from_numpy(direct).permute(2, 0, 1)[None]
+    assert torch.equal(beauty[..., : W // 2], direct[..., : W // 2])
+    assert torch.allclose(beauty, direct + image, rtol=0, atol=5 * 2.0**-22)  # values of up to 5, rounded twice
+
+
 def test_recombined_is_finite_and_not_negative(tmp_path):
     color, indirect = np.full((H, W, 3), 3.0), np.full((H, W, 3), 2.0)
     color[0, 0], indirect[0, 0] = np.nan, np.nan

@@ -9,11 +9,13 @@ from synthetic import TINY, make_frames, write_sequence
 
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.denoise import Options, denoise
-from rtdenoise.frame import OFF_SCREEN
+from rtdenoise.frame import OFF_SCREEN, Known
 from rtdenoise.models import TemporalKPN, accumulated_kpn, available, create, load, save
 from rtdenoise.models.presets import architecture
-from rtdenoise.motion import occlusion_mask
-from rtdenoise.plan import Planned, make_plan
+from rtdenoise.motion import dual_motion, occlusion_mask
+from rtdenoise.motion_splat import splat_motion_next
+from rtdenoise.plan import look, make_plan
+from rtdenoise.planned import Planned
 from rtdenoise.tiles import Tiled, light_reach, network_reach
 
 
@@ -35,9 +37,10 @@ def planned(denoiser, frames):
 
 
 def play(denoiser, frames):
+    """What is left out of a first frame, which rounds, is left out whoever plays, and has a test of its own."""
     history, images = None, []
     for frame in frames:
-        image, history = denoiser.step(frame, history)
+        image, history = denoiser.step(frame, history, Known(first=history is None))
         images.append(image)
     return images, history
 
@@ -82,17 +85,48 @@ def test_no_dual_motion_where_no_pixel_can_be_uncovered(either):
     pan = moved(make_frames(4), [3.25, -1.5])
     plan = planned(either, pan)
     assert_same(play(plan, pan), play(either, pan))
-    assert plan.left_out == {"warp of history": 0, "dual motion": 3, "network in black rows": 0}
+    assert plan.left_out["warp of history"] == 0 and plan.left_out["dual motion"] == 3
     objects = make_frames(4)  # uncover the wall behind them
     plan = planned(either, objects)
     assert_same(play(plan, objects), play(either, objects))
     assert plan.left_out["dual motion"] == 0
 
 
+def test_no_splat_where_no_pixel_can_be_uncovered(either):
+    """Without motion_next, dual motion is made from motion, and differs from it no more than motion differs."""
+    for speed, spread, left_out in ((3.25, 0.3, 3), (0.0, 0.0, 3), (3.25, 0.6, 0)):
+        frames = [replace(f, motion_next=None) for f in moved(make_frames(4), [speed, 1.0 if speed else 0.0])]
+        frames = [replace(f, motion=f.motion + spread * torch.rand(f.motion.shape)) for f in frames]
+        plan = planned(either, frames)
+        assert_same(play(plan, frames), play(either, frames))
+        assert plan.left_out["dual motion"] == left_out
+
+
+def test_a_first_frame_needs_no_running_means(either):
+    frames = make_frames(3, H=45, W=61)
+    for frame in frames:
+        image, history = either.step(frame, None, Known(first=True))
+        everything, expected = either.step(frame)
+        assert_same(([image], history), ([everything], expected), close)
+    plan = planned(either, frames)
+    assert_same(play(plan, frames), play(either, frames))
+    assert plan.left_out["running means"] == (history.accumulated is not None)
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_the_shipped_first_frame(precision, assert_images_close):
+    model, frame = load(precision=precision), make_frames(1, H=90, W=122)[0]
+    with torch.inference_mode():
+        image, history = model.step(frame, None, Known(first=True))
+        everything, expected = model.step(frame)
+    row = "float32 tiles" if precision == "fp32" else "bfloat16 network"
+    assert_images_close(image, everything, row)
+    for name, tensor in history.layers().items():
+        assert_images_close(tensor, expected.layers()[name], row)
+
+
 def test_the_bound_for_dual_motion_never_promises_too_much():
     """Random fields around the threshold: whenever the bound says that nothing is uncovered, no mask has a pixel."""
-    from rtdenoise.plan import _covered
-
     g, promised = torch.Generator().manual_seed(0), 0
     for _ in range(300):
         spread = torch.rand(1, generator=g) * 0.4
@@ -100,33 +134,88 @@ def test_the_bound_for_dual_motion_never_promises_too_much():
         before = -motion.mean() + spread * torch.rand(1, 2, 9, 11, generator=g) - motion.amin((2, 3), keepdim=True)
         frame = replace(make_frames(1, H=9, W=11)[0], motion=motion)
         for motion_next in (before, -motion.flip(3)):
-            if _covered(frame, motion_next):
+            if look(frame, motion_next).covered:
                 promised += 1
                 worst = (-motion_next.reshape(1, 2, 1, -1) - motion.reshape(1, 2, -1, 1)).norm(dim=1).max()
                 assert worst <= 0.5 and not occlusion_mask(-motion_next, motion).any()
     assert promised > 20
 
 
-def dark_sky(count, H=400):
-    """The upper part of the picture is black; the scene lies below."""
+def test_the_bound_holds_for_splatted_motion_next():
+    """The same where motion_next is made from motion and depth."""
+    g, promised = torch.Generator().manual_seed(0), 0
+    for _ in range(200):
+        spread = torch.rand(1, generator=g) * 0.8
+        motion = torch.randn(1, 2, 1, 1, generator=g) * 3 + spread * torch.rand(1, 2, 9, 11, generator=g)
+        frame = replace(make_frames(1, H=9, W=11)[0], motion=motion, depth=1 + torch.rand(1, 1, 9, 11, generator=g))
+        if look(frame, None).covered:
+            promised += 1
+            before = splat_motion_next(motion, frame.depth, 1 + torch.rand(1, 1, 9, 11, generator=g))
+            assert not occlusion_mask(dual_motion(motion, before), motion).any()
+    assert promised > 20
+
+
+@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.parametrize("convert", [lambda tensor: tensor, torch.Tensor.numpy], ids=["torch", "numpy"])
+def test_motion_that_is_not_finite_promises_nothing(value, convert):
+    (frame,) = moved(make_frames(1), [0.0, 0.0])
+    broken = frame.motion.clone()
+    broken[0, 1, 5, 6] = value
+    for motion, before in ((broken, frame.motion), (broken, None), (frame.motion, broken), (broken, broken)):
+        known = look(replace(frame, motion=motion).map(convert), before if before is None else convert(before))
+        assert known == Known()
+
+
+def sky(count, light=0.0, H=400):
+    """The upper part of the picture is black, or evenly lit; the scene lies below."""
     frames = make_frames(count, H=H, W=32)
-    night = torch.arange(H).reshape(1, 1, H, 1) < H - 40
-    return [replace(f, radiance=torch.where(night, 0.0, f.radiance)) for f in frames]
+    above = torch.arange(H).reshape(1, 1, H, 1) < H - 40
+    colour = torch.tensor([0.5, 0.7, 1.0]).reshape(1, 3, 1, 1) * light
+    return [replace(f, radiance=torch.where(above, colour, f.radiance)) for f in frames]
 
 
-def test_the_network_does_not_run_where_no_light_reaches(denoiser):
-    frames = dark_sky(3)
+@pytest.mark.parametrize("light", [0.0, 1.7])
+@pytest.mark.parametrize("below", [True, False])
+def test_the_network_does_not_run_where_light_is_plain(denoiser, light, below):
+    frames = sky(3, light) if below else [f.map(lambda tensor: tensor.flip(2)) for f in sky(3, light)]
     plan = planned(denoiser, frames)
     assert_same(play(plan, frames), play(denoiser, frames), close)
-    assert plan.left_out["network in black rows"] == 3
-    image = play(plan, frames)[0][-1]
-    assert (image[:, :, :256] == 0).all() and (play(denoiser, frames)[0][-1][:, :, :256] == 0).all()
-    black = [replace(f, radiance=torch.zeros_like(f.radiance)) for f in frames]
-    assert_same(play(planned(denoiser, black), black), play(denoiser, black))
+    assert plan.left_out["network in plain rows"] == 3
+    plain = [replace(f, radiance=torch.zeros_like(f.radiance) + light) for f in frames]
+    assert_same(play(planned(denoiser, plain), plain), play(denoiser, plain), close)
+
+
+def test_light_does_not_seep_into_the_sky_for_ever():
+    """A softmax has no zeros: each frame takes some light of the one before a kernel further, ever less of it."""
+    model, frames = load("paper", precision="fp32"), sky(8, 1.7, H=640)
+    plan = planned(model, frames)
+    with torch.inference_mode():
+        assert_same(play(plan, frames), play(model, frames), close)
+    assert plan.left_out["network in plain rows"] == 8
+
+
+def test_no_tile_of_the_sky_is_filtered(denoiser, monkeypatch):
+    frames = sky(3, 1.7, H=500)
+    monkeypatch.setattr("rtdenoise.plan.TILED_FROM", 1)
+    plan, sizes, step = planned(denoiser, frames), [], denoiser.step
+    plan._tiled.tile = 64
+    expected, _ = play(denoiser, frames), plan._reaches()  # which take a step too
+    monkeypatch.setattr(denoiser, "step", lambda frame, *rest: sizes.append(frame.size) or step(frame, *rest))
+    assert_same(play(plan, frames), expected, close)
+    assert plan.left_out["network in plain rows"] == 3
+    assert len(sizes) <= 3 * 3 and max(sizes) <= (64 + 2 * 128, 32)  # of 8 tiles a frame, with their halo
+
+
+def test_a_colour_that_changes_is_filtered(denoiser):
+    """What was there before is another colour, so history is not plain."""
+    frames = [*sky(1, 1.0), *sky(2, 1.5)[1:]]
+    plan = planned(denoiser, frames)
+    assert_same(play(plan, frames), play(denoiser, frames), close)
+    assert plan.left_out["network in plain rows"] == 1
 
 
 def test_light_that_moves_into_the_dark_is_followed(denoiser):
-    frames = dark_sky(3)
+    frames = sky(3)
     up = torch.tensor([0.0, 150.0]).reshape(1, 2, 1, 1).expand_as(frames[0].motion)
     frames[1] = replace(frames[1], motion=up, motion_next=-up)
     assert_same(play(planned(denoiser, frames), frames), play(denoiser, frames), close)

@@ -10,8 +10,7 @@ ROOT = Path(__file__).parent.parent / "rtdenoise"
 ORDER = [
     ("errors", "strict_json", "progress", "distributed", "train_config"), ("memory", "atomic", "origin", "train_log"),
     ("stored",), ("color",), ("frame",), ("ops",), ("motion",), ("motion_splat", "history"), ("nets",), ("models",),
-    ("tiles",),
-    ("plan",),
+    ("plan",), ("tiles",), ("planned",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
     ("backends",), ("render", "trainer", "clean"),
     ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"),

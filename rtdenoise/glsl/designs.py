@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 ARCHITECTURES = ("temporal_kpn", "accumulated_kpn")
+# Input channels of `models.AccumulatedKPN` in the order of its features shader: in the end what may be zero everywhere.
+ORDER = [0, 1, 2, 18, 6, 7, 8, 15, 9, 10, 11, 16, 12, 13, 14, 17, 3, 4, 5, 19, 20]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 
 from .context import GpuArray
-from .designs import Design, full_head
+from .designs import ORDER, Design, full_head
 from .dispatch import dispatch, fill
 from .network import Layer, UNet, conv_layer, head_layer
 from .scratch import Scratch
@@ -27,7 +27,7 @@ class Passes:
         inputs = design.widths[0] if design.accumulates else design.features
         self._unet = UNet(ctx, self._scratch, tensors, inputs, design.widths, np.float16 if half else np.float32)
         if design.accumulates:
-            self._stem = conv_layer(ctx, tensors["stem.weight"], tensors["stem.bias"], (design.features,))
+            self._stem = conv_layer(ctx, tensors["stem.weight"][:, ORDER], tensors["stem.bias"], (design.features,))
         self._set_heads(tensors)
 
     @property
@@ -35,14 +35,16 @@ class Passes:
         """GPU memory that is kept between frames, beside the weights."""
         return self._scratch.nbytes
 
-    def prepare(self, layers: Mapping[str, GpuArray]) -> tuple[GpuArray, ...]:
-        """Sanitised light, surface and guide, and the statistics of the frame."""
+    def prepare(self, layers: Mapping[str, GpuArray], kept: bool = False) -> tuple[GpuArray, ...]:
+        """Sanitised light, surface and guide, and the statistics of the frame. `kept`: light and guide will go into
+        history, as surface does."""
         H, W = layers["radiance"].shape[1:]
         across, down = -(-W // BLOCK), -(-H // BLOCK)
         count, size = across * down, {"size": (W, H)}
         inputs = [layers[name] for name in ("radiance", "albedo", "normal", "depth")]
-        clean, guide, light = (self._image(name, (H, W)) for name in ("clean", "guide", "light"))
-        surface, maxima = self._fresh((H, W)), self._scratch("maxima", (down, across))
+        clean, surface = self._image("clean", (H, W)), self._fresh((H, W))
+        maxima = self._scratch("maxima", (down, across))
+        guide, light = (self._fresh((H, W)) if kept else self._image(name, (H, W)) for name in ("guide", "light"))
         dispatch(
             "frame/sanitise", [*inputs, clean, surface, guide, maxima], (W, H), size, (BLOCK, BLOCK),
             DEMODULATE=int(self._design.accumulates),
@@ -73,25 +75,25 @@ class Passes:
         seen, wrong = counts.read()
         return int(wrong) / max(1, int(seen))
 
-    def history_motion(self, vectors: GpuArray | None, surface: GpuArray, history: History | None) -> GpuArray | None:
-        """The motion that fetches history, and what has been uncovered."""
-        if history is None:
-            return None
+    def history_motion(self, vectors: GpuArray, surface: GpuArray, history: History) -> GpuArray:
+        """The motion that fetches history, dual where a pixel has been uncovered, and which those are."""
         H, W = surface.shape[:2]
-        dual, before = self._design.motion == "dual", history.vectors
+        before = history.vectors
         if before is None:
-            before = self._splat(vectors, surface, history.surface) if dual else vectors
+            before = self._splat(vectors, surface, history.surface)
         chosen = self._image("chosen", (H, W))
-        dispatch("frame/history_motion", [vectors, before, chosen], (W, H), {"size": (W, H)}, DUAL=int(dual))
+        dispatch("frame/history_motion", [vectors, before, chosen], (W, H), {"size": (W, H)})
         return chosen
 
-    def warp(self, chosen: GpuArray | None, light: GpuArray, guide: GpuArray, history: History | None) -> GpuArray:
-        """The reprojected previous output."""
+    def warp(
+        self, chosen: GpuArray | None, light: GpuArray, guide: GpuArray, history: History | None, dual: bool
+    ) -> GpuArray:
+        """The reprojected previous output. `chosen` is what `history_motion` gives, or without `dual` the vectors."""
         H, W = light.shape[:2]
         past = self._image("past", (H, W))
         before = [light, light] if history is None else [chosen, history.denoised]
         buffers = [before[0], light, guide, before[1], past]
-        dispatch("frame/warp", buffers, (W, H), {"size": (W, H)}, HISTORY=int(history is not None))
+        dispatch("frame/warp", buffers, (W, H), {"size": (W, H)}, HISTORY=int(history is not None), DUAL=int(dual))
         return past
 
     def reproject(
@@ -123,31 +125,32 @@ class Passes:
 
     def features(
         self, light: GpuArray, surface: GpuArray, guide: GpuArray, past: GpuArray, statistics: GpuArray,
-        means: tuple[GpuArray, ...],
+        means: tuple[GpuArray, ...], groups: int,
     ) -> GpuArray:  # fmt: skip
         """The network's input, padded: to whole cells of the U-Net, or to what the stem halves. `means` are what
-        `reproject` returns, or nothing."""
-        d, (H, W) = self._design, light.shape[:2]
-        cell = 2 if d.accumulates else self._unet.cell
+        `reproject` returns, or nothing. With them only the first `groups` are written; the others are zero."""
+        d, (H, W), cell = self._design, light.shape[:2], 2 if self._design.accumulates else self._unet.cell
         padded = (W + -W % cell, H + -H % cell)
         result = self._activations("features", d.features, padded[::-1])
         buffers = [light, surface, guide, past, statistics, *means, result]
-        uniforms = {"size": padded, "image_size": (W, H)} | ({"longest": d.longest} if d.accumulates else {})
-        dispatch(f"{d.architecture}/features", buffers, padded, uniforms, HALF=int(self._half))
+        uniforms = {"size": padded, "image_size": (W, H)}
+        uniforms |= {"longest": d.longest} if d.accumulates and groups > 4 else {}  # else it is not read
+        constants = {"HALF": int(self._half)} | ({"GROUPS": groups} if d.accumulates else {})
+        dispatch(f"{d.architecture}/features", buffers, padded, uniforms, **constants)
         return result
 
-    def network(self, features: GpuArray, size: tuple[int, int]) -> list[GpuArray]:
-        """Decoder features of the finest levels; `size` is (H, W) of the image."""
-        return self._unet(self._stemmed(features, size) if self._design.accumulates else features)
+    def network(self, features: GpuArray, size: tuple[int, int], groups: int) -> list[GpuArray]:
+        """Decoder features of the finest levels; `size` is (H, W) of the image, `groups` as for `features`."""
+        return self._unet(self._stemmed(features, size, groups) if self._design.accumulates else features)
 
-    def _stemmed(self, features: GpuArray, size: tuple[int, int]) -> GpuArray:
+    def _stemmed(self, features: GpuArray, size: tuple[int, int], groups: int) -> GpuArray:
         """Features of half the size, padded to whole cells of the U-Net."""
         half = (size[1] + 1) // 2, (size[0] + 1) // 2
         W, H = (n + -n % self._unet.cell for n in half)
         result = self._activations("stem", self._stem.outputs, (H, W))
         dispatch(
             "network/stem", [features, self._stem.weights, self._stem.biases, result], (W, H, result.shape[0]),
-            {"size": (W, H), "half_size": half, "groups": self._stem.groups[0]}, HALF=int(self._half),
+            {"size": (W, H), "half_size": half, "groups": (groups, self._stem.groups[0])}, HALF=int(self._half),
         )  # fmt: skip
         return result
 

@@ -17,7 +17,7 @@ import moderngl
 import numpy as np
 
 from ..errors import InputError
-from ..frame import Frame
+from ..frame import NOTHING_KNOWN, Frame, Known
 from ..stored import read_model
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
@@ -63,18 +63,20 @@ class Pipeline:
         stored.expect(expected_shapes(found), overrides)
         return cls(found, stored.tensors, half)
 
-    def step(self, frame: Frame, history: History | None = None) -> tuple[np.ndarray, History]:
+    def step(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[np.ndarray, History]:
         """Denoise one frame of numpy arrays `[1, C, H, W]`: `[1, 3, H, W]` linear radiance, float32, and the history
         for the next one.
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion. `history=None` starts a
-        sequence or resets after a cut. Raises InputError where a layer is missing, the history is of another size, or
-        a buffer would be larger than the device allows.
+        sequence or resets after a cut. What is `known` (first, still, covered) is not done in vain. Raises InputError
+        where a layer is missing, the history is of another size, or a buffer would be larger than the device allows.
         """
         try:
             with self._stage("upload"):
                 layers = self._upload(frame, history)
-            result, history = self.run(layers, history)
+            result, history = self.run(layers, history, known)
         except GpuMemoryError as error:
             H, W = frame.size
             raise InputError(
@@ -92,33 +94,36 @@ class Pipeline:
         _, surface, *_ = self.passes.prepare(layers)
         return self.passes.mismatch(self.passes.vectors(layers), surface, history.surface)
 
-    def run(self, layers: Mapping[str, GpuArray], history: History | None = None) -> tuple[GpuArray, History]:
+    def run(
+        self, layers: Mapping[str, GpuArray], history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[GpuArray, History]:
         """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
         the history is not."""
         passes, accumulates, size = self.passes, self.design.accumulates, tuple(layers["radiance"].shape[1:])
+        averages = accumulates and not known.first  # else the means are what the frame itself holds
+        dual = history is not None and not known.covered and self.design.motion == "dual"
+        groups = 4 if known.first else 6 if dual else 5  # of the features that are not zero everywhere
         with self._stage("features"):
-            light, surface, guide, statistics = passes.prepare(layers)
+            light, surface, guide, statistics = passes.prepare(layers, kept=accumulates and known.first)
             vectors = passes.vectors(layers)
         with self._stage("reprojection"):
-            chosen = passes.history_motion(vectors, surface, history)
-            past = passes.warp(chosen, light, guide, history)
-            means = passes.reproject(chosen, surface, guide, history) if accumulates else ()
+            chosen = passes.history_motion(vectors, surface, history) if dual else vectors
+            past = history.denoised if known.still else passes.warp(chosen, light, guide, history, dual)
+            means = passes.reproject(chosen, surface, guide, history) if averages else (light, guide)
         with self._stage("features"):
-            features = passes.features(light, surface, guide, past, statistics, means)
+            features = passes.features(light, surface, guide, past, statistics, means if accumulates else (), groups)
         with self._stage("network"):
-            levels = passes.network(features, size)
+            levels = passes.network(features, size, groups)
         with self._stage("kernels"):
-            mean, mean_albedo = light, None
-            if accumulates:
-                running, mean_albedo = means
-                mean = passes.accumulate(levels[0], light, running)
+            running, mean_albedo = means
+            mean = passes.accumulate(levels[0], light, running) if averages else light
             now = passes.filter(levels, mean)
         with self._stage("blend"):
             if accumulates:
                 now = passes.texture(levels[0], now, guide, mean_albedo)
             result, denoised = passes.blend(levels[0], past, now)
         vectors = vectors if "motion_next" in layers else None
-        return result, History(denoised, surface, vectors, mean if accumulates else None, mean_albedo)
+        return result, History(denoised, surface, vectors, *((mean, mean_albedo) if accumulates else (None, None)))
 
     def _upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
         """The layers that a step reads. Raises InputError where one is missing, or history is of another size."""

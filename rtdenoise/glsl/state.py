@@ -15,7 +15,7 @@ from .context import GpuArray
 class History:
     """As `rtdenoise.frame.History`, in images [H, W, 4] on the GPU. Passed in and returned, never hidden."""
 
-    denoised: GpuArray  # rgb: the denoised previous frame
+    denoised: GpuArray  # rgb: the denoised previous frame; 1: `past` of a still frame, on the screen everywhere
     surface: GpuArray  # normal, depth
     vectors: GpuArray | None  # motion, motion_next; None: dual motion next time is approximate
     mean: GpuArray | None  # rgb, length: the running mean of light; None where the model keeps none
@@ -54,4 +54,5 @@ class History:
             light, albedo = np.split(np.asarray(arrays["accumulated"]), 2, axis=1)
             mean, mean_albedo = image(light, arrays["length"]), image(albedo)
         surface = image(arrays["normal"], arrays["depth"])
-        return cls(image(arrays["radiance"]), surface, vectors, mean, mean_albedo)
+        denoised = image(arrays["radiance"], np.ones_like(arrays["depth"]))
+        return cls(denoised, surface, vectors, mean, mean_albedo)

@@ -19,7 +19,7 @@ from torch.nn import functional as F
 from ..color import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance, nearness
 from ..motion_splat import history_motion
-from ..nets import ConvRelu, UNet
+from ..nets import ConvRelu, UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
 from ..ops.features import features
 from ..ops.layout import whole
@@ -28,6 +28,7 @@ from ..ops.pixels import accumulate, demodulate, modulate
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
 # uncovered 1.
 FEATURES = 21
+FIRST = [0, 1, 2, *range(6, 19)]  # of these, what is not zero everywhere in a first frame
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class Config:
         for size in (self.kernel, self.temporal_kernel):
             if size % 2 == 0 or size < 1:
                 raise ValueError(f"expected odd kernel sizes, got {size}")
+        if self.longest < 2:
+            raise ValueError(f"expected a longest mean of 2 frames or more, got {self.longest}")
         if self.motion not in ("dual", "traditional"):
             raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
 
@@ -109,14 +112,19 @@ class AccumulatedKPN(nn.Module):
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance, but for what is not diffuse
 
         past = self.reprojected(frame, history, known)
-        most = self.config.longest - 1
-        mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.length, torch.zeros_like(past.length), most)
+        most, kept = self.config.longest - 1, torch.zeros_like(past.length)
+        mean_albedo = frame.albedo
+        if not known.first:
+            mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.length, kept, most)
 
         # Predict kernels.
         heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
 
         # Average light over time, but give the mean up where the network says that light has changed.
-        mean, length = accumulate(noisy, past.light, past.length, heads.reset, most)
+        if known.first:  # there is nothing to average
+            mean, length = noisy, torch.ones_like(past.length)
+        else:
+            mean, length = accumulate(noisy, past.light, past.length, heads.reset, most)
 
         # Filter each scale with its own kernels, the coarser ones what the finer have filtered; compose back (eq. 4).
         filtered = [apply_kernel(mean, heads.spatial[0])]
@@ -152,10 +160,12 @@ class AccumulatedKPN(nn.Module):
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN
     ) -> Tensor:
         """The network's input `[B, 21, H, W]` as its weights are stored: light compressed at one exposure, nearness and
-        length in [0, 1]."""
+        length in [0, 1]; in a first frame only `FIRST` of it."""
         scale = exposure(noisy) if known.exposure is None else known.exposure
         distance = mean_distance(frame.depth) if known.distance is None else known.distance
         geometry = frame.albedo, mean_albedo, frame.normal, nearness(frame.depth, distance)
+        if known.first:
+            return features((noisy, past.output), geometry, scale, self.stem.weight)
         time = past.length / self.config.longest, past.uncovered
         return features((noisy, past.light, past.output), (*geometry, *time), scale, self.stem.weight)
 
@@ -190,10 +200,13 @@ class AccumulatedKPN(nn.Module):
         return [part(weight, bias) for weight, bias in zip(weights, biases, strict=True)]
 
     def _stem(self, x: Tensor) -> Tensor:
-        """The first convolution with its ReLU, `[B, 21, H, W]` to `[B, C, H/2, W/2]`. Pictures smaller than its kernel
-        get some of its zero padding beforehand: in half precision oneDNN (torch 2.13) reads memory that is not
-        theirs."""
+        """The first convolution with its ReLU, of all features or of `FIRST`, to `[B, C, H/2, W/2]`. Pictures smaller
+        than its kernel get some of its zero padding beforehand: in half precision oneDNN (torch 2.13) reads memory that
+        is not theirs."""
         H, W = x.shape[2:]
         if min(H, W) < 4:
             x = F.pad(x, (0, max(0, 4 - W), 0, max(0, 4 - H)))
-        return self.stem(x)[:, :, : H // 2, : W // 2]
+        if x.shape[1] == FEATURES:
+            return self.stem(x)[:, :, : H // 2, : W // 2]
+        weight = as_weights(self.stem.weight[:, FIRST], self)
+        return F.relu(F.conv2d(x, weight, self.stem.bias, stride=2, padding=1))[:, :, : H // 2, : W // 2]

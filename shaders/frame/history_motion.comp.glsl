@@ -1,12 +1,11 @@
 #version 430
 // The motion that fetches history (motion_splat.history_motion): dual where a moving object has just uncovered the pixel,
-// traditional elsewhere, or everywhere with DUAL 0.
+// traditional elsewhere. Not run where that is known to be everywhere.
 //
 //     dual(x) = -motion_next_before(x + motion(x)),    fetched at the nearest pixel
 //
 // takes    vectors, vectors_before [H, W]: motion, motion_next of this frame and of the previous one
 // returns  chosen [H, W]: motion, 1 where the pixel has been uncovered, 0
-#pragma constants DUAL
 #include "image.glsl"
 #include "on_screen.glsl"
 
@@ -22,7 +21,7 @@ void main() {
 
     vec2 motion = vectors[at(pixel, size)].xy, target = vec2(pixel) + motion;
     bool uncovered = false;
-    if (DUAL == 1 && on_screen(target)) {
+    if (on_screen(target)) {
         vec2 dual = -vectors_before[at(nearest(target), size)].zw, apart = dual - motion;
         uncovered = dot(apart, apart) > OCCLUSION_THRESHOLD * OCCLUSION_THRESHOLD;
         if (uncovered) motion = dual;

@@ -1,9 +1,11 @@
 #version 430
 // The previous output, where it was: bilinear; where that is off the screen, and in a first frame (HISTORY 0), the noise.
 //
+// DUAL 0: traditional motion everywhere, `chosen` is vectors, and nothing has been uncovered.
+//
 // takes    chosen [H, W] motion, uncovered · light, guide [H, W] · denoised_before [H, W]
 // returns  past [H, W] rgb, ON_SCREEN and UNCOVERED
-#pragma constants HISTORY
+#pragma constants HISTORY DUAL
 #include "image.glsl"
 #include "on_screen.glsl"
 #include "past.glsl"
@@ -27,7 +29,7 @@ void main() {
     vec3 rgb = light[i].rgb * divisor(guide[i]);
 #if HISTORY
     vec2 target = vec2(pixel) + chosen[i].xy;
-    if (chosen[i].z != 0.0) flags |= UNCOVERED;
+    if (DUAL == 1 && chosen[i].z != 0.0) flags |= UNCOVERED;
     if (on_screen(target)) {
         flags |= ON_SCREEN;
         target = clamp(target, vec2(0.0), vec2(size - 1));

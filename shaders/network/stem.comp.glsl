@@ -7,8 +7,8 @@
 //
 // takes    image: activations [groups in, 2·half_size] · weights [groups out, groups in, 16] and biases as conv3x3
 // returns  result: activations [groups out, H, W]; one invocation per pixel and group of it
-// half_size: (⌈W/2⌉, ⌈H/2⌉) of the image; groups: of four input channels
-#define PARAMETERS PARAMETER(ivec2, half_size) PARAMETER(int, groups)
+// half_size: (⌈W/2⌉, ⌈H/2⌉) of the image; groups: of four input channels, those that are not zero everywhere and all
+#define PARAMETERS PARAMETER(ivec2, half_size) PARAMETER(ivec2, groups)
 #include "tensor.glsl"
 #include "activations.glsl"
 
@@ -24,11 +24,11 @@ void main() {
 
     ivec2 corner = 2 * min(pixel, half_size - 1) - 1;
     vec4 sum = biases[o];
-    for (int g = 0; g < groups; ++g) {
+    for (int g = 0; g < groups.x; ++g) {
         for (int tap = 0; tap < 16; ++tap) {
             ivec2 p = corner + ivec2(tap % 4, tap / 4);
             if (!inside(p, 2 * half_size)) continue;
-            sum += weights[(o * groups + g) * 16 + tap] * unpacked(image[in_group(g, p, 2 * half_size)]);
+            sum += weights[(o * groups.y + g) * 16 + tap] * unpacked(image[in_group(g, p, 2 * half_size)]);
         }
     }
     result[in_group(o, pixel, size)] = packed_four(max(sum, 0.0));
