@@ -2,9 +2,12 @@
 // All images are contiguous: [B, C, H, W], and [B, 1, H, W] for depth, sharp, length, reset.
 #include "common.h"
 
-#define LEAST 0.05f  // color.albedo_divisor
+#define LEAST 0.1f  // of color.albedo_divisor
+#define SHARE 0.25f
 
-static inline float divisor(float albedo, float depth) { return depth > 0 ? MAX(albedo, LEAST) : 1; }
+static inline float divisor(float albedo, float brightest, float depth) {
+    return depth > 0 ? MAX(albedo, MAX(LEAST, SHARE * brightest)) : 1;
+}
 
 // As torch's: the end itself where the weight is 0 or 1, however far apart they are.
 static inline float lerp(float from, float to, float weight) {
@@ -25,7 +28,11 @@ void demodulate(const float *radiance, const float *albedo, const float *depth, 
         int64_t to = MIN(from + BLOCK, plane), first = b * C * plane;
         const float *r = radiance + first, *a = albedo + first, *d = depth + b * plane;
         float *o = out + first;
-        for (int c = 0; c < C; c++, r += plane, a += plane, o += plane) EACH_PIXEL o[x] = r[x] / divisor(a[x], d[x]);
+        EACH_PIXEL {
+            float most = a[x];
+            for (int c = 1; c < C; c++) most = MAX(most, a[c * plane + x]);
+            for (int c = 0; c < C; c++) o[c * plane + x] = r[c * plane + x] / divisor(a[c * plane + x], most, d[x]);
+        }
     }
 }
 
@@ -36,8 +43,14 @@ void modulate(const float *irradiance, const float *albedo, const float *mean_al
         const float *i = irradiance + first, *a = albedo + first, *m = mean_albedo + first;
         const float *s = sharp + b * plane, *d = depth + b * plane;
         float *o = out + first;
-        for (int c = 0; c < C; c++, i += plane, a += plane, m += plane, o += plane)
-            EACH_PIXEL o[x] = MAX(i[x], 0) * divisor(lerp(m[x], a[x], s[x]), d[x]);
+        EACH_PIXEL {
+            float texture[C], most = -INFINITY;
+            for (int c = 0; c < C; c++) {
+                texture[c] = lerp(m[c * plane + x], a[c * plane + x], s[x]);
+                most = MAX(most, texture[c]);
+            }
+            for (int c = 0; c < C; c++) o[c * plane + x] = MAX(i[c * plane + x], 0) * divisor(texture[c], most, d[x]);
+        }
     }
 }
 
