@@ -7,11 +7,12 @@ The first line trains on single frames, in which the settings do not differ; the
 network from there in each setting with each seed (a run that is there is resumed, a finished one kept), then measures
 all of them on the validation clips: over the frame, and inside what was uncovered in it, one and two frames before (M⁰,
 M¹, M²). Settings A, B and C are the paper's (§5.3); C-max has max pooling as D, as the paper prints it, C-bright
-another domain of the loss. Writes bench/results/ablation.json and prints the table.
+another domain of the loss. Writes bench/results/ablation.json and the table of docs/models/paper.md.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,7 +26,6 @@ from rtdenoise.models import PRESETS, load
 from rtdenoise.train import train
 from rtdenoise.trainer import TrainConfig
 
-PRESETS["paper-max"] = replace(PRESETS["paper"], pool="max")
 SETTINGS = {
     "A": {"motion": "traditional", "occlusion_loss": False},
     "B": {"motion": "dual", "occlusion_loss": False},
@@ -36,6 +36,14 @@ SETTINGS = {
 METRICS = ("psnr", "psnr_corrected", "ssim", "l1", "mse", "relmse")
 REGIONS = ("frame", "uncovered", "uncovered-1", "uncovered-2")
 RESULT = harness.ROOT / "bench" / "results" / "ablation.json"
+PAGE = harness.ROOT / "docs" / "models" / "paper.md"
+COLUMNS = [  # label, metric, region, digits
+    *(("corrected PSNR", "psnr_corrected", region, 2) for region in REGIONS),
+    *(("SSIM", "ssim", region, 3) for region in REGIONS[:2]),
+    *(("L1", "l1", region, 4) for region in REGIONS[:2]),
+    *(("MSE", "mse", region, 4) for region in REGIONS[:2]),
+    ("relMSE", "relmse", "uncovered", 3),
+]
 
 
 @dataclass(frozen=True)
@@ -59,6 +67,7 @@ class Options:
 
 
 def main(options: Options) -> None:
+    PRESETS["paper-max"] = replace(PRESETS["paper"], pool="max")
     rows = []
     clips = ClipDataset(options.val)
     for seed in range(options.seeds):  # seed by seed: an interrupted bench has compared all settings once
@@ -78,7 +87,7 @@ def main(options: Options) -> None:
                 clips=len(clips),
                 rows=rows,
             )
-    print(table(rows))
+    harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
 
 
 def errors(weights: Path, clips: ClipDataset) -> dict[str, dict[str, float]]:
@@ -91,16 +100,16 @@ def errors(weights: Path, clips: ClipDataset) -> dict[str, dict[str, float]]:
     return {r: {m: float(np.nanmean([e[r][m] for e in found])) for m in METRICS} for r in REGIONS}
 
 
-def table(rows: list[dict]) -> str:
-    """Mean over the seeds, and half their spread, as Markdown."""
-    lines = ["| setting | " + " | ".join(f"PSNR, {region}" for region in REGIONS) + " | relMSE, uncovered |"]
-    lines.append("|---" * (len(REGIONS) + 2) + "|")
+def tables(document: dict) -> dict[str, str]:
+    """The section of docs/models/paper.md: mean over the seeds, and half their spread."""
+    rows = document["rows"]
+    lines = ["| setting | " + " | ".join(f"{label}, {region}" for label, _, region, _ in COLUMNS) + " |"]
+    lines.append("|---" * (len(COLUMNS) + 1) + "|")
     for setting in dict.fromkeys(row["setting"] for row in rows):
         runs = [row["errors"] for row in rows if row["setting"] == setting]
-        cells = [spread([run[region]["psnr"] for run in runs], 2) for region in REGIONS]
-        cells.append(spread([run["uncovered"]["relmse"] for run in runs], 3))
+        cells = [spread([run[region][metric] for run in runs], digits) for _, metric, region, digits in COLUMNS]
         lines.append(f"| {setting} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    return {"ablation": "\n".join(lines)}
 
 
 def spread(values: list[float], digits: int) -> str:

@@ -29,6 +29,13 @@ def test_the_page_on_stability_is_that_of_the_results(monkeypatch, name):
         assert f"<!-- {section} -->\n{text}\n<!-- /{section} -->" in page, section
 
 
+def test_the_papers_experiment_is_that_of_the_result(monkeypatch):
+    monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "bench")])
+    ablation = importlib.import_module("ablation")
+    (text,) = ablation.tables(json.loads(ablation.RESULT.read_text())).values()
+    assert f"<!-- ablation -->\n{text}\n<!-- /ablation -->" in ablation.PAGE.read_text()
+
+
 def test_the_latency_table_is_that_of_the_result(monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "bench")])
     latency = importlib.import_module("latency_720p")
