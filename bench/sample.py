@@ -16,6 +16,7 @@ LABELS = {
     "oidn": "Intel OIDN 2, frame by frame",
     "paper-traditional": "rtdenoise `paper`, traditional motion",
     "paper": "rtdenoise `paper`",
+    "fast": "rtdenoise `fast`",
     "default": "**rtdenoise `default`**",
 }
 
@@ -26,7 +27,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             results[signal] = [
                 {"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)}
-                for r in demo(Path(folder), signal=signal, methods=(*METHODS, "oidn"))
+                for r in demo(Path(folder), signal=signal, methods=(*METHODS, "fast", "oidn"))
             ]
     document = {**harness.origin({"torch": harness.cpu()}), "results": results}
     harness.write(RESULT, **document)
