@@ -16,7 +16,8 @@ from rtdenoise.preview import strip
 
 ENLARGED = 4  # times, by repeating pixels
 GAP = 4  # rows between a frame and its detail
-MOST_BYTES = 50_000  # of a strip: they are part of the repository
+MOST_BYTES = 45_000  # of a strip: they are part of the repository
+WIDEST = 1640  # pixels of a strip; wider ones are reduced
 QUALITIES = range(80, 20, -5)  # of WebP, the first that is small enough
 
 
@@ -49,6 +50,8 @@ def most_uncovered(mask: np.ndarray) -> tuple[int, int, int, int]:
 
 def encode(picture: Image.Image) -> bytes:
     """WebP of at most `MOST_BYTES`, in the best of QUALITIES that has room in it, or else in the last."""
+    picture = picture.copy()
+    picture.thumbnail((WIDEST, picture.height))
     for quality in QUALITIES:
         encoded = io.BytesIO()
         picture.save(encoded, "WEBP", quality=quality, method=6)
