@@ -20,6 +20,7 @@ from pathlib import Path
 import harness
 import standard
 
+from rtdenoise.evaluate import REGIONS
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.run import Options, run
 from rtdenoise.models import available
@@ -50,12 +51,16 @@ def main(quick: bool, more: list[str]) -> None:
 
 
 def keep(out: Path, written: list[Path]) -> None:
-    """The numbers into bench/results (in five digits, without those of single frames), the report into docs."""
+    """The numbers into bench/results (in five digits, of whole sequences, over the frame and in what was just
+    uncovered), the report into docs."""
     KEPT.mkdir(parents=True, exist_ok=True)
     for path in written:
         shutil.copy(path, KEPT / path.name)
     document = vars(Document.read(out))
-    document["results"] = [{k: v for k, v in row.items() if k != "frames"} for row in document["results"]]
+    document["results"] = [
+        {k: v for k, v in row.items() if k != "frames"} | {"errors": {r: row["errors"][r] for r in REGIONS}}
+        for row in document["results"]
+    ]
     rounded = json.loads(dumps(document, digits=5))
     harness.write(RESULT, **(harness.origin({"torch": harness.cpu()}) | rounded))
 

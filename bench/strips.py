@@ -16,7 +16,7 @@ from rtdenoise.preview import strip
 
 ENLARGED = 4  # times, by repeating pixels
 GAP = 4  # rows between a frame and its detail
-MOST_BYTES = 45_000  # of a strip: they are part of the repository
+MOST_BYTES = 36_000  # of a strip: they are part of the repository
 WIDEST = 1640  # pixels of a strip; wider ones are reduced
 QUALITIES = range(80, 20, -5)  # of WebP, the first that is small enough
 

@@ -16,6 +16,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from PIL import Image
 
 LOGGED = 20  # steps between the lines of a log (rtdenoise.train)
 
@@ -52,6 +53,7 @@ def main(name: str, runs: list[Path]) -> None:
     path = harness.ROOT / "docs" / "images" / f"train_{name}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
+    Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)  # it is part of the repository
     print(f"written: {path}")
 
 
