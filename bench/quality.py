@@ -107,8 +107,28 @@ def draw(documents: dict[str, Document]) -> None:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """The sections of docs/quality.md: `aims`, and `scenes` with a table a sequence and signal."""
-    return {"aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
+    """The sections of docs/quality.md: `against`, `aims`, and `scenes` with a table a sequence and signal."""
+    return {"against": _against(document), "aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
+
+
+def _against(document: dict) -> str:
+    """On how many sequences and signals `default` is ahead of OIDN, and by how much on average."""
+    lines = [
+        "| | ahead, frame | on average, frame | ahead, uncovered | on average, uncovered |",
+        "|---|---|---|---|---|",
+    ]
+    both = [_rows(document, signal, name) for signal in SIGNALS for name in document["sequences"].get(signal, ())]
+    both = [rows for rows in both if {"default", "oidn"} <= rows.keys()]
+    for metric in OF_FRAME:
+        cells = []
+        for region in ("frame", "uncovered"):
+            values = [[rows[method][region].get(metric) for method in ("default", "oidn")] for rows in both]
+            gains = [a - b for a, b in values if a is not None and b is not None]
+            better = sum(g < 0 if metric in ("flip", "relmse") else g > 0 for g in gains)
+            mean = write_number(metric, sum(gains) / len(gains)) if gains else "–"
+            cells += [f"{better} of {len(gains)}" if gains else "–", mean if mean.startswith("-") else f"+{mean}"]
+        lines.append(f"| {METRICS[metric].label} | {' | '.join(cells)} |".replace("+–", "–"))
+    return "\n".join(lines)
 
 
 def _aims(document: dict) -> str:
