@@ -23,7 +23,7 @@ from .frame import Frame
 
 CARD = """# Training clips with cleaned references
 
-The clips of another folder, {count} of them, whose references were denoised by Intel Open Image Denoise ({filter}) with
+The clips of another folder, {count} of them. References: {cleaned} (Intel Open Image Denoise) with
 the clips' own albedo and normal. Both halves are the whole reference here: they say nothing about its error. For
 training, not for validation. The rest is as it was, and so are its licences:
 
@@ -41,18 +41,17 @@ def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda
     out.mkdir(parents=True, exist_ok=True)
     paths = ClipDataset(folder).paths
     oidn = Oidn()
-    name = f"pyoidn {importlib.metadata.version('pyoidn')}"
     missing = [path for path in paths if not (out / path.name).exists()]
     for done, path in enumerate(missing):
         progress(done, len(missing))
-        _clean(path, out / path.name, oidn, name)
-    card = CARD.format(count=len(paths), filter=name)
+        _clean(path, out / path.name, oidn)
+    card = CARD.format(count=len(paths), cleaned=read_facts(out / paths[0].name)["references"])
     described = Path(folder) / "DATA.md"
     write_atomically(out / "DATA.md", (card + (described.read_text() if described.is_file() else "")).encode())
     return len(missing)
 
 
-def _clean(path: Path, out: Path, oidn: Oidn, name: str) -> None:
+def _clean(path: Path, out: Path, oidn: Oidn) -> None:
     facts = read_facts(path)
     if "references" in facts:
         raise InputError(f"{path}: its references are denoised already; give the folder that was rendered")
@@ -64,7 +63,7 @@ def _clean(path: Path, out: Path, oidn: Oidn, name: str) -> None:
     frames = [
         {key: layer[i].permute(1, 2, 0).numpy() for key, layer in layers.items()} for i in range(len(layers["depth"]))
     ]
-    write_clip(out, frames, facts | {"references": f"denoised by {name}"})
+    write_clip(out, frames, facts | {"references": f"denoised by pyoidn {importlib.metadata.version('pyoidn')}"})
 
 
 def _filtered(layers: dict[str, Tensor], reference: str, i: int, oidn: Oidn) -> Tensor:

@@ -1,10 +1,14 @@
 """References denoised for training."""
 
+import importlib.metadata
+import sys
+
 import numpy as np
 import pytest
 import torch
 from synthetic import make_frames, write_clips
 
+from rtdenoise.baselines.oidn import _device
 from rtdenoise.cli import main
 from rtdenoise.data.dataset import ClipDataset, clip_path
 from rtdenoise.train import train
@@ -56,6 +60,18 @@ def test_clips_are_neither_cleaned_in_place_nor_twice(noisy, cleaned, tmp_path, 
     with pytest.raises(SystemExit, match="2"):
         main(["clean", str(source), "--out", str(out)])
     assert message in capsys.readouterr().err
+
+
+def test_without_oidn_it_is_one_line(noisy, tmp_path, monkeypatch, capsys):
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
+    monkeypatch.setattr(importlib.metadata, "version", missing)
+    _device.cache_clear()
+    with pytest.raises(SystemExit, match="2"):
+        main(["clean", str(noisy), "--out", str(tmp_path)])
+    assert "pip install 'rtdenoise[bench]'" in capsys.readouterr().err
 
 
 def test_validation_is_refused(noisy, cleaned, tmp_path):
