@@ -20,8 +20,9 @@ import numpy as np
 import torch
 
 from rtdenoise.baselines.oidn import Oidn
-from rtdenoise.color import display, display_exposure
+from rtdenoise.color import display_exposure
 from rtdenoise.data.dataset import SIGNALS, ClipDataset
+from rtdenoise.metrics.image import decibels, mse, reference_mse
 
 RESULT = harness.ROOT / "bench" / "results" / "clean.json"
 
@@ -43,12 +44,11 @@ def errors(clips: ClipDataset, signal: str) -> dict[str, float]:
             a = frame.reference_half
             b = (2 * frame.reference - a).clamp(min=0)
             cleaned = oidn.step(replace(frame, radiance=a))[0]
-            shown, other, raw = (display(image, scale) for image in (cleaned, b, a))
-            noise = (raw - other).square().mean().item() / 2
-            found.append((noise, (shown - other).square().mean().item() - noise, (cleaned.mean() / a.mean()).item()))
+            noise = 2 * reference_mse(frame.reference, a, scale)  # of a half
+            found.append((noise, mse(cleaned, b, scale) - noise, (cleaned.mean() / a.mean()).item()))
     noise, error, light = np.mean(found, axis=0)
     samples = np.mean([clips.facts(i)["reference_spp"] / 2 for i in range(len(clips))])
-    return {"spp": samples, "raw_psnr": -10 * np.log10(noise), "cleaned_psnr": -10 * np.log10(error), "light": light}
+    return {"spp": samples, "raw_psnr": decibels(noise), "cleaned_psnr": decibels(error), "light": light}
 
 
 if __name__ == "__main__":

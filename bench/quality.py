@@ -124,7 +124,7 @@ def _against(document: dict) -> str:
         for region in ("frame", "uncovered"):
             values = [[rows[method][region].get(metric) for method in ("default", "oidn")] for rows in both]
             gains = [a - b for a, b in values if a is not None and b is not None]
-            better = sum(g < 0 if metric in ("flip", "relmse") else g > 0 for g in gains)
+            better = sum(g > 0 if METRICS[metric].higher else g < 0 for g in gains)
             mean = write_number(metric, sum(gains) / len(gains)) if gains else "–"
             cells += [f"{better} of {len(gains)}" if gains else "–", mean if mean.startswith("-") else f"+{mean}"]
         lines.append(f"| {METRICS[metric].label} | {' | '.join(cells)} |".replace("+–", "–"))
