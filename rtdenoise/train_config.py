@@ -40,8 +40,10 @@ class TrainConfig:
     """Consecutive frames a clip; the recurrence is back-propagated through all of them."""
     size: int = 128
     """Side of the random crop in pixels."""
+    optimiser: str = "adam"
+    """'adam', or 'muon' for the convolutions: it needs a fraction of the steps, at about 2.5 times Adam's rate."""
     lr: float = 1e-3
-    """Peak learning rate of Adam: linear warm-up over 200 steps, then a cosine to zero."""
+    """Peak learning rate: linear warm-up over 200 steps, then a cosine to zero."""
     seed: int = 0
     """Decides initial weights, order of clips, crops and augmentation."""
     device: str = "cpu"

@@ -21,11 +21,12 @@ from .frame import Frame
 from .losses import temporal_kpn_loss
 from .models import PRESETS, Config, Denoiser, create, read
 from .motion import occlusion_weights, uncovered
+from .muon import Muon
 from .train_config import TrainConfig
 
 
 class Trainer:
-    """Model, optimiser, averaged weights and the step counter: what a checkpoint holds."""
+    """Model, optimisers, averaged weights and the step counter: what a checkpoint holds."""
 
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
@@ -34,7 +35,7 @@ class Trainer:
         self.model = (create(wanted) if config.init is None else _initial(config, wanted)).to(config.device)
         self.model.unet.to(memory_format=torch.channels_last)
         self.average = deepcopy(self.model).eval().requires_grad_(False)
-        self.optimiser = torch.optim.Adam(self.model.parameters(), lr=config.lr)
+        self.optimisers = _optimisers(self.model, config)
         self.step = 0
         self.best = -math.inf  # dB, of the best validation so far
         self.skipped = 0  # steps that a loss or gradient that was not finite has cost
@@ -43,8 +44,8 @@ class Trainer:
         """One optimiser step on a batch of clips; returns the numbers to log."""
         config = self.config
         rate = config.lr * min(1.0, (self.step + 1) / 200) * 0.5 * (1 + math.cos(math.pi * self.step / config.steps))
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
+        for optimiser in self.optimisers:
+            optimiser.param_groups[0]["lr"] = rate
         with_occlusion = config.occlusion_loss and self.step >= config.steps // 2
         terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
         total = 0.0
@@ -65,12 +66,13 @@ class Trainer:
                 terms[name] += getattr(loss, name).item() / len(clip)
             previous = (image, frame.reference)
 
-        self.optimiser.zero_grad(set_to_none=True)
+        self.model.zero_grad()
         total.backward()
         average_gradients(self.model.parameters())
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0).item()
         if math.isfinite(norm):
-            self.optimiser.step()
+            for optimiser in self.optimisers:
+                optimiser.step()
         else:  # a poisoned clip must not poison the weights
             self.skipped += 1
         self.step += 1
@@ -88,7 +90,7 @@ class Trainer:
             "skipped": self.skipped,
             "model": self.model.state_dict(),
             "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
+            "optimisers": [optimiser.state_dict() for optimiser in self.optimisers],
         }
         content = io.BytesIO()
         torch.save(state, content)
@@ -100,7 +102,17 @@ class Trainer:
         self.step, self.best, self.skipped = state["step"], state["best"], state.get("skipped", 0)
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
-        self.optimiser.load_state_dict(state["optimiser"])
+        for optimiser, held in zip(self.optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(held)
+
+
+def _optimisers(model: Denoiser, config: TrainConfig) -> list[torch.optim.Optimizer]:
+    """What takes the steps: Muon knows matrices only."""
+    parameters = list(model.parameters())
+    if config.optimiser == "adam":
+        return [torch.optim.Adam(parameters, lr=config.lr)]
+    matrices, vectors = [p for p in parameters if p.ndim > 1], [p for p in parameters if p.ndim == 1]
+    return [Muon(matrices, lr=config.lr), torch.optim.Adam(vectors, lr=config.lr)]
 
 
 def _initial(config: TrainConfig, wanted: Config) -> Denoiser:
@@ -122,6 +134,8 @@ def check(config: TrainConfig) -> None:
         raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
     if config.motion not in ("dual", "traditional"):
         raise InputError(f"unknown motion {config.motion!r}; expected 'dual' or 'traditional'")
+    if config.optimiser not in ("adam", "muon"):
+        raise InputError(f"unknown optimiser {config.optimiser!r}; expected 'adam' or 'muon'")
     if config.device not in ("cpu", "cuda"):
         raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
     choose_device(config.device)

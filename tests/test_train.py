@@ -141,7 +141,9 @@ def test_same_seed_same_weights_other_seed_others(config, tmp_path):
     assert not all(torch.equal(first[k], other[k]) for k in first)
 
 
-def test_a_killed_run_resumes_to_the_same_weights(config, tmp_path, monkeypatch):
+@pytest.mark.parametrize("optimiser", ["adam", "muon"])
+def test_a_killed_run_resumes_to_the_same_weights(config, tmp_path, monkeypatch, optimiser):
+    config = replace(config, optimiser=optimiser)
     whole = load(train(config)).state_dict()
     interrupted = replace(config, out=tmp_path / "interrupted")
     step = Trainer.train_step
@@ -174,8 +176,9 @@ def test_occlusion_loss_comes_in_the_second_half(config):
     assert all(off.train_step(_batch(data, config, step))["occlusion"] == 0 for step in range(6))
 
 
-def test_it_learns(config):
-    trainer = Trainer(replace(config, steps=10_000, lr=0.05))  # warming up: 0.01 in the last step
+@pytest.mark.parametrize("optimiser", ["adam", "muon"])
+def test_it_learns(config, optimiser):
+    trainer = Trainer(replace(config, optimiser=optimiser, steps=10_000, lr=0.05))  # warming up: 0.02 in the last step
     clip = _batch(ClipDataset(*config.data), config, 0)
     losses = [trainer.train_step(clip)["loss"] for _ in range(80)]
     assert np.mean(losses[-5:]) < 0.85 * losses[0]
@@ -209,8 +212,8 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
     train(config)
     with pytest.raises(InputError, match="started with lr"):
         train(replace(config, lr=1.0))
-    for wrong, message in {w: f"unknown {w} 'x'" for w in ("preset", "motion", "device", "signal")}.items():
-        with pytest.raises(InputError, match=message):
+    for wrong in ("preset", "motion", "device", "signal", "optimiser"):
+        with pytest.raises(InputError, match=f"unknown {wrong} 'x'"):
             train(replace(config, **{wrong: "x"}))
     with pytest.raises(InputError, match="steps: expected 1 or more, got 0"):
         train(replace(config, steps=0))
