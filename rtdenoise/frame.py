@@ -123,7 +123,8 @@ class History:
     depth: Tensor | None  # [B, 1, H, W] of the previous frame
     normal: Tensor | None  # [B, 3, H, W] of the previous frame
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
-    accumulated: Tensor | None = None  # [B, 6, H, W] running means of irradiance and albedo; None: nobody keeps them
+    mean: Tensor | None = None  # [B, 3, H, W] running mean of irradiance; None where nobody keeps one
+    mean_albedo: Tensor | None = None  # [B, 3, H, W] and that of albedo
 
     def layers(self) -> dict[str, Tensor]:
         """name -> tensor of what there is."""
@@ -158,14 +159,6 @@ def mean_distance(depth: Tensor) -> Tensor:
     """Of what was hit, `[B, 1, 1, 1]`; never zero."""
     hits = (depth > 0).sum((1, 2, 3), keepdim=True).clamp(min=1)
     return (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
-
-
-def nearness(depth: Tensor, distance: Tensor) -> Tensor:
-    """Depth `[B, 1, H, W]` as a network sees it, in [0, 1): t / (t + depth) with t the frame's mean `distance`; 0 where
-    nothing was hit."""
-    import torch
-
-    return torch.where(depth > 0, distance / (distance + depth), 0.0)
 
 
 def admit(frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN) -> Frame:

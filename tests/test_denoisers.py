@@ -268,7 +268,8 @@ def test_a_static_pixel_averages_what_it_saw():
     for frame in frames:
         _, history = model.step(frame, history)
     mean = torch.stack([frame.radiance for frame in frames]).mean(0) / albedo_divisor(still.albedo, still.depth)
-    torch.testing.assert_close(history.accumulated, torch.cat([mean, still.albedo], dim=1))
+    torch.testing.assert_close(history.mean, mean)
+    torch.testing.assert_close(history.mean_albedo, still.albedo)
     torch.testing.assert_close(history.length, torch.full_like(still.depth, 5.0))
 
 
@@ -304,4 +305,4 @@ def test_history_is_kept_off_other_surfaces():
     )  # fmt: skip
     _, history = model.step(frame)
     _, history = model.step(frame, history)
-    torch.testing.assert_close(history.accumulated[:, :3], frame.radiance)
+    torch.testing.assert_close(history.mean, frame.radiance)

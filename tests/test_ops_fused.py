@@ -105,6 +105,29 @@ def test_reprojection(both, assert_images_close, op, size):
     assert_images_close(fused, plain, "float32")
 
 
+@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+def test_reprojection_with_a_choice(both, assert_images_close, size):
+    seen = torch.rand(2, 1, *size) < 0.9
+    seen[:, :, ::2] = True  # whole rows of it
+    plain, fused = both(ops.warp, torch.randn(2, 3, *size), 4 * torch.randn(2, 2, *size), seen, torch.randn(2, 3, *size))
+    assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+def test_tested_reprojection_of_several(both, size):
+    """Several images are looked up as the one that they make together, whatever their layout."""
+    images = tuple(torch.randn(2, c, *size).contiguous(memory_format=torch.channels_last) for c in (3, 1, 3))
+    surface = 1 + 0.1 * torch.rand(2, 1, *size), torch.ones(2, 3, *size)
+    motion = 4 * torch.randn(2, 2, *size)
+    for result in zip(
+        both(ops.reproject, images, motion, surface, surface),
+        both(ops.reproject, torch.cat(images, dim=1), motion, surface, surface),
+        strict=True,
+    ):
+        several, one = result
+        assert torch.equal(several[0], one[0]) and torch.equal(several[1], one[1])
+
+
 @pytest.mark.parametrize("shift", [(3.3, -2.6), (-40.25, 1.0), (0.0, 0.0), (0.5, 17.5)])
 def test_tested_reprojection_of_what_moves_together(both, assert_images_close, shift):
     """Where neighbours stay neighbours they are loaded as such, but not beyond the screen."""
@@ -154,6 +177,7 @@ def test_what_is_done_to_each_pixel(both, assert_images_close, size):
     for plain, fused in (
         both(pixels.demodulate, image() * 100, image(), hit),
         both(pixels.modulate, image() - 0.3, image(), image(), image(1), hit),
+        both(pixels.nearness, hit, torch.tensor([2.0, 1e-12]).reshape(2, 1, 1, 1)),
     ):
         assert_images_close(fused, plain, "float32")
     reset = image(1).round()  # given up entirely: nothing is left of the mean, however bright it was

@@ -34,7 +34,7 @@ class History:
             planes["motion_next"] = self.vectors.read()[..., 2:]
         if self.mean is not None:
             mean, albedo = self.mean.read(), self.mean_albedo.read()
-            planes |= {"accumulated": np.concatenate([mean[..., :3], albedo[..., :3]], 2), "length": mean[..., 3:]}
+            planes |= {"mean": mean[..., :3], "length": mean[..., 3:], "mean_albedo": albedo[..., :3]}
         return {name: np.ascontiguousarray(np.moveaxis(plane, 2, 0)[None]) for name, plane in planes.items()}
 
     @classmethod
@@ -50,9 +50,8 @@ class History:
             vectors = image(
                 arrays["motion_next"], arrays["motion_next"]
             )  # motion, which comes first, is not read again
-        if "accumulated" in arrays:
-            light, albedo = np.split(np.asarray(arrays["accumulated"]), 2, axis=1)
-            mean, mean_albedo = image(light, arrays["length"]), image(albedo)
+        if "mean" in arrays:
+            mean, mean_albedo = image(arrays["mean"], arrays["length"]), image(arrays["mean_albedo"])
         surface = image(arrays["normal"], arrays["depth"])
         denoised = image(arrays["radiance"], np.ones_like(arrays["depth"]))
         return cls(denoised, surface, vectors, mean, mean_albedo)

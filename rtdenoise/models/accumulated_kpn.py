@@ -17,13 +17,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..color import exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance, nearness
+from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance
 from ..motion_splat import history_motion
 from ..nets import ConvRelu, UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
 from ..ops.features import features
 from ..ops.layout import whole
-from ..ops.pixels import accumulate, demodulate, modulate
+from ..ops.pixels import accumulate, demodulate, modulate, nearness
 
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
 # uncovered 1.
@@ -139,8 +139,7 @@ class AccumulatedKPN(nn.Module):
         output = modulate(output, frame.albedo, mean_albedo, heads.sharp, frame.depth)
         before = apply_kernel(torch.where(past.on_screen, past.output, output), heads.temporal)
         output = blend(output, before, heads.alpha_temporal)
-        accumulated = torch.cat([mean, mean_albedo], dim=1)
-        return output, History(output, frame.motion_next, frame.depth, frame.normal, length, accumulated)
+        return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
 
     def reprojected(self, frame: Frame, history: History | None, known: Known = NOTHING_KNOWN) -> Past:
         """History where this frame needs it: means from the same surface only, the previous output from wherever."""
@@ -150,10 +149,10 @@ class AccumulatedKPN(nn.Module):
             return Past(nothing, nothing, nothing[:, :1], frame.radiance, never, never)
         kind = "traditional" if known.covered else self.config.motion
         motion, seen, uncovered = history_motion(frame, history, kind)
-        kept = torch.cat([history.accumulated, history.length], dim=1)
+        kept = history.mean, history.mean_albedo, history.length
         here, before = (frame.depth, frame.normal), (history.depth, history.normal)
         light, albedo, length = reproject(kept, motion, here, before)[0].split([3, 3, 1], dim=1)
-        output = history.radiance if known.still else torch.where(seen, warp(history.radiance, motion), frame.radiance)
+        output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance)
         return Past(light, albedo, length, output, seen, uncovered)
 
     def features(

@@ -12,10 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from ..color import compress, exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance, nearness
+from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance
 from ..motion_splat import history_motion
 from ..nets import UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, warp
+from ..ops.pixels import nearness
 
 SCALES = 3  # 1, 1/2 and 1/4 of the image: "the last three layers" (§4.3)
 FEATURES = 13  # noisy radiance 3, albedo 3, normal 3, depth 1, warped previous output 3
@@ -91,7 +92,7 @@ class TemporalKPN(nn.Module):
             warped = history.radiance
         else:
             motion, seen, _ = history_motion(frame, history, "traditional" if known.covered else self.config.motion)
-            warped = torch.where(seen, warp(history.radiance, motion), frame.radiance)
+            warped = warp(history.radiance, motion, seen, frame.radiance)
 
         # Predict kernels.
         heads = self.predict(self.features(frame, warped, known))

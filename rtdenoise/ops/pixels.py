@@ -1,7 +1,8 @@
-"""What is done to each pixel by itself: textures taken out and given back, running means."""
+"""What is done to each pixel by itself: textures taken out and given back, running means, nearness."""
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from ..color import albedo_divisor
@@ -49,3 +50,13 @@ def accumulate(
     weight = 1 / (1 + length)
     weight = weight + reset * (1 - weight)
     return blend(new, mean, weight), (1 / weight).clamp(max=longest)
+
+
+def nearness(
+    depth: Tensor,  # [B, 1, H, W], 0 where nothing was hit
+    distance: Tensor,  # [B, 1, 1, 1] > 0: the frame's mean (`frame.mean_distance`)
+) -> Tensor:  # [B, 1, H, W] in [0, 1)
+    """Depth as a network sees it: t / (t + depth) with t the mean distance; 0 where nothing was hit."""
+    if run := fused("nearness", depth):
+        return run(depth, distance)
+    return torch.where(depth > 0, distance / (distance + depth), 0.0)

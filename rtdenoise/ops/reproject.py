@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import torch
@@ -33,7 +34,7 @@ def alike(
 
 
 def reproject(
-    stored: Tensor,  # [B, C, H, W] of the previous frame
+    stored: Tensor | Sequence[Tensor],  # [B, C, H, W] of the previous frame, or several, whose channels are joined
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels
     surface: tuple[Tensor, Tensor],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
     surface_previous: tuple[Tensor, Tensor],  # ... of the previous one, not reprojected
@@ -50,10 +51,13 @@ def reproject(
 
     Raises ValueError where the shapes do not fit.
     """
-    check(stored, motion)
-    if run := fused("reproject", stored, motion, *surface, *surface_previous):
+    stored = [stored] if isinstance(stored, Tensor) else [*stored]
+    for image in stored:
+        check(image, motion)
+    if run := fused("reproject", *stored, motion, *surface, *surface_previous):
         tolerances = (depth_tolerance, normal_tolerance)
         return run(stored, motion, *surface, *surface_previous, tolerances=tolerances, least=LEAST)
+    stored = torch.cat(stored, dim=1)
     B, C, H, W = stored.shape
     x = torch.arange(W, device=motion.device, dtype=motion.dtype)
     y = torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]

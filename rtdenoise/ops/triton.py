@@ -204,15 +204,20 @@ def _warp(image, motion, out, H, W, C: tl.constexpr, CP: tl.constexpr, NEAREST: 
     tl.store(out + channels + pixel[:, None], result, mask=real)
 
 
-def warp(image: Tensor, motion: Tensor, nearest: bool = False) -> Tensor:
+def warp(image: Tensor, motion: Tensor, seen: Tensor | None = None, otherwise: Tensor | None = None) -> Tensor:
+    found = _look_up(image, motion, nearest=False)
+    return found if seen is None else torch.where(seen, found, otherwise)
+
+
+def fetch(image: Tensor, motion: Tensor) -> Tensor:
+    return _look_up(image, motion, nearest=True)
+
+
+def _look_up(image: Tensor, motion: Tensor, nearest: bool) -> Tensor:
     image, motion = image.contiguous(), motion.contiguous()
     out = torch.empty_like(image)
     _warp[_grid(image)](image, motion, out, *image.shape[2:], **_channels(image), NEAREST=nearest)
     return out
-
-
-def fetch(image: Tensor, motion: Tensor) -> Tensor:
-    return warp(image, motion, nearest=True)
 
 
 def _channels(image: Tensor) -> dict[str, int]:
@@ -265,10 +270,10 @@ def _reproject(stored, motion, depth, normal, depth_before, normal_before, out, 
 
 
 def reproject(
-    stored: Tensor, motion: Tensor, *geometry: Tensor, tolerances: tuple[float, float], least: float
+    stored: list[Tensor], motion: Tensor, *geometry: Tensor, tolerances: tuple[float, float], least: float
 ) -> tuple[Tensor, Tensor]:
     """`geometry` is depth, normal, depth and normal of the previous frame."""
-    stored, motion, *geometry = (t.contiguous() for t in (stored, motion, *geometry))
+    stored, motion, *geometry = (t.contiguous() for t in (torch.cat(stored, dim=1), motion, *geometry))
     B, _, H, W = stored.shape
     out, valid = torch.empty_like(stored), torch.empty(B, 1, H, W, dtype=torch.uint8, device=stored.device)
     _reproject[_grid(stored)](stored, motion, *geometry, out, valid, H, W, *tolerances, least, **_channels(stored))

@@ -12,6 +12,8 @@ from .path import fused
 def warp(
     image: Tensor,  # [B, C, H, W]
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels
+    seen: Tensor | None = None,  # [B, 1, H, W] bool: where this is wanted
+    otherwise: Tensor | None = None,  # [B, C, H, W] what is taken elsewhere; goes with `seen`
 ) -> Tensor:  # [B, C, H, W]
     """Bilinear reprojection (the paper's eq. 3): `out(p) = image(p + motion(p))`.
 
@@ -27,8 +29,9 @@ def warp(
     Raises ValueError where the shapes do not fit.
     """
     check(image, motion)
-    if run := fused("warp", image, motion):
-        return run(image, motion)
+    choice = () if seen is None else (seen, otherwise)
+    if run := fused("warp", image, motion, *choice[1:]):
+        return run(image, motion, *choice)
     B, C, H, W = image.shape
     u, v = _targets(motion, H, W)
     x0, y0 = u.floor(), v.floor()
@@ -44,7 +47,8 @@ def warp(
 
     top = at(y0, x0) * (1 - f) + at(y0, x1) * f
     bottom = at(y1, x0) * (1 - f) + at(y1, x1) * f
-    return top * (1 - g) + bottom * g
+    found = top * (1 - g) + bottom * g
+    return found if seen is None else torch.where(seen, found, otherwise)
 
 
 def fetch(

@@ -108,33 +108,36 @@ def _readable(logits: Tensor) -> Tensor:
     return (whole(logits) if logits.ndim == 6 else logits).contiguous()
 
 
-def warp(image: Tensor, motion: Tensor) -> Tensor:
-    return _reproject("warp", image, motion)
+def warp(image: Tensor, motion: Tensor, seen: Tensor | None = None, otherwise: Tensor | None = None) -> Tensor:
+    return _look_up("warp", image, motion, seen, otherwise)
 
 
 def fetch(image: Tensor, motion: Tensor) -> Tensor:
-    return _reproject("fetch", image, motion)
+    return _look_up("fetch", image, motion)
 
 
-def _reproject(name: str, image: Tensor, motion: Tensor) -> Tensor:
-    image, motion = image.contiguous(), motion.contiguous()
-    B, C, H, W = image.shape
-    out = torch.empty_like(image)
-    getattr(library("warp", C=C), name)(*map(_pointer, (image, motion, out)), B, H, W, torch.get_num_threads())
+def _look_up(name: str, *tensors: Tensor | None) -> Tensor:
+    """The first of the tensors is looked up."""
+    tensors = [t if t is None else t.contiguous() for t in tensors]
+    B, C, H, W = tensors[0].shape
+    out = torch.empty_like(tensors[0])
+    getattr(library("warp", C=C), name)(*map(_pointer, (*tensors, out)), B, H, W, torch.get_num_threads())
     return out
 
 
 def reproject(
-    stored: Tensor, motion: Tensor, *geometry: Tensor, tolerances: tuple[float, float], least: float
+    stored: list[Tensor], motion: Tensor, *geometry: Tensor, tolerances: tuple[float, float], least: float
 ) -> tuple[Tensor, Tensor]:
     """`geometry` is depth, normal, depth and normal of the previous frame."""
-    tensors = [t.contiguous() for t in (stored, motion, *geometry)]
-    B, C, H, W = stored.shape
-    out = torch.empty_like(tensors[0])
-    valid = torch.empty(B, 1, H, W, dtype=torch.bool)
+    stored, tensors = ([t.contiguous() for t in group] for group in (stored, (motion, *geometry)))
+    planes = [plane.data_ptr() for images in zip(*stored, strict=True) for image in images for plane in image]
+    B, _, H, W = motion.shape
+    C = len(planes) // B
+    out, valid = torch.empty(B, C, H, W), torch.empty(B, 1, H, W, dtype=torch.bool)
     limits = map(c_float, (*tolerances, least))
     pointers = map(_pointer, (*tensors, out, valid))
-    library("reproject", C=C).reproject(*pointers, B, H, W, *limits, torch.get_num_threads())
+    run = library("reproject", C=C).reproject
+    run((c_void_p * (B * C))(*planes), *pointers, B, H, W, *limits, torch.get_num_threads())
     return out, valid
 
 
@@ -192,6 +195,14 @@ def accumulate(new: Tensor, mean: Tensor, length: Tensor, reset: Tensor, longest
     out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in (new, length)]
     _each_pixel("accumulate", [new, mean, length, reset], out, c_float(longest))
     return out[0], out[1]
+
+
+def nearness(depth: Tensor, distance: Tensor) -> Tensor:
+    depth, out = depth.contiguous(), torch.empty_like(depth, memory_format=torch.contiguous_format)
+    run, size = library("pixels", C=1).nearness, c_int64(depth[0].numel())
+    for b in range(len(depth)):
+        run(_pointer(depth[b]), c_float(distance[b].item()), _pointer(out[b]), size, torch.get_num_threads())
+    return out
 
 
 def _each_pixel(name: str, inputs: list[Tensor], outputs: list[Tensor], *constants: c_float) -> None:

@@ -69,3 +69,8 @@ void accumulate(const float *new, const float *mean, const float *length, const 
             EACH_PIXEL o[x] = lerp(m[x], n[x], weight[x - from]);
     }
 }
+
+void nearness(const float *depth, float distance, float *out, int64_t plane, int threads) {
+#pragma omp parallel for simd num_threads(threads) schedule(static)
+    for (int64_t x = 0; x < plane; x++) out[x] = depth[x] > 0 ? distance / (distance + depth[x]) : 0;
+}

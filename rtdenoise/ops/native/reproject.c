@@ -10,7 +10,7 @@ static inline float target(float motion) {  // far away is as good as off the sc
 
 // What is looked up, of the whole previous frame; the rest where a row of the current one begins.
 typedef struct {
-    const float *stored, *depth, *normal, *depth_before, *normal_before;
+    const float *const *stored, *depth, *normal, *depth_before, *normal_before;
     float *out;
     uint8_t *valid;
     float depth_tolerance, normal_tolerance, least;
@@ -45,7 +45,7 @@ static inline void look(Row r, const int *left, const int *top, const float *f, 
             float weight = same ? (tap % 2 ? fx : 1 - fx) * (tap / 2 ? fy : 1 - fy) : 0;
             total += weight;
 #pragma GCC unroll 8
-            for (int c = 0; c < C; c++) sum[c] = fmaf(weight, r.stored[c * plane + at], sum[c]);
+            for (int c = 0; c < C; c++) sum[c] = fmaf(weight, r.stored[c][at], sum[c]);
         }
         r.valid[x] = total >= r.least;
         float scale = total >= r.least ? 1 / total : 0;
@@ -54,9 +54,9 @@ static inline void look(Row r, const int *left, const int *top, const float *f, 
     }
 }
 
-// stored, out [B, C, H, W], motion [B, 2, H, W], depths [B, 1, H, W], normals [B, 3, H, W], valid [B, 1, H, W] bool,
+// stored: B × C planes; out [B, C, H, W], motion [B, 2, H, W], depths [B, 1, H, W], normals [B, 3, H, W], valid [B, 1, H, W] bool,
 // all contiguous.
-void reproject(const float *stored, const float *motion, const float *depth, const float *normal,
+void reproject(const float *const *stored, const float *motion, const float *depth, const float *normal,
                const float *depth_before, const float *normal_before, float *out, uint8_t *valid, int B, int H, int W,
                float depth_tolerance, float normal_tolerance, float least, int threads) {
     int64_t plane = (int64_t)H * W;
@@ -64,7 +64,7 @@ void reproject(const float *stored, const float *motion, const float *depth, con
     for (int64_t row = 0; row < (int64_t)B * H; row++) {
         int64_t b = row / H, y = row % H, pixel = y * W;
         const float *mx = motion + b * 2 * plane + pixel, *my = mx + plane;
-        Row r = {stored + b * C * plane, depth + b * plane + pixel, normal + b * 3 * plane + pixel,
+        Row r = {stored + b * C, depth + b * plane + pixel, normal + b * 3 * plane + pixel,
                  depth_before + b * plane, normal_before + b * 3 * plane, out + b * C * plane + pixel,
                  valid + b * plane + pixel, depth_tolerance, normal_tolerance, least, plane, H, W};
         for (int from = 0; from < W; from += BLOCK) {

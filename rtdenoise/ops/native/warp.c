@@ -1,8 +1,10 @@
 // Reprojection in one pass. The specification is ops/warp.py; C is the number of channels. A plane has < 2³¹ pixels.
 #include "common.h"
 
-// image, out [B, C, H, W], motion [B, 2, H, W], contiguous.
-void warp(const float *image, const float *motion, float *out, int B, int H, int W, int threads) {
+// image, otherwise, out [B, C, H, W], motion [B, 2, H, W], seen [B, 1, H, W] bool, contiguous; `seen` and `otherwise` may
+// be null.
+void warp(const float *image, const float *motion, const uint8_t *seen, const float *otherwise, float *out, int B,
+          int H, int W, int threads) {
     int64_t plane = (int64_t)H * W;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t row = 0; row < (int64_t)B * H; row++) {
@@ -21,6 +23,13 @@ void warp(const float *image, const float *motion, float *out, int B, int H, int
                 float bottom = i[y1 * W + x0] * (1 - f) + i[y1 * W + x1] * f;
                 to[c * plane + x] = top * (1 - g) + bottom * g;
             }
+        }
+        const uint8_t *wanted = seen ? seen + row * W : 0;
+        if (!wanted || !memchr(wanted, 0, W)) continue;  // most rows: nothing else is read
+        for (int c = 0; c < C; c++) {
+            const float *other = otherwise + (b * C + c) * plane + (int64_t)y * W;
+#pragma omp simd
+            for (int x = 0; x < W; x++) to[c * plane + x] = wanted[x] ? to[c * plane + x] : other[x];
         }
     }
 }
