@@ -79,7 +79,7 @@ class TorchBackend:
     def prepare(self, frame: Frame) -> Frame:
         import torch
 
-        from .frame import sanitise
+        from .sanitise import sanitise
 
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
             return sanitise(frame.map(torch.from_numpy).to(self.device))

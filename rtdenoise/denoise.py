@@ -17,7 +17,8 @@ from .backends import Backend, open_backend
 from .data.output import check_output, write_frame
 from .data.sequences import Sequence, open_sequence
 from .errors import InputError
-from .frame import CUT, faults
+from .frame import CUT
+from .sanitise import faults
 from .stored import find, read_history, write_history
 from .strict_json import dumps
 
@@ -77,7 +78,7 @@ class Summary:
     written: int = 0
     skipped: int = 0
     seconds: float = 0.0  # in the denoiser alone
-    replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`frame.faults`)
+    replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`sanitise.faults`)
     cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
     gaps: list[int] = field(default_factory=list)  # numbers of the frames that are missing
     left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it

@@ -17,10 +17,7 @@ A *signal* is what is denoised: `color` (the beauty) or `indirect` (light that b
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from .errors import InputError
 
@@ -28,14 +25,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 OFF_SCREEN = 1e4  # pixels: the motion of what was nowhere on the other frame, in any direction; half floats hold it
-FAR = 1e9  # depth from which on nothing was hit: renderers write inf, FLT_MAX or 1e10 there
-BRIGHTEST = 1e15  # radiance; its square is finite in float32
-GREATEST_ALBEDO, LONGEST_NORMAL = 16.0, 2.0  # far outside of what is meant, small enough for half precision
-FINITE = (-3.4028234663852886e38, 3.4028234663852886e38)
-VALID = {  # the least and the greatest value that a layer may hold; `sanitise` mends what lies outside
-    "radiance": (0.0, BRIGHTEST), "albedo": (0.0, GREATEST_ALBEDO), "normal": (-LONGEST_NORMAL, LONGEST_NORMAL),
-    "depth": (0.0, 999999936.0), "motion": FINITE, "motion_next": FINITE,  # depth: the float32 before FAR
-}  # fmt: skip
 # Share of mismatched pixels above which a frame belongs to another shot. Measured by bench/cuts.py: the least threshold
 # without a false alarm, and so the one that misses the fewest cuts.
 CUT = 0.3
@@ -54,8 +43,7 @@ CHANNELS = {
 class Frame:
     """The buffers of one frame. `None` where the sequence does not have the layer.
 
-    Tensors, or numpy arrays of the same shapes for `rtdenoise.glsl`, which does without torch: only the functions below
-    import it.
+    Tensors, or numpy arrays of the same shapes for `rtdenoise.glsl`, which does without torch.
 
     Only `radiance` is always there. What a denoiser needs and does not find it asks for with `require`.
     """
@@ -159,96 +147,3 @@ def mean_distance(depth: Tensor) -> Tensor:
     """Of what was hit, `[B, 1, 1, 1]`; never zero."""
     hits = (depth > 0).sum((1, 2, 3), keepdim=True).clamp(min=1)
     return (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
-
-
-def admit(frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN) -> Frame:
-    """The frame as a step that filters along surfaces works on it: sanitised, and with all that is needed.
-
-    `previous` is the image in the history, None without one. Raises InputError where albedo, normal, depth or (with
-    history) motion is missing, or the history is of another size.
-    """
-    frame = frame if known.sanitised else sanitise(frame)
-    frame.require("albedo", "normal", "depth", *(() if previous is None else ("motion",)), previous=previous)
-    return frame
-
-
-def sanitise(frame: Frame) -> Frame:
-    """Replace what no filter can use, once, before anything else sees it. Valid frames come back unchanged to the bit,
-    on a CPU as the tensors that they were.
-
-    | layer               | found                 | becomes |
-    |---------------------|-----------------------|---------|
-    | radiance            | NaN, ±Inf, negative   | 0       |
-    | radiance            | above 1e15            | 1e15 (what follows must stay finite in float32) |
-    | radiance            | a firefly             | what `color.limit_fireflies` leaves of it |
-    | albedo              | NaN, ±Inf, negative   | 0       |
-    | albedo              | above 16              | 16      |
-    | normal              | NaN, ±Inf             | 0       |
-    | normal              | beyond ±2             | ±2      |
-    | depth               | NaN, negative         | 0 (nothing hit) |
-    | depth               | above 1e9, Inf        | 0: that is how renderers write a miss, and no fault |
-    | motion, motion_next | NaN, ±Inf             | `OFF_SCREEN`, so no history is taken |
-
-    `faults` counts what this will replace. Reference, position and id are left as they are.
-    """
-    import torch
-
-    from .color import limit_fireflies
-
-    clean = {layer: tensor for layer, tensor in frame.layers() if layer in VALID}
-    for layer, tensor in clean.items():
-        low, high = VALID[layer]
-        if tensor.device.type == "cpu" and _within(tensor, low, high):
-            continue  # looking is cheaper than writing; a GPU would have to be waited for
-        if layer == "depth":
-            clean[layer] = torch.where((tensor > 0) & (tensor < FAR), tensor, 0.0)
-        elif layer in ("motion", "motion_next"):
-            clean[layer] = torch.nan_to_num(tensor, nan=OFF_SCREEN, posinf=OFF_SCREEN, neginf=OFF_SCREEN)
-        else:
-            clean[layer] = torch.nan_to_num(tensor, nan=0.0, posinf=0.0, neginf=0.0).clamp_(low, high)
-    clean["radiance"] = limit_fireflies(clean["radiance"])
-    return replace(frame, **clean)
-
-
-def _within(tensor: Tensor, low: float, high: float) -> bool:
-    """Whether all values are in [low, high]. NaN is not, and makes the least and the greatest NaN."""
-    if tensor.numel() == 0:
-        return True
-    least, greatest = tensor.aminmax()
-    return bool((least >= low) & (greatest <= high))
-
-
-def faults(frame: Frame) -> dict[str, int]:
-    """Pixels that `sanitise` will replace, as "layer: what is wrong with it" -> count; what is not there is left out.
-    Tensors on the CPU or numpy arrays; fireflies are counted where torch is installed."""
-    found: dict[str, np.ndarray] = {}
-    for layer, tensor in frame.layers():
-        array = np.asarray(tensor)
-        finite = np.isfinite(array)
-        if layer in ("radiance", "albedo", "normal", "motion", "motion_next"):
-            found[f"{layer}: NaN or Inf"] = ~finite
-        if layer in ("radiance", "albedo"):
-            found[f"{layer}: negative"] = finite & (array < 0)
-        if layer == "radiance":
-            found["radiance: too bright"] = finite & (array > BRIGHTEST)
-            found["radiance: firefly"] = _fireflies(np.where(finite, array, 0).clip(0.0, BRIGHTEST))
-        if layer == "albedo":
-            found["albedo: too large"] = finite & (array > GREATEST_ALBEDO)
-        if layer == "normal":
-            found["normal: too long"] = finite & (abs(array) > LONGEST_NORMAL)
-        if layer == "depth":
-            found["depth: NaN or negative"] = np.isnan(array) | (array < 0)
-    counts = {what: int(mask.any(axis=1).sum()) for what, mask in found.items()}
-    return {what: count for what, count in counts.items() if count}
-
-
-def _fireflies(radiance: np.ndarray) -> np.ndarray:
-    """Where `color.limit_fireflies` changes it."""
-    if find_spec("torch") is None:
-        return np.zeros(radiance.shape, bool)
-    import torch
-
-    from .color import limit_fireflies
-
-    tensor = torch.from_numpy(radiance)
-    return (limit_fireflies(tensor) != tensor).numpy()

@@ -13,10 +13,11 @@ from torch import Tensor
 from .data.conventions import Verdict, check_motion
 from .data.exr_format import group_channels
 from .data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
-from .frame import Frame, faults, sanitise
+from .frame import Frame
 from .motion import dual_motion, occlusion_mask, on_screen
 from .motion_splat import splat_motion_next
 from .plan import Plan, make_plan
+from .sanitise import faults, sanitise
 
 READ = (*DEFAULT_LAYERS, "reference")  # what is read here; the check of the motion can use the reference
 

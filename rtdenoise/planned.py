@@ -6,9 +6,10 @@ from dataclasses import replace
 
 from torch import Tensor, nn
 
-from .color import exposure
-from .frame import NOTHING_KNOWN, Frame, History, Known, sanitise
+from .brightness import exposure
+from .frame import NOTHING_KNOWN, Frame, History, Known
 from .plan import WORTH, Plan, count, look, rows_unlike, varied_rows
+from .sanitise import sanitise
 from .tiles import Tiled, carried, keeps_only_the_image, light_reach, network_reach, step_in_windows, widened
 
 FAINT = 1e-6  # of a frame's brightness: history may differ by so much from a colour that it is taken for

@@ -13,7 +13,7 @@ from torch import Tensor
 from .color import display, display_exposure
 from .data.output import read_result, recombined
 from .data.sequences import Sequence
-from .frame import sanitise
+from .sanitise import sanitise
 
 FRAMES_PER_SECOND = 12
 WIDEST = 1920  # pixels of an animation, which bounds its memory too

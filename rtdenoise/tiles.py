@@ -14,8 +14,9 @@ from dataclasses import fields, replace
 import torch
 from torch import Tensor, nn
 
-from .frame import NOTHING_KNOWN, Frame, History, Known, sanitise
+from .frame import NOTHING_KNOWN, Frame, History, Known
 from .motion import on_screen
+from .sanitise import sanitise
 
 CELL = 32  # windows start at multiples of it: the pyramid's pixels must lie as they do in the whole frame
 GEOMETRY = ("motion_next", "depth", "normal")  # what a history takes over from the frame as it is

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from .atomic import write_atomically
 from .backends import choose_device
-from .color import exposure
+from .brightness import exposure
 from .distributed import average_gradients, means
 from .errors import InputError
 from .frame import Frame

@@ -16,7 +16,7 @@ import torch
 from synthetic import make_frames
 from torch import Tensor
 
-from rtdenoise.color import exposure, limit_fireflies
+from rtdenoise.brightness import exposure, limit_fireflies
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.losses import temporal_kpn_loss

@@ -9,11 +9,12 @@ from safetensors.torch import save_file
 
 from rtdenoise.color import albedo_divisor
 from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame, History, faults, sanitise
+from rtdenoise.frame import Frame, History
 from rtdenoise.models import PRESETS, AccumulatedKPN, TemporalKPN, accumulated_kpn, available, create, load, save
 from rtdenoise.models import temporal_kpn as paper
 from rtdenoise.models.presets import architecture
 from rtdenoise.motion_splat import history_motion
+from rtdenoise.sanitise import faults, sanitise
 
 SMALL = {
     "temporal_kpn": paper.Config(widths=(8, 8, 8, 8)),

@@ -15,17 +15,18 @@ from safetensors.numpy import load_file, save_file
 from synthetic import TINY, make_frames, write_sequence
 
 from rtdenoise import glsl, models
-from rtdenoise.color import exposure, limit_fireflies
+from rtdenoise.brightness import exposure, limit_fireflies
 from rtdenoise.data.exr import read_channels
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
-from rtdenoise.frame import Known, mean_distance, sanitise
+from rtdenoise.frame import Known, mean_distance
 from rtdenoise.glsl import GpuArray, Pipeline
 from rtdenoise.glsl.program import shaders
 from rtdenoise.history import mismatch
 from rtdenoise.models import PRESETS, accumulated_kpn
 from rtdenoise.plan import look
+from rtdenoise.sanitise import sanitise
 
 SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4))}  # preset of that architecture
 

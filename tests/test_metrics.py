@@ -8,17 +8,8 @@ import pytest
 import torch
 from skimage import metrics as skimage_metrics
 
-from rtdenoise.color import (
-    compress,
-    display,
-    display_exposure,
-    expand,
-    exposure,
-    limit_fireflies,
-    luminance,
-    srgb_decode,
-    srgb_encode,
-)  # fmt: skip
+from rtdenoise.brightness import exposure, limit_fireflies
+from rtdenoise.color import compress, display, display_exposure, expand, luminance, srgb_decode, srgb_encode
 from rtdenoise.errors import InputError
 from rtdenoise.metrics import (
     flip,

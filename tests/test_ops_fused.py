@@ -19,6 +19,7 @@ from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.motion_splat import history_motion
 from rtdenoise.ops import native, path, pixels
+from rtdenoise.ops.blocks import block_luminance
 from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
 
@@ -109,7 +110,8 @@ def test_reprojection(both, assert_images_close, op, size):
 def test_reprojection_with_a_choice(both, assert_images_close, size):
     seen = torch.rand(2, 1, *size) < 0.9
     seen[:, :, ::2] = True  # whole rows of it
-    plain, fused = both(ops.warp, torch.randn(2, 3, *size), 4 * torch.randn(2, 2, *size), seen, torch.randn(2, 3, *size))
+    image, motion, otherwise = (torch.randn(2, c, *size) for c in (3, 2, 3))
+    plain, fused = both(ops.warp, image, 4 * motion, seen, otherwise)
     assert_images_close(fused, plain, "float32")
 
 
@@ -126,6 +128,14 @@ def test_tested_reprojection_of_several(both, size):
     ):
         several, one = result
         assert torch.equal(several[0], one[0]) and torch.equal(several[1], one[1])
+
+
+@pytest.mark.parametrize("size", [*SIZES, (8, 1100)], ids=str)
+def test_luminance_of_blocks(both, assert_images_close, size):
+    for block in (8, 5):
+        plain, fused = both(block_luminance, torch.randn(2, 3, *size), block)
+        for a, b in zip(fused, plain, strict=True):
+            assert_images_close(a[..., None, None], b[..., None, None], "float32")
 
 
 @pytest.mark.parametrize("shift", [(3.3, -2.6), (-40.25, 1.0), (0.0, 0.0), (0.5, 17.5)])

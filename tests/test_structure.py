@@ -8,8 +8,9 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent / "rtdenoise"
 # A room may import the rooms above it in this list, and its own.
 ORDER = [
-    ("errors", "strict_json", "progress", "distributed", "train_config"), ("memory", "atomic", "origin", "train_log"),
-    ("stored",), ("color",), ("frame",), ("ops",), ("motion",), ("motion_splat", "history"), ("nets",), ("models",),
+    ("errors", "strict_json", "progress", "distributed", "train_config", "muon"),
+    ("memory", "atomic", "origin", "train_log"), ("stored",), ("color",), ("frame",), ("ops",),
+    ("brightness", "motion"), ("sanitise",), ("motion_splat", "history"), ("nets",), ("models",),
     ("plan",), ("tiles",), ("planned",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
     ("backends",), ("render", "trainer", "clean"),

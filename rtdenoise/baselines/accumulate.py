@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..frame import Frame, History, sanitise
+from ..frame import Frame, History
 from ..motion import on_screen
 from ..ops import blend, fetch, warp
+from ..sanitise import sanitise
 from .clamp import clamp_to_neighbourhood
 
 

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..frame import Frame, History, sanitise
+from ..frame import Frame, History
+from ..sanitise import sanitise
 from .accumulate import Accumulate
 
 

@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from ..color import luminance
-from ..frame import Frame, admit
+from ..frame import Frame
 from ..motion import dual_motion, occlusion_mask, on_screen, same_surface
 from ..ops import blend, fetch
+from ..sanitise import admit
 from .atrous import MISS, Surface, atrous, spatial_variance
 from .clamp import clamp_to_neighbourhood
 

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
-from ..frame import Frame, sanitise
+from ..frame import Frame
+from ..sanitise import sanitise
 from .exr import read_channels, write_layers, write_like
 from .rules import Rule
 from .sequences import Sequence, convert

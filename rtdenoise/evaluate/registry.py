@@ -12,8 +12,9 @@ from torch import Tensor
 
 from ..baselines import Accumulate, Oidn, Svgf, Trmv
 from ..errors import InputError
-from ..frame import Frame, sanitise
+from ..frame import Frame
 from ..models import available, load
+from ..sanitise import sanitise
 
 Step = Callable[[Frame, object], tuple[Tensor, object]]
 PRECISIONS = ("fp32", "bf16")

@@ -16,14 +16,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ..color import exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, admit, mean_distance
+from ..brightness import exposure
+from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
 from ..motion_splat import history_motion
 from ..nets import ConvRelu, UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
 from ..ops.features import features
 from ..ops.layout import whole
 from ..ops.pixels import accumulate, demodulate, modulate, nearness
+from ..sanitise import admit
 
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
 # uncovered 1.

@@ -1,5 +1,5 @@
 #version 430
-// The light that is filtered: radiance without fireflies (color.limit_fireflies), its texture divided out; and what it holds
+// The light that is filtered: radiance without fireflies (brightness.limit_fireflies), its texture divided out; and what it holds
 // block by block, for `statistics`. One work group per block of 8×8 pixels.
 //
 //     bound = 5 · max(brightest of the 8 neighbours, usual);    brighter pixels are scaled down to it

@@ -1,5 +1,5 @@
 #version 430
-// Motion vectors as they come, made fit (frame.sanitise): what is not finite leads off the screen.
+// Motion vectors as they come, made fit (sanitise.sanitise): what is not finite leads off the screen.
 //
 // takes    motion, motion_next [2, H, W] in pixels
 // returns  vectors [H, W]: motion, motion_next

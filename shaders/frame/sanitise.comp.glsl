@@ -1,5 +1,5 @@
 #version 430
-// The buffers of a frame as they come, made fit for filtering (frame.sanitise), four values a pixel. One work group per block of
+// The buffers of a frame as they come, made fit for filtering (sanitise.sanitise), four values a pixel. One work group per block of
 // 8×8 pixels.
 //
 // takes    radiance, albedo, normal [3, H, W] · depth [1, H, W]

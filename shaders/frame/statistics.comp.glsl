@@ -1,5 +1,5 @@
 #version 430
-// Exposure (color.exposure) and mean distance of a frame, from its blocks: one work group for all of them.
+// Exposure (brightness.exposure) and mean distance of a frame, from its blocks: one work group for all of them.
 //
 //     exposure = 1 / max(1e-8, mean of the `kept` least block means)        distance = Σ depth / number of hits
 //

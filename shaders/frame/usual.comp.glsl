@@ -1,5 +1,5 @@
 #version 430
-// What is usually the brightest in a block of 8×8 pixels (color.limit_fireflies): one work group for all blocks.
+// What is usually the brightest in a block of 8×8 pixels (brightness.limit_fireflies): one work group for all blocks.
 //
 //     usual = the k-th greatest of the blocks' maxima,    k = min(2 + ⌊count / 50⌋, count)
 //

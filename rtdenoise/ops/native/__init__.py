@@ -205,6 +205,15 @@ def nearness(depth: Tensor, distance: Tensor) -> Tensor:
     return out
 
 
+def block_luminance(radiance: Tensor, block: int) -> tuple[Tensor, Tensor]:
+    radiance = radiance.contiguous()
+    B, _, H, W = radiance.shape
+    means, maxima = radiance.new_empty(2, B, -(-H // block) * -(-W // block))
+    run = library("blocks").block_luminance
+    run(*map(_pointer, (radiance, means, maxima)), B, H, W, block, torch.get_num_threads())
+    return means, maxima
+
+
 def _each_pixel(name: str, inputs: list[Tensor], outputs: list[Tensor], *constants: c_float) -> None:
     B, C, H, W = inputs[0].shape
     inputs = [t.contiguous() for t in inputs]

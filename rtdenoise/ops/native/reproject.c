@@ -10,7 +10,7 @@ static inline float target(float motion) {  // far away is as good as off the sc
 
 // What is looked up, of the whole previous frame; the rest where a row of the current one begins.
 typedef struct {
-    const float *const *stored, *depth, *normal, *depth_before, *normal_before;
+    const float *stored[C], *depth, *normal, *depth_before, *normal_before;
     float *out;
     uint8_t *valid;
     float depth_tolerance, normal_tolerance, least;
@@ -64,9 +64,10 @@ void reproject(const float *const *stored, const float *motion, const float *dep
     for (int64_t row = 0; row < (int64_t)B * H; row++) {
         int64_t b = row / H, y = row % H, pixel = y * W;
         const float *mx = motion + b * 2 * plane + pixel, *my = mx + plane;
-        Row r = {stored + b * C, depth + b * plane + pixel, normal + b * 3 * plane + pixel,
+        Row r = {{0}, depth + b * plane + pixel, normal + b * 3 * plane + pixel,
                  depth_before + b * plane, normal_before + b * 3 * plane, out + b * C * plane + pixel,
                  valid + b * plane + pixel, depth_tolerance, normal_tolerance, least, plane, H, W};
+        for (int c = 0; c < C; c++) r.stored[c] = stored[b * C + c];
         for (int from = 0; from < W; from += BLOCK) {
             int n = MIN(BLOCK, W - from), left[BLOCK], top[BLOCK], apart = 0;
             float f[BLOCK], g[BLOCK];
