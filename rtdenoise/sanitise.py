@@ -56,11 +56,12 @@ def sanitise(frame: Frame) -> Frame:
     import torch
 
     from .brightness import limit_fireflies
+    from .ops.pixels import within
 
     clean = {layer: tensor for layer, tensor in frame.layers() if layer in VALID}
     for layer, tensor in clean.items():
         low, high = VALID[layer]
-        if tensor.device.type == "cpu" and _within(tensor, low, high):
+        if tensor.device.type == "cpu" and within(tensor, low, high):
             continue  # looking is cheaper than writing; a GPU would have to be waited for
         if layer == "depth":
             clean[layer] = torch.where((tensor > 0) & (tensor < FAR), tensor, 0.0)
@@ -70,14 +71,6 @@ def sanitise(frame: Frame) -> Frame:
             clean[layer] = torch.nan_to_num(tensor, nan=0.0, posinf=0.0, neginf=0.0).clamp_(low, high)
     clean["radiance"] = limit_fireflies(clean["radiance"])
     return replace(frame, **clean)
-
-
-def _within(tensor: Tensor, low: float, high: float) -> bool:
-    """Whether all values are in [low, high]. NaN is not, and makes the least and the greatest NaN."""
-    if tensor.numel() == 0:
-        return True
-    least, greatest = tensor.aminmax()
-    return bool((least >= low) & (greatest <= high))
 
 
 def faults(frame: Frame) -> dict[str, int]:

@@ -138,6 +138,15 @@ def test_luminance_of_blocks(both, assert_images_close, size):
             assert_images_close(a[..., None, None], b[..., None, None], "float32")
 
 
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_values_within_limits(both, size):
+    limits = (float(torch.tensor(-0.3)), 1e9)  # -0.3 is no float32 number
+    for value, expected in ((1e9, True), (limits[0], True), (-0.31, False), (math.nan, False), (math.inf, False)):
+        values = torch.rand(2, 3, *size)
+        values[1, 2, -1, -1] = value
+        assert both(pixels.within, values, *limits) == (expected, expected), value
+
+
 @pytest.mark.parametrize("shift", [(3.3, -2.6), (-40.25, 1.0), (0.0, 0.0), (0.5, 17.5)])
 def test_tested_reprojection_of_what_moves_together(both, assert_images_close, shift):
     """Where neighbours stay neighbours they are loaded as such, but not beyond the screen."""

@@ -52,6 +52,16 @@ def accumulate(
     return blend(new, mean, weight), (1 / weight).clamp(max=longest)
 
 
+def within(values: Tensor, low: float, high: float) -> bool:
+    """Whether all values, of any shape, are in [low, high], both float32 numbers. NaN is not."""
+    if run := fused("within", values):
+        return run(values, low, high)
+    if values.numel() == 0:
+        return True
+    least, greatest = values.aminmax()  # of NaN both are NaN
+    return bool((least >= low) & (greatest <= high))
+
+
 def nearness(
     depth: Tensor,  # [B, 1, H, W], 0 where nothing was hit
     distance: Tensor,  # [B, 1, 1, 1] > 0: the frame's mean (`frame.mean_distance`)

@@ -205,6 +205,12 @@ def nearness(depth: Tensor, distance: Tensor) -> Tensor:
     return out
 
 
+def within(values: Tensor, low: float, high: float) -> bool:
+    values = values.contiguous()
+    run = library("pixels", C=1).within
+    return bool(run(_pointer(values), c_int64(values.numel()), c_float(low), c_float(high), torch.get_num_threads()))
+
+
 def block_luminance(radiance: Tensor, block: int) -> tuple[Tensor, Tensor]:
     radiance = radiance.contiguous()
     B, _, H, W = radiance.shape

@@ -2,6 +2,8 @@
 // has < 2³¹ pixels.
 #include "common.h"
 
+#define BLOCK 64  // pixels
+
 static inline int on_screen(float u, float v, int H, int W) {
     return (u >= -0.5f) & (u <= W - 0.5f) & (v >= -0.5f) & (v <= H - 0.5f);
 }
@@ -16,17 +18,27 @@ void history_motion(const float *motion, const float *next_before, float *out, u
         const float *mx = motion + pixel, *my = mx + plane, *nx = next_before + b * 2 * plane, *ny = nx + plane;
         float *to_x = out + pixel, *to_y = to_x + plane;
         uint8_t *s = seen + row * W, *hidden = uncovered + row * W;
+        for (int from = 0; from < W; from += BLOCK) {
+            int n = MIN(BLOCK, W - from), at[BLOCK], known[BLOCK];
+            const float *tx = mx + from, *ty = my + from;
+            float there_x[BLOCK], there_y[BLOCK];
 #pragma omp simd
-        for (int x = 0; x < W; x++) {
-            int at = (int)(clamped(my[x], y, H) + 0.5f) * W + (int)(clamped(mx[x], x, W) + 0.5f);
-            int known = on_screen(mx[x] + x, my[x] + y, H, W);
-            float dual_x = known ? -nx[at] : mx[x], dual_y = known ? -ny[at] : my[x];
-            float dx = dual_x - mx[x], dy = dual_y - my[x];
-            int apart = dx * dx + dy * dy > threshold * threshold;
-            float px = apart ? dual_x : mx[x], py = apart ? dual_y : my[x];
-            to_x[x] = px, to_y[x] = py;
-            hidden[x] = apart;
-            s[x] = on_screen(px + x, py + y, H, W);
+            for (int x = 0; x < n; x++) {
+                at[x] = (int)(clamped(ty[x], y, H) + 0.5f) * W + (int)(clamped(tx[x], from + x, W) + 0.5f);
+                known[x] = on_screen(tx[x] + (from + x), ty[x] + y, H, W);
+            }
+#pragma omp simd
+            for (int x = 0; x < n; x++) there_x[x] = nx[at[x]], there_y[x] = ny[at[x]];
+#pragma omp simd
+            for (int x = 0; x < n; x++) {
+                float dual_x = known[x] ? -there_x[x] : tx[x], dual_y = known[x] ? -there_y[x] : ty[x];
+                float dx = dual_x - tx[x], dy = dual_y - ty[x];
+                int apart = dx * dx + dy * dy > threshold * threshold;
+                float px = apart ? dual_x : tx[x], py = apart ? dual_y : ty[x];
+                to_x[from + x] = px, to_y[from + x] = py;
+                hidden[from + x] = apart;
+                s[from + x] = on_screen(px + (from + x), py + y, H, W);
+            }
         }
     }
 }

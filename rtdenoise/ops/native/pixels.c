@@ -74,3 +74,11 @@ void nearness(const float *depth, float distance, float *out, int64_t plane, int
 #pragma omp parallel for simd num_threads(threads) schedule(static)
     for (int64_t x = 0; x < plane; x++) out[x] = depth[x] > 0 ? distance / (distance + depth[x]) : 0;
 }
+
+// Whether all values are in [low, high]. NaN is not.
+int within(const float *values, int64_t n, float low, float high, int threads) {
+    int outside = 0;
+#pragma omp parallel for simd num_threads(threads) schedule(static) reduction(| : outside)
+    for (int64_t x = 0; x < n; x++) outside |= !((values[x] >= low) & (values[x] <= high));
+    return !outside;
+}
