@@ -11,7 +11,6 @@ and share their references. Interrupted runs go on where they stopped.
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 import time
@@ -25,7 +24,6 @@ from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.run import Options, run
 from rtdenoise.models import available
 from rtdenoise.report import report
-from rtdenoise.strict_json import dumps
 
 OUT = harness.ROOT / "out" / "standard"
 RESULT, KEPT = harness.ROOT / "bench" / "results" / "error_vs_time.json", harness.ROOT / "docs" / "report"
@@ -61,8 +59,7 @@ def keep(out: Path, written: list[Path]) -> None:
         {k: v for k, v in row.items() if k != "frames"} | {"errors": {r: row["errors"][r] for r in REGIONS}}
         for row in document["results"]
     ]
-    rounded = json.loads(dumps(document, digits=5))
-    harness.write(RESULT, **(harness.origin({"torch": harness.cpu()}) | rounded))
+    harness.write(RESULT, digits=5, **(harness.origin({"torch": harness.cpu()}) | document))
 
 
 if __name__ == "__main__":

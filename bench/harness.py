@@ -81,11 +81,12 @@ def cpu() -> str:
     return origins.device_name("cpu")
 
 
-def write(path: Path, **content: object) -> None:
-    """Write a result as JSON, under a temporary name first. Timings become dictionaries."""
+def write(path: Path, digits: int | None = None, **content: object) -> None:
+    """Write a result as JSON, its numbers in so many significant digits, under a temporary name first. Timings become
+    dictionaries."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
-    temporary.write_text(dumps(content, indent=1, default=asdict) + "\n")
+    temporary.write_text(dumps(content, digits, indent=1, default=asdict) + "\n")
     temporary.replace(path)
     print(f"written: {path}")
 

@@ -61,6 +61,16 @@ def main(options: Options) -> None:
             print(rows[-1])
     results = harness.ROOT / "bench" / "results" / "optimisers.json"
     harness.write(results, **harness.origin({"torch": harness.cpu()}), steps=options.steps, clips=len(clips), rows=rows)
+    harness.insert_all({"optimisers": table(rows)}, harness.ROOT / "docs" / "training.md")
+
+
+def table(rows: list[dict]) -> str:
+    """For docs/training.md."""
+    lines = ["| optimiser | peak rate | loss of the last steps | corrected PSNR, first frames |", "|---|---|---|---|"]
+    for row in rows:
+        psnr = row["first_frames_psnr_corrected"]
+        lines.append(f"| {row['optimiser']} | {row['peak_rate']:g} | {row['final_loss']:.4f} | {psnr:.2f} dB |")
+    return "\n".join(lines)
 
 
 @torch.inference_mode()

@@ -27,7 +27,6 @@ from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.run import Options, run
 from rtdenoise.report.markdown import write_number
 from rtdenoise.report.readings import METRICS, cost
-from rtdenoise.strict_json import dumps
 
 OUT, RESULT = harness.ROOT / "out" / "quality", harness.ROOT / "bench" / "results" / "quality.json"
 PAGE, PICTURES = harness.ROOT / "docs" / "quality.md", harness.ROOT / "docs" / "images" / "quality"
@@ -87,8 +86,7 @@ def keep(documents: dict[str, Document]) -> None:
             for row in document.results
         ],
     }  # fmt: skip
-    rounded = json.loads(dumps(content, digits=5))
-    harness.write(RESULT, **harness.origin({"torch": harness.cpu()}), **rounded)
+    harness.write(RESULT, digits=5, **harness.origin({"torch": harness.cpu()}), **content)
 
 
 def draw(documents: dict[str, Document]) -> None:
