@@ -1,13 +1,12 @@
 """The paper's experiment: traditional motion, dual motion, and the occlusion loss, on the same clips and budget.
 
-    rtdenoise train --data data/train-clean --out runs/single --frames 1 --batch 16 --steps 800 --no-occlusion-loss
-    python bench/ablation.py --data data/train-clean --val data/val --init runs/single/weights.safetensors --steps 1200
+    python bench/ablation.py --data data/train-clean --val data/val --single 700 --steps 1200
 
-The first line trains on single frames, in which the settings do not differ; the second one goes on with the `paper`
-network from there in each setting with each seed (a run that is there is resumed, a finished one kept), then measures
-all of them on the validation clips: over the frame, and inside what was uncovered in it, one and two frames before (M⁰,
-M¹, M²). Settings A, B and C are the paper's (§5.3); C-max has max pooling as D, as the paper prints it, C-bright
-another domain of the loss. Writes bench/results/ablation.json and the table of docs/models/paper.md.
+Trains the `paper` network on single frames first, in which motion and occlusions mean nothing; goes on from there on
+clips in each setting with each seed (a run that is there is resumed, a finished one kept); then measures all of them on
+the validation clips: over the frame, and inside what was uncovered in it, one and two frames before (M⁰, M¹, M²).
+Settings A, B and C are the paper's (§5.3); C-max has max pooling as D, as the paper prints it, in single frames too,
+C-bright another domain of the loss. Writes bench/results/ablation.json and the table of docs/models/paper.md.
 """
 
 from __future__ import annotations
@@ -52,8 +51,8 @@ class Options:
     """Folders of training clips."""
     val: Path
     """Validation clips, of other scenes."""
-    init: Path | None = None
-    """Weights that every run starts from, trained on single frames: there a setting means nothing yet."""
+    single: int = 700
+    """Steps on single frames, 16 a step, that every run starts from."""
     frames: int = 9
     """Frames a clip."""
     runs: Path = Path("runs/ablation")
@@ -70,11 +69,12 @@ def main(options: Options) -> None:
     PRESETS["paper-max"] = replace(PRESETS["paper"], pool="max")
     rows = []
     clips = ClipDataset(options.val)
+    single = {preset: single_frames(options, preset) for preset in {preset_of(setting) for setting in options.settings}}
     for seed in range(options.seeds):  # seed by seed: an interrupted bench has compared all settings once
         for setting in options.settings:
             config = TrainConfig(
-                data=options.data, out=options.runs / f"{setting}-{seed}", init=options.init, steps=options.steps,
-                frames=options.frames, seed=seed, **SETTINGS[setting],
+                data=options.data, out=options.runs / f"{setting}-{seed}", init=single[preset_of(setting)],
+                steps=options.steps, frames=options.frames, seed=seed, **SETTINGS[setting],
             )  # fmt: skip
             row = {"setting": setting, "seed": seed, "errors": errors(train(config), clips)}
             rows.append(row)
@@ -83,11 +83,23 @@ def main(options: Options) -> None:
                 RESULT,
                 **harness.origin({"torch": harness.cpu()}),
                 steps=options.steps,
+                single=options.single,
                 frames=options.frames,
                 clips=len(clips),
                 rows=rows,
             )
     harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
+
+
+def preset_of(setting: str) -> str:
+    return SETTINGS[setting].get("preset", "paper")
+
+
+def single_frames(options: Options, preset: str) -> Path:
+    """Weights that have seen single frames only."""
+    out = options.runs / f"single-{preset}"
+    steps = {"steps": options.single, "frames": 1, "batch": 16}
+    return train(TrainConfig(options.data, out, preset=preset, occlusion_loss=False, **steps))
 
 
 def errors(weights: Path, clips: ClipDataset) -> dict[str, dict[str, float]]:

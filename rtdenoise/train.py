@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
@@ -182,14 +182,15 @@ def _plain(config: TrainConfig) -> dict:
 
 
 def _same_config(config: TrainConfig, path: Path) -> None:
-    """Write the options of a new run; refuse to go on with other ones."""
-    options = _plain(config)
+    """Write the options of a new run; refuse to go on with other ones. What an older run does not know of had what is
+    the default now."""
+    options, defaults = _plain(config), {field.name: field.default for field in fields(TrainConfig)}
     if path.exists():
         before = json.loads(path.read_text())["options"]
         for key in options:
-            if before.get(key) != options[key]:
+            if (was := before.get(key, defaults[key])) != options[key]:
                 raise InputError(
-                    f"{path.parent}: this run was started with {key} = {before.get(key)}, not {options[key]}; "
+                    f"{path.parent}: this run was started with {key} = {was}, not {options[key]}; "
                     "use another --out"
                 )
     else:

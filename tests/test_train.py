@@ -212,6 +212,12 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
     train(config)
     with pytest.raises(InputError, match="started with lr"):
         train(replace(config, lr=1.0))
+    older = json.loads((config.out / "config.json").read_text())
+    del older["options"]["optimiser"]  # a run of before there was a choice
+    (config.out / "config.json").write_text(json.dumps(older))
+    assert train(config).is_file()
+    with pytest.raises(InputError, match="started with optimiser = adam, not muon"):
+        train(replace(config, optimiser="muon"))
     for wrong in ("preset", "motion", "device", "signal", "optimiser"):
         with pytest.raises(InputError, match=f"unknown {wrong} 'x'"):
             train(replace(config, **{wrong: "x"}))
