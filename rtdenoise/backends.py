@@ -71,10 +71,12 @@ class TorchBackend:
     """`rtdenoise.models`."""
 
     def __init__(self, model: str, device: str, precision: str) -> None:
+        from .graphed import stepper
         from .models import load
 
         self.device = choose_device(device)
         self._denoiser = load(model, self.device, precision)
+        self._step = stepper(self._denoiser)
 
     def prepare(self, frame: Frame) -> Frame:
         import torch
@@ -88,16 +90,16 @@ class TorchBackend:
         import torch
 
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
-            image, history = self._denoiser.step(frame, history, Known(sanitised=True))
+            image, history = self._step(frame, history, Known(sanitised=True))
             return image.cpu().numpy(), history
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         from .planned import Planned
 
         plan = make_plan(size, frames, self._denoiser.config.motion, first)
-        self._denoiser = Planned(self._denoiser, plan)
-        left_out |= self._denoiser.left_out | left_out  # the counts of earlier runs, where there are any
-        self._denoiser.left_out = left_out
+        planned = Planned(self._denoiser, plan, self._step)
+        left_out |= planned.left_out | left_out  # the counts of earlier runs, where there are any
+        planned.left_out, self._step = left_out, planned.step
         return plan
 
     def mismatch(self, frame: Frame, history: Any) -> float:

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from .brightness import exposure
 from .frame import NOTHING_KNOWN, Frame, History, Known
+from .graphed import Step
 from .plan import WORTH, Plan, count, look, rows_unlike, varied_rows
 from .sanitise import sanitise
 from .tiles import Tiled, carried, keeps_only_the_image, light_reach, network_reach, step_in_windows, widened
@@ -17,12 +18,14 @@ FAINT = 1e-6  # of a frame's brightness: history may differ by so much from a co
 
 class Planned:
     """A denoiser that leaves out of each step what the step does not need. `step` as the denoiser's; `left_out` counts
-    the frames."""
+    the frames. `whole` is how the denoiser makes a step of a whole frame: its own unless another is given. Windows, whose
+    sizes follow the motion, are its own steps always."""
 
-    def __init__(self, denoiser: nn.Module, plan: Plan) -> None:
+    def __init__(self, denoiser: nn.Module, plan: Plan, whole: Step | None = None) -> None:
         self.denoiser = denoiser
         self.left_out = {"network in plain rows": 0}
         self._tiled = Tiled(denoiser) if plan.tiled else None
+        self._whole = self._tiled.step if self._tiled else whole or denoiser.step
         self._reach: tuple[int, int] | None = None  # of the network and of light; found when they are needed
         self._image_alone = keeps_only_the_image(denoiser)
 
@@ -36,7 +39,7 @@ class Planned:
         count(self.left_out, known, keeps_means=not self._image_alone)
         plain = self._plain(frame, history) if self._image_alone else None
         if plain is None:
-            return (self._tiled or self.denoiser).step(frame, history, known)
+            return self._whole(frame, history, known)
         self.left_out["network in plain rows"] += 1
         window, colour = plain
         windows = self._tiled.split(window) if self._tiled else [window] if window[2] > window[0] else []

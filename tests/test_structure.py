@@ -11,7 +11,7 @@ ORDER = [
     ("errors", "strict_json", "progress", "distributed", "train_config", "muon"),
     ("memory", "atomic", "origin", "train_log"), ("stored",), ("color",), ("frame",), ("ops",),
     ("brightness", "motion"), ("sanitise",), ("motion_splat", "history"), ("nets",), ("models",),
-    ("plan",), ("tiles",), ("planned",),
+    ("plan",), ("tiles", "graphed"), ("planned",),
     ("baselines", "glsl", "losses", "metrics", "data", "augment"),
     ("backends",), ("render", "trainer", "clean"),
     ("train", "denoise", "evaluate", "preview", "inspect"), ("demo", "report"),

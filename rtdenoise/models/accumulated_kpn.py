@@ -29,7 +29,7 @@ from ..sanitise import admit
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
 # uncovered 1.
 FEATURES = 21
-FIRST = [0, 1, 2, *range(6, 19)]  # of these, what is not zero everywhere in a first frame
+FIRST = slice(0, 3), slice(6, 19)  # of these, what is not zero everywhere in a first frame
 
 
 @dataclass(frozen=True)
@@ -208,5 +208,6 @@ class AccumulatedKPN(nn.Module):
             x = F.pad(x, (0, max(0, 4 - W), 0, max(0, 4 - H)))
         if x.shape[1] == FEATURES:
             return self.stem(x)[:, :, : H // 2, : W // 2]
-        weight = as_weights(self.stem.weight[:, FIRST], self)
+        # Joined from slices: a list of indices would be copied to the GPU, which a CUDA graph does not allow.
+        weight = as_weights(torch.cat([self.stem.weight[:, part] for part in FIRST], dim=1), self)
         return F.relu(F.conv2d(x, weight, self.stem.bias, stride=2, padding=1))[:, :, : H // 2, : W // 2]

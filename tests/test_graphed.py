@@ -1,0 +1,328 @@
+"""Recorded steps give what the denoiser gives, and nothing that a caller holds changes under it. CUDA graphs are recorded
+where there is a GPU; elsewhere stands a recorder that is as unforgiving: what it has recorded is written only when it is
+played, and playing one recording spoils what all others have written."""
+
+import contextlib
+import importlib
+import logging
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from synthetic import make_frames, write_sequence
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+
+from rtdenoise import graphed, models, ops
+from rtdenoise.backends import TorchBackend
+from rtdenoise.data.exr import read_channels
+from rtdenoise.denoise import Options, denoise
+from rtdenoise.errors import InputError
+from rtdenoise.frame import Frame, Known, sanitise
+from rtdenoise.graphed import Capture, Graphed
+from rtdenoise.models import accumulated_kpn, temporal_kpn
+from rtdenoise.models.presets import architecture
+from rtdenoise.nets import prepare
+from rtdenoise.ops import path
+from rtdenoise.tiles import step_in_windows
+
+SMALL = [temporal_kpn.Config(widths=(4, 4, 4, 4)), accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4)]
+DEVICES = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
+
+
+class Rehearsal:
+    """Records without a GPU: playing is calling the function and writing what it returns into what it has returned."""
+
+    def __init__(self):
+        self.written = []
+
+    def __call__(self, function):
+        warm_up, result = function(), function()
+        passed_on = {id(tensor) for tensor in self._tensors(warm_up)}  # what it has read and hands on as it is
+        self.written += [tensor for tensor in self._tensors(result) if id(tensor) not in passed_on]
+        self.spoil()  # a capture computes nothing
+
+        def replay():
+            again = function()
+            self.spoil()  # they share their memory
+            for target, tensor in zip(self._tensors(result), self._tensors(again), strict=True):
+                target.copy_(tensor)
+
+        return replay, result
+
+    def spoil(self):
+        for tensor in self.written:
+            tensor.fill_(math.nan)
+
+    @staticmethod
+    def _tensors(result):
+        image, history = result
+        return [image, *history.layers().values()]
+
+
+@pytest.fixture(params=SMALL, ids=architecture)
+def denoiser(request):
+    torch.manual_seed(1)
+    return models.create(request.param).eval().requires_grad_(False)
+
+
+@pytest.fixture(params=DEVICES)
+def device(request, monkeypatch):
+    monkeypatch.setattr(frames_module, "_within", lambda *_: False)  # what looks at values on a CPU writes, as on a GPU
+    return request.param
+
+
+def recorded(denoiser, device):
+    return Graphed(denoiser.to(device), Capture(torch.device(device)) if device == "cuda" else Rehearsal())
+
+
+def clip():
+    """Twelve frames in which every kind of step comes several times: a cut, another size, motion_next missing, what is
+    known, broken pixels."""
+    frames = [*make_frames(9), *make_frames(3, H=17, W=21)]
+    frames[3] = replace(frames[3], motion_next=None)
+    frames[6] = replace(frames[6], motion_next=None)
+    broken = frames[7].radiance.clone()
+    broken[..., 4, 5] = math.nan
+    frames[7] = replace(frames[7], radiance=broken)
+    return [(frame, number in (0, 5, 9), Known(covered=number in (2, 4))) for number, frame in enumerate(frames)]
+
+
+def play(step, device, rounds=3):
+    """All images and histories of some rounds of the clip, each with what it held when it was handed out."""
+    held = []
+    for _ in range(rounds):
+        history = None
+        for frame, cut, known in clip():
+            history = None if cut else history
+            known = replace(known, first=history is None)
+            if frame.number % 3 == 0:
+                frame, known = sanitise(frame), replace(known, sanitised=True)
+            image, history = step(frame.to(device), history, known)
+            held += [(tensor, tensor.clone()) for tensor in (image, *history.layers().values())]
+    return held
+
+
+def test_a_recorded_sequence_is_that_of_the_denoiser(denoiser, device, assert_images_close):
+    graph = recorded(denoiser, device)
+    expected, held = play(denoiser.step, device), play(graph.step, device)
+    for (tensor, _), (reference, _) in zip(held, expected, strict=True):
+        assert_images_close(tensor.cpu(), reference.cpu(), "exact" if device == "cpu" else "float32 network")
+    assert len(graph.recordings) >= 5
+
+
+def test_what_a_caller_holds_stays_as_it_was(denoiser, device):
+    held = play(recorded(denoiser, device).step, device)
+    assert all(torch.equal(tensor, then) for tensor, then in held)
+
+
+def test_what_a_caller_passed_in_stays_as_it_was_and_need_not_stay(denoiser, device):
+    graph, frames = recorded(denoiser, device), [f.to(device) for f in make_frames(6)]
+    history = expected_history = None
+    for frame in frames:
+        expected, expected_history = denoiser.step(frame, expected_history)
+        own = frame.map(torch.clone)
+        image, history = graph.step(own, history)
+        assert all(torch.equal(t, getattr(frame, name)) for name, t in own.layers())
+        own.map(lambda t: t.fill_(7.0))
+        torch.testing.assert_close(image, expected)
+
+
+def test_what_is_passed_on_is_not_copied(denoiser, device):
+    graph, (frame, *_) = recorded(denoiser, device), make_frames(1)
+    frame = frame.to(device)
+    for _ in range(3):
+        image, history = graph.step(frame, None, Known(sanitised=True))
+        assert history.radiance is image and history.depth is frame.depth and history.motion_next is frame.motion_next
+    assert len(graph.recordings) == 1
+
+
+def test_statistics_of_a_whole_frame_are_passed_to_its_windows(denoiser, device, assert_images_close):
+    graph, frame = recorded(denoiser, device), make_frames(1, H=64, W=96)[0].to(device)
+    graph.statistics, cores = denoiser.statistics, [(0, 0, 32, 96), (32, 0, 64, 96)]
+    for light in (1.0, 2.0, 0.5, 3.0):
+        lit = replace(frame, radiance=frame.radiance * light)
+        expected, _ = step_in_windows(denoiser, lit, None, Known(), cores, 32)
+        image, _ = step_in_windows(graph, lit, None, Known(), cores, 32)
+        assert_images_close(image.cpu(), expected.cpu(), "exact" if device == "cpu" else "float32 network")
+    assert len(graph.recordings) == 1
+
+
+@pytest.mark.parametrize("inference", [(True, False), (False, True)], ids=str)
+def test_recordings_can_be_played_in_any_mode_of_autograd(denoiser, device, inference):
+    graph, (frame, *_) = recorded(denoiser, device), make_frames(1)
+    first, then = inference
+    for _ in range(2):
+        with torch.inference_mode(first):
+            graph.step(frame.to(device))
+    assert graph.recordings
+    with torch.inference_mode(then):
+        image, _ = graph.step(frame.to(device))
+    assert image.is_inference() == then
+    torch.testing.assert_close(image, denoiser.step(frame.to(device))[0])
+
+
+def test_a_kind_is_recorded_when_it_comes_again_and_the_idle_make_room(denoiser, monkeypatch):
+    monkeypatch.setattr(graphed, "KEPT", 2)
+    monkeypatch.setattr(graphed, "IDLE", 5)
+    graph = Graphed(denoiser, Rehearsal())
+    sizes = [make_frames(1, H=8, W=width)[0] for width in (8, 16, 24)]
+
+    def widths():
+        return [shape[3] for _, tensors in graph.recordings for name, shape, *_ in tensors if name == "frame.radiance"]
+
+    graph.step(sizes[0])
+    assert widths() == []
+    for frame in (sizes[0], sizes[1], sizes[1]):
+        graph.step(frame)
+    assert widths() == [8, 16]
+    for _ in range(3):
+        graph.step(sizes[2])
+    assert widths() == [8, 16]  # both were in use five steps ago
+    graph.step(sizes[2])
+    assert widths() == [16, 24]
+
+
+def test_what_cannot_be_recorded_runs_as_it_would_without(denoiser, caplog):
+    def refuse(function):
+        raise RuntimeError("operation not permitted when stream is capturing\nat line 5")
+
+    graph, frames, histories = Graphed(denoiser, refuse), make_frames(5), [None, None]
+    with caplog.at_level(logging.WARNING, "rtdenoise"):
+        for frame in frames:
+            image, histories[0] = graph.step(frame, histories[0])
+            expected, histories[1] = denoiser.step(frame, histories[1])
+            assert torch.equal(image, expected)
+    assert [record.getMessage() for record in caplog.records] == [
+        "rtdenoise: slower without CUDA graphs: operation not permitted when stream is capturing"
+    ]
+
+
+def test_a_missing_layer_is_named_as_without_recordings(denoiser, caplog):
+    graph, (frame, *_) = Graphed(denoiser, Rehearsal()), make_frames(1)
+    for _ in range(3):
+        with pytest.raises(InputError, match="layer depth is missing"):
+            graph.step(replace(frame, depth=None))
+    assert not graph.recordings and not caplog.records
+
+
+def test_the_environment_can_turn_recording_off(denoiser, monkeypatch):
+    assert graphed.stepper(denoiser).__self__ is denoiser  # on a CPU there is nothing to record
+    on_gpu = denoiser.to(DEVICES[-1] if DEVICES[-1] == "cuda" else "meta")
+    monkeypatch.setenv("RTDENOISE_GRAPHS", "off")
+    assert graphed.stepper(on_gpu).__self__ is on_gpu
+    monkeypatch.setenv("RTDENOISE_GRAPHS", "no")
+    with pytest.raises(ValueError, match="RTDENOISE_GRAPHS: expected auto or off, got 'no'"):
+        graphed.stepper(on_gpu)
+
+
+@pytest.mark.parametrize("plan", [True, False])
+def test_the_backend_records_beneath_the_plan(denoiser, plan, tmp_path, monkeypatch):
+    models.save(denoiser, tmp_path / "tiny.safetensors")
+    source = write_sequence(tmp_path / "shot", make_frames(8))
+    options = Options(model=str(tmp_path / "tiny.safetensors"), device="cpu", precision="fp32", plan=plan)
+    denoise(source, tmp_path / "without", options)
+    made = []
+    monkeypatch.setattr(graphed, "stepper", lambda d: made.append(Graphed(d, Rehearsal())) or made[0].step)
+    summary = denoise(source, tmp_path / "with", options)
+    assert summary.written == 8 and made[0].recordings
+    for file in sorted((tmp_path / "without").glob("*.exr")):
+        image, expected = (read_channels(p, ("R", "G", "B")) for p in (tmp_path / "with" / file.name, file))
+        assert all((image[channel] == expected[channel]).all() for channel in "RGB")
+
+
+class Capturable(TorchDispatchMode):
+    """Refuses what a CUDA graph cannot hold. Meta tensors have no values: what would wait for one raises already."""
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        if function in (torch.ops.aten.index.Tensor, torch.ops.aten.index_put_.default):
+            raise RuntimeError("indices or masks come from the host, or are counted there")
+        result = function(*args, **(kwargs or {}))
+        if any(t.device.type == "cpu" for t in tree_leaves((args, kwargs, result)) if isinstance(t, torch.Tensor)):
+            raise RuntimeError(f"{function} has a tensor on the host")
+        return result
+
+
+class NothingFromTheHost(TorchFunctionMode):
+    """Refuses tensors made of Python's numbers, which are copied to the device."""
+
+    MAKERS = (torch.tensor, torch.as_tensor, torch.from_numpy, torch.Tensor.new_tensor)
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):
+        if function in self.MAKERS:
+            raise RuntimeError(f"{function} copies from the host")
+        return function(*args, **(kwargs or {}))
+
+
+@contextlib.contextmanager
+def capturable():
+    with torch.no_grad(), NothingFromTheHost(), Capturable():
+        yield
+
+
+def meta(*shape):
+    return torch.empty(1, *shape, device="meta")
+
+
+def every_kind_of_step(denoiser, H=37, W=50):
+    """A step of each kind, on tensors without values."""
+    layers = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2}
+    frame = Frame(meta(3, H, W), **{layer: meta(channels, H, W) for layer, channels in layers.items()})
+    window = Known(sanitised=True, exposure=meta(1, 1, 1), distance=meta(1, 1, 1))
+    for known in (Known(), Known(first=True), replace(window, first=True)):
+        _, history = denoiser.step(frame, None, known)
+    for known in (Known(), window, Known(covered=True), Known(covered=True, still=True)):
+        denoiser.step(frame, history, known)
+    denoiser.step(frame, replace(history, motion_next=None))
+
+
+@pytest.mark.parametrize("name", sorted(models.PRESETS))
+def test_no_step_waits_for_the_gpu_or_copies_from_the_host(name):
+    """Of any model, made ready. No fused op exists for meta tensors: the plain ones run."""
+    model = prepare(models.create(models.PRESETS[name]).eval().requires_grad_(False), torch.bfloat16).to("meta")
+    with capturable():
+        every_kind_of_step(model)
+
+
+def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeypatch):
+    """The Python around Triton's kernels, which are not launched."""
+    module, launched = importlib.import_module("rtdenoise.ops.triton"), set()
+
+    class Kernel:
+        def __init__(self, name):
+            self.name = name
+
+        def __getitem__(self, grid):
+            return lambda *arguments, **named: launched.add(self.name)
+
+    for name in ("_forward", "_warp", "_reproject", "_downsample", "_compose"):
+        monkeypatch.setattr(module, name, Kernel(name))
+    monkeypatch.setattr(path, "implementation", lambda _: (module, None))
+    model = denoiser.to("meta")
+    with capturable(), ops.use("auto"):
+        every_kind_of_step(model)
+    expected = {"_forward", "_warp", "_downsample", "_compose"}
+    assert launched == expected | ({"_reproject"} if isinstance(denoiser, models.AccumulatedKPN) else set())
+
+
+@pytest.mark.parametrize(
+    "wait",
+    [
+        lambda x: x.sum().item(),
+        lambda x: bool((x > 0).all()),
+        lambda x: x.tolist(),
+        lambda x: x.cpu(),
+        lambda x: x.nonzero(),
+        lambda x: x[x > 0],
+        lambda x: x[:, [0, 1]],
+        lambda x: x.masked_select(x > 0),
+        lambda x: x.new_tensor([1.0, 2.0]),
+        lambda x: torch.tensor([1.0], device=x.device),
+        lambda x: x * torch.ones(3, 8, 8),
+    ],
+)
+def test_what_cannot_be_captured_would_be_found(wait):
+    with pytest.raises((RuntimeError, NotImplementedError)), capturable():
+        wait(meta(3, 8, 8))
