@@ -17,6 +17,7 @@ from pathlib import Path
 from harness import ROOT, check, cpu, measure, origin, summary, write  # first: it settles how torch waits
 
 # isort: split
+import numpy as np
 import torch
 import tyro
 from oidn import oidn_filter
@@ -24,6 +25,7 @@ from stages import STAGES, peak_bytes, prediction_flop, staged
 
 from rtdenoise import models, ops
 from rtdenoise.frame import Frame
+from rtdenoise.graphed import Capture, Graphed
 from rtdenoise.memory import keep_freed
 from rtdenoise.nets import prepare
 from shaders import PRECISIONS, Shaders, measurable
@@ -36,6 +38,7 @@ BACKENDS = {  # which ops, the network's dtype, row of tolerances.py against `ea
     "fused bf16": ("fused", torch.bfloat16, "bfloat16 network"),
 }
 SCALED = ("fused bf16",)  # of these backends it is asked how they scale
+GRAPH = ", graph"  # of these too, on CUDA: the same step as a CUDA graph
 QUALITIES = ("high", "balanced", "fast")
 TOTAL = "total"
 
@@ -160,8 +163,24 @@ def ours(preset: str, frame: Frame, device: str, backends: tuple[str, ...]) -> l
             image = model.step(frame, history)[0]
         reference = image.double().cpu().numpy() if reference is None else reference
         check(f"{preset} {backend}", image.cpu().numpy(), reference, tolerance)
-        methods.append(Method(f"{preset} {backend}", partial(model.step, frame, history), model, path))
-    return [method for method in methods if method.name.removeprefix(f"{preset} ") in backends]
+        method = Method(f"{preset} {backend}", partial(model.step, frame, history), model, path)
+        if backend in backends:
+            methods.append(method)
+        if backend in SCALED and device == "cuda":
+            methods += recorded(method, reference, tolerance)
+    return methods
+
+
+def recorded(method: Method, reference: np.ndarray, tolerance: str) -> list[Method]:
+    """A method's step as a CUDA graph, in which there are no stages to be timed; nothing where it cannot be recorded,
+    which is logged."""
+    graph = Graphed(method.model, Capture(next(method.model.parameters()).device))
+    again = Method(f"{method.name}{GRAPH}", partial(graph.step, *method.step.args), ops=method.ops)
+    with ops.use(method.ops):
+        for _ in range(2):  # it is recorded the second time
+            image = again.step()[0]
+    check(again.name, image.cpu().numpy(), reference, tolerance)
+    return [again] if graph.recordings else []
 
 
 def shaders(preset: str, frame: Frame) -> list[Method]:

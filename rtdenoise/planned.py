@@ -18,8 +18,8 @@ FAINT = 1e-6  # of a frame's brightness: history may differ by so much from a co
 
 class Planned:
     """A denoiser that leaves out of each step what the step does not need. `step` as the denoiser's; `left_out` counts
-    the frames. `whole` is how the denoiser makes a step of a whole frame: its own unless another is given. Windows, whose
-    sizes follow the motion, are its own steps always."""
+    the frames. `whole` is the step that whole frames take, the denoiser's own unless another is given; windows, whose
+    sizes follow the motion, take its own always."""
 
     def __init__(self, denoiser: nn.Module, plan: Plan, whole: Step | None = None) -> None:
         self.denoiser = denoiser

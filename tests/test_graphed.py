@@ -1,12 +1,19 @@
-"""Recorded steps give what the denoiser gives, and nothing that a caller holds changes under it. CUDA graphs are recorded
-where there is a GPU; elsewhere stands a recorder that is as unforgiving: what it has recorded is written only when it is
-played, and playing one recording spoils what all others have written."""
+"""Recorded steps give what the denoiser gives, and nothing that a caller holds changes under it.
+
+CUDA graphs are recorded where there is a GPU. Everywhere there is a recorder that is as unforgiving: what it has
+recorded is written only when it is played, and playing one recording spoils what all others have written.
+"""
 
 import contextlib
 import importlib
+import inspect
 import logging
 import math
+import sys
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -16,7 +23,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from rtdenoise import graphed, models, ops
-from rtdenoise.backends import TorchBackend
 from rtdenoise.data.exr import read_channels
 from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
@@ -74,6 +80,10 @@ def device(request, monkeypatch):
     return request.param
 
 
+def tolerance(device):
+    return "exact" if device == "cpu" else "float32 network"
+
+
 def recorded(denoiser, device):
     return Graphed(denoiser.to(device), Capture(torch.device(device)) if device == "cuda" else Rehearsal())
 
@@ -109,7 +119,7 @@ def test_a_recorded_sequence_is_that_of_the_denoiser(denoiser, device, assert_im
     graph = recorded(denoiser, device)
     expected, held = play(denoiser.step, device), play(graph.step, device)
     for (tensor, _), (reference, _) in zip(held, expected, strict=True):
-        assert_images_close(tensor.cpu(), reference.cpu(), "exact" if device == "cpu" else "float32 network")
+        assert_images_close(tensor.cpu(), reference.cpu(), tolerance(device))
     assert len(graph.recordings) >= 5
 
 
@@ -118,16 +128,17 @@ def test_what_a_caller_holds_stays_as_it_was(denoiser, device):
     assert all(torch.equal(tensor, then) for tensor, then in held)
 
 
-def test_what_a_caller_passed_in_stays_as_it_was_and_need_not_stay(denoiser, device):
-    graph, frames = recorded(denoiser, device), [f.to(device) for f in make_frames(6)]
+def test_what_a_caller_passed_in_stays_as_it_was_and_need_not_stay(denoiser, device, assert_images_close):
+    graph, frames, owned = recorded(denoiser, device), [f.to(device) for f in make_frames(6)], []
     history = expected_history = None
     for frame in frames:
         expected, expected_history = denoiser.step(frame, expected_history)
         own = frame.map(torch.clone)
         image, history = graph.step(own, history)
         assert all(torch.equal(t, getattr(frame, name)) for name, t in own.layers())
-        own.map(lambda t: t.fill_(7.0))
-        torch.testing.assert_close(image, expected)
+        owned.append(own.map(lambda t: t.fill_(7.0)))
+        assert_images_close(image.cpu(), expected.cpu(), tolerance(device))
+    assert all((t == 7.0).all() for own in owned for _, t in own.layers())
 
 
 def test_what_is_passed_on_is_not_copied(denoiser, device):
@@ -146,12 +157,12 @@ def test_statistics_of_a_whole_frame_are_passed_to_its_windows(denoiser, device,
         lit = replace(frame, radiance=frame.radiance * light)
         expected, _ = step_in_windows(denoiser, lit, None, Known(), cores, 32)
         image, _ = step_in_windows(graph, lit, None, Known(), cores, 32)
-        assert_images_close(image.cpu(), expected.cpu(), "exact" if device == "cpu" else "float32 network")
+        assert_images_close(image.cpu(), expected.cpu(), tolerance(device))
     assert len(graph.recordings) == 1
 
 
 @pytest.mark.parametrize("inference", [(True, False), (False, True)], ids=str)
-def test_recordings_can_be_played_in_any_mode_of_autograd(denoiser, device, inference):
+def test_recordings_can_be_played_in_any_mode_of_autograd(denoiser, device, inference, assert_images_close):
     graph, (frame, *_) = recorded(denoiser, device), make_frames(1)
     first, then = inference
     for _ in range(2):
@@ -161,7 +172,7 @@ def test_recordings_can_be_played_in_any_mode_of_autograd(denoiser, device, infe
     with torch.inference_mode(then):
         image, _ = graph.step(frame.to(device))
     assert image.is_inference() == then
-    torch.testing.assert_close(image, denoiser.step(frame.to(device))[0])
+    assert_images_close(image.cpu(), denoiser.step(frame.to(device))[0].cpu(), tolerance(device))
 
 
 def test_a_kind_is_recorded_when_it_comes_again_and_the_idle_make_room(denoiser, monkeypatch):
@@ -208,14 +219,55 @@ def test_a_missing_layer_is_named_as_without_recordings(denoiser, caplog):
     assert not graph.recordings and not caplog.records
 
 
-def test_the_environment_can_turn_recording_off(denoiser, monkeypatch):
-    assert graphed.stepper(denoiser).__self__ is denoiser  # on a CPU there is nothing to record
-    on_gpu = denoiser.to(DEVICES[-1] if DEVICES[-1] == "cuda" else "meta")
+def on(device):
+    """What looks like a denoiser there."""
+    parameter = SimpleNamespace(device=torch.device(device))
+    return SimpleNamespace(parameters=lambda: iter([parameter]), step=f"its own on {device}")
+
+
+def test_steps_are_recorded_on_cuda_unless_the_environment_turns_it_off(monkeypatch):
+    assert isinstance(graphed.stepper(on("cuda:0")).__self__, Graphed)
+    assert graphed.stepper(on("cpu")) == "its own on cpu"
     monkeypatch.setenv("RTDENOISE_GRAPHS", "off")
-    assert graphed.stepper(on_gpu).__self__ is on_gpu
+    assert graphed.stepper(on("cuda:0")) == "its own on cuda:0"
     monkeypatch.setenv("RTDENOISE_GRAPHS", "no")
     with pytest.raises(ValueError, match="RTDENOISE_GRAPHS: expected auto or off, got 'no'"):
-        graphed.stepper(on_gpu)
+        graphed.stepper(on("cuda:0"))
+
+
+def test_a_capture_is_made_as_pytorch_documents_it(monkeypatch):
+    """Without a GPU, which stream is current, and what is called: warm-up on a side stream, capture in one pool."""
+    log, streams = [], ["default"]
+    signature = inspect.signature(torch.cuda.graph)
+
+    @contextlib.contextmanager
+    def stream(entered):
+        streams.append(str(entered))
+        yield
+        streams.pop()
+
+    class Stream(str):
+        def wait_stream(self, other):
+            log.append(f"{self} waits for {other}")
+
+    def graph(*arguments, **named):
+        bound = signature.bind(*arguments, **named).arguments
+        log.append(f"capture in {bound['pool']}")
+        return stream("capture")
+
+    monkeypatch.setattr(torch.cuda, "device", lambda device: contextlib.nullcontext(log.append(f"on {device}")))
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda device=None: Stream(streams[-1]))
+    monkeypatch.setattr(torch.cuda, "Stream", lambda: Stream("side"))
+    monkeypatch.setattr(torch.cuda, "stream", stream)
+    monkeypatch.setattr(torch.cuda, "graph", graph)
+    monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: SimpleNamespace(replay="replay"))
+    monkeypatch.setattr(torch.cuda, "graph_pool_handle", lambda: f"pool made after {len(log)}")
+    capture = Capture("cuda:1")
+    once = ["on cuda:1", "side waits for default", *["step on side"] * 3, "default waits for side",
+            "capture in pool made after 1", "step on capture"]  # fmt: skip
+    for _ in range(2):
+        assert capture(lambda: log.append(f"step on {streams[-1]}") or "written") == ("replay", "written")
+    assert log == once * 2 and streams == ["default"]
 
 
 @pytest.mark.parametrize("plan", [True, False])
@@ -231,6 +283,20 @@ def test_the_backend_records_beneath_the_plan(denoiser, plan, tmp_path, monkeypa
     for file in sorted((tmp_path / "without").glob("*.exr")):
         image, expected = (read_channels(p, ("R", "G", "B")) for p in (tmp_path / "with" / file.name, file))
         assert all((image[channel] == expected[channel]).all() for channel in "RGB")
+
+
+def test_the_benchmark_times_what_was_recorded(denoiser, monkeypatch):
+    monkeypatch.setattr(sys, "path", [*sys.path, str(Path(__file__).parent.parent / "bench")])
+    latency, (frame, *_) = importlib.import_module("latency_720p"), make_frames(1)
+    image, history = denoiser.step(frame)
+    expected = denoiser.step(frame, history)[0]
+    method = latency.Method("tiny", partial(denoiser.step, frame, history), denoiser, "plain")
+    monkeypatch.setattr(latency, "Capture", lambda device: Rehearsal())
+    (again,) = latency.recorded(method, expected.double().numpy(), "float32")
+    assert (again.name, again.ops, again.model) == ("tiny, graph", "plain", None)
+    assert torch.equal(again.step()[0], expected)
+    with pytest.raises(SystemExit, match="tiny, graph"):
+        latency.recorded(method, image.double().numpy(), "float32")
 
 
 class Capturable(TorchDispatchMode):
