@@ -91,7 +91,8 @@ class Graphed:
         """As the denoiser's own step."""
         self._steps += 1
         given = _tensors(frame, history, known)
-        kind = _flags(known), tuple((name, t.shape, t.dtype, t.device) for name, t in given.items())
+        flags = replace(known, exposure=None, distance=None)
+        kind = flags, tuple(_description(name, tensor) for name, tensor in given.items())
         if kind not in self.recordings and kind in self._seen and self._room():
             self._add(kind, given)
         if kind in self.recordings:
@@ -102,8 +103,9 @@ class Graphed:
         return result
 
     def _add(self, kind: Hashable, given: dict[str, Tensor]) -> None:
+        read = {_description(n, t): t for recording in self.recordings.values() for n, t in recording.read.items()}
         try:
-            self.recordings[kind] = Recording(self.denoiser, kind[0], given, self._record)
+            self.recordings[kind] = Recording(self.denoiser, kind[0], given, read, self._record)
         except RuntimeError as error:  # not permitted in a capture, or out of memory
             self.recordings.clear()
             self._record = None
@@ -124,22 +126,33 @@ class Graphed:
 
 
 class Recording:
-    """One step, to be made again with other tensors of the same shapes."""
+    """One step, to be made again with other tensors like those `given`. Where others `read` tensors like them it reads
+    the same: they are filled anew before each step."""
 
-    def __init__(self, denoiser: nn.Module, known: Known, given: dict[str, Tensor], record: Recorder) -> None:
+    def __init__(
+        self,
+        denoiser: nn.Module,
+        known: Known,
+        given: dict[str, Tensor],
+        read: dict[Hashable, Tensor],
+        record: Recorder,
+    ) -> None:
         self.used = 0  # number of the last step that was this one
+        self.read: dict[str, Tensor] = {}
         # Tensors that are made in inference mode could be written in no other.
         with torch.inference_mode(False), torch.no_grad():
-            self._read = {n: t.clone(memory_format=torch.contiguous_format) for n, t in given.items()}
-            arguments = _arguments(self._read, known)
+            for name, tensor in given.items():
+                like = read.get(_description(name, tensor))
+                self.read[name] = tensor.clone(memory_format=torch.contiguous_format) if like is None else like
+            arguments = _arguments(self.read, known)
             self._replay, self._written = record(lambda: denoiser.step(*arguments))
 
     def play(self, given: dict[str, Tensor]) -> tuple[Tensor, History]:
         """The step of these tensors. What it only passes on are the given ones, all else are copies."""
-        for name, tensor in self._read.items():
+        for name, tensor in self.read.items():
             tensor.copy_(given[name])
         self._replay()
-        out = {id(tensor): given[name] for name, tensor in self._read.items()}
+        out = {id(tensor): given[name] for name, tensor in self.read.items()}
         image, history = self._written
         for tensor in (image, *history.layers().values()):
             if id(tensor) not in out:  # an image is in the history as well: one copy
@@ -147,8 +160,8 @@ class Recording:
         return out[id(image)], replace(history, **{n: out[id(t)] for n, t in history.layers().items()})
 
 
-def _flags(known: Known) -> Known:
-    return replace(known, exposure=None, distance=None)
+def _description(name: str, tensor: Tensor) -> Hashable:
+    return name, tensor.shape, tensor.dtype, tensor.device
 
 
 def _tensors(frame: Frame, history: History | None, known: Known) -> dict[str, Tensor]:

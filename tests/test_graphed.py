@@ -121,7 +121,9 @@ def test_a_recorded_sequence_is_that_of_the_denoiser(denoiser, device, assert_im
     expected, held = play(denoiser.step, device), play(graph.step, device)
     for (tensor, _), (reference, _) in zip(held, expected, strict=True):
         assert_images_close(tensor.cpu(), reference.cpu(), tolerance(device))
+    read = [(name, t) for recording in graph.recordings.values() for name, t in recording.read.items()]
     assert len(graph.recordings) >= 5
+    assert len({id(t) for _, t in read}) == len({(name, t.shape) for name, t in read})  # of each size one for all
 
 
 def test_what_a_caller_holds_stays_as_it_was(denoiser, device):

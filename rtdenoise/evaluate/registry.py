@@ -13,6 +13,7 @@ from torch import Tensor
 from ..baselines import Accumulate, Oidn, Svgf, Trmv
 from ..errors import InputError
 from ..frame import Frame
+from ..graphed import stepper
 from ..models import available, load
 from ..sanitise import sanitise
 
@@ -99,7 +100,7 @@ def _network(name: str) -> list[Method]:
     """Shipped weights, and what is left of them without dual motion and without history."""
 
     def start(device: str | torch.device, precision: str, history: bool = True, **overrides: str) -> Step:
-        step = load(name, device, precision, **overrides).step
+        step = stepper(load(name, device, precision, **overrides))
         return step if history else partial(_without_history, step)
 
     whole = Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name)
