@@ -77,7 +77,7 @@ def denoiser(request):
 
 @pytest.fixture(params=DEVICES)
 def device(request, monkeypatch):
-    monkeypatch.setattr("rtdenoise.sanitise._within", lambda *_: False)  # it writes without looking, as on a GPU
+    monkeypatch.setattr("rtdenoise.ops.pixels.within", lambda *_: False)  # `sanitise` writes, as on a GPU
     return request.param
 
 
