@@ -9,49 +9,54 @@
 #define R (K / 2)
 #define BLOCK 64  // pixels
 
-static inline float from_bits(uint32_t bits) {
-    float x;
-    memcpy(&x, &bits, sizeof x);
-    return x;
-}
-
 #if LOGIT == 0
 typedef float logit;
 static inline float value(logit v) { return v; }
 #elif LOGIT == 1
 typedef uint16_t logit;
-static inline float value(logit v) { return from_bits((uint32_t)v << 16); }
+static inline float value(uint32_t v) { return from_bits(v << 16); }
 #else
 // In integers, which every compiler makes vector code of: the exponent moves from bias 15 to 127 by a product that is
 // exact for subnormal numbers too; Inf and NaN have an exponent of their own.
 typedef uint16_t logit;
-static inline float value(logit v) {
-    uint32_t size = (uint32_t)(v & 0x7fff) << 13, sign = (uint32_t)(v & 0x8000) << 16;
+static inline float value(uint32_t v) {
+    uint32_t size = (v & 0x7fff) << 13, sign = (v & 0x8000) << 16;
     float x = from_bits(size) * 0x1p112f;
-    uint32_t bits;
-    memcpy(&bits, &x, sizeof bits);
-    return from_bits(bits | sign | (size >= 0x0f800000 ? 0x7f800000 : 0));
+    return from_bits(bits_of(x) | sign | (size >= 0x0f800000 ? 0x7f800000 : 0));
 }
 #endif
 
-// Logits of a block of pixels, turned from channels last into planes that stay in the nearest cache. They move 32 bits at
-// a time: a word holds one float32, or two neighbouring 16-bit logits.
-#define PER (sizeof(uint32_t) / sizeof(logit))
+// The logits of a block of pixels as float32, in planes `BLOCK` apart that stay in the nearest cache. From planes they are
+// only converted. From channels last a word is moved at a time, of two float32 or four 16-bit logits, which vector code
+// takes apart.
+#define PER (sizeof(uint64_t) / sizeof(logit))
 #define WORDS ((K * K + PER - 1) / PER)
 
-static inline float of_word(uint32_t word, int k) {
-    if (sizeof(logit) == 4) return from_bits(word);
-    return value(k % 2 ? word >> 16 : word & 0xffff);
+static inline void from_planes(const logit *logits, int64_t stride, int pixels, float *values) {
+    for (int k = 0; k < K * K; k++)
+        _Pragma("omp simd") for (int x = 0; x < pixels; x++) values[k * BLOCK + x] = value(logits[k * stride + x]);
 }
 
-// `from`: the logits of one pixel. The last word may have one logit only, with nothing behind it.
-static inline void pack(const logit *from, uint32_t *words) {
+// `from`: the logits of one pixel. The last word may be a part of one, with nothing behind it.
+static inline void pack(const logit *from, uint64_t *words) {
     _Pragma("GCC unroll 49") for (int i = 0; i < (int)WORDS; i++) {
-        uint32_t word = 0;
-        int whole = (i + 1) * (int)PER <= K * K;
-        memcpy(&word, from + i * PER, whole ? sizeof word : sizeof *from);
-        words[i * BLOCK] = word;
+        int rest = K * K - i * (int)PER;
+        memcpy(words + i * BLOCK, from + i * PER, MIN(rest, (int)PER) * sizeof *from);
     }
+}
+
+static inline void unpack(const uint64_t *words, float *values) {
+    for (int i = 0; i < (int)WORDS; i++)
+        _Pragma("omp simd") for (int x = 0; x < BLOCK; x++) {
+            uint32_t low = (uint32_t)words[i * BLOCK + x], high = (uint32_t)(words[i * BLOCK + x] >> 32);
+            float *to = values + i * PER * BLOCK + x;
+#if LOGIT == 0
+            to[0] = from_bits(low), to[BLOCK] = from_bits(high);
+#else
+            to[0] = value(low & 0xffff), to[BLOCK] = value(low >> 16);
+            to[2 * BLOCK] = value(high & 0xffff), to[3 * BLOCK] = value(high >> 16);
+#endif
+        }
 }
 
 typedef struct { int y0, y1, x0, x1; } Taps;  // dy in [y0, y1), dx in [x0, x1)
@@ -76,27 +81,6 @@ static inline Taps inside(int y, int x, int H, int W) {
     _Pragma("omp simd") for (int x = left; x < right; x++) PIXEL(x, ALL); \
     for (int x = right; x < (to); x++) PIXEL(x, inside(y, x, H, W)); \
 } while (0)
-
-// Pointers are at the row's first pixel. Logit k of pixel x is in `words`, where there are some, at `column` of a block;
-// else in `logits`, with planes `stride` apart. `image` and `out` have planes `plane` apart.
-static inline void forward_pixel(const float *image, const logit *logits, const uint32_t *words, float *out,
-                                 float *stats, int64_t plane, int64_t stride, int column, int W, int x, Taps t) {
-#define LOGIT_AT(k) (words ? of_word(words[(k) / PER * BLOCK + column], k) : value(logits[(k) * stride + column]))
-    float most = -INFINITY, sum = 0, colour[C] = {0};
-    FOR_TAPS(t) {
-        float v = LOGIT_AT(dy * K + dx);
-        most = v > most ? v : most;
-    }
-    FOR_TAPS(t) {
-        float w = exp_negative(LOGIT_AT(dy * K + dx) - most);
-        sum += w;
-        FOR_CHANNELS colour[c] = fmaf(w, image[c * plane + (dy - R) * (int64_t)W + dx - R + x], colour[c]);
-    }
-    float scale = 1 / sum;
-    FOR_CHANNELS out[c * plane + x] = colour[c] * scale;
-    if (stats) stats[x] = most, stats[plane + x] = scale;
-#undef LOGIT_AT
-}
 
 // grad_logits[k] = w[k] · (grad · image[tap k] - grad · out)
 static inline void backward_logits_pixel(const float *image, const logit *logits, const float *out, const float *stats,
@@ -138,6 +122,51 @@ typedef struct { int64_t batch, tap, cell_row, row, cell, pixel; } Layout;
 #define OFFSET(l, b, y, x) \
     ((b) * (l).batch + (y) / 2 * (l).cell_row + (y) % 2 * (l).row + (x) / 2 * (l).cell + (x) % 2 * (l).pixel)
 
+// A block of a row, as the loop over its pixels reads it: tap (dy, dx) of pixel x has logit
+// values[(dy * K + dx) * BLOCK + x] and, of channel c, value row[dy][c * plane + dx + x].
+typedef struct {
+    float values[WORDS * PER * BLOCK], patch[C * K * (BLOCK + 2 * R)];
+    const float *row[K];
+    int64_t plane;
+} Block;
+
+// Rows of `image` (one of the batch) under pixels [from, to) of row y. Beyond the image its border is repeated, by the
+// pointers to rows and by a copy of what is under the first and the last block: the taps there get logits of -Inf.
+static inline void place(Block *o, const float *image, int y, int from, int to, int H, int W) {
+    o->plane = (int64_t)H * W;
+    for (int dy = 0; dy < K; dy++) o->row[dy] = image + (int64_t)MIN(MAX(y + dy - R, 0), H - 1) * W + from - R;
+    if (from < R || to > W - R) {
+        int n = to - from + 2 * R, left = MAX(R - from, 0), right = MIN(n, W + R - from);
+        for (int dy = 0; dy < K; dy++) {
+            for (int c = 0; c < C; c++) {
+                const float *inside = o->row[dy] + c * o->plane;
+                float *copy = o->patch + (c * K + dy) * (BLOCK + 2 * R);
+                memcpy(copy + left, inside + left, (right - left) * sizeof *copy);
+                for (int x = 0; x < left; x++) copy[x] = copy[left];
+                for (int x = right; x < n; x++) copy[x] = copy[right - 1];
+            }
+            o->row[dy] = o->patch + dy * (BLOCK + 2 * R);
+        }
+        o->plane = K * (BLOCK + 2 * R);
+    }
+    for (int dy = 0; dy < K; dy++)
+        for (int dx = 0; dx < K; dx++) {
+            int outside = y + dy < R || y + dy >= H + R;
+            int first = outside ? to : MAX(from, R - dx), last = outside ? to : MIN(to, W + R - dx);
+            float *v = o->values + (dy * K + dx) * BLOCK - from;
+            for (int x = from; x < first; x++) v[x] = -INFINITY;
+            for (int x = MAX(first, last); x < to; x++) v[x] = -INFINITY;
+        }
+}
+
+static inline void greatest(const float *values, int pixels, float *most) {
+    _Pragma("omp simd") for (int x = 0; x < pixels; x++) {
+        float v = -INFINITY;
+        FOR_TAPS(ALL) v = MAX(values[(dy * K + dx) * BLOCK + x], v);
+        most[x] = v;
+    }
+}
+
 // image, out [B, C, H, W], stats [B, 2, H, W] (maximum and 1/sum; may be null) contiguous. Logits of a row are
 // neighbours along x (planes) or along k (a convolution's output, channels last).
 void forward(const float *image, const logit *logits, float *out, float *stats, int B, int H, int W,
@@ -146,19 +175,34 @@ void forward(const float *image, const logit *logits, float *out, float *stats, 
     int planes = at.pixel == 1 && at.cell == 2;
     EACH_ROW {
         int b = row / H, y = row % H;
-        int64_t pixel = (int64_t)y * W, first = b * C * plane + pixel;
-        float *s = stats ? stats + b * 2 * plane + pixel : 0;
         const logit *l = logits + OFFSET(at, b, y, 0);
-#define PIXEL(x, taps) forward_pixel(image + first, l, 0, out + first, s, plane, at.tap, x, W, x, taps)
-        if (planes) SPAN(PIXEL, 0, W);
-#undef PIXEL
-        for (int from = 0; !planes && from < W; from += BLOCK) {
-            int to = MIN(from + BLOCK, W);
-            uint32_t words[WORDS * BLOCK];
-            for (int x = from; x < to; x++) pack(l + OFFSET(at, 0, 0, x), words + x - from);
-#define PIXEL(x, taps) forward_pixel(image + first, 0, words, out + first, s, plane, 0, x - from, W, x, taps)
-            SPAN(PIXEL, from, to);
-#undef PIXEL
+        for (int from = 0; from < W; from += BLOCK) {
+            int to = MIN(from + BLOCK, W), pixels = to - from;
+            Block block;
+            if (planes) {
+                from_planes(l + from, at.tap, pixels, block.values);
+            } else {
+                uint64_t words[WORDS * BLOCK];
+                for (int x = from; x < to; x++) pack(l + OFFSET(at, 0, 0, x), words + x - from);
+                unpack(words, block.values);
+            }
+            place(&block, image + b * C * plane, y, from, to, H, W);
+            float most[BLOCK], scale[BLOCK], *o = out + (b * C * (int64_t)H + y) * W + from;
+            greatest(block.values, pixels, most);
+            _Pragma("omp simd") for (int x = 0; x < pixels; x++) {
+                float sum = 0, colour[C] = {0};
+                FOR_TAPS(ALL) {
+                    float w = exp_negative(block.values[(dy * K + dx) * BLOCK + x] - most[x]);
+                    sum += w;
+                    FOR_CHANNELS colour[c] = fmaf(w, block.row[dy][c * block.plane + dx + x], colour[c]);
+                }
+                scale[x] = 1 / sum;
+                FOR_CHANNELS o[c * plane + x] = colour[c] * scale[x];
+            }
+            if (stats) {
+                float *s = stats + (b * 2 * (int64_t)H + y) * W + from;
+                memcpy(s, most, pixels * sizeof *s), memcpy(s + plane, scale, pixels * sizeof *s);
+            }
         }
     }
 }

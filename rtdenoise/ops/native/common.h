@@ -6,25 +6,34 @@
 #define MIN(a, b) ((a) < (b) ? (a) : (b))
 #define MAX(a, b) ((a) > (b) ? (a) : (b))
 
+static inline float from_bits(uint32_t bits) {
+    float x;
+    memcpy(&x, &bits, sizeof x);
+    return x;
+}
+
+static inline uint32_t bits_of(float x) {
+    uint32_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return bits;
+}
+
 // Where a motion leads from pixel x of a row of n: clamped to the row, a motion that is not finite counting as none.
 static inline float clamped(float motion, int x, int n) {
     float u = (fabsf(motion) <= 3.4028235e38f ? motion : 0) + x;
     return MIN(MAX(u, 0), n - 1);
 }
 
-// exp(x) for x ≤ 0, as 2ⁿ · 2ʳ with |r| ≤ ½ (Taylor's series), to 2 units in the last place where it is near 1; 0 below
-// -87, where float32 has no normal numbers left. Branch-free, so that the loop around it becomes vector code.
+// exp(x) for x ≤ 0, as 2ⁿ · 2ʳ with |r| ≤ ½ (a polynomial whose error is least), to 2 units in the last place where it is
+// near 1; 0 below -88, where float32 has no normal numbers left. Branch-free, so that the loop around it becomes vector
+// code. ROUND brings what is added to it to whole numbers, n, and leaves them in its lowest bits.
+#define ROUND 12582912.0f  // 1.5 · 2²³
 static inline float exp_negative(float x) {
-    float t = MAX(x * 1.44269504f, -126.0f), n = rintf(t), r = t - n, p = 1.5403530e-4f;
-    p = fmaf(p, r, 1.3333558e-3f);
-    p = fmaf(p, r, 9.6181291e-3f);
-    p = fmaf(p, r, 5.5504109e-2f);
-    p = fmaf(p, r, 2.4022651e-1f);
-    p = fmaf(p, r, 6.9314718e-1f);
+    float t = x * 1.44269504f, whole = t + ROUND, r = t - (whole - ROUND), p = 1.3269555e-3f;
+    p = fmaf(p, r, 9.6712932e-3f);
+    p = fmaf(p, r, 5.5507109e-2f);
+    p = fmaf(p, r, 2.4022247e-1f);
+    p = fmaf(p, r, 6.9314700e-1f);
     p = fmaf(p, r, 1.0f);
-    int32_t bits;
-    memcpy(&bits, &p, sizeof bits);
-    bits += (int32_t)n * (1 << 23);
-    memcpy(&p, &bits, sizeof p);
-    return x < -87.0f ? 0.0f : p;
+    return t >= -126 ? from_bits(bits_of(p) + (bits_of(whole) << 23)) : 0;
 }

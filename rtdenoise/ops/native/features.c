@@ -4,28 +4,32 @@
 
 #define BLOCK 64  // pixels
 
+// A word holds features that are neighbours in the output: four bfloat16, or two float32.
 #if HALF
-typedef uint16_t feature;
-static inline feature stored(float x) {  // rounded to nearest, ties to even; x is finite
-    uint32_t bits;
-    memcpy(&bits, &x, sizeof bits);
-    return (bits + 0x7fff + (bits >> 16 & 1)) >> 16;
+#define PER 4
+// x in the upper half, rounded to nearest, ties to even; below it what is left of the rounding. x is finite.
+static inline uint32_t rounded(float x) {
+    uint32_t bits = bits_of(x);
+    return bits + 0x7fff + (bits >> 16 & 1);
+}
+static inline uint64_t word(const float *x) {
+    uint32_t low = rounded(x[0]) >> 16 | (rounded(x[BLOCK]) & 0xffff0000);
+    uint32_t high = rounded(x[2 * BLOCK]) >> 16 | (rounded(x[3 * BLOCK]) & 0xffff0000);
+    return low | (uint64_t)high << 32;
 }
 #else
-typedef float feature;
-static inline feature stored(float x) { return x; }
+#define PER 2
+static inline uint64_t word(const float *x) { return bits_of(x[0]) | (uint64_t)bits_of(x[BLOCK]) << 32; }
 #endif
+#define SIZE (8 / PER)  // bytes of a feature
+#define WORDS ((C + PER - 1) / PER)
 
-// log(1 + x) for x ≥ 0 to some units in the last place; branch-free. log(u) = e · ln 2 + log(m) with √½ ≤ m < √2
-// (coefficients of Cephes' logf), and what the sum u = 1 + x has lost of x is given back.
+// log(1 + x) for x ≥ 0 to some units in the last place; branch-free. log(u) = e · ln 2 + log(1 + f) with √½ ≤ 1 + f < √2
+// (coefficients of Cephes' logf). Near 1 the sum u = 1 + x would lose digits of x: there f is x itself.
 static inline float log1p_positive(float x) {
-    float u = 1 + x, m, p = 7.0376836292e-2f;
-    uint32_t bits;
-    memcpy(&bits, &u, sizeof bits);
+    uint32_t bits = bits_of(1 + x);
     int32_t e = (int32_t)(bits - 0x3f3504f3) >> 23;
-    bits -= (uint32_t)e << 23;
-    memcpy(&m, &bits, sizeof m);
-    float f = m - 1, square = f * f, n = (float)e;
+    float f = e == 0 ? x : from_bits(bits - ((uint32_t)e << 23)) - 1, p = 7.0376836292e-2f;
     p = fmaf(p, f, -1.1514610310e-1f);
     p = fmaf(p, f, 1.1676998740e-1f);
     p = fmaf(p, f, -1.2420140846e-1f);
@@ -34,23 +38,32 @@ static inline float log1p_positive(float x) {
     p = fmaf(p, f, 2.0000714765e-1f);
     p = fmaf(p, f, -2.4999993993e-1f);
     p = fmaf(p, f, 3.3333331174e-1f);
-    float rest = fmaf(p * f, square, fmaf(n, -2.12194440e-4f, -0.5f * square)) + (x - (u - 1)) / u;
-    return fmaf(n, 0.693359375f, f + rest);
+    p = fmaf(p, f, -0.5f);
+    return fmaf((float)e, 0.693147181f, fmaf(p, f * f, f));
 }
 
-// planes: C pointers to `pixels` float32 each; out [pixels, C].
-void features(const float *const *planes, float scale, feature *out, int64_t pixels, int threads) {
+// planes: C pointers to `pixels` float32 each; out [pixels, C]. A block of pixels becomes words in vector code first, so
+// that what moves one by one, from planes to pixels, are few.
+void features(const float *const *planes, float scale, uint8_t *out, int64_t pixels, int threads) {
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t from = 0; from < pixels; from += BLOCK) {
         int n = (int)MIN(BLOCK, pixels - from);
-        feature block[C * BLOCK], *to = out + from * C;
+        float values[WORDS * PER * BLOCK];
+        uint64_t words[WORDS * BLOCK];
+        memset(values + C * BLOCK, 0, sizeof values - C * BLOCK * sizeof *values);  // what fills up the last word
         for (int c = 0; c < C; c++) {
             const float *plane = planes[c] + from;
+            for (int x = 0; x < n; x += 16) __builtin_prefetch(plane + 2 * BLOCK + x);
 #pragma omp simd
             for (int x = 0; x < n; x++)
-                block[c * BLOCK + x] = stored(c < LIGHT ? log1p_positive(plane[x] * scale) : plane[x]);
+                values[c * BLOCK + x] = c < LIGHT ? log1p_positive(plane[x] * scale) : plane[x];
         }
-        for (int x = 0; x < n; x++)
-            _Pragma("GCC unroll 64") for (int c = 0; c < C; c++) to[x * C + c] = block[c * BLOCK + x];
+        for (int w = 0; w < WORDS; w++)
+#pragma omp simd
+            for (int x = 0; x < BLOCK; x++) words[w * BLOCK + x] = word(values + w * PER * BLOCK + x);
+        uint8_t *to = out + from * C * SIZE;
+        for (int x = 0; x < n; x++, to += C * SIZE)
+            _Pragma("GCC unroll 64") for (int w = 0; w < WORDS; w++)
+                memcpy(to + w * 8, words + w * BLOCK + x, MIN(8, (C - w * PER) * SIZE));
     }
 }
