@@ -70,14 +70,26 @@ def test_apply_kernel(both, assert_images_close, size, K, dtype):
         assert_images_close(fused, plain, "float32")
 
 
-@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+BY_CELLS = [(*case, 3) for case in CASES] + [("native", size, 5) for size in [*SIZES, (3, 1281)]]
+
+
+@pytest.mark.parametrize("backend, size, K", BY_CELLS, indirect=["backend"], ids=str)
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
-def test_apply_kernel_by_cells(both, assert_images_close, size, dtype):
-    cells, image = [-(-n // 2) for n in size], torch.randn(2, 3, *size)
-    for layout in (torch.channels_last, torch.contiguous_format):
-        head = torch.randn(2, 4 * 13, *cells).to(dtype).contiguous(memory_format=layout).unflatten(1, (2, 2, 13))
-        plain, fused = both(ops.apply_kernel, image, head[:, :, :, 2:11])
+def test_apply_kernel_by_cells(both, assert_images_close, size, K, dtype):
+    cells, image, taps = [-(-n // 2) for n in size], torch.randn(2, 3, *size), K * K
+    for spread, layout in ((1, torch.channels_last), (1, torch.contiguous_format), (1e4, torch.channels_last)):
+        head = (spread * torch.randn(2, 4 * (taps + 4), *cells)).to(dtype).contiguous(memory_format=layout)
+        logits = head.unflatten(1, (2, 2, taps + 4))[:, :, :, 2 : taps + 2]
+        plain, fused = both(ops.apply_kernel, image, logits)
         assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("far", [-120.0, -1e3, -1e30, -math.inf])
+def test_a_tap_whose_weight_is_too_small_for_a_float_is_not_seen(both, far):
+    image, logits = torch.full((1, 3, 9, 70), 1e37), torch.full((1, 25, 9, 70), far)
+    image[:, :, 4, 35], logits[:, 12] = 1.0, 0.0
+    for result in both(ops.apply_kernel, image, logits):
+        assert torch.equal(result[:, :, 4, 35], torch.ones(1, 3))
 
 
 def test_logits_by_cells_are_those_of_a_transposed_convolution():
@@ -178,13 +190,25 @@ def test_history_motion(both, size):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16], ids=str)
 def test_features(both, assert_images_close, size, dtype):
     light = [10 ** (9 * torch.rand(2, 3, *size) - 6), torch.zeros(2, 1, *size)]
-    guides = [torch.randn(2, 3, *size), torch.rand(2, 1, *size) < 0.5]
-    like = torch.empty(4, 8, 3, 3, dtype=dtype).to(memory_format=torch.channels_last)
+    light[0][:, 0, 0, 0], light[0][:, 1, 0, 0] = 1e-30, 1e36
+    guides = [torch.randn(2, 4, *size), torch.rand(2, 1, *size) < 0.5]
+    like = torch.empty(4, 9, 3, 3, dtype=dtype).to(memory_format=torch.channels_last)
     scale = torch.tensor([0.3, 70.0]).reshape(2, 1, 1, 1)
     plain, fused = both(lambda *tensors: features(tensors[:2], tensors[2:], scale, like), *light, *guides)
-    assert plain.shape[1] == 8 and plain.dtype == fused.dtype == dtype
+    assert plain.shape[1] == 9 and plain.dtype == fused.dtype == dtype
     assert fused.stride() == plain.stride() and torch.equal(fused[:, 4:], plain[:, 4:])  # guides are only rounded
     assert_images_close(fused.float(), plain.float(), "float32" if dtype == torch.float32 else "bfloat16 rounding")
+
+
+@pytest.mark.parametrize("size", [*SIZES, (3, 1281)], ids=str)
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+def test_shares(both, assert_images_close, size, dtype):
+    cells = [-(-n // 2) for n in size]
+    for spread, layout in ((1, torch.channels_last), (200, torch.channels_last), (1, torch.contiguous_format)):
+        head = (spread * torch.randn(2, 12, *cells)).to(dtype).contiguous(memory_format=layout)
+        plain, fused = both(lambda logits: pixels.shares(logits, size), head.unflatten(1, (2, 2, 3)))
+        assert plain.shape == (2, 3, *size) and plain.dtype == torch.float32
+        assert_images_close(fused, plain, "float32")
 
 
 @pytest.mark.parametrize("size", SIZES, ids=str)

@@ -22,8 +22,7 @@ from ..motion_splat import history_motion
 from ..nets import ConvRelu, UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
 from ..ops.features import features
-from ..ops.layout import whole
-from ..ops.pixels import accumulate, demodulate, modulate, nearness
+from ..ops.pixels import accumulate, demodulate, modulate, nearness, shares
 from ..sanitise import admit
 
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
@@ -180,11 +179,11 @@ class AccumulatedKPN(nn.Module):
         taps, side = self.config.kernel**2, self.config.temporal_kernel
         x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
-        spatial, temporal, shares = self._full_head(levels[0], [taps, side**2, 3])
+        spatial, temporal, each = self._full_head(levels[0], [taps, side**2, 3])
         coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
         kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
-        shares, *alphas = (a.float().sigmoid() for a in (whole(shares)[:, :, :H, :W], *alphas))
-        return Heads([spatial, *kernels], alphas, temporal, *shares.split(1, dim=1))
+        alphas = [a.float().sigmoid() for a in alphas]
+        return Heads([spatial, *kernels], alphas, temporal, *shares(each, (H, W)).split(1, dim=1))
 
     def _full_head(self, x: Tensor, sizes: list[int]) -> list[Tensor]:
         """The outputs of `full_head` by cells, `[B, 2, 2, size, H/2, W/2]` for each of `sizes`, so that what is used

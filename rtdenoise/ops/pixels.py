@@ -1,4 +1,4 @@
-"""What is done to each pixel by itself: textures taken out and given back, running means, nearness."""
+"""What is done to each pixel by itself: textures taken out and given back, running means, nearness, shares."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from ..color import albedo_divisor
+from .layout import whole
 from .path import fused
 from .pyramid import blend
 
@@ -70,3 +71,13 @@ def nearness(
     if run := fused("nearness", depth):
         return run(depth, distance)
     return torch.where(depth > 0, distance / (distance + depth), 0.0)
+
+
+def shares(
+    logits: Tensor,  # [B, 2, 2, N, ⌈H/2⌉, ⌈W/2⌉] by cells, in any dtype (`apply_kernel`)
+    size: tuple[int, int],  # (H, W)
+) -> Tensor:  # [B, N, H, W] float32 in [0, 1]
+    """What a head says of each pixel, by cells, as a sigmoid: how much of one thing is taken and not of another."""
+    if run := fused("shares", logits):
+        return run(logits, size)
+    return whole(logits)[:, :, : size[0], : size[1]].float().sigmoid()

@@ -19,7 +19,8 @@ from torch.autograd.function import once_differentiable
 from ..layout import in_planes, strides, whole
 from .compiler import library, problem
 
-LOGITS = {torch.float32: 0, torch.bfloat16: 1, torch.float16: 2}  # LOGIT of apply_kernel.c
+LOGITS = {torch.float32: 0, torch.bfloat16: 1, torch.float16: 2}  # LOGIT of logits.h
+OF_LOGITS = ("apply_kernel", "shares")  # whose last argument they are
 
 
 def prepare() -> None:
@@ -30,8 +31,8 @@ def prepare() -> None:
 def unsupported(op: str, *tensors: Tensor) -> str | None:
     """Why `op` cannot take these arguments, or None. Only `apply_kernel` has gradients here."""
     image = tensors[0]
-    floats = tensors[:1] if op == "apply_kernel" else tensors
-    if any(t.dtype != torch.float32 for t in floats) or (op == "apply_kernel" and tensors[1].dtype not in LOGITS):
+    floats, logits = (tensors[:-1], tensors[-1:]) if op in OF_LOGITS else (tensors, ())
+    if any(t.dtype != torch.float32 for t in floats) or any(t.dtype not in LOGITS for t in logits):
         return f"for float32 images, not {', '.join(str(t.dtype).removeprefix('torch.') for t in tensors)}"
     if op != "apply_kernel" and torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
         return "it has no gradient"
@@ -106,6 +107,14 @@ def _readable(logits: Tensor) -> Tensor:
     if in_planes(logits) or strides(logits)[1] == 1 or logits.shape[-3] == 1:
         return logits
     return (whole(logits) if logits.ndim == 6 else logits).contiguous()
+
+
+def shares(logits: Tensor, size: tuple[int, int]) -> Tensor:
+    logits, (B, _, _, N) = _readable(logits), logits.shape[:4]
+    out, layout = torch.empty(B, N, *size), (c_int64 * 6)(*strides(logits))
+    run = library("shares", N=N, LOGIT=LOGITS[logits.dtype]).shares
+    run(_pointer(logits), _pointer(out), B, *size, byref(layout), torch.get_num_threads())
+    return out
 
 
 def warp(image: Tensor, motion: Tensor, seen: Tensor | None = None, otherwise: Tensor | None = None) -> Tensor:

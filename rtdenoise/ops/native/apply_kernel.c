@@ -7,57 +7,8 @@
 #include "common.h"
 
 #define R (K / 2)
-#define BLOCK 64  // pixels
-
-#if LOGIT == 0
-typedef float logit;
-static inline float value(logit v) { return v; }
-#elif LOGIT == 1
-typedef uint16_t logit;
-static inline float value(uint32_t v) { return from_bits(v << 16); }
-#else
-// In integers, which every compiler makes vector code of: the exponent moves from bias 15 to 127 by a product that is
-// exact for subnormal numbers too; Inf and NaN have an exponent of their own.
-typedef uint16_t logit;
-static inline float value(uint32_t v) {
-    uint32_t size = (v & 0x7fff) << 13, sign = (v & 0x8000) << 16;
-    float x = from_bits(size) * 0x1p112f;
-    return from_bits(bits_of(x) | sign | (size >= 0x0f800000 ? 0x7f800000 : 0));
-}
-#endif
-
-// The logits of a block of pixels as float32, in planes `BLOCK` apart that stay in the nearest cache. From planes they are
-// only converted. From channels last a word is moved at a time, of two float32 or four 16-bit logits, which vector code
-// takes apart.
-#define PER (sizeof(uint64_t) / sizeof(logit))
-#define WORDS ((K * K + PER - 1) / PER)
-
-static inline void from_planes(const logit *logits, int64_t stride, int pixels, float *values) {
-    for (int k = 0; k < K * K; k++)
-        _Pragma("omp simd") for (int x = 0; x < pixels; x++) values[k * BLOCK + x] = value(logits[k * stride + x]);
-}
-
-// `from`: the logits of one pixel. The last word may be a part of one, with nothing behind it.
-static inline void pack(const logit *from, uint64_t *words) {
-    _Pragma("GCC unroll 49") for (int i = 0; i < (int)WORDS; i++) {
-        int rest = K * K - i * (int)PER;
-        memcpy(words + i * BLOCK, from + i * PER, MIN(rest, (int)PER) * sizeof *from);
-    }
-}
-
-static inline void unpack(const uint64_t *words, float *values) {
-    for (int i = 0; i < (int)WORDS; i++)
-        _Pragma("omp simd") for (int x = 0; x < BLOCK; x++) {
-            uint32_t low = (uint32_t)words[i * BLOCK + x], high = (uint32_t)(words[i * BLOCK + x] >> 32);
-            float *to = values + i * PER * BLOCK + x;
-#if LOGIT == 0
-            to[0] = from_bits(low), to[BLOCK] = from_bits(high);
-#else
-            to[0] = value(low & 0xffff), to[BLOCK] = value(low >> 16);
-            to[2 * BLOCK] = value(high & 0xffff), to[3 * BLOCK] = value(high >> 16);
-#endif
-        }
-}
+#define N (K * K)
+#include "logits.h"
 
 typedef struct { int y0, y1, x0, x1; } Taps;  // dy in [y0, y1), dx in [x0, x1)
 
@@ -117,15 +68,10 @@ static inline void backward_image_pixel(const logit *logits, const float *stats,
     int64_t pixel = (int64_t)y * W, first = b * C * plane + pixel, firstStats = b * 2 * plane + pixel; \
     const logit *l = logits + b * batch + pixel;
 
-// Where logits lie, in values from the first: image b, tap k, and pixel (y, x), which may be one of a cell of 2×2.
-typedef struct { int64_t batch, tap, cell_row, row, cell, pixel; } Layout;
-#define OFFSET(l, b, y, x) \
-    ((b) * (l).batch + (y) / 2 * (l).cell_row + (y) % 2 * (l).row + (x) / 2 * (l).cell + (x) % 2 * (l).pixel)
-
 // A block of a row, as the loop over its pixels reads it: tap (dy, dx) of pixel x has logit
 // values[(dy * K + dx) * BLOCK + x] and, of channel c, value row[dy][c * plane + dx + x].
 typedef struct {
-    float values[WORDS * PER * BLOCK], patch[C * K * (BLOCK + 2 * R)];
+    float values[READ * BLOCK], patch[C * K * (BLOCK + 2 * R)];
     const float *row[K];
     int64_t plane;
 } Block;
@@ -172,20 +118,13 @@ static inline void greatest(const float *values, int pixels, float *most) {
 void forward(const float *image, const logit *logits, float *out, float *stats, int B, int H, int W,
              const Layout *layout, int threads) {
     Layout at = *layout;
-    int planes = at.pixel == 1 && at.cell == 2;
     EACH_ROW {
         int b = row / H, y = row % H;
         const logit *l = logits + OFFSET(at, b, y, 0);
         for (int from = 0; from < W; from += BLOCK) {
             int to = MIN(from + BLOCK, W), pixels = to - from;
             Block block;
-            if (planes) {
-                from_planes(l + from, at.tap, pixels, block.values);
-            } else {
-                uint64_t words[WORDS * BLOCK];
-                for (int x = from; x < to; x++) pack(l + OFFSET(at, 0, 0, x), words + x - from);
-                unpack(words, block.values);
-            }
+            read_logits(l, at, from, pixels, block.values);
             place(&block, image + b * C * plane, y, from, to, H, W);
             float most[BLOCK], scale[BLOCK], *o = out + (b * C * (int64_t)H + y) * W + from;
             greatest(block.values, pixels, most);

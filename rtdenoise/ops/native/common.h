@@ -24,9 +24,9 @@ static inline float clamped(float motion, int x, int n) {
     return MIN(MAX(u, 0), n - 1);
 }
 
-// exp(x) for x ≤ 0, as 2ⁿ · 2ʳ with |r| ≤ ½ (a polynomial whose error is least), to 2 units in the last place where it is
-// near 1; 0 below -88, where float32 has no normal numbers left. Branch-free, so that the loop around it becomes vector
-// code. ROUND brings what is added to it to whole numbers, n, and leaves them in its lowest bits.
+// exp(x) for x ≤ 0, as 2ⁿ · 2ʳ with |r| ≤ ½ (the polynomial of 5th degree with the least relative error), to 2 units in
+// the last place where it is near 1; 0 below -87.3, where float32 has no normal numbers left, and for NaN. Branch-free, so
+// that the loop around it becomes vector code. What is added to ROUND is rounded to a whole number n, in its lowest bits.
 #define ROUND 12582912.0f  // 1.5 · 2²³
 static inline float exp_negative(float x) {
     float t = x * 1.44269504f, whole = t + ROUND, r = t - (whole - ROUND), p = 1.3269555e-3f;

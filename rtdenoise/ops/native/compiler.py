@@ -7,6 +7,7 @@ import functools
 import hashlib
 import os
 import platform
+import re
 import shutil
 import subprocess
 import tempfile
@@ -26,8 +27,8 @@ def library(name: str, **constants: int) -> ctypes.CDLL:
     Raises OSError where there is no compiler, or it fails; the message is its first line.
     """
     folder = resources.files(__package__)
-    source = "".join((folder / file).read_text(encoding="utf-8") for file in ("common.h", f"{name}.c"))
-    source = source.replace('#include "common.h"\n', "")
+    source = (folder / f"{name}.c").read_text(encoding="utf-8")
+    source = re.sub(r'#include "(.+)"\n', lambda file: (folder / file[1]).read_text(encoding="utf-8"), source)
     command = [_compiler(), *FLAGS, THREADS, *([WIDE] if platform.machine() in ("x86_64", "AMD64") else [])]
     command += [f"-D{key}={value}" for key, value in sorted(constants.items())]
     key = hashlib.sha256("\0".join([source, *command, _machine()]).encode()).hexdigest()[:16]

@@ -1,0 +1,67 @@
+// How a network's output is read: N values a pixel, of which vector code wants planes of float32. LOGIT is what they are
+// stored in (0: float32, 1: bfloat16, 2: float16).
+
+#define BLOCK 64  // pixels
+
+#if LOGIT == 0
+typedef float logit;
+static inline float value(logit v) { return v; }
+#elif LOGIT == 1
+typedef uint16_t logit;
+static inline float value(uint32_t v) { return from_bits(v << 16); }
+#else
+// In integers, which every compiler makes vector code of: the exponent moves from bias 15 to 127 by a product that is
+// exact for subnormal numbers too; Inf and NaN have an exponent of their own.
+typedef uint16_t logit;
+static inline float value(uint32_t v) {
+    uint32_t size = (v & 0x7fff) << 13, sign = (v & 0x8000) << 16;
+    float x = from_bits(size) * 0x1p112f;
+    return from_bits(bits_of(x) | sign | (size >= 0x0f800000 ? 0x7f800000 : 0));
+}
+#endif
+
+// Where logits lie, in values from the first: image b, tap k, and pixel (y, x), which may be one of a cell of 2×2.
+typedef struct { int64_t batch, tap, cell_row, row, cell, pixel; } Layout;
+#define OFFSET(l, b, y, x) \
+    ((b) * (l).batch + (y) / 2 * (l).cell_row + (y) % 2 * (l).row + (x) / 2 * (l).cell + (x) % 2 * (l).pixel)
+
+// Values that are neighbours move together, from channels last: a word holds two float32, or four of 16 bits.
+#define PER ((int)(sizeof(uint64_t) / sizeof(logit)))
+#define WORDS ((N + PER - 1) / PER)
+#define READ (WORDS * PER)  // planes that `read_logits` writes
+
+// `from`: the logits of one pixel. The last word may be a part of one, with nothing behind it.
+static inline void pack(const logit *from, uint64_t *words) {
+    _Pragma("GCC unroll 49") for (int i = 0; i < WORDS; i++)
+        memcpy(words + i * BLOCK, from + i * PER, MIN(N - i * PER, PER) * sizeof *from);
+}
+
+static inline void unpack(const uint64_t *words, float *values) {
+    for (int i = 0; i < WORDS; i++)
+        _Pragma("omp simd") for (int x = 0; x < BLOCK; x++) {
+            uint32_t low = (uint32_t)words[i * BLOCK + x], high = (uint32_t)(words[i * BLOCK + x] >> 32);
+            float *to = values + i * PER * BLOCK + x;
+#if LOGIT == 0
+            to[0] = from_bits(low), to[BLOCK] = from_bits(high);
+#else
+            to[0] = value(low & 0xffff), to[BLOCK] = value(low >> 16);
+            to[2 * BLOCK] = value(high & 0xffff), to[3 * BLOCK] = value(high >> 16);
+#endif
+        }
+}
+
+// Of a row of pixels those from `from` on, BLOCK at most: value k of pixel from + x to values[k * BLOCK + x]. They are
+// neighbours along x (planes) or along k (a convolution's output, channels last).
+static inline void read_logits(const logit *row, Layout at, int from, int pixels, float *values) {
+    if (at.pixel == 1 && at.cell == 2) {
+        for (int k = 0; k < N; k++) {
+            const logit *plane = row + k * at.tap + from;
+            for (int x = 0; x < pixels; x += 64 / sizeof *plane) __builtin_prefetch(plane + 2 * BLOCK + x);
+            _Pragma("omp simd") for (int x = 0; x < pixels; x++) values[k * BLOCK + x] = value(plane[x]);
+        }
+    } else {
+        uint64_t words[WORDS * BLOCK];
+        for (int x = 0; x < pixels; x++) pack(row + OFFSET(at, 0, 0, from + x), words + x);
+        unpack(words, values);
+    }
+}
