@@ -3,7 +3,8 @@
 // 2: float16).
 //
 // The inner loops run over the taps of one pixel and are unrolled; the loop over x becomes vector code, so that sums and
-// maximum stay in registers. Pixels whose taps leave the image go through the same functions with fewer taps.
+// maximum stay in registers. Where taps leave the image, `forward` gives them no weight, and the backward passes go through
+// the same functions with fewer taps.
 #include "common.h"
 
 #define R (K / 2)
@@ -76,18 +77,18 @@ typedef struct {
     int64_t plane;
 } Block;
 
-// Rows of `image` (one of the batch) under pixels [from, to) of row y. Beyond the image its border is repeated, by the
-// pointers to rows and by a copy of what is under the first and the last block: the taps there get logits of -Inf.
+// Sets the rows of `image` (one of the batch) under pixels [from, to) of row y. Outside the image its border is repeated,
+// by the pointers to rows and by a copy of what is under the first and the last block; the taps there get logits of -Inf.
 static inline void place(Block *o, const float *image, int y, int from, int to, int H, int W) {
+    int pixels = to - from, beside = from < R || to > W - R, above = y < R || y >= H - R;
     o->plane = (int64_t)H * W;
     for (int dy = 0; dy < K; dy++) o->row[dy] = image + (int64_t)MIN(MAX(y + dy - R, 0), H - 1) * W + from - R;
-    if (from < R || to > W - R) {
-        int n = to - from + 2 * R, left = MAX(R - from, 0), right = MIN(n, W + R - from);
+    if (beside) {
+        int n = pixels + 2 * R, left = MAX(R - from, 0), right = MIN(n, W + R - from);
         for (int dy = 0; dy < K; dy++) {
             for (int c = 0; c < C; c++) {
-                const float *inside = o->row[dy] + c * o->plane;
                 float *copy = o->patch + (c * K + dy) * (BLOCK + 2 * R);
-                memcpy(copy + left, inside + left, (right - left) * sizeof *copy);
+                memcpy(copy + left, o->row[dy] + c * o->plane + left, (right - left) * sizeof *copy);
                 for (int x = 0; x < left; x++) copy[x] = copy[left];
                 for (int x = right; x < n; x++) copy[x] = copy[right - 1];
             }
@@ -95,14 +96,12 @@ static inline void place(Block *o, const float *image, int y, int from, int to, 
         }
         o->plane = K * (BLOCK + 2 * R);
     }
-    for (int dy = 0; dy < K; dy++)
-        for (int dx = 0; dx < K; dx++) {
-            int outside = y + dy < R || y + dy >= H + R;
-            int first = outside ? to : MAX(from, R - dx), last = outside ? to : MIN(to, W + R - dx);
-            float *v = o->values + (dy * K + dx) * BLOCK - from;
-            for (int x = from; x < first; x++) v[x] = -INFINITY;
-            for (int x = MAX(first, last); x < to; x++) v[x] = -INFINITY;
-        }
+    for (int k = 0; k < K * K && (beside || above); k++) {
+        int dy = k / K, dx = k % K, inside = y + dy >= R && y + dy < H + R;
+        int first = inside ? MAX(R - dx - from, 0) : pixels, last = inside ? MIN(W + R - dx - from, pixels) : pixels;
+        for (int x = 0; x < first; x++) o->values[k * BLOCK + x] = -INFINITY;
+        for (int x = MAX(first, last); x < pixels; x++) o->values[k * BLOCK + x] = -INFINITY;
+    }
 }
 
 static inline void greatest(const float *values, int pixels, float *most) {
@@ -113,8 +112,8 @@ static inline void greatest(const float *values, int pixels, float *most) {
     }
 }
 
-// image, out [B, C, H, W], stats [B, 2, H, W] (maximum and 1/sum; may be null) contiguous. Logits of a row are
-// neighbours along x (planes) or along k (a convolution's output, channels last).
+// image, out [B, C, H, W], stats [B, 2, H, W] (maximum and 1/sum; may be null) contiguous; logits as `read_logits` wants
+// them.
 void forward(const float *image, const logit *logits, float *out, float *stats, int B, int H, int W,
              const Layout *layout, int threads) {
     Layout at = *layout;

@@ -42,8 +42,8 @@ static inline float log1p_positive(float x) {
     return fmaf((float)e, 0.693147181f, fmaf(p, f * f, f));
 }
 
-// planes: C pointers to `pixels` float32 each; out [pixels, C]. A block of pixels becomes words in vector code first, so
-// that what moves one by one, from planes to pixels, are few.
+// planes: C pointers to `pixels` float32 each; out [pixels, C]. A block of pixels becomes words in vector code first: what
+// moves one by one, from planes to pixels, is slow. So many planes at once the processor does not fetch by itself.
 void features(const float *const *planes, float scale, uint8_t *out, int64_t pixels, int threads) {
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t from = 0; from < pixels; from += BLOCK) {
