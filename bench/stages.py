@@ -15,7 +15,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 STAGES = {
     "features + kernel prediction": ("demodulate", "features", "predict"),
-    "kernel application": ("apply_kernel", "downsample", "compose"),
+    "kernel application": ("apply_kernel", "downsample", "compose", "blend_history"),
     "blending": ("accumulate", "modulate", "blend"),
     "reprojection": ("history_motion", "warp", "reproject"),
 }

@@ -22,6 +22,7 @@ from rtdenoise.ops import native, path, pixels
 from rtdenoise.ops.blocks import block_luminance
 from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
+from rtdenoise.ops.temporal import blend_history
 
 SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
 CASES = [("native", size) for size in SIZES]
@@ -90,6 +91,19 @@ def test_a_tap_whose_weight_is_too_small_for_a_float_is_not_seen(both, far):
     image[:, :, 4, 35], logits[:, 12] = 1.0, 0.0
     for result in both(ops.apply_kernel, image, logits):
         assert torch.equal(result[:, :, 4, 35], torch.ones(1, 3))
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+def test_blend_history(both, assert_images_close, size, dtype):
+    """Gaps alone, in rows, everywhere and nowhere."""
+    spatial, past, alpha = torch.rand(2, 3, *size), torch.rand(2, 3, *size), torch.rand(2, 1, *size)
+    seen = torch.rand(2, 1, *size) < 0.8
+    seen[:, :, ::3] = True
+    logits = torch.randn(2, 4 * 9, *(-(-n // 2) for n in size)).to(dtype).contiguous(memory_format=torch.channels_last)
+    for where in (seen, torch.ones_like(seen), torch.zeros_like(seen)):
+        plain, fused = both(blend_history, spatial, past, where, logits.unflatten(1, (2, 2, 9)), alpha)
+        assert_images_close(fused, plain, "float32")
 
 
 def test_logits_by_cells_are_those_of_a_transposed_convolution():

@@ -20,9 +20,10 @@ from ..brightness import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
 from ..motion_splat import history_motion
 from ..nets import ConvRelu, UNet, as_weights
-from ..ops import apply_kernel, blend, compose, downsample, reproject, warp
+from ..ops import apply_kernel, compose, downsample, reproject, warp
 from ..ops.features import features
 from ..ops.pixels import accumulate, demodulate, modulate, nearness, shares
+from ..ops.temporal import blend_history
 from ..sanitise import admit
 
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
@@ -137,8 +138,7 @@ class AccumulatedKPN(nn.Module):
         # Give the texture back. Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for
         # what has just changed. Then blend with the previous output, which averages edges as well.
         output = modulate(output, frame.albedo, mean_albedo, heads.sharp, frame.depth)
-        before = apply_kernel(torch.where(past.on_screen, past.output, output), heads.temporal)
-        output = blend(output, before, heads.alpha_temporal)
+        output = blend_history(output, past.output, past.on_screen, heads.temporal, heads.alpha_temporal)
         return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
 
     def reprojected(self, frame: Frame, history: History | None, known: Known = NOTHING_KNOWN) -> Past:

@@ -20,7 +20,7 @@ from ..layout import in_planes, strides, whole
 from .compiler import library, problem
 
 LOGITS = {torch.float32: 0, torch.bfloat16: 1, torch.float16: 2}  # LOGIT of logits.h
-OF_LOGITS = ("apply_kernel", "shares")  # whose last argument they are
+OF_LOGITS = ("apply_kernel", "blend_history", "shares")  # whose last argument they are
 
 
 def prepare() -> None:
@@ -40,7 +40,9 @@ def unsupported(op: str, *tensors: Tensor) -> str | None:
         return f"for at most 8 channels, not {image.shape[1]}"
     if image.numel() == 0 or image.shape[2] * image.shape[3] >= 2**31:
         return f"not for images of {tuple(image.shape)}"
-    return problem("apply_kernel", **_constants(*tensors)) if op == "apply_kernel" else None
+    if op in ("apply_kernel", "blend_history"):
+        return problem("apply_kernel", **_constants(image, *logits))
+    return None
 
 
 def apply_kernel(image: Tensor, logits: Tensor) -> Tensor:
@@ -76,10 +78,16 @@ class _ApplyKernel(torch.autograd.Function):
         return grad_image, grad_logits
 
 
-def _forward(image: Tensor, logits: Tensor, stats: Tensor | None) -> Tensor:
+def blend_history(spatial: Tensor, past: Tensor, seen: Tensor, logits: Tensor, alpha: Tensor) -> Tensor:
+    others = [t.contiguous() for t in (seen, spatial, alpha)]
+    return _forward(past.contiguous(), _readable(logits), None, *others)
+
+
+def _forward(image: Tensor, logits: Tensor, stats: Tensor | None, *blended: Tensor) -> Tensor:
+    """`blended` is nothing, or seen, spatial and alpha."""
     out = torch.empty_like(image)
     (B, _, H, W), layout = image.shape, (c_int64 * 6)(*strides(logits))
-    pointers = map(_pointer, (image, logits, out, stats))
+    pointers = map(_pointer, (image, logits, out, stats, *(blended or (None, None, None))))
     _kernels(image, logits).forward(*pointers, B, H, W, byref(layout), torch.get_num_threads())
     return out
 

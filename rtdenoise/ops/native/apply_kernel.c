@@ -77,18 +77,30 @@ typedef struct {
     int64_t plane;
 } Block;
 
+// What a picture is in some of its pixels: `otherwise` where not `seen`. Nowhere where `seen` is null.
+typedef struct { const uint8_t *seen; const float *otherwise; } Gaps;
+
 // Sets the rows of `image` (one of the batch) under pixels [from, to) of row y. Outside the image its border is repeated,
 // by the pointers to rows and by a copy of what is under the first and the last block; the taps there get logits of -Inf.
-static inline void place(Block *o, const float *image, int y, int from, int to, int H, int W) {
-    int pixels = to - from, beside = from < R || to > W - R, above = y < R || y >= H - R;
-    o->plane = (int64_t)H * W;
-    for (int dy = 0; dy < K; dy++) o->row[dy] = image + (int64_t)MIN(MAX(y + dy - R, 0), H - 1) * W + from - R;
-    if (beside) {
-        int n = pixels + 2 * R, left = MAX(R - from, 0), right = MIN(n, W + R - from);
+// What is under a block with gaps is copied too, and they are filled.
+static inline void place(Block *o, const float *image, Gaps gaps, int y, int from, int to, int H, int W) {
+    int pixels = to - from, beside = from < R || to > W - R, above = y < R || y >= H - R, filled = 0;
+    int n = pixels + 2 * R, left = MAX(R - from, 0), right = MIN(n, W + R - from);
+    int64_t first[K], plane = (int64_t)H * W;
+    o->plane = plane;
+    for (int dy = 0; dy < K; dy++) {
+        first[dy] = (int64_t)MIN(MAX(y + dy - R, 0), H - 1) * W + from - R;
+        o->row[dy] = image + first[dy];
+        filled |= gaps.seen && memchr(gaps.seen + first[dy] + left, 0, right - left);
+    }
+    if (beside || filled) {
         for (int dy = 0; dy < K; dy++) {
             for (int c = 0; c < C; c++) {
                 float *copy = o->patch + (c * K + dy) * (BLOCK + 2 * R);
-                memcpy(copy + left, o->row[dy] + c * o->plane + left, (right - left) * sizeof *copy);
+                int64_t at = c * plane + first[dy];
+                memcpy(copy + left, image + at + left, (right - left) * sizeof *copy);
+                for (int x = left; filled && x < right; x++)
+                    if (!gaps.seen[first[dy] + x]) copy[x] = gaps.otherwise[at + x];
                 for (int x = 0; x < left; x++) copy[x] = copy[left];
                 for (int x = right; x < n; x++) copy[x] = copy[right - 1];
             }
@@ -112,10 +124,11 @@ static inline void greatest(const float *values, int pixels, float *most) {
     }
 }
 
-// image, out [B, C, H, W], stats [B, 2, H, W] (maximum and 1/sum; may be null) contiguous; logits as `read_logits` wants
-// them.
-void forward(const float *image, const logit *logits, float *out, float *stats, int B, int H, int W,
-             const Layout *layout, int threads) {
+// image, out, spatial [B, C, H, W], stats [B, 2, H, W] (maximum and 1/sum), seen [B, 1, H, W] bool, alpha [B, 1, H, W],
+// contiguous; logits as `read_logits` wants them. `stats` may be null, and so may the last three together. With them the
+// image is `spatial` where not `seen`, and the result is blended with `spatial` (ops/temporal.py).
+void forward(const float *image, const logit *logits, float *out, float *stats, const uint8_t *seen,
+             const float *spatial, const float *alpha, int B, int H, int W, const Layout *layout, int threads) {
     Layout at = *layout;
     EACH_ROW {
         int b = row / H, y = row % H;
@@ -124,8 +137,10 @@ void forward(const float *image, const logit *logits, float *out, float *stats, 
             int to = MIN(from + BLOCK, W), pixels = to - from;
             Block block;
             read_logits(l, at, from, pixels, block.values);
-            place(&block, image + b * C * plane, y, from, to, H, W);
-            float most[BLOCK], scale[BLOCK], *o = out + (b * C * (int64_t)H + y) * W + from;
+            int64_t before = b * C * plane, here = before + y * (int64_t)W + from;
+            Gaps gaps = {seen ? seen + b * plane : 0, seen ? spatial + before : 0};
+            place(&block, image + before, gaps, y, from, to, H, W);
+            float most[BLOCK], scale[BLOCK], *o = out + here;
             greatest(block.values, pixels, most);
             _Pragma("omp simd") for (int x = 0; x < pixels; x++) {
                 float sum = 0, colour[C] = {0};
@@ -136,6 +151,11 @@ void forward(const float *image, const logit *logits, float *out, float *stats, 
                 }
                 scale[x] = 1 / sum;
                 FOR_CHANNELS o[c * plane + x] = colour[c] * scale[x];
+            }
+            for (int c = 0; alpha && c < C; c++) {
+                const float *a = alpha + b * plane + y * (int64_t)W + from, *s = spatial + here + c * plane;
+                _Pragma("omp simd") for (int x = 0; x < pixels; x++)
+                    o[c * plane + x] = lerp(o[c * plane + x], s[x], a[x]);
             }
             if (stats) {
                 float *s = stats + (b * 2 * (int64_t)H + y) * W + from;

@@ -37,3 +37,9 @@ static inline float exp_negative(float x) {
     p = fmaf(p, r, 1.0f);
     return t >= -126 ? from_bits(bits_of(p) + (bits_of(whole) << 23)) : 0;
 }
+
+// As torch's: the end itself where the weight is 0 or 1, however far apart they are.
+static inline float lerp(float from, float to, float weight) {
+    float d = to - from;
+    return weight < 0.5f ? fmaf(weight, d, from) : fmaf(weight - 1, d, to);
+}

@@ -9,12 +9,6 @@ static inline float divisor(float albedo, float brightest, float depth) {
     return depth > 0 ? MAX(albedo, MAX(LEAST, SHARE * brightest)) : 1;
 }
 
-// As torch's: the end itself where the weight is 0 or 1, however far apart they are.
-static inline float lerp(float from, float to, float weight) {
-    float d = to - from;
-    return weight < 0.5f ? fmaf(weight, d, from) : fmaf(weight - 1, d, to);
-}
-
 #define BLOCK 1024  // pixels
 #define EACH_BLOCK(B, plane) \
     _Pragma("omp parallel for num_threads(threads) schedule(static) collapse(2)") \
