@@ -13,6 +13,9 @@ from torch.nn import Parameter
 # To be nearer to 1 gains nothing.
 A, B, C = 3.4445, -4.7750, 2.0315
 ITERATIONS = 5
+# Norm of a momentum that still counts as one: a layer that nothing comes through any more (its ReLUs are zero
+# everywhere) would be moved by what is left of it, in steps of full length.
+LEAST = 1e-7
 
 
 class Muon(torch.optim.Optimizer):
@@ -45,10 +48,11 @@ class Muon(torch.optim.Optimizer):
 
 def orthogonal(matrix: Tensor) -> Tensor:
     """About U Vᵀ of the singular value decomposition U S Vᵀ, by products of matrices alone (Newton-Schulz): singular
-    values come to lie in [0.6, 1.3], but for those below a hundredth of the matrix's norm. Zeros stay zeros."""
+    values come to lie in [0.6, 1.3], but for those below a hundredth of the matrix's norm; what is smaller than `LEAST`
+    comes to nothing."""
     wide = matrix.shape[0] <= matrix.shape[1]
     x = matrix if wide else matrix.T
-    x = x / x.norm().clamp(min=1e-30)
+    x = x / (x.norm() + LEAST)
     for _ in range(ITERATIONS):
         square = x @ x.T
         x = A * x + (B * square + C * square @ square) @ x
