@@ -36,6 +36,14 @@ def test_the_papers_experiment_is_that_of_the_result(monkeypatch):
     assert f"<!-- ablation -->\n{text}\n<!-- /ablation -->" in ablation.PAGE.read_text()
 
 
+@pytest.mark.parametrize("name", ["optimisers", "activity"])
+def test_the_page_on_training_is_that_of_the_results(monkeypatch, name):
+    monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "bench")])
+    bench, page = importlib.import_module(name), (ROOT / "docs" / "training.md").read_text()
+    for section, text in bench.tables(json.loads(bench.RESULT.read_text())).items():
+        assert f"<!-- {section} -->\n{text}\n<!-- /{section} -->" in page, section
+
+
 def test_the_latency_table_is_that_of_the_result(monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "bench")])
     latency = importlib.import_module("latency_720p")
