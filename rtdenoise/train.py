@@ -37,6 +37,7 @@ from .train_log import Log
 from .trainer import Trainer, check
 
 WEIGHTS = "weights.safetensors"
+HOPELESS = 20  # steps in turn without a finite loss: a poisoned clip costs one, broken weights all
 ELSEWHERE = ("data", "val", "out", "device", "init", "tensorboard")  # options that may change when a run is resumed
 
 
@@ -104,6 +105,10 @@ def _run(
             started = time.perf_counter()
             row = trainer.train_step([frame.to(config.device) for frame in clip])
             row["seconds"] = time.perf_counter() - started
+            if trainer.skipped_in_turn == HOPELESS:
+                raise InputError(f"{out}: {HOPELESS} steps in turn without a finite loss or gradient: the weights are "
+                                 f"broken; begin another run with a lower --lr, from --init {out / WEIGHTS} if that is "
+                                 "there")  # fmt: skip
             if not first:
                 continue
             progress.update(task, completed=trainer.step, loss=f"loss {row['loss']:.4f}")

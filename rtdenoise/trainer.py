@@ -39,6 +39,7 @@ class Trainer:
         self.step = 0
         self.best = -math.inf  # dB, of the best validation so far
         self.skipped = 0  # steps that a loss or gradient that was not finite has cost
+        self.skipped_in_turn = 0  # of these, the last ones
 
     def train_step(self, clip: list[Frame]) -> dict[str, float]:
         """One optimiser step on a batch of clips; returns the numbers to log."""
@@ -71,10 +72,12 @@ class Trainer:
         average_gradients(self.model.parameters())
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0).item()
         if math.isfinite(norm):
+            self.skipped_in_turn = 0
             for optimiser in self.optimisers:
                 optimiser.step()
         else:  # a poisoned clip must not poison the weights
             self.skipped += 1
+            self.skipped_in_turn += 1
         self.step += 1
         decay = min(0.999, self.step / (self.step + 10))
         for mean, parameter in zip(self.average.parameters(), self.model.parameters(), strict=True):

@@ -199,6 +199,21 @@ def test_a_poisoned_clip_is_skipped_counted_and_reported(config, monkeypatch, ca
     assert "1 steps skipped" in capsys.readouterr().out
 
 
+def test_broken_weights_end_the_run(config, monkeypatch):
+    step = Trainer.train_step
+
+    def break_weights(self, clip):
+        if self.step == 3:
+            next(self.model.parameters()).data.fill_(math.nan)
+        return step(self, clip)
+
+    monkeypatch.setattr(Trainer, "train_step", break_weights)
+    with pytest.raises(InputError, match=r"20 steps in turn without a finite loss .* --init .*weights.safetensors"):
+        train(replace(config, steps=100))
+    assert log(config.out)[-1]["step"] == 22  # and the next was the last
+    assert all(p.isfinite().all() for p in load(config.out / "weights.safetensors").parameters())  # the best, of step 3
+
+
 def test_every_clip_is_seen_once_an_epoch(config):
     data = ClipDataset(*config.data)
     one = replace(config, batch=1, size=24, frames=4)
