@@ -105,7 +105,8 @@ class Trainer:
         self.step, self.best, self.skipped = state["step"], state["best"], state.get("skipped", 0)
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
-        for optimiser, held in zip(self.optimisers, state["optimisers"], strict=True):
+        before = state["optimisers"] if "optimisers" in state else [state["optimiser"]]  # a run of before Muon
+        for optimiser, held in zip(self.optimisers, before, strict=True):
             optimiser.load_state_dict(held)
 
 

@@ -230,6 +230,9 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
     older = json.loads((config.out / "config.json").read_text())
     del older["options"]["optimiser"]  # a run of before there was a choice
     (config.out / "config.json").write_text(json.dumps(older))
+    state = torch.load(config.out / "checkpoint.pt", weights_only=True)
+    (state["optimiser"],) = state.pop("optimisers")
+    torch.save(state, config.out / "checkpoint.pt")
     assert train(config).is_file()
     with pytest.raises(InputError, match="started with optimiser = adam, not muon"):
         train(replace(config, optimiser="muon"))
