@@ -43,7 +43,7 @@ def page(
         (ASSETS / "report.html").read_text()
         .replace("/*STYLE*/", (ASSETS / "report.css").read_text())
         .replace("<!--PICTURES-->", "\n".join(parts))
-        .replace("/*DATA*/", dumps(data, digits=5, separators=(",", ":")).replace("</", "<\\/"))
+        .replace("/*DATA*/", dumps(data, digits=4, separators=(",", ":")).replace("</", "<\\/"))
         .replace("/*SCRIPTS*/", scripts)
     )  # fmt: skip
 
