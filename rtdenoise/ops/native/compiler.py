@@ -1,4 +1,5 @@
-"""Compile one of the C files with the machine's own compiler, once: the result is kept in the user's cache folder."""
+"""Compile one of the C files with the machine's own compiler, once: the result is kept in the user's cache folder. And
+what it is called with."""
 
 from __future__ import annotations
 
@@ -13,6 +14,8 @@ import subprocess
 import tempfile
 from importlib import resources
 from pathlib import Path
+
+from torch import Tensor
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
@@ -46,6 +49,11 @@ def problem(name: str, **constants: int) -> str | None:
     except OSError as error:
         return str(error)
     return None
+
+
+def pointer(tensor: Tensor | None) -> ctypes.c_void_p:
+    """To a tensor's first value, as the C functions take it; null for None."""
+    return ctypes.c_void_p(tensor.data_ptr() if tensor is not None else None)
 
 
 def _compile(command: list[str], source: str, path: Path) -> None:
