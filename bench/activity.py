@@ -9,6 +9,7 @@ bench/results/activity.json and the table of docs/training.md.
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import harness
 import torch
@@ -32,16 +33,12 @@ def active(name: str) -> dict[str, float]:
     """Layer of the U-Net -> share of its channels that are above zero in some pixel of some frame, of either signal."""
     model, found = read(name).eval(), {}
 
-    def look(layer: str) -> object:
-        def hook(module: nn.Module, inputs: tuple[Tensor, ...], output: Tensor) -> None:
-            seen = (output > 0).flatten(2).any(2).any(0)
-            found[layer] = found.get(layer, False) | seen
-
-        return hook
+    def look(layer: str, module: nn.Module, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+        found[layer] = found.get(layer, False) | (output > 0).flatten(2).any(2).any(0)
 
     for layer, module in model.unet.named_modules():
         if isinstance(module, nn.ReLU):
-            module.register_forward_hook(look(layer))
+            module.register_forward_hook(partial(look, layer))
     for signal in SIGNALS:
         history = None
         for frame in open_sequence(harness.ROOT / "samples" / "mural", signal=signal):

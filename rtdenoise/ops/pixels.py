@@ -54,7 +54,7 @@ def accumulate(
 
 
 def within(values: Tensor, low: float, high: float) -> bool:
-    """Whether all values, of any shape, are in [low, high], both float32 numbers. NaN is not."""
+    """Whether all values, `[B, C, H, W]`, are in [low, high], both float32 numbers. NaN is not."""
     if run := fused("within", values):
         return run(values, low, high)
     if values.numel() == 0:
