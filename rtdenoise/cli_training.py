@@ -20,7 +20,7 @@ class Render:
     out: Path
     """Folder for the frames or clips; what is there already is kept."""
     scene: Positional[str] = "procedural"
-    """'sample', 'procedural:SEED', 'wide:SEED', or a Mitsuba scene file (.xml)."""
+    """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', or a Mitsuba scene file (.xml)."""
     motion: Path | None = None
     """TOML file that moves camera and objects of a scene file."""
     clips: int = 0
@@ -33,6 +33,8 @@ class Render:
     """With --scenes: folder of NAME.toml, the motions of these scenes."""
     exclude: tuple[str, ...] = ("street", "dining-room", "staircase2", "bathroom")
     """With --scenes: names that are left out, to validate on."""
+    sun: float = 0.0
+    """With --preset train: share of the generated scenes that a sun shines on, with sharp shadows (0 to 1)."""
     textures: Path | None = None
     """With --preset train or wide:SEED: folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""
     reference_error: float = 0.01
@@ -64,8 +66,10 @@ class Render:
                 raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
         if self.clips and self.reference_spp == 0:
             raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
-        if self.preset != "train" and (self.scenes or self.shard != "0/1"):
-            raise InputError("--scenes and --shard go with --preset train")
+        if not 0 <= self.sun <= 1:
+            raise InputError(f"--sun: expected a share from 0 to 1, got {self.sun}")
+        if self.preset != "train" and (self.scenes or self.shard != "0/1" or self.sun):
+            raise InputError("--scenes, --shard and --sun go with --preset train")
         if self.preset == "train":
             self._training_set()
         elif self.clips:
@@ -100,7 +104,7 @@ class Render:
             self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,
             max_depth=self.max_depth, workers=self.workers, shard=parse_shard(self.shard),
             scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
-            textures=str(self.textures or ""),
+            sun=self.sun, textures=str(self.textures or ""),
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)

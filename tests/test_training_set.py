@@ -388,7 +388,10 @@ def test_wrong_options(tmp_path):
         with pytest.raises(InputError, match="expected i/n"):
             parse_shard(text)
     assert parse_shard("1/4") == (1, 4)
-    for arguments in (["--scenes", "x"], ["--preset", "train", "--reference-spp", "9"]):
+    for arguments in (
+        ["--scenes", "x"], ["--sun", "1"], ["--preset", "train", "--sun", "1.5"],
+        ["--preset", "train", "--reference-spp", "9"],
+    ):  # fmt: skip
         with pytest.raises(SystemExit):
             main(["render", "--out", str(tmp_path), *arguments])
     with pytest.raises(InputError, match="multiples of 4"):

@@ -82,16 +82,16 @@ def render_clips(out: Path, options: ClipOptions, progress=print) -> dict:
     return write_card(out, shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
 
 
-def refuse_others(out: Path, options, generator: int, seeds: Callable[[int], int]) -> None:
+def refuse_others(out: Path, options, generator: int, seeds: Callable[[int], int], sun: float = 0.0) -> None:
     """Raise InputError where the folder holds clips that were made with other options: they would be mixed up.
 
     `seeds(i)` is what clip i would say its seed is.
     """
     for path in sorted(out.glob("clip_*.safetensors"))[:1]:
-        facts = read_facts(path)
+        facts = {"sun": 0.0} | read_facts(path)  # older clips do not say
         expected = {
             "generator": generator, "seed": seeds(int(path.stem.removeprefix("clip_"))), "size": list(options.size),
-            "frames": options.frames, "spp": options.spp, "max_depth": options.max_depth,
+            "frames": options.frames, "spp": options.spp, "max_depth": options.max_depth, "sun": sun,
         }  # fmt: skip
         for key, value in expected.items():
             if facts.get(key) != value:

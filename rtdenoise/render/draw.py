@@ -18,14 +18,15 @@ from .sample_scene import sample
 from .scene_file import open_file
 from .scenes import Material, Object, Scene
 from .stage import Stage
+from .sunlit import sunlit
 
 UNCOVERING = 0.015  # least share of uncovered pixels in a clip that is drawn to uncover
 ATTEMPTS = 12
 
 
 def open_scene(name: str, motion: str | Path | None = None, folder: str | Path | None = None) -> Scene:
-    """`sample`, `procedural:SEED` or `wide:SEED` (generators 1 and 2), or a Mitsuba XML file, set in motion by a TOML
-    file. `folder` holds pictures that some surfaces of a `wide` scene get."""
+    """`sample`, `procedural:SEED` or `wide:SEED` (generators 1 and 2), `sunlit:SEED` (that of `wide`, with a sun), or a
+    Mitsuba XML file, set in motion by a TOML file. `folder` holds pictures that some surfaces of a `wide` scene get."""
     if folder and not name.startswith("wide:"):
         raise InputError(f"--textures {folder}: goes with wide:SEED or --preset train, not with '{name}'")
     if name.endswith(".xml"):
@@ -43,9 +44,11 @@ def open_scene(name: str, motion: str | Path | None = None, folder: str | Path |
         scene = procedural_wide.procedural(int(seed))
         rng = np.random.default_rng([procedural_wide.VERSION, int(seed), 0, 0])
         return _exposed(hang(scene, find_pictures(folder), rng) if folder else scene)
-    raise InputError(
-        f"unknown scene '{name}'; expected sample, procedural:SEED or wide:SEED with a whole number, or a .xml file"
-    )
+    if kind == "sunlit" and seed.isdecimal():
+        scene = procedural_wide.procedural(int(seed))
+        return _exposed(sunlit(scene, np.random.default_rng([procedural_wide.VERSION, int(seed), 1])))
+    raise InputError(f"unknown scene '{name}'; expected sample, procedural:SEED, wide:SEED or sunlit:SEED with a whole "
+                     "number, or a .xml file")  # fmt: skip
 
 
 def _exposed(scene: Scene) -> Scene:

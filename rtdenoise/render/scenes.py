@@ -45,6 +45,15 @@ class Spot:
 
 
 @dataclass(frozen=True)
+class Sun:
+    """Parallel light from one direction, not to be seen itself."""
+
+    towards: tuple[float, float, float]  # unit vector to the sun
+    irradiance: tuple[float, float, float]  # of a surface that faces it
+    weight: float = 1.0  # how often it is sampled, in times of each other light
+
+
+@dataclass(frozen=True)
 class Scene:
     """Everything a renderer needs. Frame numbers are the times at which `camera` and the motions are evaluated."""
 
@@ -55,4 +64,5 @@ class Scene:
     exposure: float = 1.0  # factor on all radiance
     file: Path | None = None  # Mitsuba XML that has surfaces and light; objects with a mesh are added to its own
     spots: tuple[Spot, ...] = ()
+    sun: Sun | None = None
     facts: dict = field(default_factory=dict)  # what was drawn, for the metadata

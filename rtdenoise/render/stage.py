@@ -131,6 +131,11 @@ def _build(mi, scene: Scene):
             "cutoff_angle": spot.angle, "beam_width": 0.6 * spot.angle,
             "to_world": mi.ScalarTransform4f().look_at(list(spot.origin), list(spot.target), [0, 0.02, 1]),
         }  # fmt: skip
+    if scene.sun is not None:
+        description["sun"] = {
+            "type": "directional", "direction": [-x for x in scene.sun.towards], "sampling_weight": scene.sun.weight,
+            "irradiance": {"type": "rgb", "value": list(scene.sun.irradiance)},
+        }  # fmt: skip
     if clash := description.keys() & made.keys():
         raise InputError(f"{scene.file}: the id '{min(clash)}' is needed for an extra object; rename it in the file")
     return mi.load_dict({"type": "scene"} | description | made, optimize=False)

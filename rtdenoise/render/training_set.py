@@ -28,6 +28,7 @@ from .frames import FIRST_HALF, LUMINANCE, SECOND_HALF, RenderOptions, calibrate
 from .pictures import find_pictures, hang
 from .scenes import Scene
 from .stage import Stage, start_mitsuba
+from .sunlit import sunlit
 from .windows import COARSE, Survey, candidates, choose, look_through, survey
 from .workers import only_run, run_jobs
 
@@ -55,6 +56,7 @@ class SetOptions:
     workers: int = 2  # processes of one thread each
     shard: tuple[int, int] = (0, 1)  # (i, n): this run does the scenes g with g mod n = i
     scenes: tuple[tuple[str, str], ...] = ()  # (scene file, motion file or "") to mix in
+    sun: float = 0.0  # share of the generated scenes that a sun shines on
     textures: str = ""  # folder of pictures that some surfaces get; "": none
 
 
@@ -97,8 +99,12 @@ def open_stage(group: int, options: SetOptions) -> tuple[Stage, Survey, dict]:
         source = {"source": scene.name, "licence": licence.read_text() if licence.is_file() else ""}
         return stage, found, scene.facts | source | {"kind": "scene file", "place": scene.name}
     seed = scene_seed(rng)
+    sunny = rng.uniform() < options.sun
     for attempt in range(ATTEMPTS):
-        scene = _papered(procedural_wide.procedural(seed, attempt, frames, view[1]), options, group, attempt)
+        scene = procedural_wide.procedural(seed, attempt, frames, view[1])
+        if sunny:
+            scene = sunlit(scene, np.random.default_rng([options.seed, group, 1, attempt]))
+        scene = _papered(scene, options, group, attempt)
         stage = Stage(scene)
         found = survey(stage, frames, view)
         last = attempt == ATTEMPTS - 1
@@ -161,7 +167,8 @@ def render_group(out: Path, group: int, options: SetOptions) -> list[dict]:
         stage.scene = whole
         look_through(stage, window, view)
         more = {
-            "seed": options.seed, "index": index, "generator": procedural_wide.VERSION, "uncovered": window.uncovered,
+            "seed": options.seed, "index": index, "generator": procedural_wide.VERSION, "sun": options.sun,
+            "uncovered": window.uncovered,
             "view_uncovered": float(found.uncovered[1:].mean()), "motion": window.motion,
             "chosen": "activity" if active else "at random", "window": [window.top, window.left, *view],
         }  # fmt: skip
@@ -213,7 +220,7 @@ def render_set(out: Path, options: SetOptions, progress: Callable[[int, int, str
         find_pictures(options.textures)  # and so do pictures that cannot be opened
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    refuse_others(out, options, generator=procedural_wide.VERSION, seeds=lambda index: options.seed)
+    refuse_others(out, options, procedural_wide.VERSION, lambda index: options.seed, options.sun)
     shard, shards = options.shard
     groups: dict[int, int] = {}  # scene -> clips of it that are missing
     for i in range(options.count):
