@@ -32,24 +32,24 @@ def sunlit(scene: Scene, rng: np.random.Generator) -> Scene:
     if "floor" in names:  # a room: through what is open, or else now is
         side = str(rng.choice([s for s in OPEN_TO if s not in names] or list(OPEN_TO)))
         scene = replace(scene, objects=tuple(o for o in scene.objects if o.name != side))
-    towards = rng.normal(size=3) * 0.6 + np.array(OPEN_TO.get(side, (0, 0.6, 0)))
-    towards[1] = abs(towards[1]) + 0.2
-    towards /= np.linalg.norm(towards)
-    irradiance = log_uniform(rng, 2, 30) * np.array([1, rng.uniform(0.8, 1), rng.uniform(0.6, 1)])
-    sun = Sun(tuple(towards.tolist()), tuple(irradiance.tolist()), log_uniform(rng, 0.5, 8))
+    sun = _sun(OPEN_TO.get(side, (0, 0.6, 0)), rng)
 
     kind = str(rng.choice(list(PANELS), p=list(PANELS.values())))
     objects = _windows(tuple(_unlit(o) for o in scene.objects), rng)
     if kind != "none":
-        low, high = _bounds(scene) if side else (np.full(3, -4.0), np.full(3, 4.0))
-        view = scene.camera(0).to_world
-        seen = np.clip(view[:3, 3] + view[:3, 2] * rng.uniform(2, 5), low, high)
-        away = _exit(seen, towards, low, high) + 0.3  # just outside
-        axes = _axes(towards)
-        mesh = _panel(kind, rng).transform(rigid(axes, seen + away * towards))
-        material = Material(textures.surface(rng))
-        objects = (*objects, Object(max(o.id for o in objects) + 1, kind, mesh, material))
+        place = _outside(scene, np.array(sun.towards), rng)
+        mesh = _panel(kind, rng).transform(place)
+        objects = (*objects, Object(max(o.id for o in objects) + 1, kind, mesh, Material(textures.surface(rng))))
     return replace(scene, objects=objects, sun=sun, facts=scene.facts | {"sun_through": kind})
+
+
+def _sun(about: tuple[float, float, float], rng: np.random.Generator) -> Sun:
+    """A sun from about this direction, always from above, yellow rather than blue."""
+    towards = rng.normal(size=3) * 0.6 + np.array(about)
+    towards[1] = abs(towards[1]) + 0.2
+    towards /= np.linalg.norm(towards)
+    irradiance = log_uniform(rng, 2, 30) * np.array([1, rng.uniform(0.8, 1), rng.uniform(0.6, 1)])
+    return Sun(tuple(towards.tolist()), tuple(irradiance.tolist()), log_uniform(rng, 0.5, 8))
 
 
 def _unlit(o: Object) -> Object:
@@ -76,23 +76,18 @@ def _windows(objects: tuple[Object, ...], rng: np.random.Generator) -> tuple[Obj
     return objects + tuple(added)
 
 
-def _bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest coordinates of the walls that a room still has."""
+def _outside(scene: Scene, towards: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A place between the sun and something that the camera may see, just outside the room: [4, 4], z to the sun."""
     walls = [o.mesh.vertices for o in scene.objects if o.name in ("floor", "back", *OPEN_TO)]
-    return np.concatenate(walls).min(0), np.concatenate(walls).max(0)
-
-
-def _exit(start: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """Distance at which a ray from inside a box leaves it."""
+    corners = np.concatenate(walls) if walls else np.array([[-4.0] * 3, [4.0] * 3])
+    low, high = corners.min(0), corners.max(0)
+    view = scene.camera(0).to_world
+    seen = np.clip(view[:3, 3] + view[:3, 2] * rng.uniform(2, 5), low, high)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.nanmin(np.where(direction > 0, high - start, low - start) / direction))
-
-
-def _axes(normal: np.ndarray) -> np.ndarray:
-    """A rotation that turns z to `normal` and leaves x level."""
-    x = np.cross((0.02, 1, 0.01), normal)
+        away = np.nanmin(np.where(towards > 0, high - seen, low - seen) / towards)  # where the ray leaves the room
+    x = np.cross((0.02, 1, 0.01), towards)  # about level
     x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(normal, x), normal], axis=1)
+    return rigid(np.stack([x, np.cross(towards, x), towards], axis=1), seen + (away + 0.3) * towards)
 
 
 def _panel(kind: str, rng: np.random.Generator) -> Mesh:
