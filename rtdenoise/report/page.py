@@ -18,7 +18,7 @@ from ..metrics import flip_map
 from ..strict_json import dumps
 from . import readings
 from .budgets import comparisons
-from .pictures import encode_map, encode_motion, encode_picture
+from .pictures import encode_map, encode_motion, encode_picture, pack
 
 ASSETS = resources.files("rtdenoise") / "report" / "assets"
 SCRIPTS = (
@@ -43,7 +43,7 @@ def page(
         (ASSETS / "report.html").read_text()
         .replace("/*STYLE*/", (ASSETS / "report.css").read_text())
         .replace("<!--PICTURES-->", "\n".join(parts))
-        .replace("/*DATA*/", dumps(data, digits=4, separators=(",", ":")).replace("</", "<\\/"))
+        .replace("/*DATA*/", pack(dumps(data, digits=4, separators=(",", ":")).encode()))
         .replace("/*SCRIPTS*/", scripts)
     )  # fmt: skip
 

@@ -31,18 +31,18 @@ def encode_picture(image: np.ndarray, exposure: float) -> str:
     x = np.clip(np.nan_to_num(image, nan=0.0, posinf=MOST) * exposure, 0, MOST)
     codes = np.rint(STEPS * np.log2(1 + x / EPSILON)).astype(np.int32)
     red, green, blue = (codes[..., c] for c in range(3))
-    return _pack(b"".join(_plane(plane) for plane in (green, red - green, blue - green)))
+    return pack(b"".join(_plane(plane) for plane in (green, red - green, blue - green)))
 
 
 def encode_map(values: np.ndarray) -> str:
     """`[H, W]` in [0, 1], in 64 levels: a FLIP map, a mask."""
-    return _pack(_plane(np.rint(np.clip(values, 0, 1) * LEVELS).astype(np.int32)))
+    return pack(_plane(np.rint(np.clip(values, 0, 1) * LEVELS).astype(np.int32)))
 
 
 def encode_motion(motion: np.ndarray) -> str:
     """`[H, W, 2]` in pixels, in quarters of a pixel; beyond 2047 it saturates."""
     quarters = np.rint(np.clip(motion * 4, -8191, 8191)).astype(np.int32)
-    return _pack(b"".join(_plane(quarters[..., c]) for c in range(2)))
+    return pack(b"".join(_plane(quarters[..., c]) for c in range(2)))
 
 
 def _plane(plane: np.ndarray) -> bytes:
@@ -55,5 +55,6 @@ def _plane(plane: np.ndarray) -> bytes:
     return (folded & 255).astype(np.uint8).tobytes() + (folded >> 8).astype(np.uint8).tobytes()
 
 
-def _pack(data: bytes) -> str:
+def pack(data: bytes) -> str:
+    """Compressed, as text."""
     return base64.b64encode(zlib.compress(data, 9)).decode()

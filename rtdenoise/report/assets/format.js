@@ -1,6 +1,4 @@
-// Elements, numbers and colours: what every other script uses.
-
-const DATA = JSON.parse(document.getElementById("data").textContent);
+// Elements, numbers and colours: what every other script uses. DATA, which all draw, is there before them.
 
 const byId = (id) => document.getElementById(id);
 
