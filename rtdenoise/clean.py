@@ -33,7 +33,8 @@ training, not for validation. The rest is as it was, and so are its licences:
 def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> int:
     """Write the clips of `folder` to `out` with cleaned references; returns how many. Clips that are there are kept.
 
-    Raises InputError where there are no clips, `out` is `folder`, a clip was cleaned before, or `pyoidn` is missing.
+    Raises InputError where there are no clips, `out` is `folder` or has others in it, a clip was cleaned before, or
+    `pyoidn` is missing.
     """
     out = Path(out)
     if out.resolve() == Path(folder).resolve():
@@ -41,14 +42,25 @@ def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda
     out.mkdir(parents=True, exist_ok=True)
     paths = ClipDataset(folder).paths
     oidn = Oidn()
-    missing = [path for path in paths if not (out / path.name).exists()]
+    missing = [path for path in paths if not _is_there(path, out / path.name)]
     for done, path in enumerate(missing):
         progress(done, len(missing))
         _clean(path, out / path.name, oidn)
+    progress(len(missing), len(missing))
     card = CARD.format(count=len(paths), cleaned=read_facts(out / paths[0].name)["references"])
     described = Path(folder) / "DATA.md"
     write_atomically(out / "DATA.md", (card + (described.read_text() if described.is_file() else "")).encode())
     return len(missing)
+
+
+def _is_there(path: Path, out: Path) -> bool:
+    """Whether `out` is the cleaned clip of `path`. Raises InputError where it is another clip."""
+    if not out.exists():
+        return False
+    found = read_facts(out)
+    if "references" not in found or {k: v for k, v in found.items() if k != "references"} != read_facts(path):
+        raise InputError(f"{out}: is not the cleaned clip of {path}; choose another --out")
+    return True
 
 
 def _clean(path: Path, out: Path, oidn: Oidn) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +12,8 @@ from .errors import InputError
 from .progress import progress_bar
 from .train_config import TrainConfig
 
+OF_SETS = {"scenes", "motions", "exclude", "generator", "sun", "reference_error", "shard"}  # with --preset train
+
 
 @dataclass(frozen=True)
 class Render:
@@ -19,7 +21,7 @@ class Render:
 
     out: Path
     """Folder for the frames or clips; what is there already is kept."""
-    scene: Positional[str] = "procedural"
+    scene: Positional[str] = ""
     """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', or a Mitsuba scene file (.xml)."""
     motion: Path | None = None
     """TOML file that moves camera and objects of a scene file."""
@@ -33,12 +35,14 @@ class Render:
     """With --scenes: folder of NAME.toml, the motions of these scenes."""
     exclude: tuple[str, ...] = ("street", "dining-room", "staircase2", "bathroom")
     """With --scenes: names that are left out, to validate on."""
+    generator: Literal[2, 3] = 3
+    """With --preset train: version of the generator; 2 is that of the shipped weights' older sets."""
     sun: float = 0.0
     """With --preset train: share of the generated scenes that a sun shines on, with sharp shadows (0 to 1)."""
     textures: Path | None = None
     """With --preset train or wide:SEED: folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""
     reference_error: float = 0.01
-    """With --preset train: relative squared error that the references may have; sets their samples, 32 to 512."""
+    """With --preset train: relative squared error that references of beauty may have; sets their samples, 32 to 512."""
     shard: str = "0/1"
     """With --preset train: 'i/n' renders the i-th of n equal parts of the set, counted from 0."""
     frames: int | None = None
@@ -68,8 +72,9 @@ class Render:
             raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
         if not 0 <= self.sun <= 1:
             raise InputError(f"--sun: expected a share from 0 to 1, got {self.sun}")
-        if self.preset != "train" and (self.scenes or self.shard != "0/1" or self.sun):
-            raise InputError("--scenes, --shard and --sun go with --preset train")
+        if not self.reference_error > 0:
+            raise InputError(f"--reference-error: expected more than 0, got {self.reference_error}")
+        self._refuse_what_would_be_left_aside()
         if self.preset == "train":
             self._training_set()
         elif self.clips:
@@ -94,17 +99,27 @@ class Render:
             options = RenderOptions(size, self.spp, spp, self.max_depth, self.seed)
             render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames or 12, options)
 
+    def _refuse_what_would_be_left_aside(self) -> None:
+        """Raises InputError for options that this kind of rendering does not take, and where there is nothing to do."""
+        given = {option.name for option in fields(self) if getattr(self, option.name) != option.default}
+        if self.preset != "train" and (stray := given & OF_SETS):
+            raise InputError(f"--{min(stray).replace('_', '-')}: goes with --preset train")
+        if (self.preset or self.clips) and (stray := given & {"scene", "motion"}):
+            raise InputError(f"{min(stray)}: is for one sequence; clips are of generated scenes, and of --scenes")
+        if not (self.preset or self.clips or self.scene):
+            raise InputError("nothing to render: name a scene, or ask for --clips")
+
     def _training_set(self) -> None:
         from .render.training_set import SetOptions, find_scenes, parse_shard, render_set
 
-        if self.reference_spp is not None or self.motion:
-            raise InputError("--preset train takes --reference-error and --motions, not --reference-spp and --motion")
+        if self.reference_spp is not None:
+            raise InputError("--preset train takes --reference-error, not --reference-spp")
         size = (self.height or self.size or 128, self.width or self.size or 128)
         options = SetOptions(
             self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,
             max_depth=self.max_depth, workers=self.workers, shard=parse_shard(self.shard),
             scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
-            sun=self.sun, textures=str(self.textures or ""),
+            generator=self.generator, sun=self.sun, textures=str(self.textures or ""),
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)

@@ -1,6 +1,6 @@
 """Train the denoiser: `rtdenoise train --data DIR --out RUN`. Resumable at any step, deterministic with a seed.
 
-A run directory explains itself: `config.json` (all options but paths and device), `log.jsonl` (a line per logged step
+A run directory explains itself: `config.json` (all options but `ELSEWHERE`), `log.jsonl` (a line per logged step
 and per validation), `checkpoint.pt` (everything needed to go on), `weights.safetensors` (the averaged weights of the
 best validation, ready for `rtdenoise denoise --model`).
 """
@@ -38,7 +38,8 @@ from .trainer import Trainer, check
 
 WEIGHTS = "weights.safetensors"
 HOPELESS = 20  # steps in turn without a finite loss: a poisoned clip costs one, broken weights all
-ELSEWHERE = ("data", "val", "out", "device", "init", "tensorboard")  # options that may change when a run is resumed
+# Options that may change when a run is resumed.
+ELSEWHERE = ("data", "val", "out", "device", "init", "tensorboard", "checkpoint_minutes")
 
 
 def train(config: TrainConfig) -> Path:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Options of a run. Resuming checks that they have not changed, but for paths and device."""
+    """Options of a run. Resuming checks that they have not changed, but for paths, device and when checkpoints are."""
 
     data: tuple[Path, ...]
     """Folders of training clips, written by `rtdenoise render --clips`."""

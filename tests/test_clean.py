@@ -54,6 +54,14 @@ def test_what_is_there_is_kept_and_the_card_says_what_it_is(noisy, cleaned, caps
     assert "not for validation" in card and "A wall by Nobody, CC0." in card
 
 
+def test_other_clips_are_not_taken_for_the_cleaned_ones(noisy, cleaned, tmp_path, capsys):
+    for out in (tmp_path / "others", tmp_path / "rendered"):
+        write_clips(out, range(5, 6) if out.name == "others" else range(1), size=64)
+        with pytest.raises(SystemExit, match="2"):
+            main(["clean", str(noisy), "--out", str(out)])
+        assert "is not the cleaned clip of" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("what, message", [("itself", "is where the clips are"), ("twice", "denoised already")])
 def test_clips_are_neither_cleaned_in_place_nor_twice(noisy, cleaned, tmp_path, capsys, what, message):
     source, out = (noisy, noisy) if what == "itself" else (cleaned, tmp_path)

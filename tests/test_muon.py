@@ -25,6 +25,13 @@ def test_no_gradient_no_step():
     assert torch.equal(still.detach(), torch.ones(4, 6))
 
 
+def test_the_remains_of_a_momentum_come_to_nothing():
+    matrix = torch.randn(32, 288, generator=torch.Generator().manual_seed(5))
+    length = orthogonal(matrix).norm()
+    for norm, share in ((1e-4, 1.0), (1e-7, 0.5), (1e-9, 0.01)):
+        assert orthogonal(norm * matrix / matrix.norm()).norm() / length == pytest.approx(share, abs=0.01)
+
+
 def test_a_layer_that_nothing_comes_through_comes_to_rest():
     """Its momentum dies away; steps of full length along what is left of it would lead anywhere, and in the end to
     NaN."""

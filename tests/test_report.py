@@ -1,7 +1,9 @@
 """The report in a real browser: it opens, says what was measured, and its pictures are the pictures."""
 
+import base64
 import json
 import re
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -211,6 +213,9 @@ def test_flip_masks_and_motion_are_shown(page, measured):
 
 def test_the_page_stands_alone(measured):
     text = (measured / "report.html").read_text()
+    packed = re.search(r'id="data">([^<]*)<', text)[1]
+    text += zlib.decompress(base64.b64decode(packed)).decode()
+    assert '"rows":' in text
     assert not re.search(r"""(src|href)=["'](?!data:)""", text)
     links = set(re.findall(r"https?://[^\s\"'<)]+", text))
     assert links <= {"http://www.w3.org/2000/svg"}

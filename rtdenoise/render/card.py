@@ -29,6 +29,7 @@ def write_card(folder: Path, command: str) -> dict:
         "spp": first["spp"],
         "reference_spp": _spread([f["reference_spp"] for f in facts]),
         "uncovered_share": {"mean": float(shares.mean()), "clips_above_1.5%": float((shares > 0.015).mean())},
+        "sunlit": sum("sun_through" in f for f in facts),
         "kinds": _counts(f["kind"] for f in facts),
         "seconds": float(sum(f["seconds"] for f in facts)),
         "versions": first["versions"],
@@ -95,6 +96,10 @@ Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
   uncovered pixels are {times:.1f} times as frequent as in the whole pictures ({100 * whole:.1f} %)
 - relative squared error of the references, as estimated before rendering them:
   {error["min"]:.4f} to {error["max"]:.4f} (mean {error["mean"]:.4f})
+"""
+    if card["sunlit"]:
+        text += f"""- {card["sunlit"]} clips have a sun, closed rooms a side less for it; some have windows,
+  and all their lamps are black
 """
     text += f"""- kinds: {", ".join(f"{n} {k}" for k, n in card["kinds"].items())}
 - versions: {", ".join(f"{k} {v}" for k, v in card["versions"].items())}

@@ -82,20 +82,24 @@ def render_clips(out: Path, options: ClipOptions, progress=print) -> dict:
     return write_card(out, shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
 
 
-def refuse_others(out: Path, options, generator: int, seeds: Callable[[int], int], sun: float = 0.0) -> None:
+def refuse_others(
+    out: Path, options, generator: int, seeds: Callable[[int], int], scenes_are_of: dict | None = None
+) -> None:
     """Raise InputError where the folder holds clips that were made with other options: they would be mixed up.
 
     `seeds(i)` is what clip i would say its seed is.
     """
     for path in sorted(out.glob("clip_*.safetensors"))[:1]:
-        facts = {"sun": 0.0} | read_facts(path)  # older clips do not say
+        facts = read_facts(path)
         expected = {
             "generator": generator, "seed": seeds(int(path.stem.removeprefix("clip_"))), "size": list(options.size),
-            "frames": options.frames, "spp": options.spp, "max_depth": options.max_depth, "sun": sun,
+            "frames": options.frames, "spp": options.spp, "max_depth": options.max_depth,
         }  # fmt: skip
-        for key, value in expected.items():
-            if facts.get(key) != value:
-                raise InputError(f"{path}: was rendered with {key} = {facts.get(key)}, not {value}; choose another "
+        found, wanted = facts.get("scenes_are_of") or {}, scenes_are_of or {}
+        for key, value in (expected | wanted).items():
+            was = found.get(key) if key in wanted else facts.get(key)
+            if was != value:
+                raise InputError(f"{path}: was rendered with {key} = {was}, not {value}; choose another "
                                  "--out or the options of that run")  # fmt: skip
 
 

@@ -25,7 +25,7 @@ ATTEMPTS = 12
 
 
 def open_scene(name: str, motion: str | Path | None = None, folder: str | Path | None = None) -> Scene:
-    """`sample`, `procedural:SEED` or `wide:SEED` (generators 1 and 2), `sunlit:SEED` (that of `wide`, with a sun), or a
+    """`sample`, `procedural:SEED` or `wide:SEED` (generators 1 and 2), `sunlit:SEED` (generator 3, with a sun), or a
     Mitsuba XML file, set in motion by a TOML file. `folder` holds pictures that some surfaces of a `wide` scene get."""
     if folder and not name.startswith("wide:"):
         raise InputError(f"--textures {folder}: goes with wide:SEED or --preset train, not with '{name}'")
@@ -41,8 +41,8 @@ def open_scene(name: str, motion: str | Path | None = None, folder: str | Path |
         stage, facts = draw(int(seed))
         return replace(stage.scene, exposure=stage.exposure, facts=facts)
     if kind == "wide" and seed.isdecimal():
-        scene = procedural_wide.procedural(int(seed))
-        rng = np.random.default_rng([procedural_wide.VERSION, int(seed), 0, 0])
+        scene = procedural_wide.procedural(int(seed), version=2)
+        rng = np.random.default_rng([2, int(seed), 0, 0])
         return _exposed(hang(scene, find_pictures(folder), rng) if folder else scene)
     if kind == "sunlit" and seed.isdecimal():
         scene = procedural_wide.procedural(int(seed))

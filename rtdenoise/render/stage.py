@@ -120,7 +120,7 @@ def _last_line(message: str) -> str:
 def _build(mi, scene: Scene):
     """The scene of the file, if there is one, and the objects, lights and sky that come to it."""
     made = {f"object_{o.id}": _shape(mi, o) for o in scene.objects if o.mesh is not None}
-    if scene.file and not made:
+    if scene.file and not made and scene.sky is None and not scene.spots and scene.sun is None:
         return load_file(scene.file)
     description = _contents(mi, load_file(scene.file)) if scene.file else {"sensor": {"type": "perspective"}}
     if scene.sky is not None:

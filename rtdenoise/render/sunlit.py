@@ -37,10 +37,9 @@ def sunlit(scene: Scene, rng: np.random.Generator) -> Scene:
     kind = str(rng.choice(list(PANELS), p=list(PANELS.values())))
     objects = _windows(tuple(_unlit(o) for o in scene.objects), rng)
     if kind != "none":
-        place = _outside(scene, np.array(sun.towards), rng)
-        mesh = _panel(kind, rng).transform(place)
+        mesh = _outside(_panel(kind, rng), scene, np.array(sun.towards), rng)
         objects = (*objects, Object(max(o.id for o in objects) + 1, kind, mesh, Material(textures.surface(rng))))
-    return replace(scene, objects=objects, sun=sun, facts=scene.facts | {"sun_through": kind})
+    return replace(scene, objects=objects, sun=sun, facts=scene.facts | {"sun_from": side, "sun_through": kind})
 
 
 def _sun(about: tuple[float, float, float], rng: np.random.Generator) -> Sun:
@@ -48,8 +47,10 @@ def _sun(about: tuple[float, float, float], rng: np.random.Generator) -> Sun:
     towards = rng.normal(size=3) * 0.6 + np.array(about)
     towards[1] = abs(towards[1]) + 0.2
     towards /= np.linalg.norm(towards)
-    irradiance = log_uniform(rng, 2, 30) * np.array([1, rng.uniform(0.8, 1), rng.uniform(0.6, 1)])
-    return Sun(tuple(towards.tolist()), tuple(irradiance.tolist()), log_uniform(rng, 0.5, 8))
+    green = rng.uniform(0.8, 1)
+    irradiance = log_uniform(rng, 2, 30) * np.array([1, green, green * rng.uniform(0.75, 1)])
+    weight = log_uniform(rng, 0.5, 8)  # decides how noisy the other lights are at one sample a pixel
+    return Sun(tuple(towards.tolist()), tuple(irradiance.tolist()), weight)
 
 
 def _unlit(o: Object) -> Object:
@@ -76,24 +77,28 @@ def _windows(objects: tuple[Object, ...], rng: np.random.Generator) -> tuple[Obj
     return objects + tuple(added)
 
 
-def _outside(scene: Scene, towards: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A place between the sun and something that the camera may see, just outside the room: [4, 4], z to the sun."""
+def _outside(mesh: Mesh, scene: Scene, towards: np.ndarray, rng: np.random.Generator) -> Mesh:
+    """What lies about the origin across the z axis, between the sun and something that the camera may see, all of it
+    outside the room."""
     walls = [o.mesh.vertices for o in scene.objects if o.name in ("floor", "back", *OPEN_TO)]
     corners = np.concatenate(walls) if walls else np.array([[-4.0] * 3, [4.0] * 3])
     low, high = corners.min(0), corners.max(0)
     view = scene.camera(0).to_world
     seen = np.clip(view[:3, 3] + view[:3, 2] * rng.uniform(2, 5), low, high)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        away = np.nanmin(np.where(towards > 0, high - seen, low - seen) / towards)  # where the ray leaves the room
     x = np.cross((0.02, 1, 0.01), towards)  # about level
     x /= np.linalg.norm(x)
-    return rigid(np.stack([x, np.cross(towards, x), towards], axis=1), seen + (away + 0.3) * towards)
+    turned = mesh.transform(rigid(np.stack([x, np.cross(towards, x), towards], axis=1), seen))
+    with np.errstate(divide="ignore"):
+        # How far along the sun's direction the last vertex passes each side of the room; the nearest side is enough.
+        past = np.where(towards > 0, high - turned.vertices.min(0), low - turned.vertices.max(0)) / towards
+    away = 0.1 + min(p for p in past if np.isfinite(p))
+    return turned.transform(rigid(np.eye(3), away * towards))
 
 
 def _panel(kind: str, rng: np.random.Generator) -> Mesh:
     """Something with gaps, across the z axis."""
     if kind == "leaves":
-        return plant(rng, HALF)
+        return plant(rng, 0.5).transform(np.diag([2 * HALF, 2 * HALF, 2 * HALF, 1]))
     period = log_uniform(rng, 0.08, 0.8)
     count, thickness = int(2 * HALF / period), period * rng.uniform(0.25, 0.6)
     level = meshes.bars(2 * HALF, 2 * HALF, count, thickness, horizontal=True)

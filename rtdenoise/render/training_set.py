@@ -50,14 +50,24 @@ class SetOptions:
     frames: int = 10
     seed: int = 0
     spp: int = 1  # samples per pixel of the noisy frames
-    reference_error: float = 0.01  # relative squared error that a reference may have,
+    reference_error: float = 0.01  # relative squared error that a reference of beauty may have,
     reference_range: tuple[int, int] = (32, 512)  # with no fewer and no more samples a pixel than these
     max_depth: int = 6  # path edges
     workers: int = 2  # processes of one thread each
     shard: tuple[int, int] = (0, 1)  # (i, n): this run does the scenes g with g mod n = i
     scenes: tuple[tuple[str, str], ...] = ()  # (scene file, motion file or "") to mix in
+    generator: int = procedural_wide.VERSION  # version of it
     sun: float = 0.0  # share of the generated scenes that a sun shines on
     textures: str = ""  # folder of pictures that some surfaces get; "": none
+
+    def scenes_are_of(self) -> dict:
+        """What decides which scenes there are and how they are rendered, beside seed, size, frames and samples: clips
+        of different ones must not lie in one folder. Without paths of the machine."""
+        files = [[Path(f).parent.name, bool(motion)] for f, motion in self.scenes]
+        return {
+            "generator": self.generator, "sun": self.sun, "files": files, "textures": bool(self.textures),
+            "reference_error": self.reference_error,
+        }  # fmt: skip
 
 
 def parse_shard(text: str) -> tuple[int, int]:
@@ -101,9 +111,9 @@ def open_stage(group: int, options: SetOptions) -> tuple[Stage, Survey, dict]:
     seed = scene_seed(rng)
     sunny = rng.uniform() < options.sun
     for attempt in range(ATTEMPTS):
-        scene = procedural_wide.procedural(seed, attempt, frames, view[1])
+        scene = procedural_wide.procedural(seed, attempt, frames, view[1], options.generator)
         if sunny:
-            scene = sunlit(scene, np.random.default_rng([options.seed, group, 1, attempt]))
+            scene = sunlit(scene, np.random.default_rng([options.seed, group, 1, attempt + 1]))
         scene = _papered(scene, options, group, attempt)
         stage = Stage(scene)
         found = survey(stage, frames, view)
@@ -127,7 +137,7 @@ def _papered(scene: Scene, options: SetOptions, group: int, attempt: int = 0) ->
     """With pictures on some surfaces; drawn apart from the rest, so that the scene is otherwise that without them."""
     if not options.textures:
         return scene
-    return hang(scene, find_pictures(options.textures), np.random.default_rng([options.seed, group, 0, attempt]))
+    return hang(scene, find_pictures(options.textures), np.random.default_rng([options.seed, group, 2, attempt + 1]))
 
 
 def reference_samples(stage: Stage, number: int, options: SetOptions, seed: int) -> tuple[int, float]:
@@ -167,8 +177,8 @@ def render_group(out: Path, group: int, options: SetOptions) -> list[dict]:
         stage.scene = whole
         look_through(stage, window, view)
         more = {
-            "seed": options.seed, "index": index, "generator": procedural_wide.VERSION, "sun": options.sun,
-            "uncovered": window.uncovered,
+            "seed": options.seed, "index": index, "generator": options.generator,
+            "scenes_are_of": options.scenes_are_of(), "uncovered": window.uncovered,
             "view_uncovered": float(found.uncovered[1:].mean()), "motion": window.motion,
             "chosen": "activity" if active else "at random", "window": [window.top, window.left, *view],
         }  # fmt: skip
@@ -220,7 +230,7 @@ def render_set(out: Path, options: SetOptions, progress: Callable[[int, int, str
         find_pictures(options.textures)  # and so do pictures that cannot be opened
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    refuse_others(out, options, procedural_wide.VERSION, lambda index: options.seed, options.sun)
+    refuse_others(out, options, options.generator, lambda index: options.seed, options.scenes_are_of())
     shard, shards = options.shard
     groups: dict[int, int] = {}  # scene -> clips of it that are missing
     for i in range(options.count):
