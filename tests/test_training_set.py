@@ -387,7 +387,7 @@ def test_two_runs_into_one_folder(tmp_path, capsys):
 
 
 def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_path):
-    facts = {"generator": 2, "seed": 5, "size": [32, 32], "frames": 3, "spp": 1, "max_depth": 6}
+    facts = {"generator": 3, "seed": 5, "size": [32, 32], "frames": 3, "spp": 1, "max_depth": 6}
     save_file({"x": np.zeros(1)}, clip_path(tmp_path, 4), metadata={"clip": json.dumps(facts)})
     for change, complaint in (
         ({"seed": 6}, "seed = 5, not 6"),
@@ -395,7 +395,7 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
     ):
         with pytest.raises(InputError, match=rf"clip_000004\.safetensors: was rendered with {complaint}"):
             render_set(tmp_path, replace(TINY, **change), lambda *_: None)
-    with pytest.raises(InputError, match="generator = 2, not 1"):
+    with pytest.raises(InputError, match="generator = 3, not 1"):
         render_clips(tmp_path, ClipOptions(8, (32, 32), 3))
 
     out = tmp_path / "shot"

@@ -95,11 +95,11 @@ def refuse_others(
             "generator": generator, "seed": seeds(int(path.stem.removeprefix("clip_"))), "size": list(options.size),
             "frames": options.frames, "spp": options.spp, "max_depth": options.max_depth,
         }  # fmt: skip
-        found, wanted = facts.get("scenes_are_of") or {}, scenes_are_of or {}
-        for key, value in (expected | wanted).items():
-            was = found.get(key) if key in wanted else facts.get(key)
-            if was != value:
-                raise InputError(f"{path}: was rendered with {key} = {was}, not {value}; choose another "
+        scenes_are_of = scenes_are_of or {}
+        found = scenes_are_of | facts.get("scenes_are_of", {}) | {key: facts.get(key) for key in expected}
+        for key, value in (scenes_are_of | expected).items():
+            if found[key] != value:
+                raise InputError(f"{path}: was rendered with {key} = {found[key]}, not {value}; choose another "
                                  "--out or the options of that run")  # fmt: skip
 
 

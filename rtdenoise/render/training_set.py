@@ -64,10 +64,8 @@ class SetOptions:
         """What decides which scenes there are and how they are rendered, beside seed, size, frames and samples: clips
         of different ones must not lie in one folder. Without paths of the machine."""
         files = [[Path(f).parent.name, bool(motion)] for f, motion in self.scenes]
-        return {
-            "generator": self.generator, "sun": self.sun, "files": files, "textures": bool(self.textures),
-            "reference_error": self.reference_error,
-        }  # fmt: skip
+        textures = bool(self.textures)
+        return {"sun": self.sun, "files": files, "textures": textures, "reference_error": self.reference_error}
 
 
 def parse_shard(text: str) -> tuple[int, int]:
