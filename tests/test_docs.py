@@ -22,7 +22,10 @@ def test_the_tables_are_those_of_the_results(monkeypatch):
 
 
 STABILITY = [(name, "stability.md") for name in ("stability", "cuts", "plan", "tiles", "files")]
-TRAINING = [("optimisers", "training.md"), ("activity", "training.md"), ("ablation", "models/paper.md")]
+TRAINING = [
+    ("optimisers", "training.md"), ("activity", "training.md"), ("generalisation", "training.md"),
+    ("ablation", "models/paper.md"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name, page", STABILITY + TRAINING)
