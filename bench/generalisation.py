@@ -36,7 +36,7 @@ def main(folders: list[Path]) -> None:
         for signal in ("indirect", "color"):
             rows.append({"clips": folder.name, "signal": signal} | lead(ClipDataset(folder), signal, steps))
             print(rows[-1])
-    harness.write(RESULT, digits=3, **harness.origin({"torch": harness.cpu()}), count=COUNT, rows=rows)
+    harness.write(RESULT, digits=5, **harness.origin({"torch": harness.cpu()}), count=COUNT, rows=rows)
     harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
 
 
