@@ -29,7 +29,6 @@ from .procedural import Builder, camera_path, furnish, log_uniform, moved, solid
 from .scenes import Material, Scene, Spot
 
 VERSION = 3
-VERSIONS = 2, 3  # that can still be drawn
 KINDS = {
     "uncovering": 0.34, "entering": 0.16, "dark to light": 0.12, "flock": 0.10, "free": 0.10, "cut": 0.08,
     "camera": 0.06, "static": 0.04,

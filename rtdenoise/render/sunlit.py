@@ -1,7 +1,7 @@
 """A sun for generated scenes, and windows: hard light that is hardly noisy, and edges that only light has.
 
 The generators' lamps and skies are wide, their shadows soft; a network that has seen no others takes the edge of a
-sharp one for noise and blurs it. A closed room loses a wall for the sun to come in; half of the time it comes through
+sharp one for noise and blurs it. A closed room loses a side for the sun to come in; half of the time it comes through
 something. And lamps are black here, as in most scenes that people make: they reflect nothing, so that no indirect light
 comes from them, however bright their surroundings. Some are windows in the wall that the camera looks at.
 """

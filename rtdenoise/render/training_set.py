@@ -56,7 +56,7 @@ class SetOptions:
     workers: int = 2  # processes of one thread each
     shard: tuple[int, int] = (0, 1)  # (i, n): this run does the scenes g with g mod n = i
     scenes: tuple[tuple[str, str], ...] = ()  # (scene file, motion file or "") to mix in
-    generator: int = procedural_wide.VERSION  # version of it
+    generator: int = procedural_wide.VERSION  # version of the wide one: 2 or 3
     sun: float = 0.0  # share of the generated scenes that a sun shines on
     textures: str = ""  # folder of pictures that some surfaces get; "": none
 
