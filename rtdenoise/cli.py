@@ -53,7 +53,7 @@ class Denoise:
             print(f"replaced: {what} in {count} pixels")
         for what, count in summary.left_out.items():
             if count:
-                print(f"left out: {what} in {count} frames")
+                print(f"left out: {what} in {count} of {summary.written} frames")
         if summary.cuts:
             print(f"cuts: history starts anew at frame {', '.join(map(str, summary.cuts))}")
         if self.preview:
