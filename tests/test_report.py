@@ -213,7 +213,7 @@ def test_flip_masks_and_motion_are_shown(page, measured):
 
 def test_the_page_stands_alone(measured):
     text = (measured / "report.html").read_text()
-    packed = re.search(r'id="data">([^<]*)<', text)[1]
+    packed = re.search(r'data-key="data">([^<]*)<', text)[1]
     text += zlib.decompress(base64.b64decode(packed)).decode()
     assert '"rows":' in text
     assert not re.search(r"""(src|href)=["'](?!data:)""", text)

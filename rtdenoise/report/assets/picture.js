@@ -4,17 +4,10 @@ const CODES_PER_STOP = 64, EPSILON = 2 ** -10, LEVELS = 63;
 
 const unpacked = new Map();
 
-/** The bytes of an embedded item, inflated once. */
+/** The bytes of an embedded item, inflated once (`inflate` is in report.html: the numbers are packed alike). */
 function unpack(key) {
   if (!unpacked.has(key)) unpacked.set(key, inflate(key));
   return unpacked.get(key);
-}
-
-async function inflate(key) {
-  const text = document.querySelector(`script[data-key="${CSS.escape(key)}"]`).textContent;
-  const packed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
 /** The i-th plane of `width` × `height` integers: differences to the median edge detector's prediction, signs folded. */
