@@ -61,14 +61,11 @@ def tables(document: dict) -> dict[str, str]:
         "| clips | indirect, first frames | indirect, later | beauty, first frames | beauty, later |",
         "|---" * 5 + "|",
     ]
-    leads = {
-        (row["clips"], row["signal"], k): row["default"][k] - row["oidn"][k]
-        for row in document["rows"]
-        for k in ("first", "later")
-    }
-    for clips in dict.fromkeys(row["clips"] for row in document["rows"]):
-        cells = [f"{leads[clips, signal, k]:+.2f}" for signal in ("indirect", "color") for k in ("first", "later")]
-        lines.append(f"| `{clips}` | " + " | ".join(cells) + " |")
+    cells: dict[str, list[str]] = {}
+    for row in document["rows"]:  # indirect light, then beauty
+        ahead = (row["default"][k] - row["oidn"][k] for k in ("first", "later"))
+        cells.setdefault(row["clips"], []).extend(f"{a:+.2f}" for a in ahead)
+    lines += [f"| `{clips}` | {' | '.join(leads)} |" for clips, leads in cells.items()]
     return {"generalisation": "\n".join(lines)}
 
 

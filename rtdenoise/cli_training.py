@@ -78,8 +78,6 @@ class Render:
         if self.preset == "train":
             self._training_set()
         elif self.clips:
-            if self.textures:
-                raise InputError("--textures goes with wide:SEED and --preset train; --clips alone draws as ever")
             from .render.clips import ClipOptions, render_clips
 
             size = (self.height or self.size or 128, self.width or self.size or 128)
@@ -106,14 +104,16 @@ class Render:
             raise InputError(f"--{min(stray).replace('_', '-')}: goes with --preset train")
         if (self.preset or self.clips) and (stray := given & {"scene", "motion"}):
             raise InputError(f"{min(stray)}: is for one sequence; clips are of generated scenes, and of --scenes")
+        if self.preset == "train" and self.reference_spp is not None:
+            raise InputError("--preset train takes --reference-error, not --reference-spp")
+        if self.clips and self.preset != "train" and self.textures:
+            raise InputError("--textures goes with wide:SEED and --preset train; --clips alone draws as ever")
         if not (self.preset or self.clips or self.scene):
             raise InputError("nothing to render: name a scene, or ask for --clips")
 
     def _training_set(self) -> None:
         from .render.training_set import SetOptions, find_scenes, parse_shard, render_set
 
-        if self.reference_spp is not None:
-            raise InputError("--preset train takes --reference-error, not --reference-spp")
         size = (self.height or self.size or 128, self.width or self.size or 128)
         options = SetOptions(
             self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,
