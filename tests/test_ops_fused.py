@@ -254,6 +254,23 @@ def test_tested_reprojection(both, assert_images_close, size):
     assert_images_close(fused[0], plain[0], "float32 quotient")
 
 
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_tested_reprojection_gradients(both, assert_images_close, size):
+    """Pictures of several channel counts, one of them without a gradient; taps on other surfaces get none of it."""
+    normal, depth, motion = torch.randn(2, 3, *size), 1 + 0.3 * torch.rand(2, 1, *size), 3 * torch.randn(2, 2, *size)
+    motion[1, :, -1, -1] = math.nan
+    grad = torch.randn(2, 7, *size)
+
+    def gradients(light, albedo, length):
+        light, length = light.requires_grad_(), length.requires_grad_()
+        out, _ = ops.reproject((light, albedo, length), motion, (depth, normal), (depth, normal))
+        return torch.autograd.grad(out, (light, length), grad)
+
+    plain, fused = both(gradients, *(torch.randn(2, c, *size) for c in (3, 3, 1)))
+    for a, b in zip(fused, plain, strict=True):
+        assert_images_close(a, b, "float32 gradients")
+
+
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
 @pytest.mark.parametrize("pool", ["mean", "max"])
 def test_pyramid(both, assert_images_close, size, pool):

@@ -19,6 +19,7 @@ from .logits import LOGITS, constants
 from .logits import apply_kernel as apply_kernel
 from .logits import blend_history as blend_history
 from .logits import shares as shares
+from .reproject import reproject as reproject
 
 OF_LOGITS = ("apply_kernel", "blend_history", "shares")  # whose last argument they are
 
@@ -29,12 +30,12 @@ def prepare() -> None:
 
 
 def unsupported(op: str, *tensors: Tensor) -> str | None:
-    """Why `op` cannot take these arguments, or None. Only `apply_kernel` has gradients here."""
+    """Why `op` cannot take these arguments, or None."""
     image = tensors[0]
     floats, logits = (tensors[:-1], tensors[-1:]) if op in OF_LOGITS else (tensors, ())
     if any(t.dtype != torch.float32 for t in floats) or any(t.dtype not in LOGITS for t in logits):
         return f"for float32 images, not {', '.join(str(t.dtype).removeprefix('torch.') for t in tensors)}"
-    if op != "apply_kernel" and torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
+    if torch.is_grad_enabled() and any(t.requires_grad for t in _constant(op, tensors)):
         return "it has no gradient"
     if image.shape[1] > 8:
         return f"for at most 8 channels, not {image.shape[1]}"
@@ -43,6 +44,13 @@ def unsupported(op: str, *tensors: Tensor) -> str | None:
     if op in ("apply_kernel", "blend_history"):
         return problem("apply_kernel", **constants(image, *logits))
     return None
+
+
+def _constant(op: str, tensors: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """Those of the arguments that the fused op has no gradient in."""
+    if op == "apply_kernel":
+        return ()
+    return tensors[-5:] if op == "reproject" else tensors  # motion and geometry come last
 
 
 def warp(image: Tensor, motion: Tensor, seen: Tensor | None = None, otherwise: Tensor | None = None) -> Tensor:
@@ -60,22 +68,6 @@ def _look_up(name: str, *tensors: Tensor | None) -> Tensor:
     out = torch.empty_like(tensors[0])
     getattr(library("warp", C=C), name)(*map(pointer, (*tensors, out)), B, H, W, torch.get_num_threads())
     return out
-
-
-def reproject(
-    stored: list[Tensor], motion: Tensor, *geometry: Tensor, tolerances: tuple[float, float], least: float
-) -> tuple[Tensor, Tensor]:
-    """`geometry` is depth, normal, depth and normal of the previous frame."""
-    stored, tensors = ([t.contiguous() for t in group] for group in (stored, (motion, *geometry)))
-    planes = [plane.data_ptr() for images in zip(*stored, strict=True) for image in images for plane in image]
-    B, _, H, W = motion.shape
-    C = len(planes) // B
-    out, valid = torch.empty(B, C, H, W), torch.empty(B, 1, H, W, dtype=torch.bool)
-    limits = map(c_float, (*tolerances, least))
-    pointers = map(pointer, (*tensors, out, valid))
-    run = library("reproject", C=C).reproject
-    run((c_void_p * (B * C))(*planes), *pointers, B, H, W, *limits, torch.get_num_threads())
-    return out, valid
 
 
 def history_motion(motion: Tensor, next_before: Tensor, threshold: float) -> tuple[Tensor, Tensor, Tensor]:
