@@ -17,7 +17,7 @@ class TrainConfig:
     val: Path | None = None
     """Folder of validation clips, of other scenes than the training ones."""
     init: Path | None = None
-    """Weights to start from instead of random ones: a .safetensors file of the same preset."""
+    """Weights to start from instead of random ones: a .safetensors file of the same preset, or of a narrower one."""
     preset: str = "paper"
     """Model preset."""
     signal: str = "indirect"

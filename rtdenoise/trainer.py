@@ -19,7 +19,7 @@ from .distributed import average_gradients, means
 from .errors import InputError
 from .frame import Frame
 from .losses import temporal_kpn_loss
-from .models import PRESETS, Config, Denoiser, create, read
+from .models import PRESETS, Config, Denoiser, create, grow, read
 from .motion import occlusion_weights, uncovered
 from .muon import Muon
 from .train_config import TrainConfig
@@ -120,10 +120,13 @@ def _optimisers(model: Denoiser, config: TrainConfig) -> list[torch.optim.Optimi
 
 
 def _initial(config: TrainConfig, wanted: Config) -> Denoiser:
-    """The network of the file `init`. Raises InputError where it is another one than the preset's."""
+    """The network of the file `init`, grown to the preset. Raises InputError where it is another one, or is wider."""
     model = read(config.init, motion=wanted.motion)
     if model.config != wanted:
-        raise InputError(f"{config.init}: its network is not that of preset {config.preset}")
+        try:
+            model = grow(model, wanted)
+        except ValueError as error:
+            raise InputError(f"{config.init}: its network does not grow into preset {config.preset}: {error}") from None
     return model.train().requires_grad_(True)
 
 

@@ -16,7 +16,7 @@ PRESETS: dict[str, Config] = {
     "paper": temporal_kpn.Config(),
     "fast": accumulated_kpn.Config(widths=(16, 24, 32, 48, 64), kernel=3),
     "default": accumulated_kpn.Config(widths=(32, 56, 72, 88, 104)),
-    "quality": accumulated_kpn.Config(widths=(48, 72, 96, 128, 160)),
+    "quality": accumulated_kpn.Config(widths=(64, 72, 72, 88, 104)),
 }
 
 

@@ -1,0 +1,46 @@
+"""A wider network that computes what a narrower one does, so that training goes on from there.
+
+Chen, Goodfellow, Shlens: Net2Net (ICLR 2016). New channels start as random features that nobody reads: the weights by
+which old channels and the heads would read them are zero. Training is what makes them useful.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import nn
+
+from .accumulated_kpn import AccumulatedKPN, Config
+
+
+def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
+    """A network of the configuration `wanted` with the outputs of `small`, up to rounding.
+
+    Raises ValueError where `wanted` is of another kind, differs in anything but widths, or is narrower somewhere.
+    """
+    was = small.config.widths
+    alike = isinstance(wanted, Config) and replace(wanted, widths=was) == small.config
+    if not alike or any(a > b for a, b in zip(was, wanted.widths, strict=False)):
+        raise ValueError(f"expected {small.config}, or wider at any level, got {wanted}")
+    large = AccumulatedKPN(wanted)
+    below = {f"unet.decoder.{level}.0": w for level, w in enumerate(zip(was[1:], wanted.widths[1:], strict=True))}
+    with torch.no_grad():
+        for (name, narrow), wide in zip(small.named_modules(), large.modules(), strict=True):
+            if isinstance(narrow, nn.Conv2d):
+                _fill(wide, narrow, below.get(name, (0, 0)))
+            elif isinstance(narrow, nn.ConvTranspose2d):  # the full head: its weight is [inputs, outputs, 2, 2]
+                wide.weight.zero_()[: narrow.in_channels] = narrow.weight
+                wide.bias.copy_(narrow.bias)
+    return large
+
+
+def _fill(wide: nn.Conv2d, narrow: nn.Conv2d, below: tuple[int, int]) -> None:
+    """Give `wide` the outputs of `narrow`, which read nothing new. `below` are the channels, before and now, that the
+    input begins with where it is joined of two pictures."""
+    (first, first_now), outputs = below, narrow.out_channels
+    second = narrow.in_channels - first
+    weight, bias = wide.weight[:outputs].zero_(), wide.bias[:outputs]
+    weight[:, :first] = narrow.weight[:, :first]
+    weight[:, first_now : first_now + second] = narrow.weight[:, first:]
+    bias.copy_(narrow.bias)

@@ -1,0 +1,63 @@
+"""Networks that are grown compute what they did, and every new channel can learn."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rtdenoise.models import PRESETS, create, grow, read
+from rtdenoise.models.accumulated_kpn import FEATURES
+
+WIDE = replace(PRESETS["fast"], widths=(20, 24, 40, 50, 70))
+
+
+@pytest.fixture(scope="module")
+def small():
+    return read("fast")
+
+
+def test_a_grown_network_predicts_the_same(small):
+    torch.manual_seed(0)
+    inputs = torch.rand(2, FEATURES, 48, 80)
+    before, after = small.predict(inputs), grow(small, WIDE).predict(inputs)
+    for name in ("temporal", "alpha_temporal", "reset", "sharp"):
+        torch.testing.assert_close(getattr(after, name), getattr(before, name))
+    for a, b in zip(before.spatial + before.alpha, after.spatial + after.alpha, strict=True):
+        torch.testing.assert_close(b, a)
+
+
+def test_every_new_channel_is_heard_of_after_a_step(small):
+    """What reads a new channel has a gradient at once; what makes it, as soon as somebody reads it."""
+    torch.manual_seed(0)
+    model = grow(small, WIDE)
+    inputs = torch.rand(1, FEATURES, 32, 32)
+
+    def loss():
+        heads = model.predict(inputs)
+        return sum(x.float().square().mean() for x in (*heads.spatial, *heads.alpha, heads.temporal))
+
+    loss().backward()
+    assert (model.full_head.weight.grad[16:].abs().amax((1, 2, 3)) > 0).any()
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter -= 0.1 * parameter.grad
+    model.zero_grad()
+    loss().backward()
+    new = model.stem.weight.grad[16:].abs().amax((1, 2, 3))
+    assert (new > 0).any()
+
+
+def test_the_same_widths_are_a_copy(small):
+    again = grow(small, small.config)
+    assert all(torch.equal(a, b) for a, b in zip(again.parameters(), small.parameters(), strict=True))
+
+
+@pytest.mark.parametrize("wanted", [PRESETS["paper"], PRESETS["default"], replace(WIDE, widths=(12, 24, 40, 50, 70))])
+def test_what_does_not_fit_is_refused(small, wanted):
+    with pytest.raises(ValueError, match="wider at any level"):
+        grow(small, wanted)
+
+
+def test_a_network_of_another_kind_does_not_grow():
+    with pytest.raises(ValueError, match="wider"):
+        grow(read("paper"), create(WIDE).config)
