@@ -45,7 +45,7 @@ def tables(document: dict) -> dict[str, str]:
     same = "the same files, byte by byte" if kills["identical"] else "**other files**"
     early, late = (f"{memory[key]:.0f} MB" for key in ("mb_after_a_tenth", "mb_at_the_end"))
     return {
-        "files": f"Killed {kills['kills']} times, after {min(at)} to {max(at)} of 12 frames: {same}, "
+        "files": f"Killed {kills['kills']} times, after {min(at)} to {max(at)} finished frames: {same}, "
         f"{kills['refused']} runs refused. A sequence of {memory['frames']} frames: {early} of memory after a tenth of "
         f"them, {late} at the end (`python bench/files.py`, [JSON](../bench/results/files.json))."
     }

@@ -34,7 +34,7 @@ class Sequence:
 
 
 SEQUENCES = {
-    "mural": Sequence("sample", frames=12),  # the bundled sample; only its inputs at more samples are rendered
+    "mural": Sequence("sample", frames=9),  # the bundled sample; only its inputs at more samples are rendered
     "window": Sequence("wide:2000002"),  # a room lit through a window, near objects cross the view
     "backdrop": Sequence("wide:2000010"),  # a fast object in front of black and white
     "outdoor": Sequence("wide:2000006", width=480, height=270),

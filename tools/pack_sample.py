@@ -1,6 +1,6 @@
 """Make the bundled sample small.   python tools/pack_sample.py data/sample samples/mural
 
-Takes a sequence that `rtdenoise render sample` wrote and drops what nobody can tell apart. Noisy layers and features
+Takes the first frames of a sequence that `rtdenoise render sample` wrote and drops what nobody can tell apart. Noisy layers and features
 are rounded, so that lossless compression has less to keep: the noise of one sample a pixel is above 100 %, and 4 bits
 of mantissa say all there is to say about it. References go into a part of their own with DWAA compression, which is
 lossy, by less than half of their own noise.
@@ -19,12 +19,13 @@ from rtdenoise.data.exr import read_channels, read_header
 # Bits of the half's 10-bit mantissa to keep, or the step of a fixed grid; layers that are not named are left out.
 MANTISSA = {"color": 4, "indirect": 4}
 GRID = {"albedo": 1 / 128, "normal": 1 / 64, "depth": 1 / 64, "motion": 1 / 32, "motion_next": 1 / 32}
+FRAMES = 9
 REFERENCES = ("reference", "indirect_reference", "half_indirect_reference")
 
 
 def main(source: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    for path in sorted(source.glob("*.exr")):
+    for path in sorted(source.glob("*.exr"))[:FRAMES]:
         channels = read_channels(path, list(read_header(path).channels))
         rounded, references = {}, {}
         for name, values in channels.items():
