@@ -1,4 +1,5 @@
-"""Random flips, quarter turns, time reversal, tints and channel permutations of a clip, motion vectors turned along."""
+"""Random flips, quarter turns, time reversal, tints and channel permutations of a clip, motion vectors turned along;
+and light that moves where none did."""
 
 from __future__ import annotations
 
@@ -13,6 +14,8 @@ from .frame import Frame
 _COLOURS = ("radiance", "albedo", "reference", "reference_half")
 _LIGHT = ("radiance", "reference", "reference_half")
 _MOTIONS = ("motion", "motion_next")
+RELIT = 3.0  # stops by which a patch of light is brighter or darker than what is around it at most
+FASTEST = 8.0  # pixels a frame that it moves at most
 TINT = 0.5  # stops by which a colour channel of the light is brightened or darkened at most
 
 
@@ -47,3 +50,29 @@ def augment(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
 
     turned_frames = [turned(frame) for frame in frames]
     return turned_frames[::-1] if backwards else turned_frames
+
+
+def relight(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    """The same clip with a round patch of brighter or darker light, hard or soft, that crosses the picture and may be
+    switched on or off on the way.
+
+    Noise and reference are multiplied alike, so the reference stays the mean of the noise. No feature shows such light,
+    as none shows the shadow of something off the screen or what a turning mirror throws on a wall: only the noise
+    itself says that what was averaged so far is out of date.
+    """
+    H, W = frames[0].radiance.shape[2:]
+    x, y = torch.arange(W).float(), torch.arange(H).float()[:, None]
+    (left, top), velocity = rng.random(2) * (W, H), rng.uniform(-FASTEST, FASTEST, 2)
+    radius, softness = rng.uniform(0.1, 0.6) * min(H, W), 2 ** rng.uniform(-1, 4)
+    stops, switched = rng.uniform(-RELIT, RELIT), rng.random() < 0.5
+    first, middle = int(rng.integers(1, len(frames))) if switched and len(frames) > 1 else 0, (len(frames) - 1) / 2
+
+    relit = []
+    for i, frame in enumerate(frames):
+        if i >= first:
+            u, v = x - (left + velocity[0] * (i - middle)), y - (top + velocity[1] * (i - middle))
+            inside = torch.sigmoid((radius - torch.hypot(u, v)) / softness)
+            factor = 2 ** (stops * inside)
+            frame = replace(frame, **{k: t * factor for k in _LIGHT if (t := getattr(frame, k)) is not None})
+        relit.append(frame)
+    return relit

@@ -22,7 +22,7 @@ import torch
 from rich.progress import TextColumn
 
 from . import __version__
-from .augment import augment
+from .augment import augment, relight
 from .color import display_exposure
 from .data.dataset import ClipDataset
 from .distributed import any_of, processes
@@ -178,7 +178,8 @@ def _batch(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, 
         rng = np.random.default_rng([config.seed, epoch, place])
         signal = config.signal if config.signal != "both" else "color" if rng.random() < 1 / 3 else "indirect"
         frames = data.load(int(index), signal=signal, size=config.size, frames=config.frames, rng=rng)
-        chosen.append(augment(frames, rng))
+        frames = augment(frames, rng)
+        chosen.append(relight(frames, rng) if rng.random() < config.relight else frames)
     return [stack(list(frames)) for frames in zip(*chosen, strict=True)]
 
 

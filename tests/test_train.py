@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from synthetic import TINY, make_frames, write_clips
 
-from rtdenoise.augment import augment
+from rtdenoise.augment import RELIT, augment, relight
 from rtdenoise.data.dataset import RADIANCE, ClipDataset, clip_path, write_clip
 from rtdenoise.errors import InputError
 from rtdenoise.models import PRESETS, load, read
@@ -44,6 +45,22 @@ def test_augmentation_is_a_function_of_the_generator():
     assert all(torch.equal(a.radiance, b.radiance) for a, b in zip(first, second, strict=True))
     shapes = {tuple(augment(frames, np.random.default_rng(s))[0].radiance.shape) for s in range(8)}
     assert len(shapes) == 2  # some are transposed
+
+
+def test_relighting_multiplies_noise_and_reference_alike():
+    frames = make_frames(6)
+    factors, least, most = set(), 1.0, 1.0
+    for seed in range(16):
+        relit = relight(frames, np.random.default_rng(seed))
+        ratios = [now.reference / was.reference for now, was in zip(relit, frames, strict=True)]
+        for now, was, ratio in zip(relit, frames, ratios, strict=True):
+            torch.testing.assert_close(now.radiance, was.radiance * ratio)
+            assert all(getattr(now, name) is getattr(was, name) for name in ("albedo", "normal", "depth", "motion"))
+        least, most = min(least, *(r.min().item() for r in ratios)), max(most, *(r.max().item() for r in ratios))
+        factors.add(sum((ratio == 1).all().item() for ratio in ratios))  # frames before it is switched on
+        assert any(not torch.allclose(a, b) for a, b in pairwise(ratios))  # it changes
+    assert 2**-RELIT <= least < 0.5 and 2 < most <= 2**RELIT
+    assert 0 in factors and len(factors) > 2
 
 
 @pytest.fixture(scope="module")

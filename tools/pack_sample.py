@@ -1,9 +1,9 @@
 """Make the bundled sample small.   python tools/pack_sample.py data/sample samples/mural
 
-Takes the first frames of a sequence that `rtdenoise render sample` wrote and drops what nobody can tell apart. Noisy layers and features
-are rounded, so that lossless compression has less to keep: the noise of one sample a pixel is above 100 %, and 4 bits
-of mantissa say all there is to say about it. References go into a part of their own with DWAA compression, which is
-lossy, by less than half of their own noise.
+Takes the first frames of a sequence that `rtdenoise render sample` wrote and drops what nobody can tell apart. Noisy
+layers and features are rounded, so that lossless compression has less to keep: the noise of one sample a pixel is above
+100 %, and 4 bits of mantissa say all there is to say about it. References go into a part of their own with DWAA
+compression, which is lossy, by less than half of their own noise.
 """
 
 from __future__ import annotations
