@@ -259,16 +259,17 @@ def test_tested_reprojection_gradients(both, assert_images_close, size):
     """Pictures of several channel counts, one of them without a gradient; taps on other surfaces get none of it."""
     normal, depth, motion = torch.randn(2, 3, *size), 1 + 0.3 * torch.rand(2, 1, *size), 3 * torch.randn(2, 2, *size)
     motion[1, :, -1, -1] = math.nan
-    grad = torch.randn(2, 7, *size)
 
-    def gradients(light, albedo, length):
+    def gradients(grad, light, albedo, length):
         light, length = light.requires_grad_(), length.requires_grad_()
         out, _ = ops.reproject((light, albedo, length), motion, (depth, normal), (depth, normal))
         return torch.autograd.grad(out, (light, length), grad)
 
-    plain, fused = both(gradients, *(torch.randn(2, c, *size) for c in (3, 3, 1)))
-    for a, b in zip(fused, plain, strict=True):
-        assert_images_close(a, b, "float32 gradients")
+    stored = [torch.randn(2, c, *size) for c in (3, 3, 1)]
+    for grad in (torch.randn(2, *size, 7).movedim(3, 1), torch.randn(1, 1, 1, 1).expand(2, 7, *size)):
+        plain, fused = both(gradients, grad, *stored)
+        for a, b in zip(fused, plain, strict=True):
+            assert_images_close(a, b, "float32 gradients")
 
 
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)

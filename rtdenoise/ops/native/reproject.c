@@ -24,8 +24,8 @@ typedef struct {
     float weight;
 } Tap;
 
-// Pixel x of a row, which looks between left, left + 1 and top, top + 1, with weights f and g of the second: a tap has the
-// bilinear one, or 0 where it is on another surface or off the screen. `together`: it is `shift` away and on the screen.
+// Pixel x of a row, which looks between left, left + 1 and top, top + 1, with weights f and g of the second: a tap has
+// the bilinear one, or 0 where it is on another surface or off the screen. `together`: it is `shift` away and on the screen.
 static inline Tap look_at(int tap, Row r, int x, int left, int top, float f, float g, int together, int shift) {
     int64_t plane = r.plane;
     float d = r.depth[x], nx = r.normal[x], ny = r.normal[plane + x], nz = r.normal[2 * plane + x];
@@ -96,17 +96,18 @@ void reproject(const float *const *stored, const float *motion, const float *dep
     }
 }
 
-// The way back: grad [B, C, H, W] is added to the B × C planes of grad_stored, where each tap came from. The rest as above.
-void reproject_backward(float *const *grad_stored, const float *motion, const float *depth, const float *normal,
+// The way back: grad is added to grad_stored, both [B, C, H, W], where each tap came from. The rest as above.
+void reproject_backward(float *grad_stored, const float *motion, const float *depth, const float *normal,
                         const float *depth_before, const float *normal_before, const float *grad, int B, int H, int W,
                         float depth_tolerance, float normal_tolerance, float least, int threads) {
     int64_t plane = (int64_t)H * W;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int b = 0; b < B; b++) {  // two rows may add to the same pixel
         const float *mx = motion + b * 2 * plane, *my = mx + plane, *from = grad + b * C * plane;
-        Row r = {{0}, depth + b * plane, normal + b * 3 * plane, depth_before + b * plane, normal_before + b * 3 * plane,
-                 0, 0, depth_tolerance, normal_tolerance, least, plane, H, W};
-        for (int64_t at = 0; at < plane; at++) {
+        float *to = grad_stored + b * C * plane;
+        Row r = {{0}, depth + b * plane, normal + b * 3 * plane, depth_before + b * plane,
+                 normal_before + b * 3 * plane, 0, 0, depth_tolerance, normal_tolerance, least, plane, H, W};
+        for (int64_t at = 0; at < plane; at++) {  // the picture as one long row: x and y are in left and top
             float u = target(mx[at]) + at % W, v = target(my[at]) + at / W, left = floorf(u), top = floorf(v), total = 0;
             Tap taps[4];
             for (int k = 0; k < 4; k++) {
@@ -116,7 +117,7 @@ void reproject_backward(float *const *grad_stored, const float *motion, const fl
             if (total < least) continue;
             for (int k = 0; k < 4; k++)
                 for (int c = 0; c < C; c++)
-                    grad_stored[b * C + c][taps[k].at] += taps[k].weight / total * from[c * plane + at];
+                    to[c * plane + taps[k].at] += taps[k].weight / total * from[c * plane + at];
         }
     }
 }

@@ -36,26 +36,21 @@ class _Reproject(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx, grad: Tensor, _) -> tuple[Tensor | None, ...]:
-        B, C, H, W = grad.shape
-        found = grad.new_zeros(C, B, H, W)  # whole images of each channel: what is stored may be split anywhere
+        grad = grad.contiguous()
+        found, (B, C, H, W) = torch.zeros_like(grad), grad.shape
         run = library("reproject", C=C).reproject_backward
-        pointers = map(pointer, (*ctx.saved_tensors, grad.contiguous()))
-        run(_planes([found.transpose(0, 1)]), *pointers, B, H, W, *map(c_float, ctx.limits), torch.get_num_threads())
-        return (None, *[None] * 5, *(part.transpose(0, 1) for part in found.split(ctx.channels)))
+        pointers = map(pointer, (found, *ctx.saved_tensors, grad))
+        run(*pointers, B, H, W, *map(c_float, ctx.limits), torch.get_num_threads())
+        return (None, *[None] * 5, *found.split(ctx.channels, dim=1))
 
 
 def _forward(limits: tuple[float, ...], where: Sequence[Tensor], stored: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
     stored = [t.contiguous() for t in stored]
-    planes = _planes(stored)
+    planes = [plane.data_ptr() for images in zip(*stored, strict=True) for image in images for plane in image]
     B, _, H, W = where[0].shape
     C = len(planes) // B
     out, valid = torch.empty(B, C, H, W), torch.empty(B, 1, H, W, dtype=torch.bool)
     run = library("reproject", C=C).reproject
-    run(planes, *map(pointer, (*where, out, valid)), B, H, W, *map(c_float, limits), torch.get_num_threads())
+    pointers = map(pointer, (*where, out, valid))
+    run((c_void_p * (B * C))(*planes), *pointers, B, H, W, *map(c_float, limits), torch.get_num_threads())
     return out, valid
-
-
-def _planes(images: Sequence[Tensor]) -> Sequence[c_void_p]:
-    """Where the planes of images `[B, ·, H, W]` begin, those of one picture after another."""
-    planes = [plane.data_ptr() for joined in zip(*images, strict=True) for image in joined for plane in image]
-    return (c_void_p * len(planes))(*planes)
