@@ -53,8 +53,8 @@ def augment(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
 
 
 def relight(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
-    """The same clip with a round patch of brighter or darker light, hard or soft, that crosses the picture and may be
-    switched on or off on the way.
+    """The same clip with a round patch of brighter or darker light, hard or soft, that crosses the picture and may
+    begin on the way.
 
     Noise and reference are multiplied alike, so the reference stays the mean of the noise. No feature shows such light,
     as none shows the shadow of something off the screen or what a turning mirror throws on a wall: only the noise

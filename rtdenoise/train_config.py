@@ -33,7 +33,7 @@ class TrainConfig:
     cuts: float = 0.0
     """Share of steps in which history is dropped at one frame, as at a cut."""
     relight: float = 0.0
-    """Share of clips in which a patch of light or shadow that no feature shows moves or is switched."""
+    """Share of clips in which a patch of light or shadow that no feature shows moves or begins."""
     loss_exposure: float = 1.0
     """The loss is taken on log(1 + loss_exposure · s · x), s the exposure of the reference."""
     huber: float = 0.0

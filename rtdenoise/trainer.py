@@ -135,6 +135,9 @@ def check(config: TrainConfig) -> None:
     for name in ("steps", "batch", "frames", "size", "validate_every"):
         if getattr(config, name) < 1:
             raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
+    for name in ("cuts", "relight"):
+        if not 0 <= getattr(config, name) <= 1:
+            raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
     if config.preset not in PRESETS:
         raise InputError(f"unknown preset {config.preset!r}; expected one of {', '.join(PRESETS)}")
     if config.signal not in ("indirect", "color", "both"):

@@ -49,7 +49,7 @@ def test_augmentation_is_a_function_of_the_generator():
 
 def test_relighting_multiplies_noise_and_reference_alike():
     frames = make_frames(6)
-    factors, least, most = set(), 1.0, 1.0
+    untouched, least, most = set(), 1.0, 1.0
     for seed in range(16):
         relit = relight(frames, np.random.default_rng(seed))
         ratios = [now.reference / was.reference for now, was in zip(relit, frames, strict=True)]
@@ -57,10 +57,10 @@ def test_relighting_multiplies_noise_and_reference_alike():
             torch.testing.assert_close(now.radiance, was.radiance * ratio)
             assert all(getattr(now, name) is getattr(was, name) for name in ("albedo", "normal", "depth", "motion"))
         least, most = min(least, *(r.min().item() for r in ratios)), max(most, *(r.max().item() for r in ratios))
-        factors.add(sum((ratio == 1).all().item() for ratio in ratios))  # frames before it is switched on
+        untouched.add(sum((ratio == 1).all().item() for ratio in ratios))  # frames before it begins
         assert any(not torch.allclose(a, b) for a, b in pairwise(ratios))  # it changes
     assert 2**-RELIT <= least < 0.5 and 2 < most <= 2**RELIT
-    assert 0 in factors and len(factors) > 2
+    assert 0 in untouched and len(untouched) > 2
 
 
 @pytest.fixture(scope="module")
@@ -258,6 +258,8 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
             train(replace(config, **{wrong: "x"}))
     with pytest.raises(InputError, match="steps: expected 1 or more, got 0"):
         train(replace(config, steps=0))
+    with pytest.raises(InputError, match=r"relight: expected a share from 0 to 1, got 30"):
+        train(replace(config, relight=30))
     with pytest.raises(InputError, match="no clips"):
         train(replace(config, data=(tmp_path,)))
     with pytest.raises(InputError, match="scenes that are in the training clips too, such as generator 1, seed 0"):

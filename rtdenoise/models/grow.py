@@ -17,11 +17,13 @@ from .accumulated_kpn import AccumulatedKPN, Config
 def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
     """A network of the configuration `wanted` with the outputs of `small`, up to rounding.
 
+    `small` is as `read` gives it: `load` rounds weights to run them.
+
     Raises ValueError where `wanted` is of another kind, differs in anything but widths, or is narrower somewhere.
     """
     was = small.config.widths
-    alike = isinstance(wanted, Config) and replace(wanted, widths=was) == small.config
-    if not alike or any(a > b for a, b in zip(was, wanted.widths, strict=False)):
+    fits = isinstance(wanted, Config) and len(was) == len(wanted.widths) and replace(wanted, widths=was) == small.config
+    if not fits or any(a > b for a, b in zip(was, wanted.widths, strict=True)):
         raise ValueError(f"expected {small.config}, or wider at any level, got {wanted}")
     large = AccumulatedKPN(wanted)
     below = {f"unet.decoder.{level}.0": w for level, w in enumerate(zip(was[1:], wanted.widths[1:], strict=True))}

@@ -71,9 +71,9 @@ class Up(nn.Sequential):
 
 
 def _pool(x: Tensor) -> Tensor:
-    """2×2 max pooling. Without gradients whole rows against each other first, which is vector code in any layout, as
-    torch's own pooling of channels last is not; that one's way back is, and `maximum`'s is not."""
-    if torch.is_grad_enabled() and x.requires_grad:
+    """2×2 max pooling: whole rows against each other first, which is vector code in any layout (torch's own pooling of
+    channels last is not). With gradients torch's, whose way back is vector code, as that of `maximum` is not."""
+    if x.requires_grad:
         return F.max_pool2d(x, 2)
     x = torch.maximum(x[:, :, 0::2], x[:, :, 1::2])
     return torch.maximum(x[..., 0::2], x[..., 1::2])
