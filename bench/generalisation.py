@@ -26,7 +26,7 @@ from rtdenoise.models import load
 
 RESULT, PAGE = harness.ROOT / "bench" / "results" / "generalisation.json", harness.ROOT / "docs" / "training.md"
 COUNT = 20
-MODELS = ("default", "fast")
+MODELS = ("default", "fast", "quality")
 
 
 def main(folders: list[Path]) -> None:

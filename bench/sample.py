@@ -18,6 +18,7 @@ LABELS = {
     "paper": "rtdenoise `paper`",
     "fast": "rtdenoise `fast`",
     "default": "**rtdenoise `default`**",
+    "quality": "rtdenoise `quality`",
 }
 
 
@@ -27,7 +28,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             results[signal] = [
                 {"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)}
-                for r in demo(Path(folder), signal=signal, methods=(*METHODS, "fast", "oidn"))
+                for r in demo(Path(folder), signal=signal, methods=(*METHODS, "fast", "quality", "oidn"))
             ]
     document = {**harness.origin({"torch": harness.cpu()}), "results": results}
     harness.write(RESULT, **document)

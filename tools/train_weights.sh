@@ -1,0 +1,81 @@
+#!/bin/sh
+# The weights that ship, from the first clip on:  sh tools/train_weights.sh default|fast|quality [cpu|cuda]
+#
+# Renders clips, cleans their references and trains, by the commands below, with what `sh tools/setup.sh demo` sets up. Each
+# goes on where it was stopped, and passes over what is finished in seconds, so that it may run in pieces of ten minutes:
+#
+#     while timeout 600 sh tools/train_weights.sh default cuda; [ $? = 124 ]; do :; done
+#
+# Rendering finds a GPU by itself. PROCESSES=2 trains in two processes. SCENES=FOLDER is where the scene files lie
+# (FOLDER/NAME/scene.xml; docs/models/default.md names them); without it generated scenes take their place. DRY=1 prints the
+# commands and runs none.
+set -eu
+cd "$(dirname "$0")/.."
+trap 'exit 143' TERM # after the command that runs has written its checkpoint
+model=${1:-} device=${2:-cpu}
+case $model in
+    default | fast | quality) ;;
+    *) echo "expected default, fast or quality, got '$model'" >&2; exit 2 ;;
+esac
+
+run() {
+    echo "$*"
+    [ -n "${DRY:-}" ] || .venv/bin/"$@"
+}
+
+# --- the clips --------------------------------------------------------------------------------------------------------
+
+clips() { # NAME OPTIONS...: into data/NAME, with cleaned references into data/NAME-clean
+    name=$1; shift
+    run rtdenoise render --out "data/$name" "$@"
+    run rtdenoise clean "data/$name" --out "data/$name-clean"
+}
+
+wide="--preset train --generator 2"
+noisy="--reference-error 0.2"
+files=${SCENES:+--scenes $SCENES --motions examples/motions}
+two=${SCENES:+--exclude street dining-room} # of the others this set happens to show three, none that is measured on
+run rtdenoise render --out data/val --clips 24 --seed 1000000 --reference-spp 128
+clips train --clips 200
+clips wide $wide --clips 12
+clips mixed $wide --clips 12 --seed 7000 --reference-error 0.02 $files $two
+clips scenes $wide --clips 80 --seed 9000 $noisy $files
+clips sun $wide --clips 240 --seed 21000 $noisy --sun 1
+clips sun3 --preset train --clips 120 --seed 31000 $noisy --sun 0.6
+[ "$model" != quality ] ||
+    clips wide3 --preset train --clips 189 --seed 41000 $noisy --sun 0.5 $files
+
+# --- the weights ------------------------------------------------------------------------------------------------------
+
+train() { # RUN OPTIONS...: a run of the preset
+    out=runs/$preset-$1; shift
+    several=
+    [ "${PROCESSES:-1}" = 1 ] || several="torchrun --standalone --nproc-per-node $PROCESSES -m --"
+    run $several rtdenoise train --out "$out" --preset "$preset" --device "$device" --val data/val --signal both \
+        --loss-exposure 4 --huber 0.2 --optimiser muon "$@"
+}
+after() { # RUN: from the weights that it left
+    echo "--init runs/$preset-$1/weights.safetensors"
+}
+
+first="--data data/train-clean data/wide-clean data/mixed-clean data/scenes-clean"
+sunny="$first data/sun-clean data/sun3-clean"
+all="$sunny data/wide3-clean"
+if [ "$model" = fast ]; then
+    preset=fast
+    train single $first --frames 1 --batch 16 --steps 1200 --lr 8e-4 --no-occlusion-loss
+    train clips $first $(after single) --frames 6 --steps 1200 --lr 6e-4 --cuts 0.4 --validate-every 300
+    train last $first data/sun-clean $(after clips) --frames 6 --steps 900 --lr 4e-4 --cuts 0.4 --validate-every 450
+else
+    preset=default
+    train single $first --frames 1 --batch 16 --steps 1500 --lr 5e-4 --no-occlusion-loss
+    train clips $first $(after single) --steps 4800 --lr 4e-4 --cuts 0.5 --validate-every 400
+    train last $sunny $(after clips) --steps 6000 --lr 4e-4 --cuts 0.5 --validate-every 800
+fi
+if [ "$model" = quality ]; then # grows from default
+    start=$(after last) preset=quality
+    train relit $all $start --steps 3200 --lr 4e-4 --cuts 0.5 --relight 0.33 --validate-every 800
+    train less $all $(after relit) --steps 950 --lr 3e-4 --cuts 0.5 --relight 0.1 --validate-every 950
+    train last $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900
+fi
+run python tools/ship_weights.py "runs/$model-last/weights.safetensors" "$model"
