@@ -105,22 +105,24 @@ def draw(documents: dict[str, Document]) -> None:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """The sections of docs/quality.md: `against`, `aims`, and `scenes` with a table a sequence and signal."""
-    return {"against": _against(document), "aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
+    """The sections of docs/quality.md: `against` of two models, `aims`, and `scenes` with a table a sequence and
+    signal."""
+    ahead = {"against": _against(document, "default"), "against-quality": _against(document, "quality")}
+    return {**ahead, "aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
 
 
-def _against(document: dict) -> str:
-    """On how many sequences and signals `default` is ahead of OIDN, and by how much on average."""
+def _against(document: dict, model: str) -> str:
+    """On how many sequences and signals `model` is ahead of OIDN, and by how much on average."""
     lines = [
         "| | ahead, frame | on average, frame | ahead, uncovered | on average, uncovered |",
         "|---|---|---|---|---|",
     ]
     both = [_rows(document, signal, name) for signal in SIGNALS for name in document["sequences"].get(signal, ())]
-    both = [rows for rows in both if {"default", "oidn"} <= rows.keys()]
+    both = [rows for rows in both if {model, "oidn"} <= rows.keys()]
     for metric in OF_FRAME:
         cells = []
         for region in ("frame", "uncovered"):
-            values = [[rows[method][region].get(metric) for method in ("default", "oidn")] for rows in both]
+            values = [[rows[method][region].get(metric) for method in (model, "oidn")] for rows in both]
             gains = [a - b for a, b in values if a is not None and b is not None]
             better = sum(g > 0 if METRICS[metric].higher else g < 0 for g in gains)
             mean = write_number(metric, sum(gains) / len(gains)) if gains else "–"
