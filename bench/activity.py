@@ -1,35 +1,58 @@
-"""Which channels of a network ever do something: those that its ReLUs let through anywhere in the bundled sequence.
+"""Which channels of a network ever do something: those that its ReLUs let through anywhere.
 
-    python bench/activity.py
+    python bench/activity.py CLIPS [CLIPS ...]
 
-A channel that is zero everywhere is arithmetic for nothing, and gets no gradient either. Writes
+A channel that is zero everywhere is arithmetic for nothing, and gets no gradient either. But one may wait for what a
+sequence does not show: so the bundled sequence stands beside `COUNT` clips of each folder, evenly taken. Writes
 bench/results/activity.json and the table of docs/training.md.
 """
 
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Callable, Iterable
 from functools import partial
+from pathlib import Path
 
 import harness
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from rtdenoise import open_sequence
+from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.frame import Frame
 from rtdenoise.models import available, read
 
 RESULT, PAGE = harness.ROOT / "bench" / "results" / "activity.json", harness.ROOT / "docs" / "training.md"
 SIGNALS = ("indirect", "color")
+COUNT = 6
 
 
-def main() -> None:
-    rows = [{"model": name, "layers": active(name)} for name in available()]
-    harness.write(RESULT, digits=3, **harness.origin({"torch": harness.cpu()}), rows=rows)
+def main(folders: list[Path]) -> None:
+    shown = {"the bundled sequence": sample, "clips": lambda signal: clips(folders, signal)}
+    rows = [
+        {"model": name, "shown": what, "layers": active(name, sequences)}
+        for name in available()
+        for what, sequences in shown.items()
+    ]
+    harness.write(RESULT, digits=3, **harness.origin({"torch": harness.cpu()}), clips_a_folder=COUNT, rows=rows)
     harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
 
 
+def sample(signal: str) -> Iterable[list[Frame]]:
+    return [list(open_sequence(harness.ROOT / "samples" / "mural", signal=signal))]
+
+
+def clips(folders: list[Path], signal: str) -> Iterable[list[Frame]]:
+    for data in map(ClipDataset, folders):
+        for index in np.linspace(0, len(data) - 1, min(COUNT, len(data))).astype(int):
+            yield data.load(int(index), signal=signal)
+
+
 @torch.inference_mode()
-def active(name: str) -> dict[str, float]:
+def active(name: str, sequences: Callable[[str], Iterable[list[Frame]]]) -> dict[str, float]:
     """Layer of the U-Net -> share of its channels that are above zero in some pixel of some frame, of either signal."""
     model, found = read(name).eval(), {}
 
@@ -40,20 +63,21 @@ def active(name: str) -> dict[str, float]:
         if isinstance(module, nn.ReLU):
             module.register_forward_hook(partial(look, layer))
     for signal in SIGNALS:
-        history = None
-        for frame in open_sequence(harness.ROOT / "samples" / "mural", signal=signal):
-            _, history = model.step(frame, history)
+        for frames in sequences(signal):
+            history = None
+            for frame in frames:
+                _, history = model.step(frame, history)
     return {layer: seen.float().mean().item() for layer, seen in found.items()}
 
 
 def tables(document: dict) -> dict[str, str]:
     """Share of active channels by level of the U-Net, finest first, over the four (coarsest: two) layers of each."""
     levels = max(level(layer) for row in document["rows"] for layer in row["layers"]) + 1
-    lines = ["| | " + " | ".join(f"level {k + 1}" for k in range(levels)) + " |", "|---" * (levels + 1) + "|"]
+    lines = ["| | in | " + " | ".join(f"level {k + 1}" for k in range(levels)) + " |", "|---" * (levels + 2) + "|"]
     for row in document["rows"]:
         shares = [[v for layer, v in row["layers"].items() if level(layer) == k] for k in range(levels)]
         cells = [f"{sum(s) / len(s):.0%}" if s else "–" for s in shares]
-        lines.append(f"| `{row['model']}` | " + " | ".join(cells) + " |")
+        lines.append(f"| `{row['model']}` | {row['shown']} | " + " | ".join(cells) + " |")
     return {"activity": "\n".join(lines)}
 
 
@@ -63,4 +87,4 @@ def level(layer: str) -> int:
 
 
 if __name__ == "__main__":
-    main()
+    main([Path(a) for a in sys.argv[1:]])
