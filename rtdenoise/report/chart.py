@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from .readings import METRICS, POOL
 
 PANELS = ("psnr", "relmse", "flip")
+NETWORKS = "#e8590c", "#ffa94d", "#c2255c", "#f783ac", "#862e9c", "#cc5de8", "#7f4f24", "#b08968"  # two shades of each
 FAMILIES = {  # marker, colours of its methods in turn
-    "network": ("o", ("#e8590c", "#c2255c", "#f08c00")),
-    "ablation": ("o", ("#c9a08d", "#b197c9", "#b5a27a")),
+    "network": ("o", NETWORKS),
+    "ablation": ("o", NETWORKS),
     "oidn": ("s", ("#1864ab", "#4dabf7", "#74c0fc", "#7048e8", "#15aabf", "#0b7285")),
     "filter": ("^", ("#8ce99a", "#2b8a3e")),
     "accumulation": ("D", ("#ffd43b", "#997404")),
@@ -35,7 +36,8 @@ def chart(data: dict) -> bytes:
         face = "white" if family == "ablation" else colour
         looks[row["label"]] = {"marker": FAMILIES[family][0], "color": colour, "markerfacecolor": face}
     panels = [metric for metric in PANELS if any(row["errors"]["frame"].get(metric) is not None for row in rows)]
-    figure = Figure(figsize=(3.6 * len(panels) + 2.2, 3.8), dpi=110, layout="constrained")
+    height = max(3.8, 0.18 * len(looks))  # of the legend
+    figure = Figure(figsize=(3.6 * len(panels) + 2.2, height), dpi=110, layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for axis, metric in zip(axes, panels, strict=True):
         _panel(axis, metric, rows, looks, data["ours"])

@@ -46,10 +46,11 @@ const REGIONS = {
   "uncovered-2": "uncovered two frames ago, M²",
 };
 
-// One hue a family, one mark a family; networks stand out, because the page is about them.
+// One mark a family, and hues of its own; networks stand out, because the page is about them: two shades of a hue for each.
+const NETWORKS = ["#ff7849", "#ffc078", "#ff4f81", "#faa2c1", "#b65cf0", "#dcb3f7", "#c98f52", "#e8c9a0"];
 const FAMILIES = {
-  network: { colours: ["#ff7849", "#ff4f81", "#ffa94d", "#e64980"], mark: "circle" },
-  ablation: { colours: ["#b98370", "#9d7bb0", "#c2a36b"], mark: "ring" },
+  network: { colours: NETWORKS, mark: "circle" },
+  ablation: { colours: NETWORKS, mark: "ring" },
   oidn: { colours: ["#4dabf7", "#74c0fc", "#a5d8ff", "#9775fa", "#3bc9db", "#66d9e8"], mark: "square" },
   filter: { colours: ["#69db7c", "#2f9e5a"], mark: "triangle" },
   accumulation: { colours: ["#d9c35a", "#a08b3a"], mark: "diamond" },
