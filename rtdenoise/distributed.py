@@ -53,6 +53,12 @@ def means(values: dict[str, float]) -> dict[str, float]:
     return dict(zip(values, (tensor / distributed.get_world_size()).tolist(), strict=True))
 
 
+def wait_for_all() -> None:
+    """Go on when all processes are here: one that ends while another still writes may take it down with it."""
+    if distributed.is_initialized():
+        distributed.barrier()
+
+
 def any_of(flag: bool) -> bool:
     """Whether the flag is set in any process: all of them stop, or none."""
     return means({"flag": float(flag)})["flag"] > 0

@@ -25,7 +25,7 @@ from . import __version__
 from .augment import augment, relight
 from .color import display_exposure
 from .data.dataset import ClipDataset
-from .distributed import any_of, processes
+from .distributed import any_of, processes, wait_for_all
 from .errors import InputError
 from .frame import Frame, stack
 from .metrics import psnr
@@ -83,6 +83,7 @@ def _train(config: TrainConfig, share: tuple[int, int]) -> Path:
             _save_weights(trainer, out / WEIGHTS)
         if trainer.skipped:
             print(f"{out}: {trainer.skipped} steps skipped: loss or gradient was not finite; log.jsonl says which")
+    wait_for_all()
     if stopping:
         raise KeyboardInterrupt
     return out / WEIGHTS
