@@ -16,12 +16,10 @@ from functools import partial
 from pathlib import Path
 
 import harness
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from rtdenoise import open_sequence
-from rtdenoise.data.dataset import ClipDataset
 from rtdenoise.frame import Frame
 from rtdenoise.models import available, read
 
@@ -31,7 +29,10 @@ COUNT = 6
 
 
 def main(folders: list[Path]) -> None:
-    shown = {"the bundled sequence": sample, "clips": lambda signal: clips(folders, signal)}
+    shown = {
+        "the bundled sequence": sample,
+        "clips": lambda signal: (frames for folder in folders for frames in harness.clips(folder, COUNT, signal)),
+    }
     rows = [
         {"model": name, "shown": what, "layers": active(name, sequences)}
         for name in available()
@@ -43,12 +44,6 @@ def main(folders: list[Path]) -> None:
 
 def sample(signal: str) -> Iterable[list[Frame]]:
     return [list(open_sequence(harness.ROOT / "samples" / "mural", signal=signal))]
-
-
-def clips(folders: list[Path], signal: str) -> Iterable[list[Frame]]:
-    for data in map(ClipDataset, folders):
-        for index in np.linspace(0, len(data) - 1, min(COUNT, len(data))).astype(int):
-            yield data.load(int(index), signal=signal)
 
 
 @torch.inference_mode()

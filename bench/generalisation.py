@@ -20,7 +20,6 @@ import torch
 
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import display_exposure
-from rtdenoise.data.dataset import ClipDataset
 from rtdenoise.metrics import psnr
 from rtdenoise.models import load
 
@@ -34,18 +33,17 @@ def main(folders: list[Path]) -> None:
     rows = []
     for folder in folders:
         for signal in ("indirect", "color"):
-            rows.append({"clips": folder.name, "signal": signal} | lead(ClipDataset(folder), signal, steps))
+            rows.append({"clips": folder.name, "signal": signal} | lead(folder, signal, steps))
             print(rows[-1])
     harness.write(RESULT, digits=5, **harness.origin({"torch": harness.cpu()}), count=COUNT, rows=rows)
     harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
 
 
 @torch.inference_mode()
-def lead(clips: ClipDataset, signal: str, steps: dict) -> dict[str, dict[str, float]]:
+def lead(folder: Path, signal: str, steps: dict) -> dict[str, dict[str, float]]:
     """Method -> mean PSNR of first frames and of later ones."""
     found: dict = {name: {"first": [], "later": []} for name in steps}
-    for index in np.linspace(0, len(clips) - 1, min(COUNT, len(clips))).astype(int):
-        frames = clips.load(int(index), signal=signal)
+    for frames in harness.clips(folder, COUNT, signal):
         scale = display_exposure(torch.cat([frame.reference for frame in frames]))
         for name, step in steps.items():
             history = None

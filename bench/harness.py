@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -23,6 +23,8 @@ sys.path.append(str(ROOT / "tests"))
 from tolerances import TOLERANCES  # noqa: E402 (the one table of tolerances)
 
 from rtdenoise import origin as origins  # noqa: E402
+from rtdenoise.data.dataset import ClipDataset  # noqa: E402
+from rtdenoise.frame import Frame  # noqa: E402
 from rtdenoise.strict_json import dumps  # noqa: E402
 
 
@@ -89,6 +91,13 @@ def write(path: Path, digits: int | None = None, **content: object) -> None:
     temporary.write_text(dumps(content, digits, indent=1, default=asdict) + "\n")
     temporary.replace(path)
     print(f"written: {path}")
+
+
+def clips(folder: Path, count: int, signal: str) -> Iterator[list[Frame]]:
+    """So many clips of a folder, evenly taken."""
+    data = ClipDataset(folder)
+    for index in np.linspace(0, len(data) - 1, min(count, len(data))).astype(int):
+        yield data.load(int(index), signal=signal)
 
 
 def insert_all(sections: dict[str, str], page: Path = ROOT / "docs" / "stability.md") -> None:
