@@ -1,6 +1,6 @@
 #version 430
-// Bilinear reprojection: out(p) = image(p + motion(p)). With (u, v) the clamped target, x0 = ⌊u⌋, x1 = min(x0 + 1, W-1),
-// f = u - x0, and y0, y1, g alike for v:
+// Reprojection: out(p) = image(p + motion(p)), bilinear, or with CUBIC Catmull-Rom. With (u, v) the clamped target, x0 = ⌊u⌋,
+// x1 = min(x0 + 1, W-1), f = u - x0, and y0, y1, g alike for v, bilinear is
 //
 //     out[b,c,y,x] = (1-g)·((1-f)·image[b,c,y0,x0] + f·image[b,c,y0,x1])
 //                  +    g ·((1-f)·image[b,c,y1,x0] + f·image[b,c,y1,x1])
@@ -14,22 +14,19 @@
 layout(std430, binding = 0) readonly restrict buffer Image { float image[]; };
 layout(std430, binding = 2) writeonly restrict buffer Result { float result[]; };
 
-float value(int b, int c, int x, int y) {
-    return image[at(b, c, ivec2(x, y), CHANNELS, size)];
+int b, c;  // the plane that is looked up in
+
+float value(ivec2 pixel) {
+    return image[at(b, c, pixel, CHANNELS, size)];
 }
+#define TYPE float
+#include "look_up.glsl"
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
-    int b = int(gl_GlobalInvocationID.z);
+    b = int(gl_GlobalInvocationID.z);
     if (!inside(pixel, size)) return;
 
     vec2 uv = target(b, pixel);
-    ivec2 p0 = ivec2(floor(uv));
-    ivec2 p1 = min(p0 + 1, size - 1);
-    vec2 f = uv - vec2(p0);
-    for (int c = 0; c < CHANNELS; ++c) {
-        float top = value(b, c, p0.x, p0.y) * (1.0 - f.x) + value(b, c, p1.x, p0.y) * f.x;
-        float bottom = value(b, c, p0.x, p1.y) * (1.0 - f.x) + value(b, c, p1.x, p1.y) * f.x;
-        result[at(b, c, pixel, CHANNELS, size)] = top * (1.0 - f.y) + bottom * f.y;
-    }
+    for (c = 0; c < CHANNELS; ++c) result[at(b, c, pixel, CHANNELS, size)] = look_up(uv);
 }

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from types import ModuleType
 
 import numpy as np
 import torch
@@ -29,7 +31,7 @@ def backend(label: str) -> Callable[[str], Operation]:
                 tensors = [torch.from_numpy(a) for a in arrays]
                 if name == "apply_kernel":
                     tensors[1] = tensors[1].to(dtype)
-                return getattr(ops, name)(*tensors).numpy()
+                return _named(ops, name)(*tensors).numpy()
 
             return run
 
@@ -40,13 +42,17 @@ def backend(label: str) -> Callable[[str], Operation]:
 
     def by_name(name: str) -> Operation:
         def run(*arrays: np.ndarray) -> np.ndarray:
-            return getattr(glsl, name)(
+            return _named(glsl, name)(
                 arrays[0], *(a.astype(logits) if name == "apply_kernel" else a for a in arrays[1:])
             )
 
         return run
 
     return by_name
+
+
+def _named(module: ModuleType, name: str) -> Callable:
+    return partial(module.warp, cubic=True) if name == "cubic warp" else getattr(module, name)
 
 
 @dataclass(frozen=True)
@@ -118,6 +124,13 @@ def _warp(op: Callable[[str], Operation], name: str, motion: float, expected: st
     return _difference(op(name)(image, field), wanted[expected])
 
 
+def _between(op: Callable[[str], Operation], scale: float) -> float:
+    """How far out of the range of its image."""
+    image = (_random(1, 3, H, W) > 0.9) * np.float32(scale)
+    out = op("cubic warp")(image, 8 * _random(1, 2, H, W, seed=1) - 4)
+    return max(0.0, -float(out.min()), float(out.max()) - scale) if np.isfinite(out).all() else math.inf
+
+
 def _one_pixel(op: Callable[[str], Operation]) -> float:
     image = np.full((1, 3, 1, 1), 0.7, np.float32)
     outs = [
@@ -135,7 +148,8 @@ def _bright(op: Callable[[str], Operation]) -> float:
     motion = np.full((1, 2, H, W), 0.3, np.float32)
     down = op("downsample")(image)
     outs = [_kernel(op, image, _random(1, 25, H, W)), op("blend")(image, image, half), op("warp")(image, motion),
-            op("compose")(image, down, half[:, :, : down.shape[2], : down.shape[3]])]  # fmt: skip
+            op("compose")(image, down, half[:, :, : down.shape[2], : down.shape[3]]),
+            op("cubic warp")(image, motion)]  # fmt: skip
     return max(_difference(out, image) for out in outs) / 1e15
 
 
@@ -153,8 +167,11 @@ OP_CASES = [
              lambda op, name=name, motion=motion, expected=expected: _warp(op, name, motion, expected))
       for name, motion, expected in (
           ("warp", 0.0, "same"), ("warp", math.nan, "same"), ("warp", math.inf, "same"), ("warp", 1e6, "last column"),
-          ("warp", -1e30, "first column"), ("warp", 0.5, "mean of two"), ("fetch", math.nan, "same"),
-          ("fetch", 1e6, "last column"))),
+          ("warp", -1e30, "first column"), ("warp", 0.5, "mean of two"), ("cubic warp", 0.0, "same"),
+          ("cubic warp", math.nan, "same"), ("cubic warp", 1e6, "last column"), ("cubic warp", -1e30, "first column"),
+          ("fetch", math.nan, "same"), ("fetch", 1e6, "last column"))),
+    *(OpCase(f"cubic warp: pixels of 0 and {scale:g}", "within their range, exactly", 0.0,
+             lambda op, scale=scale: _between(op, scale)) for scale in (1.0, 2.0**50)),
     OpCase("one pixel through every operation", "unchanged", 1e-6, _one_pixel),
     OpCase("radiance of 1e15 through every operation", "unchanged, relative", 1e-6, _bright),
 ]  # fmt: skip

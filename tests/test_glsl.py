@@ -113,8 +113,12 @@ def test_warp_and_fetch_are_their_torch_twins(gl, assert_images_close, size):
     for name, tolerance in (("warp", "float32"), ("fetch", "exact")):
         out = on_gpu(gl, getattr(glsl, name), image, motion, shape=image.shape)
         assert_images_close(out, torch_twin(getattr(ops, name), image, motion), tolerance)
+    cubic = on_gpu(gl, glsl.warp, image, motion, cubic=True, shape=image.shape)
+    assert_images_close(cubic, torch_twin(ops.warp, image, motion, cubic=True), "float32")
     whole = np.round(motion)
-    assert_images_close(glsl.warp(image, whole), torch_twin(ops.warp, image, whole), "exact")
+    for way in (False, True):
+        out = glsl.warp(image, whole, cubic=way)
+        assert_images_close(out, torch_twin(ops.warp, image, whole, cubic=way), "exact")
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -99,7 +99,8 @@ def test_warp_agrees_with_grid_sample(size):
 
 def test_warp_by_whole_pixels_is_exact_and_bad_motion_is_none():
     image = torch.rand(1, 3, 6, 5)
-    assert torch.equal(warp(image, torch.zeros(1, 2, 6, 5)), image)
+    for cubic in (False, True):
+        assert torch.equal(warp(image, torch.zeros(1, 2, 6, 5), cubic=cubic), image)
     bad = torch.full((1, 2, 6, 5), math.nan)
     bad[:, :, 3:] = math.inf
     assert torch.equal(warp(image, bad), image)
@@ -107,10 +108,29 @@ def test_warp_by_whole_pixels_is_exact_and_bad_motion_is_none():
     assert torch.equal(warp(image, far), image[:, :, -1:, -1:].expand_as(image))
 
 
+def test_cubic_warp_is_exact_for_parabolas_and_overshoots_nowhere():
+    y, x = torch.meshgrid(torch.arange(12.0), torch.arange(14.0), indexing="ij")
+    motion = torch.tensor([0.3, -0.6]).reshape(1, 2, 1, 1).expand(1, 2, 12, 14)
+    out = warp((x.square() + 5 * y)[None, None], motion, cubic=True)[0, 0]
+    inner = slice(2, -3)  # whose 4×4 pixels are all on the screen
+    torch.testing.assert_close(out[inner, inner], ((x + 0.3).square() + 5 * (y - 0.6))[inner, inner])
+    step = (x > 6).float()[None, None]
+    again = step
+    for _ in range(8):
+        again = warp(again, motion, cubic=True)
+        assert again.min() >= 0 and again.max() <= 1
+    blurred = step
+    for _ in range(8):
+        blurred = warp(blurred, motion)
+    there = warp(step, 8 * motion)
+    assert (again - there).abs().mean() < 0.6 * (blurred - there).abs().mean()
+
+
 def test_warp_gradients():
     image = torch.randn(1, 2, 4, 5, dtype=torch.float64, requires_grad=True)
     motion = (torch.randint(-3, 3, (1, 2, 4, 5)) + 0.1 + 0.8 * torch.rand(1, 2, 4, 5)).double().requires_grad_()
-    assert torch.autograd.gradcheck(warp, (image, motion))
+    for cubic in (False, True):
+        assert torch.autograd.gradcheck(lambda i, m, cubic=cubic: warp(i, m, cubic=cubic), (image, motion))
     assert torch.autograd.gradcheck(lambda i: fetch(i, motion.detach()), (image,))
 
 

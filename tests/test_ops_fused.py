@@ -121,7 +121,11 @@ def test_apply_kernel_reads_every_half_float(both, assert_images_close):
     assert_images_close(fused, plain, "float32")
 
 
-@pytest.mark.parametrize("op", [ops.warp, ops.fetch])
+def cubic(image, motion, *choice):
+    return ops.warp(image, motion, *choice, cubic=True)
+
+
+@pytest.mark.parametrize("op", [ops.warp, cubic, ops.fetch])
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
 def test_reprojection(both, assert_images_close, op, size):
     motion = 4 * torch.randn(2, 2, *size)
@@ -132,13 +136,29 @@ def test_reprojection(both, assert_images_close, op, size):
     assert_images_close(fused, plain, "float32")
 
 
+@pytest.mark.parametrize("op", [ops.warp, cubic])
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
-def test_reprojection_with_a_choice(both, assert_images_close, size):
+def test_reprojection_with_a_choice(both, assert_images_close, op, size):
     seen = torch.rand(2, 1, *size) < 0.9
     seen[:, :, ::2] = True  # whole rows of it
     image, motion, otherwise = (torch.randn(2, c, *size) for c in (3, 2, 3))
-    plain, fused = both(ops.warp, image, 4 * motion, seen, otherwise)
+    plain, fused = both(op, image, 4 * motion, seen, otherwise)
     assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("op", [ops.warp, cubic])
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_reprojection_gradients(both, assert_images_close, op, size):
+    """In what is looked up; where the choice was another picture there is none."""
+    motion, otherwise, seen = 4 * torch.randn(2, 2, *size), torch.randn(2, 3, *size), torch.rand(2, 1, *size) < 0.9
+
+    def gradient(grad, image):
+        image = image.requires_grad_()
+        return torch.autograd.grad(op(image, motion, seen, otherwise), image, grad)[0]
+
+    for grad in (torch.randn(2, *size, 3).movedim(3, 1), torch.randn(1, 1, 1, 1).expand(2, 3, *size)):
+        plain, fused = both(gradient, grad, torch.randn(2, 3, *size))
+        assert_images_close(fused, plain, "float32 gradients")
 
 
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
@@ -326,7 +346,7 @@ strides = dict(batch="i64", stride="i64", cell_row="i64", row="i64", cell="i32",
 C = dict(C=3, CP=4, BLOCK=128)
 build(ops._forward, dict(K=3, KEEP=True, **C), logits="*bf16", **sizes, **strides)
 build(ops._backward, dict(K=3, **C), **sizes, **strides)
-build(ops._warp, dict(NEAREST=False, **C), **sizes)
+build(ops._warp, dict(MODE="cubic", **C), **sizes)
 build(ops._compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
 build(ops._reproject, dict(C=7, CP=8, BLOCK=128), valid="*u8", depth_tolerance="fp32", normal_tolerance="fp32",
       least="fp32", **sizes)

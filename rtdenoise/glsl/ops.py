@@ -62,12 +62,14 @@ def apply_kernel(
 def warp(
     image: Array,  # [B, C, H, W]
     motion: Array,  # [B, 2, H, W] (x, y) in pixels
+    cubic: bool = False,
     out: GpuArray | None = None,  # [B, C, H, W]
 ) -> Array:  # [B, C, H, W]
-    """Bilinear reprojection, `out(p) = image(p + motion(p))`; targets off the screen take the nearest border pixel."""
+    """Reprojection, `out(p) = image(p + motion(p))`, bilinear or cubic (Catmull-Rom, which blurs less and overshoots
+    nowhere); targets off the screen take the nearest border pixel."""
     B, C, H, W = _shape("image", image)
     _expect("motion", motion, (B, 2, H, W))
-    return _run("warp", [image, motion], (B, C, H, W), (H, W), out, CHANNELS=C)
+    return _run("warp", [image, motion], (B, C, H, W), (H, W), out, CHANNELS=C, CUBIC=int(cubic))
 
 
 def fetch(

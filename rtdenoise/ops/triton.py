@@ -179,7 +179,22 @@ def _target(motion, x, n):
 
 
 @triton.jit
-def _warp(image, motion, out, H, W, C: tl.constexpr, CP: tl.constexpr, NEAREST: tl.constexpr, BLOCK: tl.constexpr):
+def _catmull_rom(f, TAP: tl.constexpr):
+    """The weight of pixel x0 - 1 + TAP for a target f beyond x0."""
+    if TAP == 0:
+        weight = f * (f * (1 - 0.5 * f) - 0.5)
+    elif TAP == 1:
+        weight = 1 + f * f * (1.5 * f - 2.5)
+    elif TAP == 2:
+        weight = f * (0.5 + f * (2 - 1.5 * f))
+    else:
+        weight = f * f * (0.5 * f - 0.5)
+    return weight
+
+
+@triton.jit
+def _warp(image, motion, out, H, W, C: tl.constexpr, CP: tl.constexpr, MODE: tl.constexpr, BLOCK: tl.constexpr):
+    """`MODE` nearest, bilinear or cubic."""
     b, y, x, exists = _place(H, W, BLOCK)
     plane = H.to(tl.int64) * W
     c = tl.arange(0, CP)
@@ -188,35 +203,52 @@ def _warp(image, motion, out, H, W, C: tl.constexpr, CP: tl.constexpr, NEAREST: 
     v = _target(tl.load(motion + (b * 2 + 1) * plane + pixel, mask=exists, other=0.0), y, H)
     channels = b * C * plane + c[None, :] * plane
     real = exists[:, None] & (c[None, :] < C)
-    if NEAREST:
+    from_ = image + channels
+    x0, y0 = u.to(tl.int32), v.to(tl.int32)
+    f, g = (u - x0)[:, None], (v - y0)[:, None]
+    if MODE == "nearest":
         at = (v + 0.5).to(tl.int32) * W + (u + 0.5).to(tl.int32)
-        result = tl.load(image + channels + at[:, None], mask=real, other=0.0)
-    else:
-        x0, y0 = u.to(tl.int32), v.to(tl.int32)
+        result = tl.load(from_ + at[:, None], mask=real, other=0.0)
+    elif MODE == "bilinear":
         x1, y1 = tl.minimum(x0 + 1, W - 1), tl.minimum(y0 + 1, H - 1)
-        f, g = (u - x0)[:, None], (v - y0)[:, None]
-        from_ = image + channels
         top = tl.load(from_ + (y0 * W + x0)[:, None], mask=real, other=0.0) * (1 - f)
         top += tl.load(from_ + (y0 * W + x1)[:, None], mask=real, other=0.0) * f
         bottom = tl.load(from_ + (y1 * W + x0)[:, None], mask=real, other=0.0) * (1 - f)
         bottom += tl.load(from_ + (y1 * W + x1)[:, None], mask=real, other=0.0) * f
         result = top * (1 - g) + bottom * g
+    else:
+        least = tl.load(from_ + (y0 * W + x0)[:, None], mask=real, other=0.0)
+        greatest = least
+        result = tl.zeros([BLOCK, CP], tl.float32)
+        for j in tl.static_range(4):
+            line = tl.zeros([BLOCK, CP], tl.float32)
+            row = tl.minimum(tl.maximum(y0 + j - 1, 0), H - 1) * W
+            for i in tl.static_range(4):
+                at = row + tl.minimum(tl.maximum(x0 + i - 1, 0), W - 1)
+                tap = tl.load(from_ + at[:, None], mask=real, other=0.0)
+                line += tap * _catmull_rom(f, i)
+                if (i % 3 != 0) and (j % 3 != 0):
+                    least, greatest = tl.minimum(least, tap), tl.maximum(greatest, tap)
+            result += line * _catmull_rom(g, j)
+        result = tl.minimum(tl.maximum(result, least), greatest)
     tl.store(out + channels + pixel[:, None], result, mask=real)
 
 
-def warp(image: Tensor, motion: Tensor, seen: Tensor | None = None, otherwise: Tensor | None = None) -> Tensor:
-    found = _look_up(image, motion, nearest=False)
+def warp(
+    image: Tensor, motion: Tensor, seen: Tensor | None = None, otherwise: Tensor | None = None, cubic: bool = False
+) -> Tensor:
+    found = _look_up(image, motion, "cubic" if cubic else "bilinear")
     return found if seen is None else torch.where(seen, found, otherwise)
 
 
 def fetch(image: Tensor, motion: Tensor) -> Tensor:
-    return _look_up(image, motion, nearest=True)
+    return _look_up(image, motion, "nearest")
 
 
-def _look_up(image: Tensor, motion: Tensor, nearest: bool) -> Tensor:
+def _look_up(image: Tensor, motion: Tensor, mode: str) -> Tensor:
     image, motion = image.contiguous(), motion.contiguous()
     out = torch.empty_like(image)
-    _warp[_grid(image)](image, motion, out, *image.shape[2:], **_channels(image), NEAREST=nearest)
+    _warp[_grid(image)](image, motion, out, *image.shape[2:], **_channels(image), MODE=mode)
     return out
 
 

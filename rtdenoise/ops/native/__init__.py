@@ -20,6 +20,8 @@ from .logits import apply_kernel as apply_kernel
 from .logits import blend_history as blend_history
 from .logits import shares as shares
 from .reproject import reproject as reproject
+from .warp import fetch as fetch
+from .warp import warp as warp
 
 OF_LOGITS = ("apply_kernel", "blend_history", "shares")  # whose last argument they are
 
@@ -50,24 +52,9 @@ def _constant(op: str, tensors: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     """Those of the arguments that the fused op has no gradient in."""
     if op == "apply_kernel":
         return ()
+    if op == "warp":
+        return tensors[1:]
     return tensors[-5:] if op == "reproject" else tensors  # motion and geometry come last
-
-
-def warp(image: Tensor, motion: Tensor, seen: Tensor | None = None, otherwise: Tensor | None = None) -> Tensor:
-    return _look_up("warp", image, motion, seen, otherwise)
-
-
-def fetch(image: Tensor, motion: Tensor) -> Tensor:
-    return _look_up("fetch", image, motion)
-
-
-def _look_up(name: str, *tensors: Tensor | None) -> Tensor:
-    """The first of the tensors is looked up."""
-    tensors = [t if t is None else t.contiguous() for t in tensors]
-    B, C, H, W = tensors[0].shape
-    out = torch.empty_like(tensors[0])
-    getattr(library("warp", C=C), name)(*map(pointer, (*tensors, out)), B, H, W, torch.get_num_threads())
-    return out
 
 
 def history_motion(motion: Tensor, next_before: Tensor, threshold: float) -> tuple[Tensor, Tensor, Tensor]:
