@@ -14,11 +14,12 @@ from rtdenoise.models import PRESETS, AccumulatedKPN, TemporalKPN, accumulated_k
 from rtdenoise.models import temporal_kpn as paper
 from rtdenoise.models.presets import architecture
 from rtdenoise.motion_splat import history_motion
+from rtdenoise.ops import apply_kernel
 from rtdenoise.sanitise import faults, sanitise
 
 SMALL = {
     "temporal_kpn": paper.Config(widths=(8, 8, 8, 8)),
-    "accumulated_kpn": accumulated_kpn.Config(widths=(8, 8, 8, 8), scales=4),
+    "accumulated_kpn": accumulated_kpn.Config(widths=(8, 8, 8, 8), scales=4, edge_kernel=3),
 }
 
 
@@ -287,10 +288,16 @@ def test_the_divisor_has_no_glaring_complement():
 
 
 def test_textures_pass_unfiltered():
-    """Even light on any albedo comes out as that albedo: the spatial filters do not blur what is divided out."""
+    """Even light on any albedo comes out as that albedo: the spatial filters do not blur what is divided out. The edge
+    kernel alone sees it."""
     model, frame = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False), make_frame()
     model.full_head.weight[:, -3], model.full_head.bias[-3] = 0.0, 50.0  # the current frame alone
     frame = replace(frame, radiance=0.7 * albedo_divisor(frame.albedo, frame.depth))
+    edge = torch.randn(9)
+    model.full_head.bias[-12:-3] = edge
+    smoothed = apply_kernel(frame.radiance, edge.reshape(1, 9, 1, 1).expand(1, 9, *frame.size))
+    torch.testing.assert_close(model.step(frame)[0], smoothed)
+    model.full_head.bias[-12:-3] = -50 * (torch.arange(9) != 4)
     torch.testing.assert_close(model.step(frame)[0], frame.radiance)
 
 

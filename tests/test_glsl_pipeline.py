@@ -28,7 +28,8 @@ from rtdenoise.models import PRESETS, accumulated_kpn
 from rtdenoise.plan import look
 from rtdenoise.sanitise import sanitise
 
-SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4))}  # preset of that architecture
+# By the preset of the same architecture.
+SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4), edge_kernel=3)}
 
 
 @pytest.fixture(autouse=True)

@@ -46,6 +46,18 @@ def test_new_channels_learn(small):
     assert (model.stem.weight.grad[16:].abs().amax((1, 2, 3)) > 0).all()
 
 
+def test_an_edge_kernel_is_added_and_begins_as_the_same_everywhere():
+    torch.manual_seed(0)
+    small = create(replace(PRESETS["fast"], edge_kernel=1)).eval().requires_grad_(False)
+    inputs = torch.rand(2, FEATURES, 48, 80)
+    before, after = small.predict(inputs), grow(small, WIDE).predict(inputs)
+    assert before.edge is None
+    for name in ("temporal", "alpha_temporal", "reset", "sharp"):
+        torch.testing.assert_close(getattr(after, name), getattr(before, name))
+    weights = after.edge.softmax(3)
+    assert (weights == weights[0, 0, 0, :, 0, 0][:, None, None]).all() and weights[:, :, :, 4].min() > 0.6
+
+
 def test_the_same_widths_are_a_copy(small):
     again = grow(small, small.config)
     assert all(torch.equal(a, b) for a, b in zip(again.parameters(), small.parameters(), strict=True))
@@ -55,8 +67,12 @@ NARROWER, DEEPER = (12, 24, 40, 50, 70), (*WIDE.widths, 80)
 
 
 @pytest.mark.parametrize(
-    "wanted", [PRESETS["paper"], PRESETS["default"], replace(WIDE, widths=NARROWER), replace(WIDE, widths=DEEPER)]
-)
+    "wanted",
+    [
+        PRESETS["paper"], PRESETS["default"], replace(WIDE, widths=NARROWER), replace(WIDE, widths=DEEPER),
+        replace(WIDE, edge_kernel=5),
+    ],
+)  # fmt: skip
 def test_what_does_not_fit_is_refused(small, wanted):
     with pytest.raises(ValueError, match="wider at any level"):
         grow(small, wanted)

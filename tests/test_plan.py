@@ -25,7 +25,10 @@ def denoiser():
     return TemporalKPN(TINY).eval().requires_grad_(False)
 
 
-@pytest.fixture(scope="module", params=[TINY, accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4)], ids=architecture)
+SMALL = [TINY, accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4, edge_kernel=3)]
+
+
+@pytest.fixture(scope="module", params=SMALL, ids=architecture)
 def either(request):
     """Of each architecture, one that runs in no time."""
     torch.manual_seed(0)

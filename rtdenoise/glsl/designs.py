@@ -26,6 +26,14 @@ class Design:
     motion: str  # 'dual' or 'traditional'
     pool: str = "mean"  # D of eq. 4
     longest: float = math.nan  # frames after which the running mean forgets
+    edge_kernel: int = 1  # 1: there is none
+
+    @property
+    def full_rows(self) -> list[int]:
+        """Of what is predicted at full size: the spatial, the temporal and the edge kernel, α of time, and where there
+        is a running mean reset and sharp."""
+        edge = self.edge_kernel**2 if self.edge_kernel > 1 else 0
+        return [self.kernel**2, self.temporal_kernel**2, edge, *([1, 1, 1] if self.accumulates else [1])]
 
     @property
     def accumulates(self) -> bool:
@@ -49,13 +57,16 @@ def design(architecture: str, config: Mapping) -> Design:
         if config["pool"] not in ("mean", "max"):
             raise ValueError(f"expected pool 'mean' or 'max', got {config['pool']!r}")
         return Design(architecture, widths, 3, kernel, kernel, motion, config["pool"])
-    scales, temporal_kernel = config["scales"], config["temporal_kernel"]
-    return Design(architecture, widths, scales, kernel, temporal_kernel, motion, longest=config["longest"])
+    scales, temporal_kernel, edge_kernel = config["scales"], config["temporal_kernel"], config.get("edge_kernel", 1)
+    return Design(
+        architecture, widths, scales, kernel, temporal_kernel, motion, longest=config["longest"],
+        edge_kernel=edge_kernel,
+    )  # fmt: skip
 
 
 def expected_shapes(d: Design) -> dict[str, tuple[int, ...]]:
     """Name -> shape of every tensor of the model's state dict."""
-    taps, full = d.kernel**2, d.kernel**2 + d.temporal_kernel**2 + (3 if d.accumulates else 1)
+    taps, full = d.kernel**2, sum(d.full_rows)
     inputs = d.widths[0] if d.accumulates else d.features
     shapes: dict[str, tuple[int, ...]] = {}
     pairs = {f"encoder.{i}": (a, b) for i, (a, b) in enumerate(zip((inputs, *d.widths), d.widths, strict=False))}
@@ -73,8 +84,7 @@ def expected_shapes(d: Design) -> dict[str, tuple[int, ...]]:
 
 
 def full_head(d: Design, tensors: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Weights [cells, rows, inputs] and biases of what is predicted at full size: rows K² spatial, L² temporal, α of
-    time, and where there is a running mean reset and sharp."""
+    """Weights [cells, rows, inputs] and biases of what is predicted at full size: `Design.full_rows`."""
     if d.accumulates:  # a 2×2 transposed convolution with stride 2: [inputs, rows, 2, 2]
         cells = tensors["full_head.weight"].transpose(2, 3, 1, 0).reshape(4, -1, d.widths[0])
         return cells, tensors["full_head.bias"]

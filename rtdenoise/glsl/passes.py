@@ -93,7 +93,8 @@ class Passes:
         past = self._image("past", (H, W))
         before = [light, light] if history is None else [chosen, history.denoised]
         buffers = [before[0], light, guide, before[1], past]
-        dispatch("frame/warp", buffers, (W, H), {"size": (W, H)}, HISTORY=int(history is not None), DUAL=int(dual))
+        constants = {"HISTORY": int(history is not None), "DUAL": int(dual), "CUBIC": int(self._design.accumulates)}
+        dispatch("frame/warp", buffers, (W, H), {"size": (W, H)}, **constants)
         return past
 
     def reproject(
@@ -192,10 +193,14 @@ class Passes:
         return coarse
 
     def texture(self, features: GpuArray, composed: GpuArray, guide: GpuArray, mean_albedo: GpuArray) -> GpuArray:
-        """The filtered light with its texture."""
-        now = self._image("now", composed.shape[:2])
+        """The filtered light with its texture, and its edges smoothed."""
+        now, edge = self._image("now", composed.shape[:2]), self._design.edge_kernel
         self._head("accumulated_kpn/texture", self._sharp, features, [composed, guide, mean_albedo, now], {})
-        return now
+        if edge == 1:
+            return now
+        smooth = self._image("smooth", composed.shape[:2])
+        self._head("frame/filter", self._edge, features, [now, smooth], {}, KERNEL=edge)
+        return smooth
 
     def blend(self, features: GpuArray, past: GpuArray, now: GpuArray) -> tuple[GpuArray, GpuArray]:
         """The denoised image [3, H, W], and what history keeps of it."""
@@ -217,16 +222,18 @@ class Passes:
 
     def _set_heads(self, tensors: Mapping[str, np.ndarray]) -> None:
         """Split what the network predicts by the pass that needs it."""
-        d, taps, temporal = self._design, self._design.kernel**2, self._design.temporal_kernel**2
-        weight, bias = full_head(d, tensors)
-        unused = np.zeros_like(weight[:, :1]), np.zeros_like(bias[:1])  # the finest scale has no α
-        spatial = np.concatenate([weight[:, :taps], unused[0]], 1), np.concatenate([bias[:taps], unused[1]])
-        last = taps + temporal + 1
-        self._spatial = [head_layer(self._ctx, *spatial)]
-        self._temporal = head_layer(self._ctx, weight[:, taps:last], bias[taps:last])
+        d, (weight, bias) = self._design, full_head(self._design, tensors)
+        ends = np.cumsum(d.full_rows)[:-1]
+        spatial, temporal, edge, alpha, *shares = zip(np.split(weight, ends, 1), np.split(bias, ends), strict=True)
+        unused = np.zeros_like(weight[:, :1]), np.zeros_like(bias[:1])  # neither has an α
+
+        def head(kernel: tuple[np.ndarray, np.ndarray], last: tuple[np.ndarray, np.ndarray]) -> Layer:
+            return head_layer(self._ctx, np.concatenate([kernel[0], last[0]], 1), np.concatenate([kernel[1], last[1]]))
+
+        self._spatial, self._temporal = [head(spatial, unused)], head(temporal, alpha)
         if d.accumulates:
-            self._reset = head_layer(self._ctx, weight[:, last : last + 1], bias[last : last + 1])
-            self._sharp = head_layer(self._ctx, weight[:, last + 1 :], bias[last + 1 :])
+            self._edge = head(edge, unused)
+            self._reset, self._sharp = (head_layer(self._ctx, *share) for share in shares)
         first = 0 if d.accumulates else 1
         for i in range(first, first + d.scales - 1):
             self._spatial.append(

@@ -44,6 +44,8 @@ class Config:
     """Side of the spatial kernels, odd."""
     temporal_kernel: int = 3
     """Side of the temporal kernel, odd."""
+    edge_kernel: int = 1
+    """Side of the kernel that smooths edges, odd; 1: there is none."""
     longest: float = 16.0
     """Frames after which the running mean forgets: its least weight of a new frame is 1 / longest."""
     motion: str = "dual"
@@ -53,13 +55,19 @@ class Config:
         object.__setattr__(self, "widths", tuple(self.widths))
         if not 2 <= self.scales <= len(self.widths):
             raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
-        for size in (self.kernel, self.temporal_kernel):
+        for size in (self.kernel, self.temporal_kernel, self.edge_kernel):
             if size % 2 == 0 or size < 1:
                 raise ValueError(f"expected odd kernel sizes, got {size}")
         if self.longest < 2:
             raise ValueError(f"expected a longest mean of 2 frames or more, got {self.longest}")
         if self.motion not in ("dual", "traditional"):
             raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
+
+    @property
+    def full_head(self) -> list[int]:
+        """Outputs of the head at full size: logits of spatial, temporal and edge kernel, and three shares."""
+        edge = self.edge_kernel**2 if self.edge_kernel > 1 else 0
+        return [self.kernel**2, self.temporal_kernel**2, edge, 3]
 
 
 @dataclass(frozen=True)
@@ -81,6 +89,7 @@ class Heads:
     spatial: list[Tensor]  # `scales` × [B, K², H/2^s, W/2^s] logits of the spatial kernels, the first by cells
     alpha: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1], for s = 1 ...: weight of the coarser scale
     temporal: Tensor  # [B, 2, 2, L², H/2, W/2] logits of the temporal kernel, by cells (`apply_kernel`)
+    edge: Tensor | None  # [B, 2, 2, E², H/2, W/2] logits of the edge kernel, by cells; None: there is none
     alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
     reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean of light is given up for the current frame
     sharp: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current albedo against its running mean
@@ -94,8 +103,8 @@ class AccumulatedKPN(nn.Module):
         self.config = config
         self.stem = ConvRelu(FEATURES, config.widths[0], 4, stride=2, padding=1)
         self.unet = UNet(config.widths[0], config.widths)
-        taps, full = config.kernel**2, config.kernel**2 + config.temporal_kernel**2 + 3
-        outputs = [taps + 1] * (config.scales - 1)
+        outputs = [config.kernel**2 + 1] * (config.scales - 1)
+        full = sum(config.full_head)
         self.full_head = nn.ConvTranspose2d(config.widths[0], full, 2, stride=2)  # of the four pixels in each cell
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(config.widths, outputs, strict=False))
         for module in self.modules():
@@ -104,6 +113,7 @@ class AccumulatedKPN(nn.Module):
                 nn.init.zeros_(module.bias)
         with torch.no_grad():
             self.full_head.bias[-2] = -4.0  # start from a plain running mean: reset near 0
+            start_edges(self.full_head, config)
 
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -136,8 +146,11 @@ class AccumulatedKPN(nn.Module):
             output = compose(fine, output, alpha)
 
         # Give the texture back. Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for
-        # what has just changed. Then blend with the previous output, which averages edges as well.
+        # what has just changed. At an edge the one sample saw one side only: neighbours have seen the other. Then blend
+        # with the previous output, which averages edges as well.
         output = modulate(output, frame.albedo, mean_albedo, heads.sharp, frame.depth)
+        if heads.edge is not None:
+            output = apply_kernel(output, heads.edge)
         output = blend_history(output, past.output, past.on_screen, heads.temporal, heads.alpha_temporal)
         return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
 
@@ -152,7 +165,7 @@ class AccumulatedKPN(nn.Module):
         kept = history.mean, history.mean_albedo, history.length
         here, before = (frame.depth, frame.normal), (history.depth, history.normal)
         light, albedo, length = reproject(kept, motion, here, before)[0].split([3, 3, 1], dim=1)
-        output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance)
+        output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
         return Past(light, albedo, length, output, seen, uncovered)
 
     def features(
@@ -176,21 +189,23 @@ class AccumulatedKPN(nn.Module):
     def predict(self, features: Tensor) -> Heads:
         """Run the network at half size. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""
         H, W = features.shape[2:]
-        taps, side = self.config.kernel**2, self.config.temporal_kernel
         x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
-        spatial, temporal, each = self._full_head(levels[0], [taps, side**2, 3])
+        spatial, temporal, edge, each = self._full_head(levels[0], self.config.full_head)
         coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
-        kernels, alphas = zip(*(x.split([taps, 1], dim=1) for x in coarser), strict=True)
+        kernels, alphas = zip(*(x.split([self.config.kernel**2, 1], dim=1) for x in coarser), strict=True)
         alphas = [a.float().sigmoid() for a in alphas]
-        return Heads([spatial, *kernels], alphas, temporal, *shares(each, (H, W)).split(1, dim=1))
+        return Heads([spatial, *kernels], alphas, temporal, edge, *shares(each, (H, W)).split(1, dim=1))
 
-    def _full_head(self, x: Tensor, sizes: list[int]) -> list[Tensor]:
+    def _full_head(self, x: Tensor, sizes: list[int]) -> list[Tensor | None]:
         """The outputs of `full_head` by cells, `[B, 2, 2, size, H/2, W/2]` for each of `sizes`, so that what is used
-        together lies together: a transposed convolution whose stride is its size is one of 1×1 for each pixel."""
+        together lies together: a transposed convolution whose stride is its size is one of 1×1 for each pixel. None for
+        a size of 0."""
 
-        def part(weight: Tensor, bias: Tensor) -> Tensor:
+        def part(weight: Tensor, bias: Tensor) -> Tensor | None:
             C, size = weight.shape[:2]
+            if size == 0:
+                return None
             weight = weight.permute(2, 3, 1, 0).reshape(4 * size, C, 1, 1)
             return F.conv2d(x, weight, bias.repeat(4)).unflatten(1, (2, 2, size))
 
@@ -210,3 +225,13 @@ class AccumulatedKPN(nn.Module):
         # Joined from slices: a list of indices would be copied to the GPU, which a CUDA graph does not allow.
         weight = as_weights(torch.cat([self.stem.weight[:, part] for part in FIRST], dim=1), self)
         return F.relu(F.conv2d(x, weight, self.stem.bias, stride=2, padding=1))[:, :, : H // 2, : W // 2]
+
+
+def start_edges(head: nn.ConvTranspose2d, config: Config) -> None:
+    """Let the edge kernel begin as the same everywhere: a Gaussian of about half a pixel."""
+    spatial, temporal, edge, _ = config.full_head
+    if edge:
+        first = spatial + temporal
+        head.weight[:, first : first + edge] = 0
+        head.bias[first : first + edge] = 0
+        head.bias[first + edge // 2] = 3.0

@@ -14,9 +14,9 @@ ARCHITECTURES = {"temporal_kpn": temporal_kpn, "accumulated_kpn": accumulated_kp
 
 PRESETS: dict[str, Config] = {
     "paper": temporal_kpn.Config(),
-    "fast": accumulated_kpn.Config(widths=(16, 24, 32, 48, 64), kernel=3),
-    "default": accumulated_kpn.Config(widths=(32, 56, 72, 88, 104)),
-    "quality": accumulated_kpn.Config(widths=(64, 72, 72, 88, 104)),
+    "fast": accumulated_kpn.Config(widths=(16, 24, 32, 48, 64), kernel=3, edge_kernel=3),
+    "default": accumulated_kpn.Config(widths=(32, 56, 72, 88, 104), edge_kernel=3),
+    "quality": accumulated_kpn.Config(widths=(64, 72, 72, 88, 104), edge_kernel=3),
 }
 
 
