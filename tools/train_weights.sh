@@ -42,8 +42,7 @@ clips mixed $wide --clips 12 --seed 7000 --reference-error 0.02 $files $two
 clips scenes $wide --clips 80 --seed 9000 $noisy $files
 clips sun $wide --clips 240 --seed 21000 $noisy --sun 1
 clips sun3 --preset train --clips 120 --seed 31000 $noisy --sun 0.6
-[ "$model" != quality ] ||
-    clips wide3 --preset train --clips 189 --seed 41000 $noisy --sun 0.5 $files
+clips wide3 --preset train --clips 189 --seed 41000 $noisy --sun 0.5 $files
 
 # --- the weights ------------------------------------------------------------------------------------------------------
 
@@ -65,7 +64,8 @@ if [ "$model" = fast ]; then
     preset=fast
     train single $first --frames 1 --batch 16 --steps 1200 --lr 8e-4 --no-occlusion-loss
     train clips $first $(after single) --frames 6 --steps 1200 --lr 6e-4 --cuts 0.4 --validate-every 300
-    train last $first data/sun-clean $(after clips) --frames 6 --steps 900 --lr 4e-4 --cuts 0.4 --validate-every 450
+    train sun $first data/sun-clean $(after clips) --frames 6 --steps 900 --lr 4e-4 --cuts 0.4 --validate-every 450
+    train last $all $(after sun) --frames 6 --steps 2000 --lr 6e-4 --cuts 0.5 --relight 0.05 --validate-every 500
 else
     preset=default
     train single $first --frames 1 --batch 16 --steps 1500 --lr 5e-4 --no-occlusion-loss
