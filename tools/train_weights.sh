@@ -70,12 +70,15 @@ else
     preset=default
     train single $first --frames 1 --batch 16 --steps 1500 --lr 5e-4 --no-occlusion-loss
     train clips $first $(after single) --steps 4800 --lr 4e-4 --cuts 0.5 --validate-every 400
-    train last $sunny $(after clips) --steps 6000 --lr 4e-4 --cuts 0.5 --validate-every 800
+    train sun $sunny $(after clips) --steps 6000 --lr 4e-4 --cuts 0.5 --validate-every 800
+    train edges $all $(after sun) --steps 2400 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 400
+    train last $sunny $(after edges) --steps 1000 --lr 3e-4 --cuts 0.5 --validate-every 500
 fi
 if [ "$model" = quality ]; then # grows from default
     start=$(after last) preset=quality
     train relit $all $start --steps 3200 --lr 4e-4 --cuts 0.5 --relight 0.33 --validate-every 800
     train less $all $(after relit) --steps 950 --lr 3e-4 --cuts 0.5 --relight 0.1 --validate-every 950
-    train last $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900
+    train little $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900
+    train last $all $(after little) --steps 1300 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 650
 fi
 run python tools/ship_weights.py "runs/$model-last/weights.safetensors" "$model"
