@@ -22,7 +22,8 @@ PREDICTION, KERNELS, BLENDING, REPROJECTION = STAGES
 STAGE_OF = {"features": PREDICTION, "network": PREDICTION, "kernels": KERNELS, "blend": BLENDING,
             "reprojection": REPROJECTION}  # fmt: skip
 """Stage of the pipeline -> of the paper. The last layer of the network counts as kernel application, which it is part
-of: logits are computed where they are used."""
+of: logits are computed where they are used. The edge kernel counts as blending here, with whose passes it runs, and as
+kernel application in torch's rows."""
 
 
 class Shaders:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from synthetic import TINY, make_frames, write_sequence
 
@@ -48,7 +49,9 @@ def weights(tmp_path_factory):
             torch.manual_seed(1)
             denoiser = models.create(config)
             for name, parameter in denoiser.named_parameters():
-                if "head" in name:
+                if name.startswith("full_head"):
+                    parameter.data.normal_()  # an edge kernel is the same everywhere until it is trained
+                elif "head" in name:
                     parameter.data.mul_(3)
             written[config] = folder / f"{len(written)}.safetensors"
             models.save(denoiser, written[config])
@@ -82,6 +85,18 @@ def test_twelve_frames_are_those_of_torch(weights, assert_images_close, model):
     model = model if model == "paper" else weights(model)  # shipped weights, or random ones
     frames = make_frames(12, H=37, W=41)
     expected, found, _, _ = both(model, frames)
+    assert_images_close(found, expected, "frame")
+
+
+def test_weights_from_before_there_were_edge_kernels(weights, assert_images_close, tmp_path):
+    """They have no such key in their configuration."""
+    with safe_open(weights(replace(SMALL["default"], edge_kernel=1)), framework="np") as file:
+        metadata = file.metadata()
+        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+    config = json.loads(metadata["config"])
+    del config["edge_kernel"]
+    save_file(tensors, tmp_path / "old.safetensors", metadata | {"config": json.dumps(config)})
+    expected, found, _, _ = both(str(tmp_path / "old.safetensors"), make_frames(3, H=24, W=40))
     assert_images_close(found, expected, "frame")
 
 

@@ -161,6 +161,18 @@ def test_reprojection_gradients(both, assert_images_close, op, size):
         assert_images_close(fused, plain, "float32 gradients")
 
 
+def test_pixels_that_hold_a_cubic_lookup_share_its_gradient(both, assert_images_close):
+    """Black and lit pixels side by side: what would overshoot is held by several that are equal."""
+    grad = torch.nn.functional.pad(torch.randn(2, 3, 15, 18), (1, 2, 1, 2))  # between pixels of the screen everywhere
+
+    def gradient(image):
+        image = image.requires_grad_()
+        return torch.autograd.grad(cubic(image, torch.full((2, 2, 18, 21), 0.37)), image, grad)[0]
+
+    plain, fused = both(gradient, torch.randint(0, 3, (2, 3, 18, 21)).float())
+    assert_images_close(fused, plain, "float32 gradients")
+
+
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
 def test_tested_reprojection_of_several(both, size):
     """Several images are looked up as the one that they make together, whatever their layout."""
@@ -346,7 +358,8 @@ strides = dict(batch="i64", stride="i64", cell_row="i64", row="i64", cell="i32",
 C = dict(C=3, CP=4, BLOCK=128)
 build(ops._forward, dict(K=3, KEEP=True, **C), logits="*bf16", **sizes, **strides)
 build(ops._backward, dict(K=3, **C), **sizes, **strides)
-build(ops._warp, dict(MODE="cubic", **C), **sizes)
+for mode in ("nearest", "bilinear", "cubic"):
+    build(ops._warp, dict(MODE=mode, **C), **sizes)
 build(ops._compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
 build(ops._reproject, dict(C=7, CP=8, BLOCK=128), valid="*u8", depth_tolerance="fp32", normal_tolerance="fp32",
       least="fp32", **sizes)

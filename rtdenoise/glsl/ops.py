@@ -62,8 +62,8 @@ def apply_kernel(
 def warp(
     image: Array,  # [B, C, H, W]
     motion: Array,  # [B, 2, H, W] (x, y) in pixels
-    cubic: bool = False,
     out: GpuArray | None = None,  # [B, C, H, W]
+    cubic: bool = False,
 ) -> Array:  # [B, C, H, W]
     """Reprojection, `out(p) = image(p + motion(p))`, bilinear or cubic (Catmull-Rom, which blurs less and overshoots
     nowhere); targets off the screen take the nearest border pixel."""

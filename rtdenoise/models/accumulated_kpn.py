@@ -2,9 +2,9 @@
 
 What it keeps of `temporal_kpn` (the paper): dual motion vectors, per-pixel kernels at several scales composed from
 coarse to fine, a temporal kernel, one explicit step. What it changes: textures are divided out before anything is
-filtered and given back before the previous output is blended in; noisy light is averaged along tested reprojections
-before it is filtered, as far as the network trusts it; the network runs at half size; and five scales reach far enough
-for light as sparse as one sample a pixel leaves it.
+filtered and given back before a small kernel smooths edges and the previous output, looked up cubically, is blended in;
+noisy light is averaged along tested reprojections before it is filtered, as far as the network trusts it; the network
+runs at half size; and five scales reach far enough for light as sparse as one sample a pixel leaves it.
 Read `AccumulatedKPN.step` first.
 """
 
@@ -228,7 +228,7 @@ class AccumulatedKPN(nn.Module):
 
 
 def start_edges(head: nn.ConvTranspose2d, config: Config) -> None:
-    """Let the edge kernel begin as the same everywhere: a Gaussian of about half a pixel."""
+    """Let the edge kernel begin as the same everywhere: 0.71 of it on the pixel itself, the rest spread evenly."""
     spatial, temporal, edge, _ = config.full_head
     if edge:
         first = spatial + temporal

@@ -16,7 +16,8 @@ from .accumulated_kpn import AccumulatedKPN, Config
 
 
 def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
-    """A network of the configuration `wanted` with the outputs of `small`, up to rounding.
+    """A network of the configuration `wanted` with the outputs of `small`, up to rounding; a new edge kernel smooths
+    them a little.
 
     `small` is as `read` gives it: `load` rounds weights to run them.
 
@@ -24,7 +25,7 @@ def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
     narrower somewhere.
     """
     if not _fits(small.config, wanted):
-        raise ValueError(f"expected {small.config}, or wider at any level, got {wanted}")
+        raise ValueError(f"expected {small.config}, or wider at any level, or with a new edge kernel, got {wanted}")
     was = small.config.widths
     large = AccumulatedKPN(wanted)
     below = {f"unet.decoder.{level}.0": w for level, w in enumerate(zip(was[1:], wanted.widths[1:], strict=True))}

@@ -1,8 +1,9 @@
 #version 430
-// One scale of the spatial filter: predict the kernel of every pixel, and apply it.
+// One scale of the spatial filter, or the edge kernel: predict the kernel of every pixel, and apply it.
 //
 // takes    features, weights, biases: the head of this scale, KERNEL² logits and the logit of α · image [H, W] rgb
-// returns  filtered [H, W] rgb, and α in [0, 1]: how far this scale replaces the low frequencies of the finer one
+// returns  filtered [H, W] rgb, and α in [0, 1]: how far this scale replaces the low frequencies of the finer one; of the
+//          finest scale and of the edge kernel nobody reads it
 #pragma constants KERNEL
 #define PARAMETERS PARAMETER(ivec2, feature_size) PARAMETER(int, groups)
 #include "image.glsl"

@@ -1,7 +1,7 @@
 #version 430
 // The previous output, where it was; where that is off the screen, and in a first frame (HISTORY 0), the noise.
 //
-// DUAL 0: traditional motion everywhere, `chosen` is vectors, and nothing has been uncovered.
+// CUBIC: Catmull-Rom, else bilinear. DUAL 0: traditional motion everywhere, `chosen` is vectors, and nothing has been uncovered.
 //
 // takes    chosen [H, W] motion, uncovered · light, guide [H, W] · denoised_before [H, W]
 // returns  past [H, W] rgb, ON_SCREEN and UNCOVERED

@@ -80,7 +80,8 @@ void warp(const float *image, const float *motion, const uint8_t *seen, const fl
     }
 }
 
-// The way back: grad is added to grad_image where each tap came from; where it was held, to the pixel that held it.
+// The way back: grad is added to grad_image where each tap came from; where it was held, to the pixels that held it, in
+// equal parts.
 void warp_backward(float *grad_image, const float *image, const float *motion, const float *grad, int B, int H, int W,
                    int threads) {
     int64_t plane = (int64_t)H * W;
@@ -95,11 +96,9 @@ void warp_backward(float *grad_image, const float *image, const float *motion, c
             Around a = around(from, x, y, W);
             if (found < a.least || found > a.greatest) {
                 float held = found < a.least ? a.least : a.greatest;
-                for (int k = 0; k < 4; k++)
-                    if (from[a.at[k]] == held) {
-                        to[a.at[k]] += g[p];
-                        break;
-                    }
+                int holding = 0;
+                for (int k = 0; k < 4; k++) holding += from[a.at[k]] == held;
+                for (int k = 0; k < 4; k++) to[a.at[k]] += from[a.at[k]] == held ? g[p] / holding : 0;
                 continue;
             }
 #endif
