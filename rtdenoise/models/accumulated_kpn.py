@@ -113,7 +113,7 @@ class AccumulatedKPN(nn.Module):
                 nn.init.zeros_(module.bias)
         with torch.no_grad():
             self.full_head.bias[-2] = -4.0  # start from a plain running mean: reset near 0
-            start_edges(self.full_head, config)
+            _start_edges(self.full_head, config)
 
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -227,7 +227,7 @@ class AccumulatedKPN(nn.Module):
         return F.relu(F.conv2d(x, weight, self.stem.bias, stride=2, padding=1))[:, :, : H // 2, : W // 2]
 
 
-def start_edges(head: nn.ConvTranspose2d, config: Config) -> None:
+def _start_edges(head: nn.ConvTranspose2d, config: Config) -> None:
     """Let the edge kernel begin as the same everywhere: 0.71 of it on the pixel itself, the rest spread evenly."""
     spatial, temporal, edge, _ = config.full_head
     if edge:
