@@ -126,6 +126,15 @@ def test_cubic_warp_is_exact_for_parabolas_and_overshoots_nowhere():
     assert (again - there).abs().mean() < 0.6 * (blurred - there).abs().mean()
 
 
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16])
+def test_warp_keeps_the_dtype_of_the_image(dtype):
+    image, motion = torch.rand(1, 3, 6, 5), torch.randn(1, 2, 6, 5)
+    for cubic in (False, True):
+        out = warp(image.to(dtype), motion, cubic=cubic)
+        assert out.dtype == dtype
+        torch.testing.assert_close(out.float(), warp(image, motion, cubic=cubic), atol=0.02, rtol=0)
+
+
 def test_warp_gradients():
     image = torch.randn(1, 2, 4, 5, dtype=torch.float64, requires_grad=True)
     motion = (torch.randint(-3, 3, (1, 2, 4, 5)) + 0.1 + 0.8 * torch.rand(1, 2, 4, 5)).double().requires_grad_()

@@ -42,7 +42,7 @@ def warp(
         return run(image, motion, *choice, cubic=cubic)
     B, C, H, W = image.shape
     u, v = _targets(motion, H, W)
-    columns, rows = _taps(u, W, cubic), _taps(v, H, cubic)
+    columns, rows = _taps(u, W, cubic, image.dtype), _taps(v, H, cubic, image.dtype)
     flat = image.reshape(B, C, H * W)
 
     def at(y: Tensor, x: Tensor) -> Tensor:
@@ -58,7 +58,7 @@ def warp(
     return found if seen is None else torch.where(seen, found, otherwise)
 
 
-def _taps(u: Tensor, n: int, cubic: bool) -> list[tuple[Tensor, Tensor]]:
+def _taps(u: Tensor, n: int, cubic: bool, dtype: torch.dtype) -> list[tuple[Tensor, Tensor]]:
     """Along one axis, of n pixels: which are looked up `[B, H, W]` for targets u, and their weights `[B, 1, H, W]`."""
     first = u.floor()
     f = u - first
@@ -71,7 +71,7 @@ def _taps(u: Tensor, n: int, cubic: bool) -> list[tuple[Tensor, Tensor]]:
         weights = (1 - f, f)
     before = 1 if cubic else 0
     places = ((first.long() + i - before).clamp(0, n - 1) for i in range(len(weights)))
-    return [(place, weight.unsqueeze(1)) for place, weight in zip(places, weights, strict=True)]
+    return [(place, weight.unsqueeze(1).to(dtype)) for place, weight in zip(places, weights, strict=True)]
 
 
 def fetch(
