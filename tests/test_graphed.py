@@ -371,6 +371,9 @@ def test_no_step_waits_for_the_gpu_or_copies_from_the_host(name):
 def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeypatch):
     """The Python around Triton's kernels, which are not launched."""
     module, launched = importlib.import_module("rtdenoise.ops.triton"), set()
+    files = {
+        "apply_kernel": ("_forward",), "look_up": ("_warp", "_reproject"), "pyramid": ("_downsample", "_compose"),
+    }  # fmt: skip
 
     class Kernel:
         def __init__(self, name):
@@ -379,8 +382,9 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeyp
         def __getitem__(self, grid):
             return lambda *arguments, **named: launched.add(self.name)
 
-    for name in ("_forward", "_warp", "_reproject", "_downsample", "_compose"):
-        monkeypatch.setattr(module, name, Kernel(name))
+    for file, names in files.items():
+        for name in names:
+            monkeypatch.setattr(importlib.import_module(f"rtdenoise.ops.triton.{file}"), name, Kernel(name))
     monkeypatch.setattr(path, "implementation", lambda _: (module, None))
     model = denoiser.to("meta")
     with capturable(), ops.use("auto"):

@@ -344,7 +344,9 @@ def test_the_triton_kernels_compile_for_a_gpu():
 import torch, triton, triton.language as tl
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
-from rtdenoise.ops import triton as ops
+from rtdenoise.ops.triton.apply_kernel import _backward, _forward
+from rtdenoise.ops.triton.look_up import _reproject, _warp
+from rtdenoise.ops.triton.pyramid import _compose, _downsample
 
 def build(kernel, constants, **types):
     names = kernel.arg_names
@@ -356,12 +358,13 @@ def build(kernel, constants, **types):
 sizes = dict(H="i32", W="i32")
 strides = dict(batch="i64", stride="i64", cell_row="i64", row="i64", cell="i32", step="i32")
 C = dict(C=3, CP=4, BLOCK=128)
-build(ops._forward, dict(K=3, KEEP=True, **C), logits="*bf16", **sizes, **strides)
-build(ops._backward, dict(K=3, **C), **sizes, **strides)
+build(_forward, dict(K=3, KEEP=True, **C), logits="*bf16", **sizes, **strides)
+build(_backward, dict(K=3, **C), **sizes, **strides)
 for mode in ("nearest", "bilinear", "cubic"):
-    build(ops._warp, dict(MODE=mode, **C), **sizes)
-build(ops._compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
-build(ops._reproject, dict(C=7, CP=8, BLOCK=128), valid="*u8", depth_tolerance="fp32", normal_tolerance="fp32",
+    build(_warp, dict(MODE=mode, **C), **sizes)
+build(_downsample, dict(MAXIMUM=False, BLOCK=128), **sizes)
+build(_compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
+build(_reproject, dict(C=7, CP=8, BLOCK=128), valid="*u8", depth_tolerance="fp32", normal_tolerance="fp32",
       least="fp32", **sizes)
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
