@@ -12,7 +12,8 @@ from .errors import InputError
 from .progress import progress_bar
 from .train_config import TrainConfig
 
-OF_SETS = {"scenes", "motions", "exclude", "generator", "sun", "reference_error", "shard"}  # with --preset train
+# Options that go with --preset train.
+OF_SETS = {"scenes", "motions", "exclude", "generator", "sun", "calm", "reference_error", "shard"}
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,9 @@ class Render:
     """With --preset train: version of the generator; 2 is that of the shipped weights' older sets."""
     sun: float = 0.0
     """With --preset train: share of the generated scenes that a sun shines on, with sharp shadows (0 to 1)."""
+    calm: float = 0.0
+    """With --preset train: share of the scenes in which nothing but the camera moves, slowly where they are generated
+    (0 to 1)."""
     textures: Path | None = None
     """With --preset train or wide:SEED: folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""
     reference_error: float = 0.01
@@ -70,8 +74,9 @@ class Render:
                 raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
         if self.clips and self.reference_spp == 0:
             raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
-        if not 0 <= self.sun <= 1:
-            raise InputError(f"--sun: expected a share from 0 to 1, got {self.sun}")
+        for name in ("sun", "calm"):
+            if not 0 <= (share := getattr(self, name)) <= 1:
+                raise InputError(f"--{name}: expected a share from 0 to 1, got {share}")
         if not self.reference_error > 0:
             raise InputError(f"--reference-error: expected more than 0, got {self.reference_error}")
         self._refuse_what_would_be_left_aside()
@@ -119,7 +124,7 @@ class Render:
             self.clips or 300, size, self.frames or 10, self.seed, self.spp, self.reference_error,
             max_depth=self.max_depth, workers=self.workers, shard=parse_shard(self.shard),
             scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
-            generator=self.generator, sun=self.sun, textures=str(self.textures or ""),
+            generator=self.generator, sun=self.sun, calm=self.calm, textures=str(self.textures or ""),
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)

@@ -177,6 +177,30 @@ def test_the_wide_generator_repeats_and_leaves_the_first_alone():
         assert np.array_equal(scene.camera(0).to_world, scene.camera(9).to_world)
 
 
+def test_in_calm_scenes_only_the_camera_moves_and_slowly():
+    for seed in range(12):
+        scene = procedural_wide.procedural(seed, calm=True)
+        assert scene.facts["kind"] == "calm"
+        assert not [o.name for o in scene.objects if o.motion and o.name != "leaves"]  # which stir
+        a, b = (scene.camera(t).to_world for t in (9, 10))
+        assert 0 < np.abs(a - b).max() < 0.1
+    path = CameraPath((0, 1, 0), (0, 1, -3), start=5, velocity=(0.1, 0, 0.2), orbit=3.0, pan=-2.0)
+    np.testing.assert_allclose(path.slowed(0.25)(9).to_world, path(6).to_world, atol=1e-12)
+
+
+def test_in_a_calm_set_nothing_moves_but_cameras(tmp_path, room):
+    crate = script(room, '[[object]]\nshapes = ["crate_wood"]\nvelocity = [0.1, 0, 0]')
+    options = replace(TINY, count=24, frames=2, calm=1.0, scenes=((str(room), str(crate)),))
+    card = render_set(tmp_path / "calm", options, lambda *_: None)
+    assert set(card["kinds"]) == {"calm", "calm scene file"}
+    for index in range(options.count):
+        facts = read_facts(clip_path(tmp_path / "calm", index))
+        if facts["kind"] == "calm scene file":  # this room's camera stands still
+            assert facts["motion"] == facts["uncovered"] == 0
+    with pytest.raises(InputError, match=r"was rendered with calm = 1.0, not 0.5"):
+        render_set(tmp_path / "calm", replace(options, calm=0.5), lambda *_: None)
+
+
 def test_what_happens_does_not_decide_where():
     """In version 2 one number drew both."""
     found = {}
@@ -415,6 +439,7 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
         ("--scenes x", "--scenes: goes with --preset train"),
         ("--clips 2 --sun 1", "--sun: goes with --preset train"),
         ("--preset train --sun 1.5", "--sun: expected a share from 0 to 1, got 1.5"),
+        ("--preset train --calm -1", "--calm: expected a share from 0 to 1, got -1.0"),
         ("--preset train --reference-spp 9", "takes --reference-error, not --reference-spp"),
         ("--preset train --reference-error 0", "--reference-error: expected more than 0, got 0"),
         ("room/scene.xml --clips 2", "scene: is for one sequence"),

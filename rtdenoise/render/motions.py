@@ -131,6 +131,13 @@ class CameraPath:
     seed: int = 0  # of the shake's phases
     keys: Keyframes | None = None  # (origin, target) in six numbers, instead of `origin` and `target`
 
+    def slowed(self, factor: float) -> CameraPath:
+        """The same path at `factor` times the speed; of keys that stays."""
+        velocity = tuple(factor * v for v in self.velocity)
+        return replace(
+            self, velocity=velocity, orbit=factor * self.orbit, pan=factor * self.pan, shake=factor * self.shake
+        )
+
     def __call__(self, t: float) -> Camera:
         """The camera at frame t. Raises InputError where keys end."""
         origin, target = self.keys(t).reshape(2, 3) if self.keys else (np.array(self.origin), np.array(self.target))

@@ -14,7 +14,8 @@ thin leaves, heaps of small things, more metal and glass; and it draws clips of 
 | camera        | only the camera moves                                                      | 0.06  |
 | static        | nothing moves                                                              | 0.04  |
 
-In the kinds with moving objects the camera stands still in three clips of ten.
+In the kinds with moving objects the camera stands still in three clips of ten. One kind more is drawn where it is asked
+for: in `calm` only the camera moves, and slowly.
 """
 
 from __future__ import annotations
@@ -183,13 +184,15 @@ def _streams(seed: int, attempt: int, version: int) -> list[np.random.Generator]
     return [np.random.default_rng([version, *key]) for key in keys]
 
 
-def procedural(seed: int, attempt: int = 0, frames: int = 20, width: int = 256, version: int = VERSION) -> Scene:
+def procedural(
+    seed: int, attempt: int = 0, frames: int = 20, width: int = 256, version: int = VERSION, calm: bool = False
+) -> Scene:
     """The scene of an integer seed for a clip of `frames` and pictures `width` pixels wide, which speeds are meant for.
 
-    What kind of clip it is depends on the seed alone; `attempt` draws another one of that kind.
+    What kind of clip it is depends on the seed alone, or on `calm`; `attempt` draws another one of that kind.
     """
     kind_rng, rng = _streams(seed, attempt, version)
-    kind = str(kind_rng.choice(list(KINDS), p=list(KINDS.values())))
+    kind = "calm" if calm else str(kind_rng.choice(list(KINDS), p=list(KINDS.values())))
     b = WideBuilder(rng)
     place, size, sky = surroundings(b)
     if sky is not None and rng.uniform() < 0.5:
@@ -200,9 +203,11 @@ def procedural(seed: int, attempt: int = 0, frames: int = 20, width: int = 256, 
     _decorate(b, size)
     spots = _spots(rng, size) if rng.uniform() < 0.25 else ()
 
-    still = kind == "static" or (kind != "camera" and rng.uniform() < 0.3)
+    still = kind == "static" or (kind not in ("camera", "calm") and rng.uniform() < 0.3)
     start = (frames - 1) / 2
     camera: CameraPath | Shots = replace(camera_path(b, size, still), start=start)
+    if calm:
+        camera = camera.slowed(log_uniform(rng, 0.05, 0.5))
     path = camera
     if kind == "dark to light":
         _backdrop(b, path)

@@ -13,7 +13,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from .clips import refuse_others, versions
 from .draw import dress
 from .frames import FIRST_HALF, LUMINANCE, SECOND_HALF, RenderOptions, calibrate, radiance, render_frame
 from .pictures import find_pictures, hang
+from .scene_file import open_file
 from .scenes import Scene
 from .stage import Stage, start_mitsuba
 from .sunlit import sunlit
@@ -58,6 +59,7 @@ class SetOptions:
     scenes: tuple[tuple[str, str], ...] = ()  # (scene file, motion file or "") to mix in
     generator: int = procedural_wide.VERSION  # version of the wide one: 2 or 3
     sun: float = 0.0  # share of the generated scenes that a sun shines on
+    calm: float = 0.0  # share of the scenes in which nothing but the camera moves
     textures: str = ""  # folder of pictures that some surfaces get; "": none
 
     def scenes_are_of(self) -> dict:
@@ -65,7 +67,8 @@ class SetOptions:
         of different ones must not lie in one folder. Without paths of the machine."""
         files = [[Path(f).parent.name, bool(motion)] for f, motion in self.scenes]
         textures = bool(self.textures)
-        return {"sun": self.sun, "files": files, "textures": textures, "reference_error": self.reference_error}
+        shares = {"sun": self.sun, "calm": self.calm}
+        return shares | {"files": files, "textures": textures, "reference_error": self.reference_error}
 
 
 def parse_shard(text: str) -> tuple[int, int]:
@@ -97,19 +100,25 @@ def open_stage(group: int, options: SetOptions) -> tuple[Stage, Survey, dict]:
     """Load scene number `group`: a procedural one that is fit to be seen, or one of the files; exposed and surveyed."""
     rng = np.random.default_rng([options.seed, group])
     view, frames = _view(options.size), 2 * options.frames
+    calm = options.calm > 0 and bool(rng.uniform() < options.calm)
     if options.scenes and rng.uniform() < SCENE_SHARE:
         file, motion = options.scenes[rng.integers(len(options.scenes))]
-        scene = _papered(dress(Path(file), motion or None, rng, frames), options, group)
+        if calm:
+            scene = _at_rest(open_file(Path(file), motion or None))
+        else:
+            scene = dress(Path(file), motion or None, rng, frames)
+        scene = _papered(scene, options, group)
         stage = Stage(scene)
         found = survey(stage, frames, view)
         calibrate(stage, scene.facts.get("brightness", 0.5), frames // 2)
         licence = Path(file).with_name("LICENSE.txt")
         source = {"source": scene.name, "licence": licence.read_text() if licence.is_file() else ""}
-        return stage, found, scene.facts | source | {"kind": "scene file", "place": scene.name}
+        kind = "calm scene file" if calm else "scene file"
+        return stage, found, scene.facts | source | {"kind": kind, "place": scene.name}
     seed = scene_seed(rng)
     sunny = rng.uniform() < options.sun
     for attempt in range(ATTEMPTS):
-        scene = procedural_wide.procedural(seed, attempt, frames, view[1], options.generator)
+        scene = procedural_wide.procedural(seed, attempt, frames, view[1], options.generator, calm)
         if sunny:
             scene = sunlit(scene, np.random.default_rng([options.seed, group, 1, attempt + 1]))
         scene = _papered(scene, options, group, attempt)
@@ -129,6 +138,11 @@ def scene_seed(rng: np.random.Generator) -> int:
     """The seed of a generated scene, none that is held out."""
     seed = int(rng.integers(1 << 31))
     return seed + len(HELD_OUT) if seed in HELD_OUT else seed
+
+
+def _at_rest(scene: Scene) -> Scene:
+    """With objects that stand still; the camera goes its way."""
+    return replace(scene, objects=tuple(replace(o, motion=None) for o in scene.objects))
 
 
 def _papered(scene: Scene, options: SetOptions, group: int, attempt: int = 0) -> Scene:
