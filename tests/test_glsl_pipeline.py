@@ -280,9 +280,9 @@ def test_after_the_first_frame_only_history_is_allocated(weights):
     pipeline, frames = Pipeline.load(weights(SMALL["default"])), [arrays(frame) for frame in make_frames(4)]
     _, history = pipeline.step(frames[0])
     _, history = pipeline.step(frames[1], history)
-    before = pipeline.passes.scratch_bytes
+    before = pipeline.scratch.nbytes
     pipeline.step(frames[2], history)
-    assert pipeline.passes.scratch_bytes == before > 0
+    assert pipeline.scratch.nbytes == before > 0
 
 
 def test_stages_are_timed(gl, weights):

@@ -74,21 +74,19 @@ class UNet:
 
     def __init__(
         self,
-        ctx: moderngl.Context,
         scratch: Scratch,
         tensors: Mapping[str, np.ndarray],  # a state dict; only `unet.*` is read
         inputs: int,
         widths: tuple[int, ...],
-        dtype: type[np.floating],  # np.float32 or np.float16: how activations are stored
     ) -> None:
         def double(name: str, sources: tuple[int, ...], width: int) -> tuple[Layer, Layer]:
-            first, second = (
-                conv_layer(ctx, tensors[f"unet.{name}.{i}.weight"], tensors[f"unet.{name}.{i}.bias"], channels, BLOCKS)
-                for i, channels in ((0, sources), (2, (width,)))
-            )
-            return first, second
+            def layer(i: int, channels: tuple[int, ...]) -> Layer:
+                weight, bias = (tensors[f"unet.{name}.{i}.{part}"] for part in ("weight", "bias"))
+                return conv_layer(scratch.ctx, weight, bias, channels, BLOCKS)
 
-        self._scratch, self._dtype = scratch, dtype
+            return layer(0, sources), layer(2, (width,))
+
+        self._scratch = scratch
         self._encoder = [double(f"encoder.{i}", (n,), w) for i, (n, w) in enumerate(pairwise((inputs, *widths)))]
         self._decoder = [
             double(f"decoder.{i}", (below, width), width) for i, (width, below) in enumerate(pairwise(widths))
@@ -116,15 +114,15 @@ class UNet:
     def _convolve(
         self, layer: Layer, source: int, name: str, level: int, near: GpuArray, far: GpuArray | None = None
     ) -> GpuArray:
-        H, W = near.shape[1] >> (source == POOLED), near.shape[2] >> (source == POOLED)
-        groups = -(-layer.outputs // 4)
-        result = self._scratch(name, (groups, H, W, 4), self._dtype)
+        H, W = (n >> (source == POOLED) for n in near.shape[1:3])
+        result = self._scratch.activations(name, layer.outputs, (H, W))
+        groups = result.shape[0]
         dispatch(
             "network/conv3x3",
             [near, near if far is None else far, layer.weights, layer.biases, result],
             (-(-W // PIXELS), H, -(-groups // BLOCKS)),
             {"size": (W, H), "groups": (layer.groups[0], sum(layer.groups), groups)},
             CONV_GROUP,
-            SOURCE=source, HALF=int(self._dtype == np.float16),
+            SOURCE=source, HALF=int(self._scratch.half),
         )  # fmt: skip
         return result

@@ -22,7 +22,9 @@ from ..stored import read_model
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
 from .designs import Design, design, expected_shapes
+from .kernels import Kernels
 from .passes import Passes
+from .scratch import Scratch
 from .state import History
 
 
@@ -41,7 +43,9 @@ class Pipeline:
         to this thread's `default_context`."""
         self.design, self.ctx = design, ctx or default_context()
         self.clock: Clock | None = None  # times the stages where one is set
-        self.passes = Passes(self.ctx, design, tensors, half)
+        self.scratch = Scratch(self.ctx, half)  # GPU memory that is kept between frames, beside the weights
+        self.passes = Passes(self.scratch, design, tensors)
+        self.kernels = Kernels(self.scratch, design, tensors)
 
     @classmethod
     def load(cls, model: str | Path = "default", half: bool = False, **overrides) -> Pipeline:
@@ -99,7 +103,7 @@ class Pipeline:
     ) -> tuple[GpuArray, History]:
         """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
         the history is not."""
-        passes, accumulates, size = self.passes, self.design.accumulates, tuple(layers["radiance"].shape[1:])
+        passes, kernels, accumulates = self.passes, self.kernels, self.design.accumulates
         averages = accumulates and not known.first  # else the means are what the frame itself holds
         dual = history is not None and not known.covered and self.design.motion == "dual"
         groups = 4 if known.first else 6 if dual else 5  # of the features that are not zero everywhere
@@ -113,15 +117,15 @@ class Pipeline:
         with self._stage("features"):
             features = passes.features(light, surface, guide, past, statistics, means if accumulates else (), groups)
         with self._stage("network"):
-            levels = passes.network(features, size, groups)
+            levels = passes.network(features, layers["radiance"].shape[1:], groups)
         with self._stage("kernels"):
             running, mean_albedo = means
-            mean = passes.accumulate(levels[0], light, running) if averages else light
-            now = passes.filter(levels, mean)
+            mean = kernels.accumulate(levels[0], light, running) if averages else light
+            now = kernels.filter(levels, mean)
         with self._stage("blend"):
             if accumulates:
-                now = passes.texture(levels[0], now, guide, mean_albedo)
-            result, denoised = passes.blend(levels[0], past, now)
+                now = kernels.texture(levels[0], now, guide, mean_albedo)
+            result, denoised = kernels.blend(levels[0], past, now)
         vectors = vectors if "motion_next" in layers else None
         return result, History(denoised, surface, vectors, *((mean, mean_albedo) if accumulates else (None, None)))
 
