@@ -105,24 +105,27 @@ def draw(documents: dict[str, Document]) -> None:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """The sections of docs/quality.md: `against` of two models, `aims`, and `scenes` with a table a sequence and
-    signal."""
-    ahead = {"against": _against(document, "default"), "against-quality": _against(document, "quality")}
+    """The sections of docs/quality.md: `against` peers, `aims`, and `scenes` with a table a sequence and signal."""
+    ahead = {
+        "against": _against(document, "default", "oidn"),
+        "against-prefiltered": _against(document, "default", "oidn-prefiltered"),
+        "against-quality": _against(document, "quality", "oidn"),
+    }
     return {**ahead, "aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
 
 
-def _against(document: dict, model: str) -> str:
-    """On how many sequences and signals `model` is ahead of OIDN, and by how much on average."""
+def _against(document: dict, model: str, peer: str) -> str:
+    """On how many sequences and signals `model` is ahead of `peer`, and by how much on average."""
     lines = [
         "| | ahead, frame | on average, frame | ahead, uncovered | on average, uncovered |",
         "|---|---|---|---|---|",
     ]
     both = [_rows(document, signal, name) for signal in SIGNALS for name in document["sequences"].get(signal, ())]
-    both = [rows for rows in both if {model, "oidn"} <= rows.keys()]
+    both = [rows for rows in both if {model, peer} <= rows.keys()]
     for metric in OF_FRAME:
         cells = []
         for region in ("frame", "uncovered"):
-            values = [[rows[method][region].get(metric) for method in (model, "oidn")] for rows in both]
+            values = [[rows[method][region].get(metric) for method in (model, peer)] for rows in both]
             gains = [a - b for a, b in values if a is not None and b is not None]
             better = sum(g > 0 if METRICS[metric].higher else g < 0 for g in gains)
             mean = write_number(metric, sum(gains) / len(gains)) if gains else "–"

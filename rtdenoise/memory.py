@@ -42,5 +42,5 @@ def explained(name: str, size: tuple[int, int], device: str) -> Iterator[None]:
         mib = float(needed[1]) * _UNITS[needed[2]]
         raise InputError(
             f"{name}: out of memory on {device} at {size[1]}×{size[0]}: {mib:.0f} MiB more were needed; "
-            "use --precision bf16, another --device, or denoise tiles of the frame (Frame.crop)"
+            "use --precision bf16, another --device, or in a program rtdenoise.tiles.Tiled"
         ) from None

@@ -126,7 +126,7 @@ FALCOR = Preset(
     },
     hints={
         "indirect": "Falcor has no output for it; denoise --signal color",
-        "motion_next": "Falcor has no output for it; uncovered regions then use traditional motion",
+        "motion_next": "Falcor has no output for it; it is approximated from motion and depth",
     },
     buffers={
         "color": ("color_{frame}.exr", "*.color.{frame}.exr"),

@@ -85,7 +85,7 @@ class Pipeline:
             H, W = frame.size
             raise InputError(
                 f"{frame.name or 'frame'}: {W}×{H} is too large: {error}; use half precision (--precision fp16), or "
-                "denoise tiles of the frame (Frame.crop)"
+                "torch (--backend torch), which tiles large frames"
             ) from None
         with self._stage("download"):
             image = result.read()

@@ -4,7 +4,7 @@ One switch: the environment variable `RTDENOISE_OPS` when the program starts, `u
 
     auto    fused where there is one for these tensors and what it needs is there; plain elsewhere (the default)
     plain   always the specification
-    fused   fused, or an error that says what is missing; for tests and measurements
+    fused   an error that says why, where an op that the device has fused would run plain; for tests and measurements
 """
 
 from __future__ import annotations
