@@ -2,10 +2,11 @@
 
     python -m venv bpyenv && bpyenv/bin/pip install bpy          # Python 3.11; 0.8 GB when installed
     bpyenv/bin/python examples/blender/render.py shot/ --frames 12
+    bpyenv/bin/python examples/blender/render.py shot/ --scene my.blend          # its own camera, frames and size
 
-The scene is made of primitives: a room with textured walls and floor, still objects, a post that slides past the back
-wall and uncovers it, a ball that jumps, and a camera that moves along both axes of the picture. `add_passes` is what
-to copy into a script for a scene of one's own.
+Without --scene it is made of primitives: a room with textured walls and floor, still objects, a post that slides past
+the back wall and uncovers it, a ball that jumps, and a camera that moves along both axes of the picture. `configure`
+and `add_passes` are what to copy into a script of one's own.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ LIGHT_PASSES = ("diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_d
 def add_passes(scene: bpy.types.Scene) -> None:
     """Switch on what `rtdenoise` reads, in one multilayer EXR a frame."""
     layer = scene.view_layers[0]
-    layer.cycles.denoising_store_passes = True  # Denoising Albedo, Normal, Depth, and the noisy picture
+    layer.cycles.denoising_store_passes = True  # Denoising Albedo, Normal, Depth
     for name in ("combined", "z", "normal", "vector", *LIGHT_PASSES):
         setattr(layer, f"use_pass_{name}", True)
     scene.render.use_motion_blur = False  # with motion blur Cycles writes no vectors
@@ -46,6 +47,12 @@ def configure(scene: bpy.types.Scene, width: int, height: int, samples: int) -> 
     scene.cycles.seed = 1
     scene.cycles.use_animated_seed = True
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
+
+
+def own_size(scene: bpy.types.Scene) -> tuple[int, int]:
+    """Width and height that a file's scene is rendered at."""
+    render = scene.render
+    return tuple(n * render.resolution_percentage // 100 for n in (render.resolution_x, render.resolution_y))
 
 
 def material(name: str, dark: tuple, light: tuple, scale: float, roughness: float = 0.9) -> bpy.types.Material:
@@ -131,19 +138,27 @@ def straighten(scene: bpy.types.Scene) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path, help="folder for frame.0001.exr …")
-    parser.add_argument("--frames", type=int, default=12)
-    parser.add_argument("--width", type=int, default=320)
-    parser.add_argument("--height", type=int, default=180)
+    parser.add_argument("--scene", type=Path, help="a .blend file to render instead of the room")
+    parser.add_argument("--frames", type=int, help="default: 12, or what the file says")
+    parser.add_argument("--width", type=int, help="default: 320, or what the file says")
+    parser.add_argument("--height", type=int, help="default: 180, or what the file says")
     parser.add_argument("--samples", type=int, default=1, help="per pixel")
     options = parser.parse_args()
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    straighten(scene)
-    configure(scene, options.width, options.height, options.samples)
+    if options.scene:
+        bpy.ops.wm.open_mainfile(filepath=str(options.scene.resolve()))
+        scene = bpy.context.scene
+        width, height = own_size(scene)
+    else:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        scene, width, height = bpy.context.scene, 320, 180
+        straighten(scene)
+        build(scene, options.frames or 12)
+        scene.frame_start, scene.frame_end = 1, 12
+    if options.frames:
+        scene.frame_end = scene.frame_start + options.frames - 1
+    configure(scene, options.width or width, options.height or height, options.samples)
     add_passes(scene)
-    build(scene, options.frames)
-    scene.frame_start, scene.frame_end = 1, options.frames
     scene.render.filepath = str(options.out.resolve() / "frame.####")
     bpy.ops.render.render(animation=True)
 
