@@ -51,7 +51,7 @@ def test_several_processes_are_torchruns():
 
 
 def test_scene_files_are_left_out_where_there_are_none():
-    assert [sum("--scenes" in words for words in printed("fast", **given)) for given in ({}, {"SCENES": "x"})] == [0, 3]
+    assert [sum("--scenes" in words for words in printed("fast", **given)) for given in ({}, {"SCENES": "x"})] == [0, 4]
 
 
 def test_a_model_without_a_recipe_is_refused():

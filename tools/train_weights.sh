@@ -43,6 +43,7 @@ clips scenes $wide --clips 80 --seed 9000 $noisy $files
 clips sun $wide --clips 240 --seed 21000 $noisy --sun 1
 clips sun3 --preset train --clips 120 --seed 31000 $noisy --sun 0.6
 clips wide3 --preset train --clips 189 --seed 41000 $noisy --sun 0.5 $files
+[ "$model" != fast ] || clips calm --preset train --clips 136 --seed 51000 $noisy --sun 0.4 --calm 1 $files
 
 # --- the weights ------------------------------------------------------------------------------------------------------
 
@@ -65,17 +66,20 @@ if [ "$model" = fast ]; then
     train single $first --frames 1 --batch 16 --steps 1200 --lr 8e-4 --no-occlusion-loss
     train clips $first $(after single) --frames 6 --steps 1200 --lr 6e-4 --cuts 0.4 --validate-every 300
     train sun $first data/sun-clean $(after clips) --frames 6 --steps 900 --lr 4e-4 --cuts 0.4 --validate-every 450
-    train last $all $(after sun) --frames 6 --steps 2000 --lr 6e-4 --cuts 0.5 --relight 0.05 --validate-every 500
+    train edges $all $(after sun) --frames 6 --steps 2000 --lr 6e-4 --cuts 0.5 --relight 0.05 --validate-every 500
+    train last $all data/calm-clean $(after edges) --steps 1500 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 500
 else
     preset=default
     train single $first --frames 1 --batch 16 --steps 1500 --lr 5e-4 --no-occlusion-loss
     train clips $first $(after single) --steps 4800 --lr 4e-4 --cuts 0.5 --validate-every 400
     train sun $sunny $(after clips) --steps 6000 --lr 4e-4 --cuts 0.5 --validate-every 800
+fi
+if [ "$model" = default ]; then
     train edges $all $(after sun) --steps 2400 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 400
     train last $sunny $(after edges) --steps 1000 --lr 3e-4 --cuts 0.5 --validate-every 500
 fi
-if [ "$model" = quality ]; then # grows from default
-    start=$(after last) preset=quality
+if [ "$model" = quality ]; then # grows from what default was then
+    start=$(after sun) preset=quality
     train relit $all $start --steps 3200 --lr 4e-4 --cuts 0.5 --relight 0.33 --validate-every 800
     train less $all $(after relit) --steps 950 --lr 3e-4 --cuts 0.5 --relight 0.1 --validate-every 950
     train little $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900
