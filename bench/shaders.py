@@ -57,7 +57,7 @@ class Shaders:
     def megabytes(self) -> float:
         """GPU memory of a step: the frame, what is kept between frames, and two histories."""
         arrays = [*self._layers.values(), *(2 * [a for a in vars(self._history).values() if a is not None])]
-        return (sum(array.buffer.size for array in arrays) + self._pipeline.passes.scratch_bytes) / 1e6
+        return (sum(array.buffer.size for array in arrays) + self._pipeline.scratch.nbytes) / 1e6
 
 
 def renderer() -> str:
