@@ -109,6 +109,7 @@ def tables(document: dict) -> dict[str, str]:
     ahead = {
         "against": _against(document, "default", "oidn"),
         "against-prefiltered": _against(document, "default", "oidn-prefiltered"),
+        "against-fast": _against(document, "fast", "oidn"),
         "against-quality": _against(document, "quality", "oidn"),
     }
     return {**ahead, "aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}

@@ -79,12 +79,14 @@ class UNet:
         inputs: int,
         widths: tuple[int, ...],
     ) -> None:
-        def double(name: str, sources: tuple[int, ...], width: int) -> tuple[Layer, Layer]:
-            def layer(i: int, channels: tuple[int, ...]) -> Layer:
-                weight, bias = (tensors[f"unet.{name}.{i}.{part}"] for part in ("weight", "bias"))
-                return conv_layer(scratch.ctx, weight, bias, channels, BLOCKS)
+        ctx = scratch.ctx
 
-            return layer(0, sources), layer(2, (width,))
+        def double(name: str, sources: tuple[int, ...], width: int) -> tuple[Layer, Layer]:
+            first, second = (
+                conv_layer(ctx, tensors[f"unet.{name}.{i}.weight"], tensors[f"unet.{name}.{i}.bias"], channels, BLOCKS)
+                for i, channels in ((0, sources), (2, (width,)))
+            )
+            return first, second
 
         self._scratch = scratch
         self._encoder = [double(f"encoder.{i}", (n,), w) for i, (n, w) in enumerate(pairwise((inputs, *widths)))]

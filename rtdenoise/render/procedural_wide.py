@@ -15,7 +15,7 @@ thin leaves, heaps of small things, more metal and glass; and it draws clips of 
 | static        | nothing moves                                                              | 0.04  |
 
 In the kinds with moving objects the camera stands still in three clips of ten. One kind more is drawn where it is asked
-for: in `calm` only the camera moves, and slowly.
+for: in `calm` only the camera moves, and slowly; leaves may stir.
 """
 
 from __future__ import annotations
