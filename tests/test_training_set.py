@@ -416,6 +416,7 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
     for change, complaint in (
         ({"seed": 6}, "seed = 5, not 6"),
         ({"size": (64, 32)}, r"size = \[32, 32\], not \[64, 32\]"),
+        ({"calm": 1.0}, "calm = 0.0, not 1.0"),  # the clip is of before there was the option
     ):
         with pytest.raises(InputError, match=rf"clip_000004\.safetensors: was rendered with {complaint}"):
             render_set(tmp_path, replace(TINY, **change), lambda *_: None)

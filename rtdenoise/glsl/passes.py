@@ -30,16 +30,16 @@ class Passes:
             weight, bias = tensors["stem.weight"][:, ORDER], tensors["stem.bias"]
             self._stem = conv_layer(scratch.ctx, weight, bias, (design.features,))
 
-    def prepare(self, layers: Mapping[str, GpuArray], kept: bool = False) -> tuple[GpuArray, ...]:
-        """Sanitised light, surface and guide, and the statistics of the frame. `kept`: light and guide will go into
-        history, as surface does."""
+    def prepare(self, layers: Mapping[str, GpuArray], into_history: bool = False) -> tuple[GpuArray, ...]:
+        """Sanitised light, surface and guide, and the statistics of the frame. `into_history`: light and guide will go
+        there, as surface does."""
         H, W = layers["radiance"].shape[1:]
         across, down = -(-W // BLOCK), -(-H // BLOCK)
         count, size = across * down, {"size": (W, H)}
         inputs = [layers[name] for name in ("radiance", "albedo", "normal", "depth")]
         clean, surface = self._scratch.image("clean", (H, W)), self._scratch.fresh((H, W))
         maxima = self._scratch("maxima", (down, across))
-        if kept:
+        if into_history:
             guide, light = self._scratch.fresh((H, W)), self._scratch.fresh((H, W))
         else:
             guide, light = self._scratch.image("guide", (H, W)), self._scratch.image("light", (H, W))

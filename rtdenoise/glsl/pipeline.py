@@ -108,7 +108,7 @@ class Pipeline:
         dual = history is not None and not known.covered and self.design.motion == "dual"
         groups = 4 if known.first else 6 if dual else 5  # of the features that are not zero everywhere
         with self._stage("features"):
-            light, surface, guide, statistics = passes.prepare(layers, kept=accumulates and known.first)
+            light, surface, guide, statistics = passes.prepare(layers, into_history=accumulates and known.first)
             vectors = passes.vectors(layers)
         with self._stage("reprojection"):
             chosen = passes.history_motion(vectors, surface, history) if dual else vectors

@@ -83,11 +83,16 @@ def render_clips(out: Path, options: ClipOptions, progress=print) -> dict:
 
 
 def refuse_others(
-    out: Path, options, generator: int, seeds: Callable[[int], int], scenes_are_of: dict | None = None
+    out: Path,
+    options,
+    generator: int,
+    seeds: Callable[[int], int],  # what clip i would say its seed is
+    scenes_are_of: dict | None = None,
+    before: dict | None = None,
 ) -> None:
     """Raise InputError where the folder holds clips that were made with other options: they would be mixed up.
 
-    `seeds(i)` is what clip i would say its seed is.
+    `before` is what `scenes_are_of` was for clips that do not say, of before there was the option.
     """
     for path in sorted(out.glob("clip_*.safetensors"))[:1]:
         facts = read_facts(path)
@@ -95,9 +100,8 @@ def refuse_others(
             "generator": generator, "seed": seeds(int(path.stem.removeprefix("clip_"))), "size": list(options.size),
             "frames": options.frames, "spp": options.spp, "max_depth": options.max_depth,
         }  # fmt: skip
-        scenes_are_of = scenes_are_of or {}
-        found = scenes_are_of | facts.get("scenes_are_of", {}) | {key: facts.get(key) for key in expected}
-        for key, value in (scenes_are_of | expected).items():
+        found = (before or {}) | facts.get("scenes_are_of", {}) | {key: facts.get(key) for key in expected}
+        for key, value in ((scenes_are_of or {}) | expected).items():
             if found[key] != value:
                 raise InputError(f"{path}: was rendered with {key} = {found[key]}, not {value}; choose another "
                                  "--out or the options of that run")  # fmt: skip
