@@ -15,7 +15,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 STAGES = {
     "features + kernel prediction": ("demodulate", "features", "predict"),
-    "kernel application": ("apply_kernel", "downsample", "compose", "blend_history"),
+    "kernel application": ("apply_kernel", "downsample", "compose", "pick", "blend_history"),
     "blending": ("accumulate", "modulate", "blend"),
     "reprojection": ("history_motion", "warp", "reproject"),
 }

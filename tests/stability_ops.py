@@ -137,6 +137,7 @@ def _one_pixel(op: Callable[[str], Operation]) -> float:
         _kernel(op, image, _random(1, 25, 1, 1)),
         op("warp")(image, np.full((1, 2, 1, 1), 3.7, np.float32)),
         op("compose")(image, op("downsample")(image), np.full((1, 1, 1, 1), 0.5, np.float32)),
+        op("pick")(image, image, _random(1, 9, 1, 1), np.full((1, 1, 1, 1), 0.5, np.float32)),
     ]
     return max(_difference(out, image) for out in outs)
 
@@ -149,7 +150,7 @@ def _bright(op: Callable[[str], Operation]) -> float:
     down = op("downsample")(image)
     outs = [_kernel(op, image, _random(1, 25, H, W)), op("blend")(image, image, half), op("warp")(image, motion),
             op("compose")(image, down, half[:, :, : down.shape[2], : down.shape[3]]),
-            op("cubic warp")(image, motion)]  # fmt: skip
+            op("pick")(image, down, _random(1, 9, H, W), half), op("cubic warp")(image, motion)]  # fmt: skip
     return max(_difference(out, image) for out in outs) / 1e15
 
 

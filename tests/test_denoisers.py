@@ -19,7 +19,7 @@ from rtdenoise.sanitise import faults, sanitise
 
 SMALL = {
     "temporal_kpn": paper.Config(widths=(8, 8, 8, 8)),
-    "accumulated_kpn": accumulated_kpn.Config(widths=(8, 8, 8, 8), scales=4, edge_kernel=3),
+    "accumulated_kpn": accumulated_kpn.Config(widths=(8, 8, 8, 8), scales=4, edge_kernel=3, pick_kernel=3),
 }
 
 
@@ -294,10 +294,11 @@ def test_textures_pass_unfiltered():
     model.full_head.weight[:, -3], model.full_head.bias[-3] = 0.0, 50.0  # the current frame alone
     frame = replace(frame, radiance=0.7 * albedo_divisor(frame.albedo, frame.depth))
     edge = torch.randn(9)
-    model.full_head.bias[-12:-3] = edge
+    edges = slice(-22, -13)  # of the full head's rows, before those of the pick kernel and the shares
+    model.full_head.bias[edges] = edge
     smoothed = apply_kernel(frame.radiance, edge.reshape(1, 9, 1, 1).expand(1, 9, *frame.size))
     torch.testing.assert_close(model.step(frame)[0], smoothed)
-    model.full_head.bias[-12:-3] = -50 * (torch.arange(9) != 4)
+    model.full_head.bias[edges] = -50 * (torch.arange(9) != 4)
     torch.testing.assert_close(model.step(frame)[0], frame.radiance)
 
 

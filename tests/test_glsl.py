@@ -133,6 +133,16 @@ def test_downsample_and_compose_are_their_torch_twins(gl, assert_images_close, s
 
 
 @pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("kernel", [1, 3, 5])
+def test_pick_is_its_torch_twin(gl, assert_images_close, size, kernel):
+    fine, coarse, share = random(2, 3, *size), random(2, 3, *((n + 1) // 2 for n in size)), random(2, 1, *size)
+    logits = 16 * random(2, kernel**2, *size) - 8
+    for given in (logits, logits.astype(np.float16)):
+        picked = on_gpu(gl, glsl.pick, fine, coarse, given, share, shape=fine.shape)
+        assert_images_close(picked, torch_twin(ops.pick, fine, coarse, given, share), "float32")
+
+
+@pytest.mark.parametrize("size", SIZES)
 def test_upsample_and_blend_are_their_torch_twins(gl, assert_images_close, size):
     coarse = random(2, 3, *((n + 1) // 2 for n in size))
     up = on_gpu(gl, glsl.upsample, coarse, size=size, shape=(2, 3, *size))

@@ -30,7 +30,7 @@ from rtdenoise.plan import look
 from rtdenoise.sanitise import sanitise
 
 # By the preset of the same architecture.
-SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4), edge_kernel=3)}
+SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3)}
 
 
 @pytest.fixture(autouse=True)
@@ -53,6 +53,8 @@ def weights(tmp_path_factory):
                     parameter.data.normal_()  # an edge kernel is the same everywhere until it is trained
                 elif "head" in name:
                     parameter.data.mul_(3)
+                    if "weight" in name:
+                        parameter.data[config.kernel**2 + 1 :].normal_()  # and so are pick kernels
             written[config] = folder / f"{len(written)}.safetensors"
             models.save(denoiser, written[config])
         return str(written[config])
@@ -88,13 +90,13 @@ def test_twelve_frames_are_those_of_torch(weights, assert_images_close, model):
     assert_images_close(found, expected, "frame")
 
 
-def test_weights_from_before_there_were_edge_kernels(weights, assert_images_close, tmp_path):
-    """They have no such key in their configuration."""
-    with safe_open(weights(replace(SMALL["default"], edge_kernel=1)), framework="np") as file:
+def test_weights_from_before_there_were_edge_and_pick_kernels(weights, assert_images_close, tmp_path):
+    """They have no such keys in their configuration."""
+    with safe_open(weights(replace(SMALL["default"], edge_kernel=1, pick_kernel=1)), framework="np") as file:
         metadata = file.metadata()
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     config = json.loads(metadata["config"])
-    del config["edge_kernel"]
+    del config["edge_kernel"], config["pick_kernel"]
     save_file(tensors, tmp_path / "old.safetensors", metadata | {"config": json.dumps(config)})
     expected, found, _, _ = both(str(tmp_path / "old.safetensors"), make_frames(3, H=24, W=40))
     assert_images_close(found, expected, "frame")

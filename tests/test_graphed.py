@@ -35,7 +35,10 @@ from rtdenoise.ops import path
 from rtdenoise.sanitise import sanitise
 from rtdenoise.tiles import step_in_windows
 
-SMALL = [temporal_kpn.Config(widths=(4, 4, 4, 4)), accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4, edge_kernel=3)]
+SMALL = [
+    temporal_kpn.Config(widths=(4, 4, 4, 4)),
+    accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3),
+]
 DEVICES = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
 
 

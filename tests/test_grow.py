@@ -46,16 +46,24 @@ def test_new_channels_learn(small):
     assert (model.stem.weight.grad[16:].abs().amax((1, 2, 3)) > 0).all()
 
 
-def test_an_edge_kernel_is_added_and_begins_as_the_same_everywhere():
+@pytest.mark.parametrize("had", [{}, {"edge_kernel": 3}, {"pick_kernel": 3}], ids=str)
+def test_edge_and_pick_kernels_are_added_and_begin_as_the_same_everywhere(had):
     torch.manual_seed(0)
-    small = create(replace(PRESETS["fast"], edge_kernel=1)).eval().requires_grad_(False)
+    small = create(replace(PRESETS["fast"], **{"edge_kernel": 1, "pick_kernel": 1} | had)).eval().requires_grad_(False)
     inputs = torch.rand(2, FEATURES, 48, 80)
-    before, after = small.predict(inputs), grow(small, WIDE).predict(inputs)
-    assert before.edge is None
+    before, after = small.predict(inputs), grow(small, replace(WIDE, pick_kernel=3)).predict(inputs)
+    assert (before.edge is None) == ("edge_kernel" not in had) and bool(before.picks) == ("pick_kernel" in had)
     for name in ("temporal", "alpha_temporal", "reset", "sharp"):
         torch.testing.assert_close(getattr(after, name), getattr(before, name))
+    for a, b in zip(before.spatial + before.alpha, after.spatial + after.alpha, strict=True):
+        torch.testing.assert_close(b, a)
     weights = after.edge.softmax(3)
     assert (weights == weights[0, 0, 0, :, 0, 0][:, None, None]).all() and weights[:, :, :, 4].min() > 0.6
+    assert len(after.picks) == small.config.scales - 1
+    for logits, share in after.picks:
+        weights = logits.softmax(-3).unbind(-3)
+        assert all((weight == weight.flatten()[0]).all() for weight in weights) and weights[4].min() > 0.4
+        assert 0 < share.min() == share.max() < 0.2
 
 
 def test_the_same_widths_are_a_copy(small):
@@ -70,7 +78,7 @@ NARROWER, DEEPER = (12, 24, 40, 50, 70), (*WIDE.widths, 80)
     "wanted",
     [
         PRESETS["paper"], PRESETS["default"], replace(WIDE, widths=NARROWER), replace(WIDE, widths=DEEPER),
-        replace(WIDE, edge_kernel=5),
+        replace(WIDE, edge_kernel=5), replace(WIDE, edge_kernel=1, pick_kernel=3),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(small, wanted):

@@ -6,7 +6,9 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, reproject, upsample, use, warp
+from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, pick, reproject, upsample, use, warp
+from rtdenoise.ops.layout import cells as cells_of
+from rtdenoise.ops.layout import whole
 
 
 @pytest.fixture(autouse=True, params=["plain", "auto"])
@@ -165,12 +167,59 @@ def test_compose_is_equation_4(size, pool):
     assert torch.equal(compose(fine, coarse, torch.zeros_like(alpha), pool), fine)
 
 
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("kernel", [1, 3, 5])
+def test_pick_is_its_equation(size, kernel):
+    H, W = size
+    h, w, r = (H + 1) // 2, (W + 1) // 2, kernel // 2
+    fine, coarse, share = torch.rand(2, 3, H, W), torch.rand(2, 3, h, w), torch.rand(2, 1, H, W)
+    logits = 3 * torch.randn(2, kernel**2, H, W)
+    expected = torch.empty_like(fine)
+    for y in range(H):
+        for x in range(W):
+            rows, columns = (
+                [i for i in range(n // 2 - r, n // 2 + r + 1) if 0 <= i < m] for n, m in ((y, h), (x, w))
+            )
+            taps = [(i - y // 2 + r) * kernel + j - x // 2 + r for i in rows for j in columns]
+            cells = torch.stack([coarse[:, :, i, j] for i in rows for j in columns], dim=2)
+            picked = (cells * logits[:, taps, y, x].softmax(1)[:, None]).sum(2)
+            expected[:, :, y, x] = torch.lerp(fine[:, :, y, x], picked, share[:, :, y, x])
+    torch.testing.assert_close(pick(fine, coarse, logits, share), expected)
+    by_cells = cells_of(logits)
+    torch.testing.assert_close(pick(fine, coarse, by_cells, share), expected)
+    assert torch.equal(whole(by_cells)[:, :, :H, :W], logits)
+
+
+def test_pick_crosses_no_edge():
+    """A step in the middle of a cell: each pixel takes the pure cell on its own side, and none of the mixed one."""
+    fine = torch.tensor([0.0, 0, 0, 1, 1, 1]).reshape(1, 1, 1, 6)
+    coarse = downsample(fine)  # 0, ½, 1
+    logits = torch.zeros(1, 9, 1, 6)
+    logits[:, 3, :, :3], logits[:, 5, :, 3:] = 1e3, 1e3  # the cell on the left, on the right
+    logits[:, 4, :, [0, 1, 4, 5]] = 2e3  # but the outer pixels' own
+    assert torch.equal(pick(torch.full_like(fine, 9.0), coarse, logits, torch.ones(1, 1, 1, 6)), fine)
+
+
+def test_pick_refuses_what_does_not_fit():
+    shapes = (3, 5, 4), (3, 3, 2), (9, 5, 4), (1, 5, 4)
+    fine, coarse, logits, share = (torch.zeros(1, *shape) for shape in shapes)
+    for bad in (
+        (fine, coarse[:, :, :2], logits, share), (fine, coarse, logits[:, :8], share),
+        (fine, coarse, logits[:, :4], share), (fine, coarse, logits[..., :3], share), (fine, coarse, logits, fine),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="expected coarse"):
+            pick(*bad)
+
+
 def test_pyramid_gradients():
     fine = torch.randn(1, 2, 5, 4, dtype=torch.float64, requires_grad=True)
     coarse = torch.randn(1, 2, 3, 2, dtype=torch.float64, requires_grad=True)
     alpha = torch.rand(1, 1, 3, 2, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(compose, (fine, coarse, alpha))
     assert torch.autograd.gradcheck(downsample, (fine,))
+    logits = torch.randn(1, 9, 5, 4, dtype=torch.float64, requires_grad=True)
+    share = torch.rand(1, 1, 5, 4, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(pick, (fine, coarse, logits, share))
     assert torch.autograd.gradcheck(lambda c: upsample(c, (5, 4)), (coarse,))
 
 

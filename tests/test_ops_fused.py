@@ -316,6 +316,18 @@ def test_pyramid(both, assert_images_close, size, pool):
         assert_images_close(fused, plain, "float32")
 
 
+@pytest.mark.parametrize("backend, size, kernel, dtype", KERNELS, indirect=["backend"], ids=str)
+def test_pick(both, assert_images_close, size, kernel, dtype):
+    cells = [-(-n // 2) for n in size]
+    fine, coarse, share = torch.randn(2, 3, *size), torch.randn(2, 3, *cells), torch.rand(2, 1, *size)
+    planes = (8 * torch.randn(2, kernel**2, *size)).to(dtype)
+    last = planes.new_empty(2, *size, kernel**2 + 1).movedim(3, 1)[:, 1:].copy_(planes)  # rows of a head beside others
+    by_cells = (8 * torch.randn(2, *cells, 2, 2, kernel**2)).to(dtype).permute(0, 3, 4, 5, 1, 2)
+    for logits in (planes, last, by_cells):
+        plain, fused = both(ops.pick, fine, coarse, logits, share)
+        assert_images_close(fused, plain, "float32")
+
+
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
 @pytest.mark.parametrize("spread", [1, 1e4])
 def test_apply_kernel_gradients(both, assert_images_close, size, spread):

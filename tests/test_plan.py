@@ -25,7 +25,7 @@ def denoiser():
     return TemporalKPN(TINY).eval().requires_grad_(False)
 
 
-SMALL = [TINY, accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4, edge_kernel=3)]
+SMALL = [TINY, accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3)]
 
 
 @pytest.fixture(scope="module", params=SMALL, ids=architecture)

@@ -3,13 +3,13 @@ operations are twins of `rtdenoise.ops`."""
 
 from .clock import Clock
 from .context import GpuArray, create_context, default_context, storage_limit
-from .ops import alike, apply_kernel, blend, compose, downsample, fetch, reproject, upsample, warp
+from .ops import alike, apply_kernel, blend, compose, downsample, fetch, pick, reproject, upsample, warp
 from .pipeline import Pipeline
 from .program import ShaderError, program
 from .state import History
 
 __all__ = [
     "Clock", "GpuArray", "History", "Pipeline", "ShaderError", "alike", "apply_kernel", "blend", "compose",
-    "create_context", "default_context", "downsample", "fetch", "program", "reproject", "storage_limit", "upsample",
-    "warp",
+    "create_context", "default_context", "downsample", "fetch", "pick", "program", "reproject", "storage_limit",
+    "upsample", "warp",
 ]  # fmt: skip

@@ -27,13 +27,26 @@ class Design:
     pool: str = "mean"  # D of eq. 4
     longest: float = math.nan  # frames after which the running mean forgets
     edge_kernel: int = 1  # 1: there is none
+    pick_kernel: int = 1  # likewise
 
     @property
     def full_rows(self) -> list[int]:
-        """Of what is predicted at full size: the spatial, the temporal and the edge kernel, α of time, and where there
-        is a running mean reset and sharp."""
+        """Of what is predicted at full size: the spatial, the temporal and the edge kernel, the pick kernel with its
+        share, α of time, and where there is a running mean reset and sharp."""
         edge = self.edge_kernel**2 if self.edge_kernel > 1 else 0
-        return [self.kernel**2, self.temporal_kernel**2, edge, *([1, 1, 1] if self.accumulates else [1])]
+        shares = [1, 1, 1] if self.accumulates else [1]
+        return [self.kernel**2, self.temporal_kernel**2, edge, self.pick_rows, *shares]
+
+    @property
+    def pick_rows(self) -> int:
+        """Of the pick kernel of a scale and its share."""
+        return self.pick_kernel**2 + 1 if self.pick_kernel > 1 else 0
+
+    @property
+    def coarse_rows(self) -> list[int]:
+        """Of what is predicted at each coarser scale: its spatial kernel, α and pick kernel; the coarsest has none."""
+        taps = self.kernel**2 + 1
+        return [taps + self.pick_rows] * (self.scales - 2) + [taps]
 
     @property
     def accumulates(self) -> bool:
@@ -57,23 +70,21 @@ def design(architecture: str, config: Mapping) -> Design:
         if config["pool"] not in ("mean", "max"):
             raise ValueError(f"expected pool 'mean' or 'max', got {config['pool']!r}")
         return Design(architecture, widths, 3, kernel, kernel, motion, config["pool"])
-    scales, temporal_kernel, edge_kernel = config["scales"], config["temporal_kernel"], config.get("edge_kernel", 1)
-    return Design(
-        architecture, widths, scales, kernel, temporal_kernel, motion, longest=config["longest"],
-        edge_kernel=edge_kernel,
-    )  # fmt: skip
+    newer = {name: config.get(name, 1) for name in ("edge_kernel", "pick_kernel")}
+    scales, temporal_kernel, longest = config["scales"], config["temporal_kernel"], config["longest"]
+    return Design(architecture, widths, scales, kernel, temporal_kernel, motion, longest=longest, **newer)
 
 
 def expected_shapes(d: Design) -> dict[str, tuple[int, ...]]:
     """Name -> shape of every tensor of the model's state dict."""
-    taps, full = d.kernel**2, sum(d.full_rows)
+    full = sum(d.full_rows)
     inputs = d.widths[0] if d.accumulates else d.features
     shapes: dict[str, tuple[int, ...]] = {}
     pairs = {f"encoder.{i}": (a, b) for i, (a, b) in enumerate(zip((inputs, *d.widths), d.widths, strict=False))}
     pairs |= {f"decoder.{i}": (a + b, b) for i, (a, b) in enumerate(zip(d.widths[1:], d.widths, strict=False))}
     for name, (a, b) in pairs.items():
         shapes |= {f"unet.{name}.0.weight": (b, a, 3, 3), f"unet.{name}.2.weight": (b, b, 3, 3)}
-    heads = [taps + 1] * (d.scales - 1) if d.accumulates else [full, taps + 1, taps + 1]
+    heads = d.coarse_rows if d.accumulates else [full, *d.coarse_rows]
     shapes |= {f"heads.{i}.weight": (n, w, 1, 1) for i, (n, w) in enumerate(zip(heads, d.widths, strict=False))}
     if d.accumulates:
         shapes["stem.weight"] = (d.widths[0], d.features, 4, 4)

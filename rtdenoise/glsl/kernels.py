@@ -29,7 +29,7 @@ class Kernels:
         return mean
 
     def filter(self, levels: list[GpuArray], image: GpuArray) -> GpuArray:
-        """Filter every scale with its own kernels and compose from coarse to fine."""
+        """Filter every scale with its own kernels, and from coarse to fine compose them and pick."""
         d, size = self._design, image.shape[:2]
         sizes = [size]
         for _ in range(d.scales - 1):
@@ -50,6 +50,10 @@ class Kernels:
             composed = self._scratch.image(f"composed.{s}", sizes[s])
             H, W = sizes[s]
             dispatch("frame/compose", [filtered[s], coarse, composed], (W, H), {"size": (W, H)}, POOL_MAX=self._pool)
+            if self._picks:
+                picked, buffers = self._scratch.image(f"picked.{s}", sizes[s]), [composed, coarse]
+                self._head("frame/pick", self._picks[s], features[s], [*buffers, picked], {}, KERNEL=d.pick_kernel)
+                composed = picked
             coarse = composed
         return coarse
 
@@ -85,7 +89,8 @@ class Kernels:
         """Split what the network predicts by the pass that needs it."""
         d, ctx, (weight, bias) = self._design, self._scratch.ctx, full_head(self._design, tensors)
         ends = np.cumsum(d.full_rows)[:-1]
-        spatial, temporal, edge, alpha, *shares = zip(np.split(weight, ends, 1), np.split(bias, ends), strict=True)
+        parts = zip(np.split(weight, ends, 1), np.split(bias, ends), strict=True)
+        spatial, temporal, edge, pick, alpha, *shares = parts
         unused = np.zeros_like(weight[:, :1]), np.zeros_like(bias[:1])  # neither has an α
 
         def head(kernel: tuple[np.ndarray, np.ndarray], last: tuple[np.ndarray, np.ndarray]) -> Layer:
@@ -95,10 +100,13 @@ class Kernels:
         if d.accumulates:
             self._edge = head(edge, unused)
             self._reset, self._sharp = (head_layer(ctx, *share) for share in shares)
-        first = 0 if d.accumulates else 1
+        self._picks = [head_layer(ctx, *pick)] if d.pick_rows else []
+        first, rows = 0 if d.accumulates else 1, d.kernel**2 + 1
         for i in range(first, first + d.scales - 1):
-            weight, bias = tensors[f"heads.{i}.weight"], tensors[f"heads.{i}.bias"]
-            self._spatial.append(head_layer(ctx, weight[None, :, :, 0, 0], bias))
+            weight, bias = tensors[f"heads.{i}.weight"][None, :, :, 0, 0], tensors[f"heads.{i}.bias"]
+            self._spatial.append(head_layer(ctx, weight[:, :rows], bias[:rows]))
+            if len(bias) > rows:
+                self._picks.append(head_layer(ctx, weight[:, rows:], bias[rows:]))
 
     @property
     def _pool(self) -> int:

@@ -155,6 +155,30 @@ def compose(
     return _run("compose", [fine, coarse, alpha], (B, C, H, W), (H, W), out, CHANNELS=C, POOL_MAX=_pool_max(pool))
 
 
+def pick(
+    fine: Array,  # [B, C, H, W]
+    coarse: Array,  # [B, C, ⌈H/2⌉, ⌈W/2⌉]
+    logits: Array,  # [B, K², H, W], K odd; float32 or float16
+    share: Array,  # [B, 1, H, W] in [0, 1]
+    out: GpuArray | None = None,  # [B, C, H, W]
+) -> Array:  # [B, C, H, W]
+    """Let every fine pixel pick from the K×K coarse ones around its own, as far as its share says:
+
+        w[b,k,y,x]   = softmax_k logits[b,k,y,x], over the taps k = dy·K + dx that lie inside the coarse image
+        p[b,c,y,x]   = Σ_{dy,dx ∈ 0..K-1} w[b, dy·K+dx, y, x] · coarse[b, c, ⌊y/2⌋+dy-r, ⌊x/2⌋+dx-r],    r = ⌊K/2⌋
+        out[b,c,y,x] = (1 - share) · fine + share · p
+    """
+    B, C, H, W = _shape("fine", fine)
+    K = math.isqrt(_shape("logits", logits)[1])
+    if K % 2 == 0:
+        raise ValueError(f"expected logits [{B}, K², {H}, {W}] with K odd, got {tuple(logits.shape)}")
+    _expect("logits", logits, (B, K * K, H, W))
+    _expect("coarse", coarse, (B, C, *_halved(H, W)))
+    _expect("share", share, (B, 1, H, W))
+    inputs, half = [fine, logits, coarse, share], int(logits.dtype == np.float16)
+    return _run("pick", inputs, (B, C, H, W), (H, W), out, KERNEL=K, CHANNELS=C, LOGITS_HALF=half)
+
+
 def blend(
     spatial: Array,  # [B, C, H, W]
     temporal: Array,  # [B, C, H, W]

@@ -20,7 +20,7 @@ from ..brightness import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
 from ..motion_splat import history_motion
 from ..nets import ConvRelu, UNet, as_weights
-from ..ops import apply_kernel, compose, downsample, reproject, warp
+from ..ops import apply_kernel, compose, downsample, pick, reproject, warp
 from ..ops.features import features
 from ..ops.pixels import accumulate, demodulate, modulate, nearness, shares
 from ..ops.temporal import blend_history
@@ -46,6 +46,8 @@ class Config:
     """Side of the temporal kernel, odd."""
     edge_kernel: int = 1
     """Side of the kernel that smooths edges, odd; 1: there is none."""
+    pick_kernel: int = 1
+    """Side of the kernels by which pixels pick from the next coarser scale, odd; 1: there are none."""
     longest: float = 16.0
     """Frames after which the running mean forgets: its least weight of a new frame is 1 / longest."""
     motion: str = "dual"
@@ -55,7 +57,7 @@ class Config:
         object.__setattr__(self, "widths", tuple(self.widths))
         if not 2 <= self.scales <= len(self.widths):
             raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
-        for size in (self.kernel, self.temporal_kernel, self.edge_kernel):
+        for size in (self.kernel, self.temporal_kernel, self.edge_kernel, self.pick_kernel):
             if size % 2 == 0 or size < 1:
                 raise ValueError(f"expected odd kernel sizes, got {size}")
         if self.longest < 2:
@@ -65,9 +67,20 @@ class Config:
 
     @property
     def full_head(self) -> list[int]:
-        """Outputs of the head at full size: logits of spatial, temporal and edge kernel, and three shares."""
+        """Outputs of the head at full size: logits of the spatial, temporal and edge kernel, the pick kernel and its
+        share, and three shares more. 0 of what there is none of."""
         edge = self.edge_kernel**2 if self.edge_kernel > 1 else 0
-        return [self.kernel**2, self.temporal_kernel**2, edge, 3]
+        return [self.kernel**2, self.temporal_kernel**2, edge, *self._pick, 3]
+
+    @property
+    def coarse_heads(self) -> list[list[int]]:
+        """Outputs of the heads of the coarser scales: logits of the spatial kernel, α, and but for the coarsest scale
+        the pick kernel and its share."""
+        return [[self.kernel**2, 1, *self._pick]] * (self.scales - 2) + [[self.kernel**2, 1, 0, 0]]
+
+    @property
+    def _pick(self) -> tuple[int, int]:
+        return (self.pick_kernel**2, 1) if self.pick_kernel > 1 else (0, 0)
 
 
 @dataclass(frozen=True)
@@ -88,6 +101,8 @@ class Heads:
 
     spatial: list[Tensor]  # `scales` × [B, K², H/2^s, W/2^s] logits of the spatial kernels, the first by cells
     alpha: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1], for s = 1 ...: weight of the coarser scale
+    picks: list[tuple[Tensor, Tensor]]  # (scales - 1) × [B, P², H/2^s, W/2^s] logits of the pick kernels, the first by
+    # cells, and [B, 1, H/2^s, W/2^s] in [0, 1], the weight of what is picked; empty: there are none
     temporal: Tensor  # [B, 2, 2, L², H/2, W/2] logits of the temporal kernel, by cells (`apply_kernel`)
     edge: Tensor | None  # [B, 2, 2, E², H/2, W/2] logits of the edge kernel, by cells; None: there is none
     alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
@@ -103,8 +118,7 @@ class AccumulatedKPN(nn.Module):
         self.config = config
         self.stem = ConvRelu(FEATURES, config.widths[0], 4, stride=2, padding=1)
         self.unet = UNet(config.widths[0], config.widths)
-        outputs = [config.kernel**2 + 1] * (config.scales - 1)
-        full = sum(config.full_head)
+        outputs, full = [sum(head) for head in config.coarse_heads], sum(config.full_head)
         self.full_head = nn.ConvTranspose2d(config.widths[0], full, 2, stride=2)  # of the four pixels in each cell
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(config.widths, outputs, strict=False))
         for module in self.modules():
@@ -113,7 +127,7 @@ class AccumulatedKPN(nn.Module):
                 nn.init.zeros_(module.bias)
         with torch.no_grad():
             self.full_head.bias[-2] = -4.0  # start from a plain running mean: reset near 0
-            _start_edges(self.full_head, config)
+            _start_kernels(self)
 
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -141,9 +155,12 @@ class AccumulatedKPN(nn.Module):
         filtered = [apply_kernel(mean, heads.spatial[0])]
         for logits in heads.spatial[1:]:
             filtered.append(apply_kernel(downsample(filtered[-1]), logits))
+        # Composition mixes what lies on either side of an edge; there a pixel picks its own side.
         output = filtered[-1]
-        for fine, alpha in zip(filtered[-2::-1], heads.alpha[::-1], strict=True):
-            output = compose(fine, output, alpha)
+        for s in reversed(range(self.config.scales - 1)):
+            coarse, output = output, compose(filtered[s], output, heads.alpha[s])
+            if heads.picks:
+                output = pick(output, coarse, *heads.picks[s])
 
         # Give the texture back. Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for
         # what has just changed. At an edge the one sample saw one side only: neighbours have seen the other. Then blend
@@ -191,11 +208,14 @@ class AccumulatedKPN(nn.Module):
         H, W = features.shape[2:]
         x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
-        spatial, temporal, edge, each = self._full_head(levels[0], self.config.full_head)
-        coarser = (head(x) for head, x in zip(self.heads, levels, strict=True))
-        kernels, alphas = zip(*(x.split([self.config.kernel**2, 1], dim=1) for x in coarser), strict=True)
-        alphas = [a.float().sigmoid() for a in alphas]
-        return Heads([spatial, *kernels], alphas, temporal, edge, *shares(each, (H, W)).split(1, dim=1))
+        spatial, temporal, edge, picks, picked, each = self._full_head(levels[0], self.config.full_head)
+        heads = zip(self.heads, levels, self.config.coarse_heads, strict=True)
+        coarser = [head(x).split(sizes, dim=1) for head, x, sizes in heads]
+        kernels, alphas = [spatial, *(rows[0] for rows in coarser)], [rows[1].float().sigmoid() for rows in coarser]
+        picking = []
+        if picks is not None:
+            picking = [(picks, shares(picked, (H, W))), *((r[2], r[3].float().sigmoid()) for r in coarser[:-1])]
+        return Heads(kernels, alphas, picking, temporal, edge, *shares(each, (H, W)).split(1, dim=1))
 
     def _full_head(self, x: Tensor, sizes: list[int]) -> list[Tensor | None]:
         """The outputs of `full_head` by cells, `[B, 2, 2, size, H/2, W/2]` for each of `sizes`, so that what is used
@@ -227,11 +247,16 @@ class AccumulatedKPN(nn.Module):
         return F.relu(F.conv2d(x, weight, self.stem.bias, stride=2, padding=1))[:, :, : H // 2, : W // 2]
 
 
-def _start_edges(head: nn.ConvTranspose2d, config: Config) -> None:
-    """Let the edge kernel begin as the same everywhere: 0.71 of it on the pixel itself, the rest spread evenly."""
-    spatial, temporal, edge, _ = config.full_head
-    if edge:
-        first = spatial + temporal
-        head.weight[:, first : first + edge] = 0
-        head.bias[first : first + edge] = 0
-        head.bias[first + edge // 2] = 3.0
+def _start_kernels(network: AccumulatedKPN) -> None:
+    """Let edge and pick kernels begin as the same everywhere: of the former 0.71 lies on the pixel itself, of the
+    latter 0.48 on the cell that the pixel is in, and 0.12 of the light is picked."""
+    config, coarse, full = network.config, (None, None, 2.0, -2.0), (None, None, 3.0, 2.0, -2.0, None)
+    starts = [(network.full_head, 1, config.full_head, full)]
+    starts += [(head, 0, sizes, coarse) for head, sizes in zip(network.heads, config.coarse_heads, strict=True)]
+    for head, axis, sizes, middles in starts:
+        parts = zip(head.weight.split(sizes, axis), head.bias.split(sizes), middles, strict=True)
+        for weight, bias, middle in parts:
+            if middle is not None and len(bias):
+                weight.zero_()
+                bias.zero_()
+                bias[len(bias) // 2] = middle

@@ -1,8 +1,8 @@
 """A wider network that computes what a narrower one does, so that training goes on from there.
 
 Chen, Goodfellow, Shlens: Net2Net (ICLR 2016). New channels start as random features that nobody reads: the weights by
-which old channels and the heads would read them are zero. Training is what makes them useful. An edge kernel that was
-not there before starts as it does in a fresh network, which smooths a little.
+which old channels and the heads would read them are zero. Training is what makes them useful. An edge or pick kernel
+that was not there before starts as it does in a fresh network, which changes a little.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from .accumulated_kpn import AccumulatedKPN, Config
 
 
 def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
-    """A network of the configuration `wanted` with the outputs of `small`, up to rounding; a new edge kernel smooths
-    them a little.
+    """A network of the configuration `wanted` with the outputs of `small`, up to rounding; new edge and pick kernels
+    change them a little.
 
     `small` is as `read` gives it: `load` rounds weights to run them.
 
-    Raises ValueError where `wanted` is of another kind, differs in anything but widths and a new edge kernel, or is
-    narrower somewhere.
+    Raises ValueError where `wanted` is of another kind, differs in anything but widths and new edge and pick
+    kernels, or is narrower somewhere.
     """
     if not _fits(small.config, wanted):
-        raise ValueError(f"expected {small.config}, or wider at any level, or with a new edge kernel, got {wanted}")
+        raise ValueError(
+            f"expected {small.config}, or wider at any level, or with new edge or pick kernels, got {wanted}"
+        )
     was = small.config.widths
     large = AccumulatedKPN(wanted)
     below = {f"unet.decoder.{level}.0": w for level, w in enumerate(zip(was[1:], wanted.widths[1:], strict=True))}
@@ -34,8 +36,8 @@ def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
             if isinstance(narrow, nn.Conv2d):
                 _fill(wide, narrow, below.get(name, (0, 0)))
             elif isinstance(narrow, nn.ConvTranspose2d):  # the full head: its weight is [inputs, outputs, 2, 2]
-                new = wide.out_channels - narrow.out_channels  # logits of an edge kernel, before the three shares
-                kept = [*range(narrow.out_channels - 3), *range(narrow.out_channels - 3 + new, wide.out_channels)]
+                groups = torch.arange(wide.out_channels).split(wanted.full_head)
+                kept = torch.cat([g for g, had in zip(groups, small.config.full_head, strict=True) if had])
                 wide.weight[:, kept] = 0
                 wide.weight[: narrow.in_channels, kept] = narrow.weight
                 wide.bias[kept] = narrow.bias
@@ -46,8 +48,8 @@ def _fits(was: Config, wanted: Config) -> bool:
     if not isinstance(was, Config) or not isinstance(wanted, Config) or len(was.widths) != len(wanted.widths):
         return False
     wider = all(a <= b for a, b in zip(was.widths, wanted.widths, strict=True))
-    alike = replace(wanted, widths=was.widths, edge_kernel=was.edge_kernel) == was
-    return wider and alike and was.edge_kernel in (1, wanted.edge_kernel)
+    new = {name: getattr(was, name) for name in ("edge_kernel", "pick_kernel") if getattr(was, name) == 1}
+    return wider and replace(wanted, widths=was.widths, **new) == was
 
 
 def _fill(wide: nn.Conv2d, narrow: nn.Conv2d, below: tuple[int, int]) -> None:

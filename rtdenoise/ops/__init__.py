@@ -7,8 +7,10 @@ Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, 
 
 from .apply_kernel import apply_kernel
 from .path import use
-from .pyramid import blend, compose, downsample, upsample
+from .pyramid import blend, compose, downsample, pick, upsample
 from .reproject import alike, reproject
 from .warp import fetch, warp
 
-__all__ = ["alike", "apply_kernel", "blend", "compose", "downsample", "fetch", "reproject", "upsample", "use", "warp"]
+__all__ = [
+    "alike", "apply_kernel", "blend", "compose", "downsample", "fetch", "pick", "reproject", "upsample", "use", "warp",
+]  # fmt: skip

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from torch import Tensor
+from torch.nn import functional as F
 
 
 def whole(logits: Tensor) -> Tensor:
     """Logits of cells, `[B, 2, 2, K², h, w]`, as those of pixels, `[B, K², 2h, 2w]`."""
     B, _, _, N, h, w = logits.shape
     return logits.permute(0, 3, 4, 1, 5, 2).reshape(B, N, 2 * h, 2 * w)
+
+
+def cells(logits: Tensor) -> Tensor:
+    """The inverse of `whole`, of logits `[B, K², H, W]`; an odd size is filled up with zeros."""
+    H, W = logits.shape[2:]
+    logits = F.pad(logits, (0, W % 2, 0, H % 2)) if H % 2 or W % 2 else logits
+    return logits.unflatten(3, (-1, 2)).unflatten(2, (-1, 2)).permute(0, 3, 5, 1, 2, 4)
 
 
 def strides(logits: Tensor) -> tuple[int, int, int, int, int, int]:

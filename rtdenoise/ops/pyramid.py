@@ -1,11 +1,15 @@
-"""Between the scales, and between space and time: D, U, eq. 4 and the final blend."""
+"""Between the scales, and between space and time: D, U, eq. 4, what U mixes across edges, and the final blend."""
 
 from __future__ import annotations
+
+import math
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from .apply_kernel import apply_kernel
+from .layout import cells
 from .path import fused
 
 
@@ -66,6 +70,41 @@ def compose(
     if run := fused("compose", fine, coarse, alpha):
         return run(fine, coarse, alpha, pool)
     return fine + upsample(alpha * (coarse - downsample(fine, pool)), tuple(fine.shape[2:]))
+
+
+def pick(
+    fine: Tensor,  # [B, C, H, W]
+    coarse: Tensor,  # [B, C, ⌈H/2⌉, ⌈W/2⌉]
+    logits: Tensor,  # [B, K², H, W], K odd, or by cells: [B, 2, 2, K², ⌈H/2⌉, ⌈W/2⌉] (`apply_kernel`)
+    share: Tensor,  # [B, 1, H, W] in [0, 1]
+) -> Tensor:  # [B, C, H, W]
+    """Let every fine pixel pick from the K×K coarse ones around its own, as far as its share says:
+
+        w[b,k,y,x]   = softmax_k logits[b,k,y,x], over the taps k = dy·K + dx that lie inside the coarse image
+        p[b,c,y,x]   = Σ_{dy,dx ∈ 0..K-1} w[b, dy·K+dx, y, x] · coarse[b, c, ⌊y/2⌋+dy-r, ⌊x/2⌋+dx-r],    r = ⌊K/2⌋
+        out[b,c,y,x] = (1 - share) · fine + share · p
+
+    Joint upsampling (Kopf et al. 2007) whose weights are predicted. U of eq. 4 mixes the cells around a pixel whatever
+    is in them; here a pixel beside an edge takes those that lie on its side, and has light that was averaged over many
+    pixels without any from the other side.
+
+    Raises ValueError where the shapes do not fit.
+    """
+    B, C, H, W = fine.shape
+    half = (H + 1) // 2, (W + 1) // 2
+    K = math.isqrt(logits.shape[-3])
+    shapes = (B, K**2, H, W), (B, 2, 2, K**2, *half)
+    if coarse.shape != (B, C, *half) or share.shape != (B, 1, H, W) or K % 2 == 0 or logits.shape not in shapes:
+        raise ValueError(
+            f"expected coarse {(B, C, *half)}, share {(B, 1, H, W)} and logits {shapes[0]} with K odd for fine "
+            f"{tuple(fine.shape)}, got {tuple(coarse.shape)}, {tuple(share.shape)} and {tuple(logits.shape)}"
+        )
+    if run := fused("pick", fine, coarse, share, logits):
+        return run(fine, coarse, share, logits)
+    logits = logits if logits.ndim == 6 else cells(logits)
+    parts = [apply_kernel(coarse, logits[:, i, j]) for i in (0, 1) for j in (0, 1)]  # of the four pixels of each cell
+    picked = F.pixel_shuffle(torch.stack(parts, dim=2).flatten(1, 2), 2)[:, :, :H, :W]
+    return torch.lerp(fine, picked, share)
 
 
 def blend(

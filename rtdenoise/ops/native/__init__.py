@@ -18,12 +18,13 @@ from .compiler import library, pointer, problem
 from .logits import LOGITS, constants
 from .logits import apply_kernel as apply_kernel
 from .logits import blend_history as blend_history
+from .logits import pick as pick
 from .logits import shares as shares
 from .reproject import reproject as reproject
 from .warp import fetch as fetch
 from .warp import warp as warp
 
-OF_LOGITS = ("apply_kernel", "blend_history", "shares")  # whose last argument they are
+OF_LOGITS = ("apply_kernel", "blend_history", "pick", "shares")  # whose last argument they are
 
 
 def prepare() -> None:
@@ -43,8 +44,8 @@ def unsupported(op: str, *tensors: Tensor) -> str | None:
         return f"for at most 8 channels, not {image.shape[1]}"
     if image.numel() == 0 or image.shape[2] * image.shape[3] >= 2**31:
         return f"not for images of {tuple(image.shape)}"
-    if op in ("apply_kernel", "blend_history"):
-        return problem("apply_kernel", **constants(image, *logits))
+    if op in ("apply_kernel", "blend_history", "pick"):
+        return problem("pick" if op == "pick" else "apply_kernel", **constants(image, *logits))
     return None
 
 

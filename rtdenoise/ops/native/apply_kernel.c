@@ -10,15 +10,7 @@
 #define R (K / 2)
 #define N (K * K)
 #include "logits.h"
-
-typedef struct { int y0, y1, x0, x1; } Taps;  // dy in [y0, y1), dx in [x0, x1)
-
-#define FOR_TAPS(t) \
-    _Pragma("GCC unroll 16") for (int dy = (t).y0; dy < (t).y1; dy++) \
-    _Pragma("GCC unroll 16") for (int dx = (t).x0; dx < (t).x1; dx++)
-#define FOR_CHANNELS _Pragma("GCC unroll 8") for (int c = 0; c < C; c++)
-
-static const Taps ALL = {0, K, 0, K};
+#include "taps.h"
 
 // Taps of pixel (y, x) that lie inside the image.
 static inline Taps inside(int y, int x, int H, int W) {
@@ -113,14 +105,6 @@ static inline void place(Block *o, const float *image, Gaps gaps, int y, int fro
         int first = inside ? MAX(R - dx - from, 0) : pixels, last = inside ? MIN(W + R - dx - from, pixels) : pixels;
         for (int x = 0; x < first; x++) o->values[k * BLOCK + x] = -INFINITY;
         for (int x = MAX(first, last); x < pixels; x++) o->values[k * BLOCK + x] = -INFINITY;
-    }
-}
-
-static inline void greatest(const float *values, int pixels, float *most) {
-    _Pragma("omp simd") for (int x = 0; x < pixels; x++) {
-        float v = -INFINITY;
-        FOR_TAPS(ALL) v = MAX(values[(dy * K + dx) * BLOCK + x], v);
-        most[x] = v;
     }
 }
 

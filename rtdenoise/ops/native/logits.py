@@ -1,4 +1,4 @@
-"""The fused ops that read a network's logits: kernels applied, with gradients, and shares of a pixel."""
+"""The fused ops that read a network's logits: kernels applied, with gradients, pixels picked, and shares of a pixel."""
 
 from __future__ import annotations
 
@@ -52,6 +52,14 @@ class _ApplyKernel(torch.autograd.Function):
 def blend_history(spatial: Tensor, past: Tensor, seen: Tensor, logits: Tensor, alpha: Tensor) -> Tensor:
     others = [t.contiguous() for t in (seen, spatial, alpha)]
     return _forward(past.contiguous(), _readable(logits), None, *others)
+
+
+def pick(fine: Tensor, coarse: Tensor, share: Tensor, logits: Tensor) -> Tensor:
+    images, logits = [t.contiguous() for t in (fine, coarse, share)], _readable(logits)
+    out, (B, _, H, W), layout = torch.empty_like(images[0]), fine.shape, (c_int64 * 6)(*strides(logits))
+    run = library("pick", **constants(fine, logits)).pick
+    run(*map(pointer, (*images, logits, out)), B, H, W, byref(layout), torch.get_num_threads())
+    return out
 
 
 def _forward(image: Tensor, logits: Tensor, stats: Tensor | None, *blended: Tensor) -> Tensor:
