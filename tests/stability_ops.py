@@ -18,6 +18,7 @@ import torch
 from rtdenoise import ops
 
 BACKENDS = ("torch float32", "torch bfloat16 logits", "torch float16 logits", "GLSL float32", "GLSL float16 logits")
+LOGITS = {"apply_kernel": 1, "pick": 2}  # which of an operation's arguments they are
 Operation = Callable[..., np.ndarray]
 
 
@@ -29,8 +30,8 @@ def backend(label: str) -> Callable[[str], Operation]:
         def by_name(name: str) -> Operation:
             def run(*arrays: np.ndarray) -> np.ndarray:
                 tensors = [torch.from_numpy(a) for a in arrays]
-                if name == "apply_kernel":
-                    tensors[1] = tensors[1].to(dtype)
+                if name in LOGITS:
+                    tensors[LOGITS[name]] = tensors[LOGITS[name]].to(dtype)
                 return _named(ops, name)(*tensors).numpy()
 
             return run
@@ -42,9 +43,7 @@ def backend(label: str) -> Callable[[str], Operation]:
 
     def by_name(name: str) -> Operation:
         def run(*arrays: np.ndarray) -> np.ndarray:
-            return _named(glsl, name)(
-                arrays[0], *(a.astype(logits) if name == "apply_kernel" else a for a in arrays[1:])
-            )
+            return _named(glsl, name)(*(a.astype(logits) if i == LOGITS.get(name) else a for i, a in enumerate(arrays)))
 
         return run
 
@@ -98,6 +97,13 @@ def _bounded(op: Callable[[str], Operation], scale: float) -> float:
     image, logits = _random(1, 3, H, W) * np.float32(scale), _random(1, 25, H, W, seed=1) * 2e4 - 1e4
     out = _kernel(op, image, logits.astype(np.float32))
     return max(0.0, float(out.max() / image.max()) - 1) if np.isfinite(out).all() else math.inf
+
+
+def _one_cell(op: Callable[[str], Operation]) -> float:
+    coarse, logits = _random(1, 3, (H + 1) // 2, W // 2), np.full((1, 9, H, W), -1e4, np.float32)
+    logits[:, 4] = 1e4
+    picked = op("pick")(_random(1, 3, H, W, seed=1), coarse, logits, np.ones((1, 1, H, W), np.float32))
+    return _difference(picked, coarse.repeat(2, axis=2).repeat(2, axis=3)[:, :, :H])
 
 
 def _alpha(op: Callable[[str], Operation], alpha: float) -> float:
@@ -160,6 +166,7 @@ OP_CASES = [
              lambda op, level=level: _even(op, level)) for level in (0.0, 1e4, -1e4)),
     *(OpCase(f"apply_kernel: logits ±1e4, image of {scale:g}", "no brighter than the brightest tap, relative", 1e-6,
              lambda op, scale=scale: _bounded(op, scale)) for scale in (1e-30, 1.0, 1e15)),
+    OpCase("pick: logits −1e4, one of +1e4", "that cell alone, exactly", 0.0, _one_cell),
     *(OpCase(f"blend: α = {alpha:g}", "one of the two, exactly", 0.0, lambda op, alpha=alpha: _alpha(op, alpha))
       for alpha in (0.0, 1.0)),
     *(OpCase(f"compose: α = {alpha:g}, scales that agree", "the fine scale", 1e-6,

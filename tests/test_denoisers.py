@@ -302,6 +302,24 @@ def test_textures_pass_unfiltered():
     torch.testing.assert_close(model.step(frame)[0], frame.radiance)
 
 
+def test_pixels_that_pick_their_own_cell_at_every_scale_show_the_coarsest():
+    model, frame = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False), make_frame(H=32, W=48)
+    full, coarse = model.config.full_head, model.config.coarse_heads[0]
+    rows = [(model.full_head.weight.transpose(0, 1), model.full_head.bias, sum(full[:3]))]
+    rows += [(head.weight, head.bias, sum(coarse[:2])) for head in model.heads[:-1]]
+    for weight, bias, first in rows:
+        weight[first : first + 10] = 0.0
+        bias[first : first + 10] = 50.0
+        bias[first : first + 9] -= 100.0 * (torch.arange(9) != 4)
+    first = sum(full[:2])
+    model.full_head.bias[first : first + 9] = -50.0 * (torch.arange(9) != 4)  # no smoothing of edges
+    model.full_head.weight[:, -3], model.full_head.bias[-3] = 0.0, 50.0  # the current frame alone
+    image, _ = model.step(replace(frame, albedo=torch.ones_like(frame.albedo)))
+    side = 2 ** (model.config.scales - 1)
+    assert torch.equal(image, image[:, :, ::side, ::side].repeat_interleave(side, 2).repeat_interleave(side, 3))
+    assert len(image.unique()) == image.numel() // side**2
+
+
 def test_history_is_kept_off_other_surfaces():
     """A wall that was lit brightly beside a dark box: no light crosses the edge between them."""
     model = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False)

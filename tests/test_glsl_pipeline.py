@@ -53,8 +53,7 @@ def weights(tmp_path_factory):
                     parameter.data.normal_()  # an edge kernel is the same everywhere until it is trained
                 elif "head" in name:
                     parameter.data.mul_(3)
-                    if "weight" in name:
-                        parameter.data[config.kernel**2 + 1 :].normal_()  # and so are pick kernels
+                    parameter.data[config.kernel**2 + 1 :].normal_()  # and so are pick kernels
             written[config] = folder / f"{len(written)}.safetensors"
             models.save(denoiser, written[config])
         return str(written[config])

@@ -46,24 +46,40 @@ def test_new_channels_learn(small):
     assert (model.stem.weight.grad[16:].abs().amax((1, 2, 3)) > 0).all()
 
 
-@pytest.mark.parametrize("had", [{}, {"edge_kernel": 3}, {"pick_kernel": 3}], ids=str)
-def test_edge_and_pick_kernels_are_added_and_begin_as_the_same_everywhere(had):
+EDGE, PICK = {"edge_kernel": 3}, {"pick_kernel": 3}
+
+
+@pytest.mark.parametrize("had", [{}, EDGE, PICK, EDGE | PICK], ids=str)
+def test_edge_and_pick_kernels_are_kept_or_begin_as_the_same_everywhere(had):
     torch.manual_seed(0)
     small = create(replace(PRESETS["fast"], **{"edge_kernel": 1, "pick_kernel": 1} | had)).eval().requires_grad_(False)
+    for name, parameter in small.named_parameters():
+        if "head" in name:
+            parameter.normal_(std=0.3)
     inputs = torch.rand(2, FEATURES, 48, 80)
-    before, after = small.predict(inputs), grow(small, replace(WIDE, pick_kernel=3)).predict(inputs)
-    assert (before.edge is None) == ("edge_kernel" not in had) and bool(before.picks) == ("pick_kernel" in had)
+    before, after = small.predict(inputs), grow(small, replace(WIDE, **EDGE, **PICK)).predict(inputs)
     for name in ("temporal", "alpha_temporal", "reset", "sharp"):
         torch.testing.assert_close(getattr(after, name), getattr(before, name))
     for a, b in zip(before.spatial + before.alpha, after.spatial + after.alpha, strict=True):
         torch.testing.assert_close(b, a)
-    weights = after.edge.softmax(3)
-    assert (weights == weights[0, 0, 0, :, 0, 0][:, None, None]).all() and weights[:, :, :, 4].min() > 0.6
+    if "edge_kernel" in had:
+        torch.testing.assert_close(after.edge, before.edge)
+    else:
+        assert before.edge is None and same_everywhere(after.edge.softmax(3))[4] > 0.6
     assert len(after.picks) == small.config.scales - 1
-    for logits, share in after.picks:
-        weights = logits.softmax(-3).unbind(-3)
-        assert all((weight == weight.flatten()[0]).all() for weight in weights) and weights[4].min() > 0.4
-        assert 0 < share.min() == share.max() < 0.2
+    if "pick_kernel" in had:
+        torch.testing.assert_close(after.picks, before.picks)
+    else:
+        assert before.picks == []
+        for logits, share in after.picks:
+            assert same_everywhere(logits.softmax(-3))[4] > 0.4 and 0 < same_everywhere(share)[0] < 0.2
+
+
+def same_everywhere(values):
+    """The channels of one pixel, which are those of every other."""
+    first, *others = values.movedim(-3, -1).flatten(0, -2)
+    assert all(torch.equal(first, other) for other in others)
+    return first
 
 
 def test_the_same_widths_are_a_copy(small):
@@ -84,6 +100,12 @@ NARROWER, DEEPER = (12, 24, 40, 50, 70), (*WIDE.widths, 80)
 def test_what_does_not_fit_is_refused(small, wanted):
     with pytest.raises(ValueError, match="wider at any level"):
         grow(small, wanted)
+
+
+@pytest.mark.parametrize("wanted", [1, 5])
+def test_a_pick_kernel_of_another_size_is_refused(wanted):
+    with pytest.raises(ValueError, match="new edge or pick kernels"):
+        grow(create(replace(WIDE, **PICK)), replace(WIDE, pick_kernel=wanted))
 
 
 def test_a_network_of_another_kind_does_not_grow():

@@ -206,6 +206,7 @@ def test_pick_refuses_what_does_not_fit():
     for bad in (
         (fine, coarse[:, :, :2], logits, share), (fine, coarse, logits[:, :8], share),
         (fine, coarse, logits[:, :4], share), (fine, coarse, logits[..., :3], share), (fine, coarse, logits, fine),
+        (fine, coarse, logits[0], share),
     ):  # fmt: skip
         with pytest.raises(ValueError, match="expected coarse"):
             pick(*bad)

@@ -320,12 +320,30 @@ def test_pyramid(both, assert_images_close, size, pool):
 def test_pick(both, assert_images_close, size, kernel, dtype):
     cells = [-(-n // 2) for n in size]
     fine, coarse, share = torch.randn(2, 3, *size), torch.randn(2, 3, *cells), torch.rand(2, 1, *size)
-    planes = (8 * torch.randn(2, kernel**2, *size)).to(dtype)
-    last = planes.new_empty(2, *size, kernel**2 + 1).movedim(3, 1)[:, 1:].copy_(planes)  # rows of a head beside others
-    by_cells = (8 * torch.randn(2, *cells, 2, 2, kernel**2)).to(dtype).permute(0, 3, 4, 5, 1, 2)
-    for logits in (planes, last, by_cells):
-        plain, fused = both(ops.pick, fine, coarse, logits, share)
-        assert_images_close(fused, plain, "float32")
+    for spread in (4, 1e4):
+        planes = (spread * torch.randn(2, kernel**2, *size)).to(dtype)
+        last = planes.new_empty(2, *size, kernel**2 + 1).movedim(3, 1)[:, 1:].copy_(planes)  # rows of a head
+        by_cells = (spread * torch.randn(2, *cells, 2, 2, kernel**2)).to(dtype).permute(0, 3, 4, 5, 1, 2)
+        for logits in (planes, last, by_cells, by_cells.contiguous()):
+            plain, fused = both(ops.pick, fine, coarse, logits, share)
+            assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("by_cells", [False, True])
+def test_pick_gradients(assert_images_close, size, by_cells):
+    """As training takes them: through the fused `apply_kernel`."""
+    cells = [-(-n // 2) for n in size]
+    fine, coarse, share = torch.randn(2, 3, *size), torch.randn(2, 3, *cells), torch.rand(2, 1, *size)
+    logits, grad = torch.randn(*((2, 2, 2, 9, *cells) if by_cells else (2, 9, *size))), torch.randn(2, 3, *size)
+
+    def gradients(choice):
+        inputs = [t.clone().requires_grad_() for t in (fine, coarse, logits, share)]
+        with ops.use(choice):
+            return torch.autograd.grad(ops.pick(*inputs), inputs, grad)
+
+    for fused, plain in zip(gradients("auto"), gradients("plain"), strict=True):
+        assert_images_close(fused, plain, "float32 gradients")
 
 
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)

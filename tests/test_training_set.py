@@ -420,6 +420,8 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
     ):
         with pytest.raises(InputError, match=rf"clip_000004\.safetensors: was rendered with {complaint}"):
             render_set(tmp_path, replace(TINY, **change), lambda *_: None)
+    with only_run(tmp_path, "0-of-1"), pytest.raises(InputError, match="another run"):  # gets past the comparison
+        render_set(tmp_path, replace(TINY, seed=5, reference_error=0.2), lambda *_: None)
     with pytest.raises(InputError, match="generator = 3, not 1"):
         render_clips(tmp_path, ClipOptions(8, (32, 32), 3))
 

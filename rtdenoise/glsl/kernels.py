@@ -51,9 +51,7 @@ class Kernels:
             H, W = sizes[s]
             dispatch("frame/compose", [filtered[s], coarse, composed], (W, H), {"size": (W, H)}, POOL_MAX=self._pool)
             if self._picks:
-                picked, buffers = self._scratch.image(f"picked.{s}", sizes[s]), [composed, coarse]
-                self._head("frame/pick", self._picks[s], features[s], [*buffers, picked], {}, KERNEL=d.pick_kernel)
-                composed = picked
+                self._head("frame/pick", self._picks[s], features[s], [composed, coarse], {}, KERNEL=d.pick_kernel)
             coarse = composed
         return coarse
 

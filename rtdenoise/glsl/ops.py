@@ -167,6 +167,8 @@ def pick(
         w[b,k,y,x]   = softmax_k logits[b,k,y,x], over the taps k = dy·K + dx that lie inside the coarse image
         p[b,c,y,x]   = Σ_{dy,dx ∈ 0..K-1} w[b, dy·K+dx, y, x] · coarse[b, c, ⌊y/2⌋+dy-r, ⌊x/2⌋+dx-r],    r = ⌊K/2⌋
         out[b,c,y,x] = (1 - share) · fine + share · p
+
+    Logits must fit one buffer.
     """
     B, C, H, W = _shape("fine", fine)
     K = math.isqrt(_shape("logits", logits)[1])

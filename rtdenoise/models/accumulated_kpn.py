@@ -4,7 +4,8 @@ What it keeps of `temporal_kpn` (the paper): dual motion vectors, per-pixel kern
 coarse to fine, a temporal kernel, one explicit step. What it changes: textures are divided out before anything is
 filtered and given back before a small kernel smooths edges and the previous output, looked up cubically, is blended in;
 noisy light is averaged along tested reprojections before it is filtered, as far as the network trusts it; the network
-runs at half size; and five scales reach far enough for light as sparse as one sample a pixel leaves it.
+runs at half size; five scales reach far enough for light as sparse as one sample a pixel leaves it; and where a model
+has pick kernels, light that was averaged at a coarser scale stays on its side of an edge.
 Read `AccumulatedKPN.step` first.
 """
 
@@ -208,14 +209,17 @@ class AccumulatedKPN(nn.Module):
         H, W = features.shape[2:]
         x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
-        spatial, temporal, edge, picks, picked, each = self._full_head(levels[0], self.config.full_head)
+        spatial, temporal, edge, pick_logits, pick_share, each = self._full_head(levels[0], self.config.full_head)
         heads = zip(self.heads, levels, self.config.coarse_heads, strict=True)
         coarser = [head(x).split(sizes, dim=1) for head, x, sizes in heads]
-        kernels, alphas = [spatial, *(rows[0] for rows in coarser)], [rows[1].float().sigmoid() for rows in coarser]
-        picking = []
-        if picks is not None:
-            picking = [(picks, shares(picked, (H, W))), *((r[2], r[3].float().sigmoid()) for r in coarser[:-1])]
-        return Heads(kernels, alphas, picking, temporal, edge, *shares(each, (H, W)).split(1, dim=1))
+        kernels, alphas, picks, pick_shares = zip(*coarser, strict=True)
+        kernels, alphas = [spatial, *kernels], [alpha.float().sigmoid() for alpha in alphas]
+        if pick_logits is None:
+            picks = []
+        else:
+            pick_shares = [shares(pick_share, (H, W)), *(share.float().sigmoid() for share in pick_shares[:-1])]
+            picks = list(zip([pick_logits, *picks[:-1]], pick_shares, strict=True))
+        return Heads(kernels, alphas, picks, temporal, edge, *shares(each, (H, W)).split(1, dim=1))
 
     def _full_head(self, x: Tensor, sizes: list[int]) -> list[Tensor | None]:
         """The outputs of `full_head` by cells, `[B, 2, 2, size, H/2, W/2]` for each of `sizes`, so that what is used
@@ -248,11 +252,14 @@ class AccumulatedKPN(nn.Module):
 
 
 def _start_kernels(network: AccumulatedKPN) -> None:
-    """Let edge and pick kernels begin as the same everywhere: of the former 0.71 lies on the pixel itself, of the
-    latter 0.48 on the cell that the pixel is in, and 0.12 of the light is picked."""
-    config, coarse, full = network.config, (None, None, 2.0, -2.0), (None, None, 3.0, 2.0, -2.0, None)
-    starts = [(network.full_head, 1, config.full_head, full)]
-    starts += [(head, 0, sizes, coarse) for head, sizes in zip(network.heads, config.coarse_heads, strict=True)]
+    """Let edge and pick kernels begin as the same everywhere: of 3×3 edge kernels 0.71 lies on the pixel itself, of
+    pick kernels 0.48 on the cell that the pixel is in, and 0.12 of the light is picked."""
+    # The logit in the middle of each part of the heads, and None for what begins at random.
+    full = (None, None, 3.0, 2.0, -2.0, None)  # spatial, temporal and edge kernel, pick kernel, its share, shares
+    coarse = (None, None, 2.0, -2.0)  # spatial kernel, α, pick kernel, its share
+    starts = [(network.full_head, 1, network.config.full_head, full)]
+    sizes = network.config.coarse_heads
+    starts += [(head, 0, n, coarse) for head, n in zip(network.heads, sizes, strict=True)]
     for head, axis, sizes, middles in starts:
         parts = zip(head.weight.split(sizes, axis), head.bias.split(sizes), middles, strict=True)
         for weight, bias, middle in parts:

@@ -1,4 +1,5 @@
-"""Between the scales, and between space and time: D, U, eq. 4, what U mixes across edges, and the final blend."""
+"""Between the scales, and between space and time: D, U, eq. 4, picking from the coarser scale, and the
+final blend."""
 
 from __future__ import annotations
 
@@ -92,18 +93,19 @@ def pick(
     """
     B, C, H, W = fine.shape
     half = (H + 1) // 2, (W + 1) // 2
-    K = math.isqrt(logits.shape[-3])
+    K = math.isqrt(logits.shape[-3]) if logits.ndim in (4, 6) else 0
     shapes = (B, K**2, H, W), (B, 2, 2, K**2, *half)
     if coarse.shape != (B, C, *half) or share.shape != (B, 1, H, W) or K % 2 == 0 or logits.shape not in shapes:
         raise ValueError(
-            f"expected coarse {(B, C, *half)}, share {(B, 1, H, W)} and logits {shapes[0]} with K odd for fine "
-            f"{tuple(fine.shape)}, got {tuple(coarse.shape)}, {tuple(share.shape)} and {tuple(logits.shape)}"
+            f"expected coarse {(B, C, *half)}, share {(B, 1, H, W)} and logits [{B}, K², {H}, {W}] with K odd, or by "
+            f"cells, for fine {tuple(fine.shape)}, got {tuple(coarse.shape)}, {tuple(share.shape)} and "
+            f"{tuple(logits.shape)}"
         )
     if run := fused("pick", fine, coarse, share, logits):
         return run(fine, coarse, share, logits)
     logits = logits if logits.ndim == 6 else cells(logits)
-    parts = [apply_kernel(coarse, logits[:, i, j]) for i in (0, 1) for j in (0, 1)]  # of the four pixels of each cell
-    picked = F.pixel_shuffle(torch.stack(parts, dim=2).flatten(1, 2), 2)[:, :, :H, :W]
+    each = apply_kernel(coarse.repeat_interleave(4, 0), logits.flatten(0, 2))  # the four pixels of a cell as a batch
+    picked = F.pixel_shuffle(each.unflatten(0, (B, 4)).transpose(1, 2).flatten(1, 2), 2)[:, :, :H, :W]
     return torch.lerp(fine, picked, share)
 
 

@@ -92,7 +92,8 @@ def refuse_others(
 ) -> None:
     """Raise InputError where the folder holds clips that were made with other options: they would be mixed up.
 
-    `before` is what `scenes_are_of` was for clips that do not say, of before there was the option.
+    `before` is what `scenes_are_of` was for clips of before there was the option. What else they do not say is taken on
+    trust.
     """
     for path in sorted(out.glob("clip_*.safetensors"))[:1]:
         facts = read_facts(path)
@@ -100,8 +101,10 @@ def refuse_others(
             "generator": generator, "seed": seeds(int(path.stem.removeprefix("clip_"))), "size": list(options.size),
             "frames": options.frames, "spp": options.spp, "max_depth": options.max_depth,
         }  # fmt: skip
-        found = (before or {}) | facts.get("scenes_are_of", {}) | {key: facts.get(key) for key in expected}
-        for key, value in ((scenes_are_of or {}) | expected).items():
+        wanted = scenes_are_of or {}
+        told = {key: facts[key] for key in wanted.keys() & facts.keys()} | facts.get("scenes_are_of", {})
+        found = wanted | (before or {}) | told | {key: facts.get(key) for key in expected}
+        for key, value in (wanted | expected).items():
             if found[key] != value:
                 raise InputError(f"{path}: was rendered with {key} = {found[key]}, not {value}; choose another "
                                  "--out or the options of that run")  # fmt: skip

@@ -242,8 +242,8 @@ def render_set(out: Path, options: SetOptions, progress: Callable[[int, int, str
         find_pictures(options.textures)  # and so do pictures that cannot be opened
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    scenes, before = options.scenes_are_of(), SetOptions().scenes_are_of()
-    refuse_others(out, options, options.generator, lambda index: options.seed, scenes, before)
+    before = {"calm": 0.0}  # an option that is younger than the record
+    refuse_others(out, options, options.generator, lambda index: options.seed, options.scenes_are_of(), before)
     shard, shards = options.shard
     groups: dict[int, int] = {}  # scene -> clips of it that are missing
     for i in range(options.count):

@@ -4,8 +4,8 @@
 //     out = composed + share · (Σ_{dy,dx} w[k] · coarse(⌊x/2⌋ + dx - r, ⌊y/2⌋ + dy - r) - composed)
 //
 // takes    features, weights, biases: the head, KERNEL² logits and the logit of the share ·
-//          composed [H, W] rgb, α of this scale · coarse [⌈H/2⌉, ⌈W/2⌉] rgb
-// returns  picked [H, W] rgb, α
+//          coarse [⌈H/2⌉, ⌈W/2⌉] rgb
+// changes  composed [H, W] rgb, α of this scale: its rgb
 #pragma constants KERNEL
 #define PARAMETERS PARAMETER(ivec2, feature_size) PARAMETER(int, groups)
 #include "image.glsl"
@@ -13,9 +13,8 @@
 #define ROWS (KERNEL * KERNEL + 1)
 #include "head.glsl"
 
-layout(std430, binding = 3) readonly restrict buffer Composed { vec4 composed[]; };
+layout(std430, binding = 3) restrict buffer Composed { vec4 composed[]; };
 layout(std430, binding = 4) readonly restrict buffer Coarse { vec4 coarse[]; };
-layout(std430, binding = 5) writeonly restrict buffer Picked { vec4 picked[]; };
 
 const float LOWEST = -3.402823466e38;
 
@@ -40,7 +39,6 @@ void main() {
         total += w;
         sum += w * coarse[at(tap, coarse_size())].rgb;
     }
-    vec4 here = composed[at(pixel, size)];
     float share = sigmoid(rows[(ROWS - 1) >> 2][(ROWS - 1) & 3]);
-    picked[at(pixel, size)] = vec4(mix(here.rgb, sum / total, share), here.a);
+    composed[at(pixel, size)].rgb = mix(composed[at(pixel, size)].rgb, sum / total, share);
 }
