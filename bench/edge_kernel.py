@@ -1,4 +1,4 @@
-"""What edge kernels and cubic lookup cost: a step of each model at 720p with and without them.
+"""What edge and pick kernels and cubic lookup cost: a step of each model at 720p with and without them.
 
     python bench/edge_kernel.py
 
@@ -32,11 +32,11 @@ def main() -> None:
     frame = Frame(light, albedo=albedo, normal=normal, depth=1 + albedo[:, :1], motion=motion, motion_next=motion_next)
     methods = {f"warp, cubic {cubic}": partial(ops.warp, light, motion, cubic=cubic) for cubic in (False, True)}
     for name in ("fast", "default", "quality"):
-        for size in (1, 3):
-            network = create(replace(PRESETS[name], edge_kernel=size)).eval().requires_grad_(False)
-            model = prepare(network, torch.bfloat16)
+        for edge, pick in ((1, 1), (3, 1), (3, 3)):
+            config = replace(PRESETS[name], edge_kernel=edge, pick_kernel=pick)
+            model = prepare(create(config).eval().requires_grad_(False), torch.bfloat16)
             _, history = model.step(frame)
-            methods[f"{name}, edge kernel {size}"] = partial(model.step, frame, history)
+            methods[f"{name}, edge kernel {edge}, pick kernel {pick}"] = partial(model.step, frame, history)
     timings = harness.measure(methods, CALLS, clock=time.process_time)
     for name, timing in timings.items():
         print(f"{name}: {timing.median_ms} ± {timing.iqr_ms} ms")
