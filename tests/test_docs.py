@@ -24,7 +24,8 @@ def test_the_tables_are_those_of_the_results(monkeypatch):
 STABILITY = [(name, "stability.md") for name in ("stability", "cuts", "plan", "tiles", "files")]
 TRAINING = [
     ("optimisers", "training.md"), ("activity", "training.md"), ("generalisation", "training.md"),
-    ("patience", "training.md"), ("ablation", "models/paper.md"), ("where", "quality.md"),
+    ("patience", "training.md"), ("pick_kernel", "training.md"), ("ablation", "models/paper.md"),
+    ("where", "quality.md"), ("bias", "quality.md"),
 ]  # fmt: skip
 
 
