@@ -316,7 +316,9 @@ def test_pyramid(both, assert_images_close, size, pool):
         assert_images_close(fused, plain, "float32")
 
 
-@pytest.mark.parametrize("backend, size, kernel, dtype", KERNELS, indirect=["backend"], ids=str)
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("kernel", [3, 5])
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
 def test_pick(both, assert_images_close, size, kernel, dtype):
     cells = [-(-n // 2) for n in size]
     fine, coarse, share = torch.randn(2, 3, *size), torch.randn(2, 3, *cells), torch.rand(2, 1, *size)
@@ -327,6 +329,15 @@ def test_pick(both, assert_images_close, size, kernel, dtype):
         for logits in (planes, last, by_cells, by_cells.contiguous()):
             plain, fused = both(ops.pick, fine, coarse, logits, share)
             assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+def test_pick_where_only_apply_kernel_is_fused(both, assert_images_close):
+    logits = torch.randn(2, 2, 2, 9, 2, 3)
+    plain, fused = both(
+        ops.pick, torch.randn(2, 3, 3, 5), torch.randn(2, 3, 2, 3), logits.bfloat16(), torch.rand(2, 1, 3, 5)
+    )
+    assert_images_close(fused, plain, "float32")
 
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
