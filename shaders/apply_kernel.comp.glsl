@@ -13,9 +13,6 @@ layout(std430, binding = 0) readonly restrict buffer Image { float image[]; };
 #include "logits.glsl"
 layout(std430, binding = 2) writeonly restrict buffer Result { float result[]; };
 
-const int TAPS = KERNEL * KERNEL;
-const float LOWEST = -3.402823466e38;
-
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
     int b = int(gl_GlobalInvocationID.z);

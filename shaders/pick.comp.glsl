@@ -18,9 +18,6 @@ layout(std430, binding = 2) readonly restrict buffer Coarse { float coarse[]; };
 layout(std430, binding = 3) readonly restrict buffer Share { float share[]; };
 layout(std430, binding = 4) writeonly restrict buffer Result { float result[]; };
 
-const int TAPS = KERNEL * KERNEL;
-const float LOWEST = -3.402823466e38;
-
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
     int b = int(gl_GlobalInvocationID.z);

@@ -1,5 +1,8 @@
-// Logits in binding 1, float or packed half (LOGITS_HALF).
-#pragma constants LOGITS_HALF
+// Logits [B, KERNEL², H, W] in binding 1, float or packed half (LOGITS_HALF).
+#pragma constants KERNEL LOGITS_HALF
+
+const int TAPS = KERNEL * KERNEL;
+const float LOWEST = -3.402823466e38;
 
 #if LOGITS_HALF
 // Value i is the low (i even) or high (i odd) half of word ⌊i/2⌋: a float16 array as it lies in memory.
