@@ -19,7 +19,7 @@ class Evaluate:
     out: Path
     """Folder for evaluation.json and the pictures."""
     methods: tuple[str, ...] = ()
-    """Names as in the report (default: all)."""
+    """Names as in docs/report.md (default: all), or NAME=FILE: the network of your own weights, under that name."""
     precision: tuple[str, ...] = ("fp32",)
     """'fp32', 'bf16'."""
     metrics: tuple[str, ...] = ()

@@ -17,7 +17,7 @@ from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, evaluate, methods, unco
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.inputs import reference_errors
 from rtdenoise.evaluate.run import NEEDS, Options, run
-from rtdenoise.models import available, load
+from rtdenoise.models import available, find, load
 
 PLAIN = ("noisy", "accumulate")
 
@@ -40,18 +40,44 @@ def test_shipped_weights_are_methods_and_what_is_left_of_them():
 
 
 def test_weights_that_ship_later_are_found(monkeypatch):
-    assert "weights" in methods()["ntasd"].unavailable()
-    monkeypatch.setattr("rtdenoise.evaluate.registry.available", lambda: ["default", "ntasd", "paper"])
+    monkeypatch.setattr("rtdenoise.evaluate.registry.available", lambda: ["default", "later", "paper"])
     known = methods()
-    assert known["default"].family == "network" and known["default-spatial"].family == "ablation"
-    assert not known["ntasd"].unavailable() and "ntasd-traditional" not in known
+    assert known["later"].family == "network" and known["later-spatial"].family == "ablation"
 
 
-def test_a_method_that_is_not_there_says_why():
-    with pytest.raises(InputError, match="ntasd: needs weights trained with traditional motion"):
-        methods()["ntasd"].step()
-    with pytest.raises(InputError, match="unknown method 'magic'; expected some of noisy, accumulate"):
-        evaluate(make_frames(2), ["magic"])
+def test_weights_of_ones_own_are_measured_under_their_name(tmp_path):
+    mine = tmp_path / "weights.safetensors"
+    shutil.copy(find("fast"), mine)
+    ours, theirs = evaluate(make_frames(2, H=32, W=32), [f"mine={mine}", "fast"])
+    assert (ours.method, theirs.method) == ("mine", "fast") and torch.equal(ours.images[1], theirs.images[1])
+
+
+def test_weights_that_changed_are_measured_again(shot, tmp_path):
+    mine, out = tmp_path / "weights.safetensors", tmp_path / "out"
+    for weights in ("fast", "paper"):
+        shutil.copy(find(weights), mine)
+        document = run([str(shot)], out, Options((f"mine={mine}", weights)))
+        (ours,) = (r["errors"] for r in document.results if r["method"] == "mine")
+        (theirs,) = (r["errors"] for r in document.results if r["method"] == weights)
+        assert ours == theirs
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        (["magic"], "unknown method 'magic'; expected NAME=FILE of weights, or some of noisy, accumulate"),
+        (["mine=nowhere.safetensors"], "mine=nowhere.safetensors: no such weights file"),
+        (["../mine={file}"], "expected a name of letters"),
+        (["={file}"], "expected a name of letters"),
+        (["paper={file}"], "another method is called 'paper'"),
+        (["a={file}", "a={copy}"], "another method is called 'a'"),
+    ],
+)
+def test_what_cannot_be_a_method(asked, message, tmp_path):
+    files = {"file": find("fast"), "copy": tmp_path / "copy.safetensors"}
+    shutil.copy(*files.values())
+    with pytest.raises(InputError, match=message):
+        evaluate(make_frames(2), [name.format(**files) for name in asked])
 
 
 def test_the_spatial_network_has_no_history():
@@ -183,14 +209,14 @@ def test_the_references_own_error_comes_from_their_halves():
 
 def test_a_run_measures_and_leaves_out_with_reasons(shot, tmp_path, capsys):
     out = tmp_path / "out"
-    command = ["evaluate", str(shot), "--out", str(out), "--methods", *PLAIN, "ntasd", "--spp", "1", "4", "8"]
+    command = ["evaluate", str(shot), "--out", str(out), "--methods", *PLAIN, "--spp", "1", "4", "8"]
     main([*command, "--device", "cpu"])
     document = Document.read(out)
     assert [(r["spp"], r["method"]) for r in document.results] == [(n, m) for n in (1, 4) for m in PLAIN]
     one, four = (r["errors"]["frame"]["psnr"] for r in document.results if r["method"] == "noisy")
     assert four > one + 3
     reasons = {(row["spp"], row["method"]): row["reason"] for row in document.skipped}
-    assert "none are shipped" in reasons[1, "ntasd"] and "no input at 8 spp" in reasons[8, "noisy"]
+    assert "no input at 8 spp" in reasons[8, "noisy"]
     assert document.sequences["shot"]["sample_ms"] == 10 and document.sequences["shot"]["size"] == [24, 32]
     assert {"command", "commit", "devices", "versions"} <= document.runs[0].keys()
     still = out / "pictures" / "shot" / f"{document.sequences['shot']['stills'][0]:04d}"

@@ -22,7 +22,7 @@ from rtdenoise.evaluate.run import Options, run
 from rtdenoise.report import report
 
 ARTEFACTS = Path(__file__).parent / "artefacts"
-METHODS = ("noisy", "accumulate", "oidn", "paper", "ntasd")
+METHODS = ("noisy", "accumulate", "oidn", "paper")
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -19,7 +21,6 @@ from ..sanitise import sanitise
 
 Step = Callable[[Frame, object], tuple[Tensor, object]]
 PRECISIONS = ("fp32", "bf16")
-SETTING_A = "ntasd"  # the name that weights trained with traditional motion ship under
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Method:
     start: Callable[[str | torch.device, str], Step] | None  # None: not available, and `missing` says why
     missing: str = ""
     precisions: tuple[str, ...] = ("fp32",)
-    weights: str = ""  # name of the weights it runs on
+    weights: str = ""  # name or file of the weights it runs on
 
     def step(self, device: str | torch.device = "cpu", precision: str = "auto") -> Step:
         """A fresh step; 'auto' is the precision that suits the device. Raises InputError where there is none: why."""
@@ -60,19 +61,22 @@ def methods() -> dict[str, Method]:
         *_oidn(),
         *(method for name in available() for method in _network(name)),
     ]  # fmt: skip
-    if SETTING_A not in available():
-        reason = "needs weights trained with traditional motion vectors, and none are shipped"
-        found.append(Method(SETTING_A, "the network trained with traditional motion", "network", None, reason))
     return {method.name: method for method in found}
 
 
 def choose(names: Iterable[str]) -> list[Method]:
-    """The methods of these names, in that order. Raises InputError for a name that is none."""
-    known = methods()
-    chosen = list(names) or list(known)
-    if unknown := [name for name in chosen if name not in known]:
-        raise InputError(f"unknown method {unknown[0]!r}; expected some of {', '.join(known)}")
-    return [known[name] for name in chosen]
+    """The methods of these names, in that order, each once; all where there are none. NAME=FILE is the network of a
+    weights file, under that name.
+
+    Raises InputError for a name that is none, or is that of two methods, and for a file that is not there."""
+    known, chosen = methods(), {}
+    for name in names:
+        method = _of_file(*name.split("=", 1)) if "=" in name else known.get(name)
+        if method is None:
+            raise InputError(f"unknown method {name!r}; expected NAME=FILE of weights, or some of {', '.join(known)}")
+        if known.get(method.name, method) is not method or chosen.setdefault(method.name, method) != method:
+            raise InputError(f"{name}: another method is called {method.name!r}")
+    return list((chosen or known).values())
 
 
 def _oidn() -> list[Method]:
@@ -98,21 +102,32 @@ def _oidn() -> list[Method]:
 
 def _network(name: str) -> list[Method]:
     """Shipped weights, and what is left of them without dual motion and without history."""
-
-    def start(device: str | torch.device, precision: str, history: bool = True, **overrides: str) -> Step:
-        step = stepper(load(name, device, precision, **overrides))
-        return step if history else partial(_without_history, step)
-
-    whole = Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name)
-    if name == SETTING_A:
-        return [whole]
+    start = partial(_start, name)
     return [
-        whole,
+        Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name),
         Method(f"{name}-traditional", f"{name} on traditional motion, same weights", "ablation",
                partial(start, motion="traditional"), weights=name),
         Method(f"{name}-spatial", f"{name} without history: spatial kernels only", "ablation",
                partial(start, history=False), weights=name),
     ]  # fmt: skip
+
+
+def _of_file(name: str, file: str) -> Method:
+    """Weights that do not ship. Raises InputError for a file that is not there, and for a name that cannot be that of a
+    picture."""
+    if not re.fullmatch(r"[\w.-]*\w", name):
+        raise InputError(f"{name}={file}: expected a name of letters, digits, '-', '_' and '.' before the '='")
+    if not Path(file).is_file():
+        raise InputError(f"{name}={file}: no such weights file")
+    return Method(name, f"the network of {file}", "network", partial(_start, Path(file)), precisions=PRECISIONS,
+                  weights=file)  # fmt: skip
+
+
+def _start(
+    weights: str | Path, device: str | torch.device, precision: str, history: bool = True, **overrides: str
+) -> Step:
+    step = stepper(load(weights, device, precision, **overrides))
+    return step if history else partial(_without_history, step)
 
 
 def _noisy(frame: Frame, history: None) -> tuple[Tensor, None]:
