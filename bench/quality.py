@@ -3,7 +3,8 @@ was uncovered, with a strip of pictures of each.
 
     python bench/quality.py [SEQ ...]   renders what is missing of the standard set, measures it, and sequences of one's
                                         own, into out/quality, and writes bench/results/quality.json, the tables of
-                                        docs/quality.md and docs/images/quality/SEQ-SIGNAL.webp
+                                        docs/quality.md and docs/images/quality/SEQ-SIGNAL.webp; before it,
+                                        `sh tools/train_weights.sh settings` trains the paper's settings
     python bench/quality.py --tables    the tables anew from the JSON
 
 What was measured already is kept, unless its input or its weights have changed. FovVideoVDP is among the metrics where
@@ -14,15 +15,16 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 import harness
 import standard
 import strips
 
-from rtdenoise.evaluate import methods
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.run import Options, run
 from rtdenoise.report.markdown import write_number
@@ -37,14 +39,16 @@ LABELS = {
     "svgf": "SVGF",
     "oidn": "OIDN",
     "oidn-prefiltered": "OIDN, prefiltered",
-    "ntasd": "A: `paper` trained with traditional motion",
-    "paper-traditional": "A: `paper`, traditional motion",
-    "paper": "C: `paper`",
+    "A": "A: traditional motion",
+    "B": "B: dual motion",
+    "C": "C: B and the occlusion loss",
+    "paper": "`paper`, as it ships",
     "fast": "`fast`",
     "default": "**`default`**",
     "quality": "`quality`",
 }
-SETTING_A = ("ntasd", "paper-traditional")  # the first that was measured
+# Weights of the paper's settings, which do not ship. Relative to where we are: the command is kept with the results.
+SETTINGS = {n: os.path.relpath(harness.ROOT / f"runs/paper-{n}/weights.safetensors") for n in "ABC"}
 OF_FRAME = ("psnr", "psnr_corrected", "ssim", "relmse", "flip", "tpsnr", "fovvideovdp")
 OF_UNCOVERED = OF_FRAME[:-1]
 MEASURED = (*OF_FRAME[:-1], "mse", "mse_corrected")
@@ -54,7 +58,9 @@ def main(more: list[str]) -> None:
     started = time.perf_counter()
     folders = standard.prepare() + more
     measured = (*MEASURED, "fovvideovdp") if importlib.util.find_spec("pyfvvdp") else MEASURED
-    chosen = tuple(name for name in LABELS if name in methods())
+    if missing := [file for file in SETTINGS.values() if not Path(file).is_file()]:
+        sys.exit(f"{missing[0]} is not there: sh tools/train_weights.sh settings")
+    chosen = tuple(f"{name}={SETTINGS[name]}" if name in SETTINGS else name for name in LABELS)
     documents = {}
     for signal in SIGNALS:
         documents[signal] = run(folders, OUT / signal, Options(chosen, metrics=measured, signal=signal))
@@ -95,8 +101,7 @@ def draw(documents: dict[str, Document]) -> None:
     for signal, document in documents.items():
         for name, sequence in document.sequences.items():
             still = OUT / signal / "pictures" / name / f"{sequence['stills'][0]:04d}"
-            a = next((method for method in SETTING_A if (still / f"{method}.exr").is_file()), SETTING_A[-1])
-            shown = {"noisy": "noisy", "OIDN": "oidn", "A (traditional motion)": a, "default": "default"}
+            shown = {"noisy": "noisy", "OIDN": "oidn", "A (traditional motion)": "A", "default": "default"}
             picture = strips.compose(still, shown, sequence["exposure"])
             (PICTURES / f"{name}-{signal}.webp").write_bytes(strips.encode(picture))
 
@@ -145,8 +150,7 @@ def _aims(document: dict) -> str:
     for signal in SIGNALS:
         for name in document["sequences"].get(signal, ()):
             rows = _rows(document, signal, name)
-            ours, oidn = rows.get("default"), rows.get("oidn")
-            a = next((rows[method] for method in SETTING_A if method in rows), None)
+            ours, oidn, a = (rows.get(name) for name in ("default", "oidn", "A"))
             cells = [
                 *(_difference(ours, peer, metric) for peer in (oidn, a) for metric in ("psnr", "psnr_corrected")),
                 _ratio(ours, oidn, "frame", "flip"),

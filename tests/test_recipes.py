@@ -25,16 +25,20 @@ def printed(model, **environment):
     return [shlex.split(line) for line in result.stdout.splitlines()]
 
 
+def parsed(commands):
+    """The options of the training runs among them, every clip of which has its command."""
+    commands = [tyro.cli(Command, args=words[1:]) for words in commands]  # exits where an option is none
+    trained = [command.config for command in commands if hasattr(command, "config")]
+    rendered = {str(command.out) for command in commands if not hasattr(command, "config")}
+    assert {str(folder) for config in trained for folder in (*config.data, config.val)} <= rendered
+    return trained
+
+
 @pytest.mark.parametrize("model", ["default", "fast", "quality"])
 def test_the_recipe_is_that_of_the_weights(model):
     *commands, ship = printed(model, SCENES="scenes")
     assert ship[-2:] == [f"runs/{model}-last/weights.safetensors", model]
-    parsed = [tyro.cli(Command, args=words[1:]) for words in commands]  # exits where an option is none
-    trained = [command.config for command in parsed if hasattr(command, "config")]
-    rendered = {str(command.out) for command in parsed if not hasattr(command, "config")}
-    inputs = {str(folder) for config in trained for folder in (*config.data, config.val)}
-    assert inputs <= rendered  # every clip that is trained on has its command
-
+    trained = parsed(commands)
     for before, config in pairwise(trained):
         assert config.init == before.out / "weights.safetensors"
     with safe_open(ROOT / "rtdenoise" / "weights" / f"{model}.safetensors", framework="np") as file:
@@ -43,6 +47,15 @@ def test_the_recipe_is_that_of_the_weights(model):
     shared = options.keys() & plain.keys()  # older runs do not know of newer options
     assert {"preset", "steps", "lr", "cuts", "frames"} <= shared
     assert {key: options[key] for key in shared} == {key: plain[key] for key in shared}
+
+
+def test_the_settings_differ_in_nothing_else():
+    a, b, c = (_plain(config) for config in parsed(printed("settings", SCENES="scenes")))
+    assert (a["motion"], a["occlusion_loss"]) == ("traditional", False)
+    assert (b["motion"], b["occlusion_loss"]) == ("dual", False)
+    assert (c["motion"], c["occlusion_loss"]) == ("dual", True)
+    differing = {"motion", "occlusion_loss"}
+    assert len({str({k: v for k, v in setting.items() if k not in differing}) for setting in (a, b, c)}) == 1
 
 
 def test_several_processes_are_torchruns():
@@ -56,4 +69,4 @@ def test_scene_files_are_left_out_where_there_are_none():
 
 def test_a_model_without_a_recipe_is_refused():
     result = subprocess.run(["sh", RECIPE, "paper"], capture_output=True, text=True)
-    assert result.returncode == 2 and result.stderr == "expected default, fast or quality, got 'paper'\n"
+    assert result.returncode == 2 and result.stderr == "expected default, fast, quality or settings, got 'paper'\n"

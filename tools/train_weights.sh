@@ -1,5 +1,6 @@
 #!/bin/sh
 # The weights that ship, from the first clip on:  sh tools/train_weights.sh default|fast|quality [cpu|cuda]
+# and, as `settings`, those of the paper's settings A, B and C, which docs/quality.md measures, into runs/paper-A, -B, -C.
 #
 # Renders clips, cleans their references and trains, by the commands below, with what `sh tools/setup.sh demo` sets up. Each
 # goes on where it was stopped, and passes over what is finished in seconds, so that it may run in pieces of ten minutes:
@@ -14,8 +15,8 @@ cd "$(dirname "$0")/.."
 trap 'exit 143' TERM # after the command that runs has written its checkpoint
 model=${1:-} device=${2:-cpu}
 case $model in
-    default | fast | quality) ;;
-    *) echo "expected default, fast or quality, got '$model'" >&2; exit 2 ;;
+    default | fast | quality | settings) ;;
+    *) echo "expected default, fast, quality or settings, got '$model'" >&2; exit 2 ;;
 esac
 
 run() {
@@ -36,23 +37,29 @@ noisy="--reference-error 0.2"
 files=${SCENES:+--scenes $SCENES --motions examples/motions}
 two=${SCENES:+--exclude street dining-room} # of the others this set happens to show three, none that is measured on
 run rtdenoise render --out data/val --clips 24 --seed 1000000 --reference-spp 128
-clips train --clips 200
-clips wide $wide --clips 12
-clips mixed $wide --clips 12 --seed 7000 --reference-error 0.02 $files $two
-clips scenes $wide --clips 80 --seed 9000 $noisy $files
-clips sun $wide --clips 240 --seed 21000 $noisy --sun 1
-clips sun3 --preset train --clips 120 --seed 31000 $noisy --sun 0.6
-clips wide3 --preset train --clips 189 --seed 41000 $noisy --sun 0.5 $files
+if [ "$model" = settings ]; then
+    clips some-scenes $wide --clips 56 --seed 9000 $noisy $files
+    clips some-sun --preset train --clips 52 --seed 31000 $noisy --sun 0.6
+else
+    clips train --clips 200
+    clips wide $wide --clips 12
+    clips mixed $wide --clips 12 --seed 7000 --reference-error 0.02 $files $two
+    clips scenes $wide --clips 80 --seed 9000 $noisy $files
+    clips sun $wide --clips 240 --seed 21000 $noisy --sun 1
+    clips sun3 --preset train --clips 120 --seed 31000 $noisy --sun 0.6
+    clips wide3 --preset train --clips 189 --seed 41000 $noisy --sun 0.5 $files
+fi
 [ "$model" != fast ] || clips calm --preset train --clips 136 --seed 51000 $noisy --sun 0.4 --calm 1 $files
 
 # --- the weights ------------------------------------------------------------------------------------------------------
 
+loss="--loss-exposure 4 --huber 0.2" # ours
 train() { # RUN OPTIONS...: a run of the preset
     out=runs/$preset-$1; shift
     several=
     [ "${PROCESSES:-1}" = 1 ] || several="torchrun --standalone --nproc-per-node $PROCESSES -m --"
     run $several rtdenoise train --out "$out" --preset "$preset" --device "$device" --val data/val --signal both \
-        --loss-exposure 4 --huber 0.2 --optimiser muon "$@"
+        $loss --optimiser muon "$@"
 }
 after() { # RUN: from the weights that it left
     echo "--init runs/$preset-$1/weights.safetensors"
@@ -61,6 +68,15 @@ after() { # RUN: from the weights that it left
 first="--data data/train-clean data/wide-clean data/mixed-clean data/scenes-clean"
 sunny="$first data/sun-clean data/sun3-clean"
 all="$sunny data/wide3-clean"
+if [ "$model" = settings ]; then
+    preset=paper loss=
+    on="--data data/some-scenes-clean data/some-sun-clean --init rtdenoise/weights/paper.safetensors"
+    on="$on --steps 600 --lr 4e-4 --validate-every 300"
+    train A $on --motion traditional --no-occlusion-loss
+    train B $on --no-occlusion-loss
+    train C $on
+    exit
+fi
 if [ "$model" = fast ]; then
     preset=fast
     train single $first --frames 1 --batch 16 --steps 1200 --lr 8e-4 --no-occlusion-loss
