@@ -51,6 +51,7 @@ LABELS = {
 SETTINGS = {n: os.path.relpath(harness.ROOT / f"runs/paper-{n}/weights.safetensors") for n in "ABC"}
 OF_FRAME = ("psnr", "psnr_corrected", "ssim", "relmse", "flip", "tpsnr", "fovvideovdp")
 OF_UNCOVERED = OF_FRAME[:-1]
+REGIONS = ("frame", "uncovered")
 MEASURED = (*OF_FRAME[:-1], "mse", "mse_corrected")
 
 
@@ -117,7 +118,7 @@ def tables(document: dict) -> dict[str, str]:
         "against-fast": _against(document, "fast", "oidn"),
         "against-quality": _against(document, "quality", "oidn"),
     }
-    return {**ahead, "aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
+    return {**ahead, "settings": _settings(document), "aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
 
 
 def _against(document: dict, model: str, peer: str) -> str:
@@ -126,18 +127,39 @@ def _against(document: dict, model: str, peer: str) -> str:
         "| | ahead, frame | on average, frame | ahead, uncovered | on average, uncovered |",
         "|---|---|---|---|---|",
     ]
+    for metric in OF_FRAME:
+        cells = [cell for region in REGIONS for cell in _gain(document, model, peer, region, metric)]
+        lines.append(f"| {METRICS[metric].label} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _settings(document: dict) -> str:
+    """What each setting of the paper adds to the one before, and `default` to them."""
+    lines = [
+        "| corrected PSNR | ahead, frame | on average, frame | ahead, uncovered | on average, uncovered |",
+        "|---|---|---|---|---|",
+    ]
+    pairs = {
+        "B over A": ("B", "A"), "C over B": ("C", "B"), "C over `paper` as it ships": ("C", "paper"),
+        "`default` over C": ("default", "C"),
+    }  # fmt: skip
+    for label, pair in pairs.items():
+        cells = [cell for region in REGIONS for cell in _gain(document, *pair, region, "psnr_corrected")]
+        lines.append(f"| {label} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _gain(document: dict, model: str, peer: str, region: str, metric: str) -> tuple[str, str]:
+    """On how many sequences and signals `model` is ahead of `peer`, and by how much on average."""
     both = [_rows(document, signal, name) for signal in SIGNALS for name in document["sequences"].get(signal, ())]
     both = [rows for rows in both if {model, peer} <= rows.keys()]
-    for metric in OF_FRAME:
-        cells = []
-        for region in ("frame", "uncovered"):
-            values = [[rows[method][region].get(metric) for method in (model, peer)] for rows in both]
-            gains = [a - b for a, b in values if a is not None and b is not None]
-            better = sum(g > 0 if METRICS[metric].higher else g < 0 for g in gains)
-            mean = write_number(metric, sum(gains) / len(gains)) if gains else "–"
-            cells += [f"{better} of {len(gains)}" if gains else "–", mean if mean.startswith("-") else f"+{mean}"]
-        lines.append(f"| {METRICS[metric].label} | {' | '.join(cells)} |".replace("+–", "–"))
-    return "\n".join(lines)
+    values = [[rows[method][region].get(metric) for method in (model, peer)] for rows in both]
+    gains = [a - b for a, b in values if a is not None and b is not None]
+    if not gains:
+        return "–", "–"
+    better = sum(g > 0 if METRICS[metric].higher else g < 0 for g in gains)
+    mean = write_number(metric, sum(gains) / len(gains))
+    return f"{better} of {len(gains)}", mean if mean.startswith("-") else f"+{mean}"
 
 
 def _aims(document: dict) -> str:
