@@ -47,7 +47,7 @@ LABELS = {
     "default": "**`default`**",
     "quality": "`quality`",
 }
-# Weights of the paper's settings, which do not ship. Relative to where we are: the command is kept with the results.
+# Weights of the paper's settings, which do not ship. Relative to where we are: legends show the path.
 SETTINGS = {n: os.path.relpath(harness.ROOT / f"runs/paper-{n}/weights.safetensors") for n in "ABC"}
 OF_FRAME = ("psnr", "psnr_corrected", "ssim", "relmse", "flip", "tpsnr", "fovvideovdp")
 OF_UNCOVERED = OF_FRAME[:-1]
@@ -57,10 +57,10 @@ MEASURED = (*OF_FRAME[:-1], "mse", "mse_corrected")
 
 def main(more: list[str]) -> None:
     started = time.perf_counter()
-    folders = standard.prepare() + more
-    measured = (*MEASURED, "fovvideovdp") if importlib.util.find_spec("pyfvvdp") else MEASURED
     if missing := [file for file in SETTINGS.values() if not Path(file).is_file()]:
         sys.exit(f"{missing[0]} is not there: sh tools/train_weights.sh settings")
+    folders = standard.prepare() + more
+    measured = (*MEASURED, "fovvideovdp") if importlib.util.find_spec("pyfvvdp") else MEASURED
     chosen = tuple(f"{name}={SETTINGS[name]}" if name in SETTINGS else name for name in LABELS)
     documents = {}
     for signal in SIGNALS:

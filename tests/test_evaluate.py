@@ -48,7 +48,7 @@ def test_weights_that_ship_later_are_found(monkeypatch):
 def test_weights_of_ones_own_are_measured_under_their_name(tmp_path):
     mine = tmp_path / "weights.safetensors"
     shutil.copy(find("fast"), mine)
-    ours, theirs = evaluate(make_frames(2, H=32, W=32), [f"mine={mine}", "fast"])
+    ours, theirs = evaluate(make_frames(2, H=32, W=32), [f"mine={mine}", "fast", f"mine={mine}"])
     assert (ours.method, theirs.method) == ("mine", "fast") and torch.equal(ours.images[1], theirs.images[1])
 
 
@@ -69,6 +69,7 @@ def test_weights_that_changed_are_measured_again(shot, tmp_path):
         (["mine=nowhere.safetensors"], "mine=nowhere.safetensors: no such weights file"),
         (["../mine={file}"], "expected a name of letters"),
         (["={file}"], "expected a name of letters"),
+        (["reference={file}"], "and not 'reference'"),
         (["paper={file}"], "another method is called 'paper'"),
         (["a={file}", "a={copy}"], "another method is called 'a'"),
     ],

@@ -74,7 +74,8 @@ def choose(names: Iterable[str]) -> list[Method]:
         method = _of_file(*name.split("=", 1)) if "=" in name else known.get(name)
         if method is None:
             raise InputError(f"unknown method {name!r}; expected NAME=FILE of weights, or some of {', '.join(known)}")
-        if known.get(method.name, method) is not method or chosen.setdefault(method.name, method) != method:
+        same = chosen.setdefault(method.name, known.get(method.name, method))
+        if same.weights != method.weights:
             raise InputError(f"{name}: another method is called {method.name!r}")
     return list((chosen or known).values())
 
@@ -115,16 +116,16 @@ def _network(name: str) -> list[Method]:
 def _of_file(name: str, file: str) -> Method:
     """Weights that do not ship. Raises InputError for a file that is not there, and for a name that cannot be that of a
     picture."""
-    if not re.fullmatch(r"[\w.-]*\w", name):
-        raise InputError(f"{name}={file}: expected a name of letters, digits, '-', '_' and '.' before the '='")
+    if not re.fullmatch(r"[\w.-]*\w", name) or name == "reference":
+        raise InputError(f"{name}={file}: expected a name of letters, digits, '-', '_' and '.', and not 'reference'")
     if not Path(file).is_file():
         raise InputError(f"{name}={file}: no such weights file")
-    return Method(name, f"the network of {file}", "network", partial(_start, Path(file)), precisions=PRECISIONS,
-                  weights=file)  # fmt: skip
+    path = str(Path(file).absolute())  # never a shipped name
+    return Method(name, f"the network of {file}", "network", partial(_start, path), precisions=PRECISIONS, weights=path)
 
 
 def _start(
-    weights: str | Path, device: str | torch.device, precision: str, history: bool = True, **overrides: str
+    weights: str, device: str | torch.device, precision: str, history: bool = True, **overrides: str
 ) -> Step:
     step = stepper(load(weights, device, precision, **overrides))
     return step if history else partial(_without_history, step)
