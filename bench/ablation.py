@@ -20,7 +20,6 @@ import numpy as np
 import tyro
 
 from rtdenoise.data.dataset import ClipDataset
-from rtdenoise.evaluate import evaluate
 from rtdenoise.models import PRESETS, load
 from rtdenoise.train import train
 from rtdenoise.trainer import TrainConfig
@@ -103,13 +102,9 @@ def single_frames(options: Options, preset: str) -> Path:
 
 
 def errors(weights: Path, clips: ClipDataset) -> dict[str, dict[str, float]]:
-    """Mean errors over the clips, by region and metric; clips in which a region is empty do not count there."""
-    step = load(weights, precision="fp32").step
-    found = [
-        evaluate(clips.load(i, signal="indirect"), {"it": step}, metrics=METRICS, regions=REGIONS)[0].errors
-        for i in range(len(clips))
-    ]
-    return {r: {m: float(np.nanmean([e[r][m] for e in found])) for m in METRICS} for r in REGIONS}
+    """Mean errors over the clips, by region and metric."""
+    sequences = (clips.load(i, signal="indirect") for i in range(len(clips)))
+    return harness.mean_errors(load(weights, precision="fp32").step, sequences, METRICS, REGIONS)
 
 
 def tables(document: dict) -> dict[str, str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from tolerances import TOLERANCES  # noqa: E402 (the one table of tolerances)
 
 from rtdenoise import origin as origins  # noqa: E402
 from rtdenoise.data.dataset import ClipDataset  # noqa: E402
+from rtdenoise.evaluate import evaluate  # noqa: E402
 from rtdenoise.frame import Frame  # noqa: E402
 from rtdenoise.strict_json import dumps  # noqa: E402
 
@@ -98,6 +99,15 @@ def clips(folder: Path, count: int, signal: str) -> Iterator[list[Frame]]:
     data = ClipDataset(folder)
     for index in np.linspace(0, len(data) - 1, min(count, len(data))).astype(int):
         yield data.load(int(index), signal=signal)
+
+
+def mean_errors(
+    step: Callable, sequences: Iterable[list[Frame]], metrics: Sequence[str], regions: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    """region -> metric -> error as `evaluate` has it, mean over the sequences; one in which a region is empty does not
+    count there."""
+    found = [evaluate(frames, {"it": step}, metrics=metrics, regions=regions)[0].errors for frames in sequences]
+    return {r: {m: float(np.nanmean([errors[r][m] for errors in found])) for m in metrics} for r in regions}
 
 
 def insert_all(sections: dict[str, str], page: Path = ROOT / "docs" / "stability.md") -> None:

@@ -15,11 +15,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import harness
-import numpy as np
 import tyro
 
 from rtdenoise.data.dataset import ClipDataset
-from rtdenoise.evaluate import evaluate
 from rtdenoise.models import PRESETS, load
 from rtdenoise.train import train
 from rtdenoise.trainer import TrainConfig
@@ -74,15 +72,12 @@ def train_on(options: Options, preset: str, side: int) -> Path:
 
 
 def errors(weights: Path, clips: ClipDataset) -> dict[str, dict[str, float]]:
-    """Corrected PSNR by signal and region, mean over the clips; one in which a region is empty does not count there."""
-    step = load(weights, precision="fp32").step
-    found = {}
+    """Corrected PSNR by signal and region, mean over the clips."""
+    step, found = load(weights, precision="fp32").step, {}
     for signal in SIGNALS:
-        each = [
-            evaluate(clips.load(i, signal=signal), {"it": step}, metrics=("psnr_corrected",), regions=REGIONS)[0].errors
-            for i in range(len(clips))
-        ]
-        found[signal] = {r: round(float(np.nanmean([e[r]["psnr_corrected"] for e in each])), 3) for r in REGIONS}
+        sequences = (clips.load(i, signal=signal) for i in range(len(clips)))
+        means = harness.mean_errors(step, sequences, ("psnr_corrected",), REGIONS)
+        found[signal] = {region: round(means[region]["psnr_corrected"], 3) for region in REGIONS}
     return found
 
 

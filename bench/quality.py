@@ -122,29 +122,25 @@ def tables(document: dict) -> dict[str, str]:
 
 
 def _against(document: dict, model: str, peer: str) -> str:
-    """On how many sequences and signals `model` is ahead of `peer`, and by how much on average."""
-    lines = [
-        "| | ahead, frame | on average, frame | ahead, uncovered | on average, uncovered |",
-        "|---|---|---|---|---|",
-    ]
-    for metric in OF_FRAME:
-        cells = [cell for region in REGIONS for cell in _gain(document, model, peer, region, metric)]
-        lines.append(f"| {METRICS[metric].label} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    """How `model` compares with `peer`, by metric."""
+    return _gains(document, " ", [(METRICS[metric].label, model, peer, metric) for metric in OF_FRAME])
 
 
 def _settings(document: dict) -> str:
     """What each setting of the paper adds to the one before, and `default` to them."""
-    lines = [
-        "| corrected PSNR | ahead, frame | on average, frame | ahead, uncovered | on average, uncovered |",
-        "|---|---|---|---|---|",
-    ]
-    pairs = {
-        "B over A": ("B", "A"), "C over B": ("C", "B"), "C over `paper` as it ships": ("C", "paper"),
-        "`default` over C": ("default", "C"),
-    }  # fmt: skip
-    for label, pair in pairs.items():
-        cells = [cell for region in REGIONS for cell in _gain(document, *pair, region, "psnr_corrected")]
+    pairs = [
+        ("B over A", "B", "A"), ("C over B", "C", "B"), ("C over `paper` as it ships", "C", "paper"),
+        ("`default` over C", "default", "C"),
+    ]  # fmt: skip
+    return _gains(document, " corrected PSNR ", [(*pair, "psnr_corrected") for pair in pairs])
+
+
+def _gains(document: dict, head: str, rows: list[tuple[str, str, str, str]]) -> str:
+    """A line for each (label, model, peer, metric)."""
+    lines = [f"|{head}| ahead, frame | on average, frame | ahead, uncovered | on average, uncovered |"]
+    lines.append("|---" * 5 + "|")
+    for label, model, peer, metric in rows:
+        cells = [cell for region in REGIONS for cell in _gain(document, model, peer, region, metric)]
         lines.append(f"| {label} | {' | '.join(cells)} |")
     return "\n".join(lines)
 

@@ -16,11 +16,10 @@ from itertools import product
 from pathlib import Path
 
 import harness
-import numpy as np
 
 from rtdenoise.baselines import Accumulate, Svgf, Trmv
 from rtdenoise.data.dataset import ClipDataset
-from rtdenoise.evaluate import METRICS, REGIONS, evaluate
+from rtdenoise.evaluate import METRICS, REGIONS
 from rtdenoise.frame import Frame
 
 EVERY = 4  # clips
@@ -67,11 +66,8 @@ def main(folder: Path) -> None:
 
 def mean_errors(method, sequences: list[list[Frame]]) -> dict[str, dict[str, float]]:
     """Errors as in `evaluate.Result`, mean over the sequences that have any."""
-    errors = [evaluate(frames, {"candidate": method.step})[0].errors for frames in sequences]
-    return {
-        region: {metric: round(float(np.nanmean([e[region][metric] for e in errors])), 4) for metric in METRICS}
-        for region in REGIONS
-    }
+    means = harness.mean_errors(method.step, sequences, METRICS, REGIONS)
+    return {region: {metric: round(means[region][metric], 4) for metric in METRICS} for region in REGIONS}
 
 
 if __name__ == "__main__":

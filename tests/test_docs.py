@@ -25,7 +25,7 @@ STABILITY = [(name, "stability.md") for name in ("stability", "cuts", "plan", "t
 TRAINING = [
     ("optimisers", "training.md"), ("activity", "training.md"), ("generalisation", "training.md"),
     ("patience", "training.md"), ("pick_kernel", "training.md"), ("ablation", "models/paper.md"),
-    ("where", "quality.md"), ("bias", "quality.md"),
+    ("quality", "quality.md"), ("where", "quality.md"), ("bias", "quality.md"),
 ]  # fmt: skip
 
 

@@ -81,6 +81,12 @@ def test_what_cannot_be_a_method(asked, message, tmp_path):
         evaluate(make_frames(2), [name.format(**files) for name in asked])
 
 
+def test_a_method_that_is_not_there_says_why(monkeypatch):
+    monkeypatch.setattr("rtdenoise.evaluate.registry.importlib.util.find_spec", lambda name: None)
+    with pytest.raises(InputError, match="oidn: needs pyoidn: pip install"):
+        methods()["oidn"].step()
+
+
 def test_the_spatial_network_has_no_history():
     frames = make_frames(3)
     spatial = evaluate(frames, ["paper-spatial"])[0].images[2]
@@ -209,15 +215,16 @@ def test_the_references_own_error_comes_from_their_halves():
 
 
 def test_a_run_measures_and_leaves_out_with_reasons(shot, tmp_path, capsys):
-    out = tmp_path / "out"
-    command = ["evaluate", str(shot), "--out", str(out), "--methods", *PLAIN, "--spp", "1", "4", "8"]
+    out, broken = tmp_path / "out", tmp_path / "broken"
+    broken.write_text("no weights")
+    command = ["evaluate", str(shot), "--out", str(out), "--methods", *PLAIN, f"it={broken}", "--spp", "1", "4", "8"]
     main([*command, "--device", "cpu"])
     document = Document.read(out)
     assert [(r["spp"], r["method"]) for r in document.results] == [(n, m) for n in (1, 4) for m in PLAIN]
     one, four = (r["errors"]["frame"]["psnr"] for r in document.results if r["method"] == "noisy")
     assert four > one + 3
     reasons = {(row["spp"], row["method"]): row["reason"] for row in document.skipped}
-    assert "no input at 8 spp" in reasons[8, "noisy"]
+    assert "not a readable safetensors file" in reasons[1, "it"] and "no input at 8 spp" in reasons[8, "noisy"]
     assert document.sequences["shot"]["sample_ms"] == 10 and document.sequences["shot"]["size"] == [24, 32]
     assert {"command", "commit", "devices", "versions"} <= document.runs[0].keys()
     still = out / "pictures" / "shot" / f"{document.sequences['shot']['stills'][0]:04d}"
