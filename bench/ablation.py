@@ -19,10 +19,10 @@ import harness
 import numpy as np
 import tyro
 
-from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.models import PRESETS, load
-from rtdenoise.train import train
-from rtdenoise.trainer import TrainConfig
+from rtdenoise.training.loop import train
+from rtdenoise.training.trainer import TrainConfig
 
 SETTINGS = {
     "A": {"motion": "traditional", "occlusion_loss": False},

@@ -18,11 +18,11 @@ import harness
 import torch
 
 from rtdenoise.color import display, display_exposure
-from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.motion import dual_motion, occlusion_mask, on_screen
-from rtdenoise.motion_splat import DEPTH_TOLERANCE, splat_motion_next
 from rtdenoise.ops import warp
+from rtdenoise.splat import DEPTH_TOLERANCE, splat_motion_next
 
 TOLERANCES = (0.03, 0.1, 0.3)
 METHODS = ("traditional", "approximate", "exact")

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from rtdenoise import ops
-from rtdenoise.memory import keep_freed
+from rtdenoise.run.memory import keep_freed
 
 H, W, K = 720, 1280, 5
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import harness
 import torch
 
-from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.frame import Frame, History
 from rtdenoise.history import CUT, mismatch
 

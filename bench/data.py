@@ -20,10 +20,10 @@ import numpy as np
 import torch
 
 from rtdenoise.color import luminance
-from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.frame import stack
 from rtdenoise.motion import dual_motion, occlusion_mask
-from rtdenoise.trainer import TrainConfig, Trainer
+from rtdenoise.training.trainer import TrainConfig, Trainer
 
 BATCH, FRAMES, SIZE = 2, 9, 96
 

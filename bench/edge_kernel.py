@@ -18,7 +18,7 @@ import torch
 from rtdenoise import ops
 from rtdenoise.frame import Frame
 from rtdenoise.models import PRESETS, create
-from rtdenoise.nets import prepare
+from rtdenoise.models.inference import prepare
 
 H, W, CALLS = 720, 1280, 12
 

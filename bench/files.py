@@ -20,8 +20,8 @@ from pathlib import Path
 
 import harness
 
-from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
+from rtdenoise.run.denoise import Options, denoise
 
 RESULT = harness.ROOT / "bench" / "results" / "files.json"
 SAMPLE = harness.ROOT / "samples" / "mural"

@@ -22,11 +22,11 @@ ROOT = Path(__file__).parent.parent
 sys.path.append(str(ROOT / "tests"))
 from tolerances import TOLERANCES  # noqa: E402 (the one table of tolerances)
 
-from rtdenoise import origin as origins  # noqa: E402
-from rtdenoise.data.dataset import ClipDataset  # noqa: E402
+from rtdenoise.data.clips import ClipDataset  # noqa: E402
 from rtdenoise.evaluate import evaluate  # noqa: E402
+from rtdenoise.evaluate import origin as origins  # noqa: E402
+from rtdenoise.files import dumps  # noqa: E402
 from rtdenoise.frame import Frame  # noqa: E402
-from rtdenoise.strict_json import dumps  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def summary(seconds: list[float]) -> Timing:
 
 
 def origin(devices: dict[str, str]) -> dict[str, object]:
-    """Where numbers come from, as `rtdenoise.origin` says it, with the command that is running."""
+    """Where numbers come from, as `rtdenoise.evaluate.origin` says it, with the command that is running."""
     return origins.origin(" ".join(["python", *sys.argv]), devices)
 
 

@@ -25,9 +25,9 @@ from stages import STAGES, peak_bytes, prediction_flop, staged
 
 from rtdenoise import models, ops
 from rtdenoise.frame import Frame
-from rtdenoise.graphed import Capture, Graphed
-from rtdenoise.memory import keep_freed
-from rtdenoise.nets import prepare
+from rtdenoise.models.inference import prepare
+from rtdenoise.run.graphs import Capture, Graphed
+from rtdenoise.run.memory import keep_freed
 from shaders import PRECISIONS, Shaders, measurable
 
 SIZES = {"quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),

@@ -16,7 +16,7 @@ from pathlib import Path
 import harness
 import torch
 
-from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.motion import dual_motion, on_screen
 from rtdenoise.ops import fetch
 

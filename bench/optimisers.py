@@ -19,11 +19,11 @@ import torch
 import tyro
 
 from rtdenoise.color import display_exposure
-from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.metrics import psnr_corrected
 from rtdenoise.models import load
-from rtdenoise.train import train
-from rtdenoise.train_config import TrainConfig
+from rtdenoise.training.config import TrainConfig
+from rtdenoise.training.loop import train
 
 RESULT = harness.ROOT / "bench" / "results" / "optimisers.json"
 RATES = {"adam": (1e-3, 3e-3), "muon": (1e-3, 3e-3)}

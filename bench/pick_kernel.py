@@ -17,10 +17,10 @@ from pathlib import Path
 import harness
 import tyro
 
-from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.models import PRESETS, load
-from rtdenoise.train import train
-from rtdenoise.trainer import TrainConfig
+from rtdenoise.training.loop import train
+from rtdenoise.training.trainer import TrainConfig
 
 RESULT = harness.ROOT / "bench" / "results" / "pick_kernel.json"
 WEIGHTS = harness.ROOT / "rtdenoise" / "weights"

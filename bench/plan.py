@@ -25,14 +25,14 @@ import OpenEXR
 import torch
 from torch import Tensor, nn
 
-from rtdenoise.backends import open_backend
 from rtdenoise.color import display_exposure
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.glsl import default_context
 from rtdenoise.metrics import psnr
 from rtdenoise.models import available, load
-from rtdenoise.plan import make_plan
+from rtdenoise.run.backends import open_backend
+from rtdenoise.run.plan import make_plan
 
 RESULT = harness.ROOT / "bench" / "results" / "plan.json"
 SAMPLE = harness.ROOT / "samples" / "mural"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import harness
 
-from rtdenoise.demo import METHODS, demo
+from rtdenoise.evaluate.demo import METHODS, demo
 
 RESULT = harness.ROOT / "bench" / "results" / "sample.json"
 LABELS = {

@@ -13,7 +13,7 @@ from rtdenoise.frame import Frame
 from rtdenoise.glsl import Clock, GpuArray, Pipeline
 from rtdenoise.glsl.designs import design
 from rtdenoise.models import Denoiser
-from rtdenoise.models.presets import architecture
+from rtdenoise.models.create import architecture
 
 PRECISIONS = {"glsl fp32": (False, "frame"), "glsl fp16": (True, "frame, float16 activations")}
 """Method -> whether activations are stored as float16, row of tolerances.py against torch."""

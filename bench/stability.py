@@ -19,8 +19,8 @@ sys.path.append(str(harness.ROOT / "tests"))
 from stability_cases import CASES, FIREFLY, MODES, Subject
 from stability_ops import BACKENDS, OP_CASES, backend
 
-from rtdenoise.brightness import exposure, limit_fireflies
 from rtdenoise.data.sequences import open_sequence
+from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.glsl import default_context
 from rtdenoise.models import available
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from rtdenoise.data.exr import read_channels
-from rtdenoise.preview import strip
+from rtdenoise.run.preview import strip
 
 ENLARGED = 4  # times, by repeating pixels
 GAP = 4  # rows between a frame and its detail

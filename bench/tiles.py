@@ -20,7 +20,7 @@ import torch
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.models import load
-from rtdenoise.tiles import Tiled
+from rtdenoise.run.tiles import Tiled
 
 RESULT = harness.ROOT / "bench" / "results" / "tiles.json"
 MODEL = "default"

@@ -18,7 +18,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from PIL import Image
 
-LOGGED = 20  # steps between the lines of a log (rtdenoise.train)
+LOGGED = 20  # steps between the lines of a log (rtdenoise.training.loop)
 
 
 def main(name: str, runs: list[Path]) -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 import harness
 
 from rtdenoise.baselines import Accumulate, Svgf, Trmv
-from rtdenoise.data.dataset import ClipDataset
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.evaluate import METRICS, REGIONS
 from rtdenoise.frame import Frame
 

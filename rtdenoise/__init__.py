@@ -1,8 +1,8 @@
 """Real-time denoising of path-traced animations: 1 sample per pixel in, a clean and temporally stable picture out.
 
-    denoiser, history = rtdenoise.load(), None
-    for frame in rtdenoise.open_sequence("shot/", signal="indirect"):
-        image, history = denoiser.step(frame, history)
+denoiser, history = rtdenoise.load(), None
+for frame in rtdenoise.open_sequence("shot/", signal="indirect"):
+    image, history = denoiser.step(frame, history)
 """
 
 from importlib import import_module

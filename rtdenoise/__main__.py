@@ -1,5 +1,5 @@
 """`python -m rtdenoise`."""
 
-from .cli import main
+from .cli.main import main
 
 main()

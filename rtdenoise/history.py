@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from .data.stored import read_history, write_history
 from .errors import InputError
-from .frame import CUT as CUT
 from .frame import Frame, History
 from .motion import on_screen, same_surface
-from .stored import read_history, write_history
 
 NEAREST = ("depth", "normal", "motion_next", "length")  # what must not be mixed across silhouettes
 

@@ -55,7 +55,7 @@ def sanitise(frame: Frame) -> Frame:
     """
     import torch
 
-    from .brightness import limit_fireflies
+    from .exposure import limit_fireflies
     from .ops.pixels import within
 
     clean = {layer: tensor for layer, tensor in frame.layers() if layer in VALID}
@@ -103,7 +103,7 @@ def _fireflies(radiance: np.ndarray) -> np.ndarray:
         return np.zeros(radiance.shape, bool)
     import torch
 
-    from .brightness import limit_fireflies
+    from .exposure import limit_fireflies
 
     tensor = torch.from_numpy(radiance)
     return (limit_fireflies(tensor) != tensor).numpy()

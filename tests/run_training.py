@@ -1,7 +1,7 @@
 """Train a tiny network on made-up clips: what `test_train` starts in several processes.
 
-    python run_training.py CLIPS VALIDATION OUT
-    python -m torch.distributed.run --nproc-per-node 2 run_training.py CLIPS VALIDATION OUT
+python run_training.py CLIPS VALIDATION OUT
+python -m torch.distributed.run --nproc-per-node 2 run_training.py CLIPS VALIDATION OUT
 """
 
 import sys
@@ -10,8 +10,8 @@ from pathlib import Path
 from synthetic import TINY
 
 from rtdenoise.models import PRESETS
-from rtdenoise.train import train
-from rtdenoise.trainer import TrainConfig
+from rtdenoise.training.loop import train
+from rtdenoise.training.trainer import TrainConfig
 
 PRESETS["tiny"] = TINY
 clips, other_clips, out = map(Path, sys.argv[1:])

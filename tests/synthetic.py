@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from rtdenoise.data.dataset import clip_path, write_clip
+from rtdenoise.data.clips import clip_path, write_clip
 from rtdenoise.data.exr import write_layers
 from rtdenoise.frame import Frame
 from rtdenoise.models.temporal_kpn import Config

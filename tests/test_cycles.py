@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rtdenoise.cli.main.main import main
 from synthetic import TINY
 
 import rtdenoise
-from rtdenoise.cli import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers, write_like
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.inspect import inspect
 from rtdenoise.models import TemporalKPN, save
+from rtdenoise.run.inspect import inspect
 
 SHOT = Path(__file__).parent / "data" / "cycles"
 HALF = 2.0**-11  # relative error of one rounding to half

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rtdenoise.cli.main.main import main
 from synthetic import TINY, make_frames, with_bad_pixels, write_sequence
 
 import rtdenoise
-from rtdenoise.cli import main
 from rtdenoise.data.exr import read_channels, read_header
-from rtdenoise.denoise import STATE, Options, denoise
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
+from rtdenoise.run.denoise import STATE, Options, denoise
 
 
 @pytest.fixture(scope="module")
@@ -340,7 +340,7 @@ def test_two_runs_do_not_write_to_one_folder(shot, tmp_path, model, capsys):
 
 def in_a_process(*arguments, prefix="", **options):
     """The command line in a process of its own."""
-    code = f"import sys\n{prefix}\nfrom rtdenoise.cli import main\nmain(sys.argv[1:])"
+    code = f"import sys\n{prefix}\nfrom rtdenoise.cli.main import main\nmain(sys.argv[1:])"
     return subprocess.Popen([sys.executable, "-c", code, *map(str, arguments)], stderr=subprocess.PIPE, text=True,
                             stdout=subprocess.DEVNULL, **options)  # fmt: skip
 

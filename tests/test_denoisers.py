@@ -12,10 +12,10 @@ from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, History
 from rtdenoise.models import PRESETS, AccumulatedKPN, TemporalKPN, accumulated_kpn, available, create, load, save
 from rtdenoise.models import temporal_kpn as paper
-from rtdenoise.models.presets import architecture
-from rtdenoise.motion_splat import history_motion
+from rtdenoise.models.create import architecture
 from rtdenoise.ops import apply_kernel
 from rtdenoise.sanitise import faults, sanitise
+from rtdenoise.splat import history_motion
 
 SMALL = {
     "temporal_kpn": paper.Config(widths=(8, 8, 8, 8)),

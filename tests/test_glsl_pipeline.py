@@ -16,17 +16,17 @@ from safetensors.numpy import load_file, save_file
 from synthetic import TINY, make_frames, write_sequence
 
 from rtdenoise import glsl, models
-from rtdenoise.brightness import exposure, limit_fireflies
 from rtdenoise.data.exr import read_channels
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
+from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.frame import Known, mean_distance
 from rtdenoise.glsl import GpuArray, Pipeline
 from rtdenoise.glsl.program import shaders
 from rtdenoise.history import mismatch
 from rtdenoise.models import PRESETS, accumulated_kpn
-from rtdenoise.plan import look
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.plan import look
 from rtdenoise.sanitise import sanitise
 
 # By the preset of the same architecture.
@@ -433,7 +433,7 @@ def test_without_torch_there_is_none():
 @pytest.mark.parametrize("preset", SMALL)
 def test_a_sequence_is_denoised_without_torch(weights, tmp_path, assert_images_close, preset):
     shot, model = write_sequence(tmp_path / "shot", make_frames(3)), weights(SMALL[preset])
-    code = "from rtdenoise.cli import main; main()"
+    code = "from rtdenoise.cli.main import main; main()"
     run = without_torch(code, "denoise", shot, "--out", tmp_path / "out", "--model", model, "--float32")  # auto: glsl
     assert run.returncode == 0, run.stderr
     assert "3 frames written" in run.stdout
@@ -456,6 +456,6 @@ def test_what_needs_torch_says_so(weights, tmp_path):
         (("--recombine",), "--recombine needs PyTorch"),
         (("--preview",), "this needs PyTorch"),
     ):
-        run = without_torch("from rtdenoise.cli import main; main()", *common, *options)
+        run = without_torch("from rtdenoise.cli.main import main; main()", *common, *options)
         assert (run.returncode, run.stderr.count("\n")) == (2, 1), run.stderr
         assert message in run.stderr

@@ -22,18 +22,19 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from rtdenoise import graphed, models, ops
+from rtdenoise import models, ops
 from rtdenoise.data.exr import read_channels
-from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, Known
-from rtdenoise.graphed import Capture, Graphed
 from rtdenoise.models import accumulated_kpn, temporal_kpn
-from rtdenoise.models.presets import architecture
-from rtdenoise.nets import prepare
+from rtdenoise.models.create import architecture
+from rtdenoise.models.inference import prepare
 from rtdenoise.ops import path
+from rtdenoise.run import graphs as graphed
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.graphs import Capture, Graphed
+from rtdenoise.run.tiles import step_in_windows
 from rtdenoise.sanitise import sanitise
-from rtdenoise.tiles import step_in_windows
 
 SMALL = [
     temporal_kpn.Config(widths=(4, 4, 4, 4)),

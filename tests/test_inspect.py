@@ -12,8 +12,8 @@ import torch
 from rtdenoise.data.conventions import READINGS, Reading
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
-from rtdenoise.inspect import inspect, render_text
 from rtdenoise.ops import warp
+from rtdenoise.run.inspect import inspect, render_text
 
 H, W, FRAMES = 72, 110, 4
 

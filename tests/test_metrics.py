@@ -8,9 +8,9 @@ import pytest
 import torch
 from skimage import metrics as skimage_metrics
 
-from rtdenoise.brightness import exposure, limit_fireflies
 from rtdenoise.color import compress, display, display_exposure, expand, luminance, srgb_decode, srgb_encode
 from rtdenoise.errors import InputError
+from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.metrics import (
     flip,
     flip_map,

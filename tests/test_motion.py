@@ -16,7 +16,7 @@ from rtdenoise.motion import (
     on_screen,
     same_surface,
 )
-from rtdenoise.motion_splat import splat_motion_next
+from rtdenoise.splat import splat_motion_next
 
 H, W, FOCAL = 72, 96, 80.0
 PLANE, CENTRE, RADIUS, SPEED = 10.0, 5.0, 0.9, 0.35  # depths and sizes in world units, speed in units a frame along x

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from rtdenoise.muon import Muon, orthogonal
+from rtdenoise.training.muon import Muon, orthogonal
 
 
 @pytest.mark.parametrize("shape", [(3, 3), (8, 50), (50, 8), (1, 9), (32, 288)])

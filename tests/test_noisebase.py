@@ -11,11 +11,11 @@ from synthetic import TINY
 
 from rtdenoise.data.exr import read_channels
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
-from rtdenoise.inspect import inspect
 from rtdenoise.models import TemporalKPN, save
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.inspect import inspect
 
 STORED = Path(__file__).parent / "data" / "noisebase"
 SIZE = (48, 64)

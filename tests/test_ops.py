@@ -177,9 +177,7 @@ def test_pick_is_its_equation(size, kernel):
     expected = torch.empty_like(fine)
     for y in range(H):
         for x in range(W):
-            rows, columns = (
-                [i for i in range(n // 2 - r, n // 2 + r + 1) if 0 <= i < m] for n, m in ((y, h), (x, w))
-            )
+            rows, columns = ([i for i in range(n // 2 - r, n // 2 + r + 1) if 0 <= i < m] for n, m in ((y, h), (x, w)))
             taps = [(i - y // 2 + r) * kernel + j - x // 2 + r for i in rows for j in columns]
             cells = torch.stack([coarse[:, :, i, j] for i in rows for j in columns], dim=2)
             picked = (cells * logits[:, taps, y, x].softmax(1)[:, None]).sum(2)

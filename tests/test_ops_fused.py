@@ -17,12 +17,12 @@ if not torch.cuda.is_available():
 
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
-from rtdenoise.motion_splat import history_motion
 from rtdenoise.ops import native, path, pixels
 from rtdenoise.ops.blocks import block_luminance
 from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.temporal import blend_history
+from rtdenoise.splat import history_motion
 
 SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
 CASES = [("native", size) for size in SIZES]

@@ -8,9 +8,9 @@ from synthetic import TINY, make_frames, write_sequence
 from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.output import recombined
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
+from rtdenoise.run.denoise import Options, denoise
 
 H, W = 5, 7
 

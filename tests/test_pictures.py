@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from rtdenoise.cli.main.main import main
+from rtdenoise.render.scenes.scene.pictures import find_pictures, hang
+from rtdenoise.render.scenes.scene.textures import SIZE
 
-from rtdenoise.cli import main
-from rtdenoise.data.dataset import ClipDataset, clip_path, read_facts
+from rtdenoise.data.clips import ClipDataset, clip_path, read_facts
 from rtdenoise.errors import InputError
-from rtdenoise.render import procedural_wide
 from rtdenoise.render.card import write_card
 from rtdenoise.render.draw import open_scene
-from rtdenoise.render.pictures import find_pictures, hang
-from rtdenoise.render.textures import SIZE
+from rtdenoise.render.scenes.scene import wide as procedural_wide
 from rtdenoise.render.training_set import SetOptions, render_group
 
 

@@ -8,15 +8,15 @@ import torch
 from synthetic import TINY, make_frames, write_sequence
 
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.denoise import Options, denoise
 from rtdenoise.frame import OFF_SCREEN, Known
 from rtdenoise.models import TemporalKPN, accumulated_kpn, available, create, load, save
-from rtdenoise.models.presets import architecture
+from rtdenoise.models.create import architecture
 from rtdenoise.motion import dual_motion, occlusion_mask
-from rtdenoise.motion_splat import splat_motion_next
-from rtdenoise.plan import look, make_plan
-from rtdenoise.planned import Planned
-from rtdenoise.tiles import Tiled, light_reach, network_reach
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.plan import look, make_plan
+from rtdenoise.run.planned import Planned
+from rtdenoise.run.tiles import Tiled, light_reach, network_reach
+from rtdenoise.splat import splat_motion_next
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +199,7 @@ def test_light_does_not_seep_into_the_sky_for_ever():
 
 def test_no_tile_of_the_sky_is_filtered(denoiser, monkeypatch):
     frames = sky(3, 1.7, H=500)
-    monkeypatch.setattr("rtdenoise.plan.TILED_FROM", 1)
+    monkeypatch.setattr("rtdenoise.run.plan.TILED_FROM", 1)
     plan, sizes, step = planned(denoiser, frames), [], denoiser.step
     plan._tiled.tile = 64
     expected, _ = play(denoiser, frames), plan._reaches()  # which take a step too

@@ -11,10 +11,11 @@ import pytest
 import torch
 from synthetic import make_frames
 
-from rtdenoise import memory
 from rtdenoise.errors import InputError
 from rtdenoise.models import available, load, read
-from rtdenoise.nets import UNet, as_weights, prepare, resolve
+from rtdenoise.models.inference import as_weights, prepare, resolve
+from rtdenoise.models.unet import UNet
+from rtdenoise.run import memory
 
 ROOT = Path(__file__).parent.parent
 
@@ -67,7 +68,7 @@ def test_freed_memory_is_kept_where_the_c_library_is_glibc():
     code = """
 import resource, sys, torch
 import rtdenoise.models  # as in a program that denoises: what else lies in the heap decides too
-from rtdenoise.memory import keep_freed
+from rtdenoise.run.memory import keep_freed
 told = keep_freed()
 faults = []
 for _ in range(8):

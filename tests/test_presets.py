@@ -11,10 +11,10 @@ from synthetic import TINY
 from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.output import read_result
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.denoise import Options, denoise
 from rtdenoise.errors import InputError
-from rtdenoise.inspect import inspect, render_text
 from rtdenoise.models import TemporalKPN, save
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.inspect import inspect, render_text
 
 
 def write(path, image, names="RGB"):

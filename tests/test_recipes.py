@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 import tyro
+from rtdenoise.cli.main.main import Command
 from safetensors import safe_open
 
-from rtdenoise.cli import Command
-from rtdenoise.train import _plain
+from rtdenoise.training.loop import _plain
 
 ROOT = Path(__file__).parent.parent
 RECIPE = ROOT / "tools" / "train_weights.sh"

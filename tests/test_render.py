@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rtdenoise.render.scenes.scene.motions import CameraPath, Motion
+from rtdenoise.render.scenes.scene.sample import sample
+from rtdenoise.render.scenes.scene.scene import Material, Object, Scene
 
-from rtdenoise.data.dataset import FEATURES, RADIANCE, ClipDataset, clip_path, read_facts
+from rtdenoise.data.clips import FEATURES, RADIANCE, ClipDataset, clip_path, read_facts
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
-from rtdenoise.render import meshes, procedural, stage, textures
+from rtdenoise.render import stage
 from rtdenoise.render.clips import ClipOptions, render_clip, render_clips
 from rtdenoise.render.draw import UNCOVERING, open_scene, probe
 from rtdenoise.render.frames import (
@@ -23,9 +26,7 @@ from rtdenoise.render.frames import (
     render_sequence,
     uncovered,
 )  # fmt: skip
-from rtdenoise.render.motions import CameraPath, Motion
-from rtdenoise.render.sample_scene import sample
-from rtdenoise.render.scenes import Material, Object, Scene
+from rtdenoise.render.scenes.scene import meshes, procedural, textures
 from rtdenoise.render.stage import Stage, find_llvm, start_mitsuba
 
 SIZE = (64, 96)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 from browser import Browser
+from rtdenoise.cli.main.main import main
 from synthetic import make_frames, write_sequence
 
-from rtdenoise.cli import main
 from rtdenoise.color import display
 from rtdenoise.data.exr import read_channels
-from rtdenoise.demo import SAMPLE
 from rtdenoise.errors import InputError
+from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.run import Options, run
 from rtdenoise.report import report
@@ -88,11 +88,7 @@ def test_it_opens_and_everything_is_drawn(page, measured):
     own = Document.read(measured).sequences["mural"]["reference_psnr"]
     assert float(re.search(r"mural320×180.*?%(\d+\.\d\d)", origin)[1]) == pytest.approx(own, abs=0.01)
     text = page.value("document.querySelector('#skipped').textContent")
-    assert (
-        "warp of history (3 of 3 frames examined)" in text
-        and "tiles" not in text
-        and "no input at 4 spp" in text
-    )
+    assert "warp of history (3 of 3 frames examined)" in text and "tiles" not in text and "no input at 4 spp" in text
     assert page.value("[...document.querySelectorAll('section')].filter((s) => s.hidden).length") == 0
     page.screenshot(ARTEFACTS / "report.png")
 

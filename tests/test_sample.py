@@ -4,14 +4,14 @@ import json
 from pathlib import Path
 
 import pytest
+from rtdenoise.cli.main.main import main
 from synthetic import make_frames, write_sequence
 
-from rtdenoise.cli import main
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.demo import SAMPLE, demo
 from rtdenoise.evaluate import uncovered
-from rtdenoise.inspect import inspect
+from rtdenoise.evaluate.demo import SAMPLE, demo
 from rtdenoise.models import available
+from rtdenoise.run.inspect import inspect
 
 ROOT = Path(__file__).parent.parent
 

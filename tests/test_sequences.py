@@ -10,7 +10,7 @@ import OpenEXR
 import pytest
 import torch
 
-from rtdenoise.data import presets
+from rtdenoise.data import layouts as presets
 from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError

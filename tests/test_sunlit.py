@@ -4,16 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rtdenoise.render.scenes.scene.motions import CameraPath
+from rtdenoise.render.scenes.scene.scene import Material, Object, Scene, Sun
+from rtdenoise.render.scenes.scene.sunlit import BLACK, HALF, OPEN_TO, PANELS, sunlit
 
-from rtdenoise.data.dataset import read_facts
+from rtdenoise.data.clips import read_facts
 from rtdenoise.errors import InputError
-from rtdenoise.render import meshes, procedural_wide, textures
 from rtdenoise.render.draw import open_scene
 from rtdenoise.render.frames import NOISY, radiance
-from rtdenoise.render.motions import CameraPath
-from rtdenoise.render.scenes import Material, Object, Scene, Sun
+from rtdenoise.render.scenes.scene import meshes, textures
+from rtdenoise.render.scenes.scene import wide as procedural_wide
 from rtdenoise.render.stage import Stage
-from rtdenoise.render.sunlit import BLACK, HALF, OPEN_TO, PANELS, sunlit
 from rtdenoise.render.training_set import SetOptions, render_set
 
 SEEDS = range(40)

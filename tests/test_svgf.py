@@ -12,9 +12,9 @@ from rtdenoise.baselines.atrous import SPLINE, Surface, atrous, gaussian
 from rtdenoise.baselines.svgf import estimate_variance, kind_of
 from rtdenoise.color import luminance
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.demo import SAMPLE
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, uncovered
+from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.frame import Frame, stack
 
 WALL, SQUARE = 2.0, 10.0  # irradiance of the wall and of the square that passes before it by 2 px a frame

@@ -17,14 +17,14 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from synthetic import TINY, make_frames, write_clips
 
-from rtdenoise.augment import RELIT, augment, relight
-from rtdenoise.data.dataset import RADIANCE, ClipDataset, clip_path, write_clip
+from rtdenoise.data.clips import RADIANCE, ClipDataset, clip_path, write_clip
 from rtdenoise.errors import InputError
+from rtdenoise.files import dumps
 from rtdenoise.models import PRESETS, load, read
 from rtdenoise.ops import warp
-from rtdenoise.strict_json import dumps
-from rtdenoise.train import _batch, train
-from rtdenoise.trainer import TrainConfig, Trainer
+from rtdenoise.training.augment import RELIT, augment, relight
+from rtdenoise.training.loop import _batch, train
+from rtdenoise.training.trainer import TrainConfig, Trainer
 
 
 def test_augmentation_turns_motion_with_the_picture():
@@ -120,7 +120,7 @@ def test_a_run_explains_itself_and_its_weights_denoise(config):
 
 def test_what_is_not_a_number_is_null_in_the_log(config, monkeypatch):
     nothing = {"noisy": 10.0, "denoised": math.inf, "denoised_uncovered": math.nan}  # no frame has uncovered regions
-    monkeypatch.setattr("rtdenoise.train.validate", lambda *_: nothing)
+    monkeypatch.setattr("rtdenoise.training.loop.validate", lambda *_: nothing)
     train(replace(config, steps=3))
     text = (config.out / "log.jsonl").read_text()
     assert "NaN" not in text and "Infinity" not in text
@@ -273,7 +273,7 @@ def test_the_best_validation_is_what_ships(config, monkeypatch):
     """A run that gets worse after its first validation keeps the weights of that one."""
     scores = iter([20.0, 19.0])
     found = {"noisy": 9.0, "denoised_uncovered": math.nan}
-    monkeypatch.setattr("rtdenoise.train.validate", lambda *_: found | {"denoised": next(scores)})
+    monkeypatch.setattr("rtdenoise.training.loop.validate", lambda *_: found | {"denoised": next(scores)})
     with safe_open(train(config), framework="np") as file:
         assert json.loads(file.metadata()["training"])["reached_step"] == 3
 

@@ -16,21 +16,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from rtdenoise.cli.main.main import main
+from rtdenoise.cli.main.training import Render
+from rtdenoise.render.scenes.scene.motions import CameraPath, Keyframes, Motion, Shots
+from rtdenoise.render.scenes.scene.scene import Scene
 from safetensors.numpy import save_file
 
-from rtdenoise.atomic import write_atomically
-from rtdenoise.cli import main
-from rtdenoise.cli_training import Render
-from rtdenoise.data.dataset import ClipDataset, bytes_per_clip, clip_path, read_facts
+from rtdenoise.data.clips import ClipDataset, bytes_per_clip, clip_path, read_facts
 from rtdenoise.errors import InputError
+from rtdenoise.files import write_atomically
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.motion import dual_motion, on_screen
-from rtdenoise.render import extras, meshes, procedural, procedural_wide
 from rtdenoise.render.clips import ClipOptions, render_clips
 from rtdenoise.render.draw import open_scene
 from rtdenoise.render.frames import RenderOptions, describe_frame, features, render_sequence
-from rtdenoise.render.motions import CameraPath, Keyframes, Motion, Shots
-from rtdenoise.render.scenes import Scene
+from rtdenoise.render.scenes.scene import extras, meshes, procedural
+from rtdenoise.render.scenes.scene import wide as procedural_wide
 from rtdenoise.render.stage import Stage
 from rtdenoise.render.training_set import HELD_OUT, SetOptions, find_scenes, parse_shard, render_set, scene_seed
 from rtdenoise.render.windows import Window, choose, look_through

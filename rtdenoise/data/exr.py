@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from ..atomic import write_atomically
 from ..errors import InputError
+from ..files import write_atomically
 from .exr_format import ExrHeader, parse_file, single_part
 
 NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}

@@ -13,12 +13,12 @@ import numpy as np
 
 from ..errors import InputError
 from ..frame import CHANNELS, Frame
-from .cameras import complete, read_cameras
 from .exr_format import ExrHeader
 from .files import FrameFiles, find_frames
+from .layouts import choose, find, samples
 from .noisebase import NOISEBASE, find_archives
-from .presets import choose, find, samples
 from .rules import SIGNALS, Preset, Rule
+from .scene_motion import complete, read_cameras
 
 DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 

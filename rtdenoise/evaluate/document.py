@@ -6,9 +6,8 @@ import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..atomic import write_atomically
 from ..errors import InputError
-from ..strict_json import dumps
+from ..files import dumps, write_atomically
 
 NAME = "evaluation.json"
 FORMAT = "rtdenoise-evaluation-1"

@@ -15,8 +15,8 @@ from torch import Tensor
 from ..baselines import Accumulate, Oidn, Svgf, Trmv
 from ..errors import InputError
 from ..frame import Frame
-from ..graphed import stepper
 from ..models import available, load
+from ..run.graphs import stepper
 from ..sanitise import sanitise
 
 Step = Callable[[Frame, object], tuple[Tensor, object]]
@@ -124,9 +124,7 @@ def _of_file(name: str, file: str) -> Method:
     return Method(name, f"the network of {file}", "network", partial(_start, path), precisions=PRECISIONS, weights=path)
 
 
-def _start(
-    weights: str, device: str | torch.device, precision: str, history: bool = True, **overrides: str
-) -> Step:
+def _start(weights: str, device: str | torch.device, precision: str, history: bool = True, **overrides: str) -> Step:
     step = stepper(load(weights, device, precision, **overrides))
     return step if history else partial(_without_history, step)
 

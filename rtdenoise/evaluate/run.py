@@ -21,12 +21,12 @@ from ..color import display_exposure
 from ..data.exr import write_layers
 from ..errors import InputError
 from ..frame import Frame
-from ..origin import LIBRARIES, device_name, origin, typed
-from ..plan import make_plan
+from ..run.plan import make_plan
 from ..sanitise import sanitise
 from .document import NAME, Document
 from .inputs import Source, reference_errors
 from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, Result, evaluate, uncovered, warm_up
+from .origin import LIBRARIES, device_name, origin, typed
 from .registry import PRECISIONS, Method, Step, choose
 
 MEASURED_WITH = (*LIBRARIES, "pyoidn", "scikit-image", "flip-evaluator", "pyfvvdp")

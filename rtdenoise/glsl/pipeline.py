@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
-from ..stored import read_model
+from ..models.weights import read_model
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
 from .designs import Design, design, expected_shapes

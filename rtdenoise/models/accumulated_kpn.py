@@ -17,15 +17,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ..brightness import exposure
+from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
-from ..motion_splat import history_motion
-from ..nets import ConvRelu, UNet, as_weights
 from ..ops import apply_kernel, compose, downsample, pick, reproject, warp
 from ..ops.features import features
 from ..ops.pixels import accumulate, demodulate, modulate, nearness, shares
 from ..ops.temporal import blend_history
 from ..sanitise import admit
+from ..splat import history_motion
+from .inference import as_weights
+from .unet import ConvRelu, UNet
 
 # Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
 # uncovered 1.

@@ -9,11 +9,11 @@ from pathlib import Path
 import torch
 from safetensors.torch import save as serialise
 
-from ..atomic import write_atomically
 from ..errors import InputError
-from ..nets import prepare, resolve
-from ..stored import available, find, read_model
-from .presets import ARCHITECTURES, Denoiser, architecture, create
+from ..files import write_atomically
+from .create import ARCHITECTURES, Denoiser, architecture, create
+from .inference import prepare, resolve
+from .weights import available, find, read_model
 
 __all__ = ["available", "find", "load", "read", "save"]
 

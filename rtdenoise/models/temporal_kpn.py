@@ -11,14 +11,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from ..brightness import exposure
 from ..color import compress
+from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
-from ..motion_splat import history_motion
-from ..nets import UNet, as_weights
 from ..ops import apply_kernel, blend, compose, downsample, warp
 from ..ops.pixels import nearness
 from ..sanitise import admit
+from ..splat import history_motion
+from .inference import as_weights
+from .unet import UNet
 
 SCALES = 3  # 1, 1/2 and 1/4 of the image: "the last three layers" (§4.3)
 FEATURES = 13  # noisy radiance 3, albedo 3, normal 3, depth 1, warped previous output 3

@@ -44,7 +44,7 @@ def accumulate(
 ) -> tuple[Tensor, Tensor]:  # [B, C, H, W], [B, 1, H, W]
     """A running mean and its length, one frame on:
 
-        w = 1 / (1 + length),  a = w + reset · (1 - w),  mean' = a · new + (1 - a) · mean,  length' = min(1/a, longest)
+    w = 1 / (1 + length),  a = w + reset · (1 - w),  mean' = a · new + (1 - a) · mean,  length' = min(1/a, longest)
     """
     if run := fused("accumulate", new, mean, length, reset):
         return run(new, mean, length, reset, longest)

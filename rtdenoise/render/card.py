@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..atomic import write_atomically
-from ..data.dataset import ClipDataset, read_facts
+from ..data.clips import ClipDataset, read_facts
+from ..files import write_atomically
 
 GENERATED = "program"  # where a clip comes from if not from a scene file: no third-party data
 

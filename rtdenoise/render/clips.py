@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data.dataset import clip_path, read_facts, write_clip
+from ..data.clips import clip_path, read_facts, write_clip
 from ..errors import InputError
-from . import procedural
 from .card import write_card
 from .draw import draw
 from .frames import RenderOptions, render_frame
+from .scenes import procedural
 from .stage import start_mitsuba
 from .workers import only_run, run_jobs
 

@@ -9,16 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from . import procedural, procedural_wide, textures
-from .extras import SHAPES, free_place
 from .frames import calibrate, features, uncovered
-from .motions import Motion, rigid
-from .pictures import find_pictures, hang
-from .sample_scene import sample
-from .scene_file import open_file
-from .scenes import Material, Object, Scene
+from .scenes import procedural, textures
+from .scenes import wide as procedural_wide
+from .scenes.extras import SHAPES, free_place
+from .scenes.file import open_file
+from .scenes.motions import Motion, rigid
+from .scenes.pictures import find_pictures, hang
+from .scenes.sample import sample
+from .scenes.scene import Material, Object, Scene
+from .scenes.sunlit import sunlit
 from .stage import Stage
-from .sunlit import sunlit
 
 UNCOVERING = 0.015  # least share of uncovered pixels in a clip that is drawn to uncover
 ATTEMPTS = 12

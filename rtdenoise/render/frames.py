@@ -3,7 +3,7 @@
 Layers are numpy float32 `[H, W, C]`, row 0 on top. All noisy layers of a frame share their primary rays, which are
 jittered uniformly inside the pixel (box filter). With several samples a pixel, radiance, albedo and normal are means;
 depth, position, id and both motions are those of the first sample, because a mean of two surfaces lies on neither.
-Light is called indirect after two and more surface bounces; `paths.py` has the details and the albedo of
+Light is called indirect after two and more surface bounces; `tracing.py` has the details and the albedo of
 surfaces that are not diffuse; that of lamps and sky is their radiance, clipped to [0, 1].
 """
 
@@ -17,9 +17,9 @@ import numpy as np
 import torch
 
 from .. import motion
-from ..atomic import write_atomically
 from ..errors import InputError
-from .scenes import Scene
+from ..files import write_atomically
+from .scenes.scene import Scene
 from .stage import Stage, start_mitsuba
 
 WAVEFRONT = 1 << 21  # rays in flight; bounds memory
@@ -95,13 +95,13 @@ def _image(value, size, spp: int, first: bool = False) -> np.ndarray:
 def features(stage: Stage, number: int, size, spp: int = 1, seed: int = 0) -> dict[str, np.ndarray]:
     """The layers that need no light transport, both motions included, and `emission`; nothing is traced further."""
     start_mitsuba()
-    from . import paths
+    from . import tracing
 
     stage.at(number)
     camera = stage.scene.camera(number)
-    sampler = paths.make_sampler(_stream(seed, number, NOISY), size[0] * size[1] * spp)
-    ray = paths.primary_rays(sampler, size, spp, camera.world_from_pixel(size))
-    hit = paths.first_hit(stage.mitsuba, ray, sampler, stage.object_ids)
+    sampler = tracing.make_sampler(_stream(seed, number, NOISY), size[0] * size[1] * spp)
+    ray = tracing.primary_rays(sampler, size, spp, camera.world_from_pixel(size))
+    hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids)
     layers = {k: _image(hit[k], size, spp) for k in ("albedo", "normal", "emission")}
     layers |= {k: _image(hit[k], size, spp, first=True) for k in ("depth", "position", "id")}
     layers["emission"] *= stage.exposure
@@ -117,7 +117,7 @@ def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, 
     mi = start_mitsuba()
     import drjit as dr
 
-    from . import paths
+    from . import tracing
 
     stage.at(number)
     lens = stage.scene.camera(number).world_from_pixel(size)
@@ -125,9 +125,9 @@ def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, 
     total = np.zeros((2, *size, 3))
     for piece, samples in enumerate(np.diff(np.linspace(0, spp, pieces + 1).astype(int))):
         key = (seed, number, stream) if piece == 0 else (seed, number, stream, piece)
-        sampler = paths.make_sampler(_stream(*key), int(size[0] * size[1] * samples))
-        ray = paths.primary_rays(sampler, size, int(samples), lens)
-        light = paths.trace(stage.mitsuba, sampler, ray, max_depth)
+        sampler = tracing.make_sampler(_stream(*key), int(size[0] * size[1] * samples))
+        ray = tracing.primary_rays(sampler, size, int(samples), lens)
+        light = tracing.trace(stage.mitsuba, sampler, ray, max_depth)
         dr.eval(light)  # once: the sums below would trace every channel anew
         if samples > 1:
             light = [mi.Color3f(*(dr.block_sum(channel, int(samples)) for channel in part)) for part in light]

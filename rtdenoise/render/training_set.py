@@ -18,18 +18,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data.dataset import bytes_per_clip, clip_path, write_clip
+from ..data.clips import bytes_per_clip, clip_path, write_clip
 from ..errors import InputError
-from . import procedural_wide
 from .card import GENERATED, write_card
 from .clips import refuse_others, versions
 from .draw import dress
 from .frames import FIRST_HALF, LUMINANCE, SECOND_HALF, RenderOptions, calibrate, radiance, render_frame
-from .pictures import find_pictures, hang
-from .scene_file import open_file
-from .scenes import Scene
+from .scenes import wide as procedural_wide
+from .scenes.file import open_file
+from .scenes.pictures import find_pictures, hang
+from .scenes.scene import Scene
+from .scenes.sunlit import sunlit
 from .stage import Stage, start_mitsuba
-from .sunlit import sunlit
 from .windows import COARSE, Survey, candidates, choose, look_through, survey
 from .workers import only_run, run_jobs
 

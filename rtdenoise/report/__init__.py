@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
-from ..atomic import write_atomically
 from ..errors import InputError
 from ..evaluate.document import Document
+from ..files import write_atomically
 from .markdown import markdown
 from .page import page, payload
 

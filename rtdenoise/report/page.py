@@ -14,8 +14,8 @@ import torch
 from ..data.exr import read_channels
 from ..errors import InputError
 from ..evaluate.document import Document
+from ..files import dumps
 from ..metrics import flip_map
-from ..strict_json import dumps
 from . import readings
 from .budgets import comparisons
 from .pictures import encode_map, encode_motion, encode_picture, pack

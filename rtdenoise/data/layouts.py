@@ -1,0 +1,255 @@
+"""How renderers name and scale their channels, and how each is brought to the conventions of `frame.py`.
+
+native   what this project writes: `R,G,B` (or `color.{R,G,B}`, as in a part named color), `indirect.{R,G,B}`,
+         `albedo.{R,G,B}`, `normal.{X,Y,Z}`, `depth.Z`, …
+cycles   Blender/Cycles 3.x-5.x, multilayer EXR: `<ViewLayer>.<Pass>.<Channel>`. `Vector` holds previous − current in
+         X,Y and current − next in Z,W, in pixels with y up. `Diffuse Indirect` is already divided by `Diffuse Color`.
+         `Denoising Normal` is in camera space and `Normal` in world space, so `Normal` is preferred.
+mitsuba  Mitsuba 3's `aov` integrator: `R,G,B` is the picture of the inner integrator, an AOV `name:type` becomes
+         `name.{R,G,B}` (albedo), `name.{X,Y,Z}`, `name.T` (depth) or `name.I` (index). Names that are usual are found.
+falcor   A file a buffer, as Falcor's frame capture names them (`*.GBufferRT.mvec.12.exr`) or renamed (`mvec_0012.exr`).
+         `mvec` is previous − current in fractions of the picture, y down; `linearZ` is FLT_MAX or 0 for misses.
+bmfr     The data set of Koskela et al. 2019, a file a buffer: `color12.exr` (already divided by the albedo),
+         `albedo12.exr`, `shading_normal12.exr`, `world_position12.exr`. The scenes do not move: depth and motion come
+         from `world_position` and the cameras in `camera_matrices.h`.
+oidn     The names of Open Image Denoise's training: `name_0001spp.{hdr,alb,nrm}.exr`, `name_ref.hdr.exr`, the frame
+         number at the end of `name`. They have neither depth nor motion.
+noisebase  Zarr arrays in zip files: see `noisebase.py`, which turns them into channels.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from pathlib import Path
+
+from ..errors import InputError
+from .exr_format import ExrHeader
+from .files import fits
+from .layout_file import read_preset
+from .noisebase import NOISEBASE
+from .rules import SIGNALS, Preset, rules
+
+NATIVE = Preset(
+    "native",
+    {
+        "color": rules("|color", "RGB"),
+        "indirect": rules("indirect", "RGB"),
+        "albedo": rules("albedo", "RGB"),
+        "normal": rules("normal", "XYZ"),
+        "depth": rules("depth", "Z"),
+        "motion": rules("motion", "XY"),
+        "motion_next": rules("motion_next", "XY"),
+        "position": rules("position", "XYZ"),
+        "id": rules("id", "I"),
+        "reference": rules("reference", "RGB"),
+        "indirect_reference": rules("indirect_reference", "RGB"),
+        "half_reference": rules("half_reference", "RGB"),
+        "half_indirect_reference": rules("half_indirect_reference", "RGB"),
+    },
+)
+
+MITSUBA = Preset(
+    "mitsuba",
+    {
+        **NATIVE.layers,
+        "albedo": rules("albedo|alb|aov.albedo", "RGB"),
+        "normal": rules("normal|nn|sh_normal|normals|n|sn|aov.sh_normal|geo_normal|gn", "XYZ"),
+        "depth": rules("*", "T") + rules("depth", "Z"),
+        "position": rules("position|pos|p|aov.position", "XYZ"),
+        "id": rules("id|shape_index|shape|idx|index|aov.shape_index", "I"),
+    },
+    hints={
+        "indirect": "Mitsuba has no integrator for it: render with `rtdenoise render`, or denoise --signal color",
+        "albedo": "add `albedo:albedo` to the aov integrator's `aovs`",
+        "normal": "add `normal:sh_normal` to the aov integrator's `aovs`",
+        "depth": "add `depth:depth` to the aov integrator's `aovs`",
+        "position": "add `position:position` to the aov integrator's `aovs`",
+        "id": "add `id:shape_index` to the aov integrator's `aovs`",
+        "motion": "Mitsuba has no motion AOV: render with `rtdenoise render`, or add channels motion.X, motion.Y",
+        "motion_next": "Mitsuba has no motion AOV: render with `rtdenoise render`, or add motion_next.X, motion_next.Y",
+    },
+)
+
+_DENOISING_DATA = "switch on View Layer > Passes > Data > Denoising Data"
+_VECTOR = "switch on View Layer > Passes > Data > Vector, and motion blur off"
+_CYCLES_HINTS = {
+    "color": "switch on View Layer > Passes > Data > Combined",
+    "indirect": "switch on View Layer > Passes > Light > Diffuse > Indirect",
+    "albedo": _DENOISING_DATA,
+    "indirect_albedo": "switch on View Layer > Passes > Light > Diffuse > Color",
+    "normal": "switch on View Layer > Passes > Data > Normal",
+    "depth": "switch on View Layer > Passes > Data > Z",
+    "motion": _VECTOR,
+    "motion_next": _VECTOR,
+    "position": "switch on View Layer > Passes > Data > Position",
+    "id": "switch on View Layer > Passes > Data > Indexes > Object Index",
+}
+
+
+def cycles(view_layer: str) -> Preset:
+    """The passes of one view layer ("": channels without a view layer in front)."""
+    p = f"{view_layer}." if view_layer else ""
+    layers = {
+        "color": rules(f"{p}Noisy Image|{p}Combined", "RGB"),
+        "indirect": rules(f"{p}Diffuse Indirect|{p}DiffInd", "RGB"),
+        "albedo": rules(f"{p}Denoising Albedo|{p}Diffuse Color|{p}DiffCol", "RGB"),
+        "indirect_albedo": rules(f"{p}Diffuse Color|{p}DiffCol", "RGB"),  # what Diffuse Indirect was divided by
+        "normal": rules(f"{p}Normal|{p}Denoising Normal", "XYZ"),
+        # Cycles stores 1e10 as the depth of what missed.
+        "depth": rules(f"{p}Depth|{p}Denoising Depth", "Z", miss=1e9),
+        "motion": rules(f"{p}Vector", "XY", signs=(1, -1)),
+        "motion_next": rules(f"{p}Vector", "ZW", signs=(-1, 1)),
+        "position": rules(f"{p}Position", "XYZ"),
+        "id": rules(f"{p}Object Index|{p}IndexOB", "X"),
+    }
+    references = {layer: rule for layer, rule in NATIVE.layers.items() if "reference" in layer}  # added by other tools
+    return Preset(
+        "cycles",
+        {**references, **layers},
+        _CYCLES_HINTS,
+        demodulated=frozenset({"indirect"}),
+        beauty=rules(f"{p}Combined", "RGB"),
+    )
+
+
+FALCOR = Preset(
+    "falcor",
+    {
+        "color": rules("color", "RGB"),
+        "albedo": rules("albedo", "RGB"),
+        "normal": rules("normal", "RGB") + rules("normal", "XYZ"),
+        "depth": tuple(rule for c in "RZY" for rule in rules("linearZ", c, miss=1e30)),
+        "motion": rules("mvec", "RG", scale="uv") + rules("mvec", "XY", scale="uv"),
+        "reference": rules("ref", "RGB"),
+    },
+    hints={
+        "indirect": "Falcor has no output for it; denoise --signal color",
+        "motion_next": "Falcor has no output for it; it is approximated from motion and depth",
+    },
+    buffers={
+        "color": ("color_{frame}.exr", "*.color.{frame}.exr"),
+        "albedo": ("albedo_{frame}.exr", "*.albedo.{frame}.exr", "*.diffuseOpacity.{frame}.exr"),
+        "normal": ("normal_{frame}.exr", "*.guideNormal.{frame}.exr", "*.normW.{frame}.exr"),
+        "linearZ": ("linearZ_{frame}.exr", "*.linearZ.{frame}.exr"),
+        "mvec": ("mvec_{frame}.exr", "*.mvec.{frame}.exr"),
+        "ref": ("ref_{frame}.exr",),
+    },
+)
+
+BMFR = Preset(
+    "bmfr",
+    {
+        "color": rules("color", "RGB"),
+        "albedo": rules("albedo", "RGB"),
+        "normal": rules("shading_normal", "RGB"),
+        "position": rules("world_position", "RGB"),
+    },
+    hints={
+        "indirect": "BMFR's color holds direct and indirect light; denoise --signal color",
+        **dict.fromkeys(("depth", "motion", "motion_next"), "put camera_matrices.h beside the frames"),
+    },
+    demodulated=frozenset({"color"}),
+    buffers={name: (f"{name}{{frame}}.exr",) for name in ("color", "albedo", "shading_normal", "world_position")},
+    cameras="camera_matrices.h",
+)
+
+_NOT_OIDN = "OIDN's names have no file for it: write native layers, or describe your files in a preset of your own"
+OIDN = Preset(
+    "oidn",
+    {
+        "color": rules("hdr", "RGB"),
+        "albedo": rules("alb", "RGB"),
+        "normal": rules("nrm", "RGB") + rules("nrm", "XYZ"),
+        "reference": rules("ref", "RGB"),
+    },
+    hints=dict.fromkeys(("indirect", "depth", "motion", "motion_next", "position", "id"), _NOT_OIDN),
+    buffers={
+        "hdr": ("*{frame}_{spp}spp.hdr.exr", "*_{spp}spp.hdr.exr"),
+        "alb": ("*{frame}_{spp}spp.alb.exr", "*_{spp}spp.alb.exr"),
+        "nrm": ("*{frame}_{spp}spp.nrm.exr", "*_{spp}spp.nrm.exr"),
+        "ref": ("*{frame}_ref.hdr.exr", "*_ref.hdr.exr"),
+    },
+)
+
+PRESETS = {preset.name: preset for preset in (NATIVE, MITSUBA, FALCOR, BMFR, OIDN)}
+NAMES = ("native", "cycles", "mitsuba", "falcor", "bmfr", "oidn", "noisebase")
+
+
+def choose(name: str, source: str | os.PathLike) -> Preset | None:
+    """The preset as far as its name and the names of the files in `source` (folder or glob) decide it; None: the first
+    header will, see `find`. A name that ends in .toml is a file that describes a preset.
+
+    Raises `InputError` for a name that is not known, and as `read_preset` does.
+    """
+    if name.endswith(".toml"):
+        return read_preset(Path(name))
+    if name.partition(":")[0] == NOISEBASE.name or (name == "auto" and _holds_archives(Path(source))):
+        return NOISEBASE
+    if name == "auto":
+        return next((preset for preset in (FALCOR, BMFR, OIDN) if fits(source, preset.buffers)), None)
+    if name in PRESETS:
+        return PRESETS[name]
+    if name.partition(":")[0] == "cycles":
+        return None
+    near = difflib.get_close_matches(name.lower(), NAMES, n=1)
+    suggestion = f" (did you mean '{near[0]}'?)" if near else ""
+    raise InputError(f"unknown preset '{name}'{suggestion}: known are auto, {', '.join(NAMES)}, or a .toml file")
+
+
+def _holds_archives(source: Path) -> bool:
+    """Whether these are zip files, and no EXR files are among them."""
+    suffixes = {path.suffix.lower() for path in source.iterdir()} if source.is_dir() else {source.suffix.lower()}
+    return ".zip" in suffixes and ".exr" not in suffixes
+
+
+def samples(name: str) -> int:
+    """N of the preset "noisebase:N", how many samples a pixel are read; 1 without. Raises `InputError`."""
+    count = name.partition(":")[2] or "1"
+    if not count.isdecimal() or count == "0":
+        raise InputError(f"preset '{name}': expected noisebase:N with N samples a pixel, 1 or more")
+    return int(count)
+
+
+def find(name: str, header: ExrHeader) -> Preset:
+    """The preset for a file: "auto" detects it, "cycles:NAME" picks one of several view layers. Raises `InputError`
+    where there is none."""
+    return detect(header) if name == "auto" else cycles(_choose_view_layer(header, name.partition(":")[2]))
+
+
+def detect(header: ExrHeader) -> Preset:
+    """The preset whose names this file uses.
+
+    Raises `InputError` where there is none, or where a Cycles file has several view layers and no way to choose.
+    """
+    if view_layers(header):
+        return cycles(_choose_view_layer(header, ""))
+    found = {
+        preset.name: set().union(*(preset.resolve(header, signal) for signal in SIGNALS))
+        for preset in (NATIVE, MITSUBA)
+    }
+    best = max((NATIVE, MITSUBA), key=lambda preset: len(found[preset.name]))  # native where both find as much
+    if "radiance" not in found[best.name]:
+        raise InputError(f"{header.path}: no known layout (presets: {', '.join(NAMES)}): no R,G,B, no indirect.R,G,B, "
+                         f"no <ViewLayer>.Combined.R,G,B among {header.summary}")  # fmt: skip
+    return best
+
+
+def view_layers(header: ExrHeader) -> list[str]:
+    """The view layers of a Cycles file, in its order; "Composite", the compositor's result, only if it is alone."""
+    pattern = re.compile(r"(?:(.+)\.)?(?:Combined|Noisy Image|Diffuse Indirect|DiffInd)\.R")
+    found = dict.fromkeys(match[1] or "" for name in header.channels if (match := pattern.fullmatch(name)))
+    return [layer for layer in found if layer != "Composite"] or list(found)
+
+
+def _choose_view_layer(header: ExrHeader, wanted: str) -> str:
+    found = view_layers(header)
+    if not found:
+        raise InputError(f"{header.path}: no <ViewLayer>.Combined.R as Cycles writes it among {header.summary}")
+    if wanted and wanted not in found:
+        raise InputError(f"{header.path}: no view layer '{wanted}'; the file has {', '.join(found)}")
+    if not wanted and len(found) > 1:
+        names = ", ".join(found)
+        raise InputError(f"{header.path}: several view layers ({names}): choose one, e.g. preset cycles:{found[0]}")
+    return wanted or found[0]

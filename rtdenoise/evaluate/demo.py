@@ -1,0 +1,81 @@
+"""`rtdenoise demo`: denoise the bundled sequence, measure it, and leave pictures to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from ..color import display_exposure
+from ..data.sequences import open_sequence
+from ..errors import InputError
+from ..files import dumps
+from ..run.preview import animate, strip
+from . import METRICS, REGIONS, Result, evaluate, uncovered
+
+SAMPLE = Path(__file__).parents[2] / "samples" / "mural"
+METHODS = ("noisy", "accumulate", "paper-traditional", "paper", "default")
+
+
+def demo(
+    out: Path, source: Path = SAMPLE, signal: str = "indirect", methods: tuple[str, ...] = METHODS
+) -> list[Result]:
+    """Run the demo on `source` and write `strip.png`, an animation and `demo.json` into `out`; prints the table. The
+    pictures show the last of `methods`.
+
+    Raises InputError where the sample is not there: it comes with the repository, not with the wheel.
+    """
+    if not source.is_dir():
+        raise InputError(
+            f"{source}: the sample sequence is not there; it comes with the repository (or name one with --source)"
+        )
+    frames = list(open_sequence(source, signal=signal, layers=("reference", "reference_half")))
+    results = evaluate(frames, methods)
+    out.mkdir(parents=True, exist_ok=True)
+
+    scale = display_exposure(frames[0].reference)
+    images = {result.method: result.images for result in results}
+    strips = [
+        strip(
+            {
+                "1 spp": f.radiance,
+                "accumulate": images["accumulate"][i],
+                "rtdenoise": images[methods[-1]][i],
+                "reference": f.reference,
+            },
+            scale,
+        )
+        for i, f in enumerate(frames)
+    ]
+    strips[-1].save(out / "strip.png")
+    animation = animate(strips, out / "demo")
+    masks = uncovered(frames)[1:]
+    share = sum(mask.float().mean().item() for mask in masks) / max(len(masks), 1)
+    rows = [{"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)} for r in results]
+    (out / "demo.json").write_text(
+        dumps({"signal": signal, "uncovered_share": share, "results": rows}, indent=1) + "\n"
+    )
+
+    console = Console()
+    console.print(
+        _table(results, f"{source.name}: {len(frames)} frames, 1 spp, {signal}; {share:.1%} of the pixels uncovered")
+    )
+    console.print(f"pictures: {out / 'strip.png'}, {animation}; numbers: {out / 'demo.json'}", soft_wrap=True)
+    return results
+
+
+def _table(results: list[Result], title: str) -> Table:
+    names = {"psnr": "PSNR", "ssim": "SSIM", "relmse": "relMSE"}
+    table = Table(title=title, box=box.SIMPLE)
+    table.add_column("method", no_wrap=True)
+    for region in REGIONS:
+        for metric in METRICS:
+            table.add_column(f"{names[metric]}\n{region[:5]}", justify="right", no_wrap=True)
+    table.add_column("ms", justify="right", no_wrap=True)
+    for r in results:
+        values = [(metric, r.errors[region][metric]) for region in REGIONS for metric in METRICS]
+        shown = [f"{value:.2f}" if metric == "psnr" else f"{value:.3f}" for metric, value in values]
+        table.add_row(r.method, *shown, f"{1000 * r.seconds:.0f}")
+    return table

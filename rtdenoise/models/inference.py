@@ -1,0 +1,127 @@
+"""A trained network made ready to run: its numbers, their layout in memory, and what can be fused."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ..errors import InputError
+from .unet import ConvRelu, Up
+
+PRECISIONS = ("auto", "fp32", "bf16")
+
+
+def choose_device(name: str) -> str:
+    """'auto' becomes CUDA where there is a GPU. Raises InputError for a device that is unknown or not there."""
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError(f"unknown device {name!r}; expected 'auto', 'cpu' or 'cuda'")
+    device = name if name != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda: no CUDA device was found; use --device cpu")
+    return device
+
+
+def resolve(precision: str, device: str | torch.device) -> torch.dtype:
+    """The dtype that `precision` means on a device. 'auto' is bfloat16 where the hardware multiplies it faster: CPUs
+    with AVX512-BF16 or AMX, CUDA from compute capability 8.0; float32 elsewhere.
+
+    Raises InputError for an unknown precision.
+    """
+    if precision not in PRECISIONS:
+        raise InputError(f"unknown precision {precision!r}; expected one of {', '.join(PRECISIONS)}")
+    if precision != "auto":
+        return torch.bfloat16 if precision == "bf16" else torch.float32
+    device = torch.device(device)
+    if device.type == "cuda":
+        fast = torch.cuda.get_device_capability(device) >= (8, 0)
+    else:
+        ask = getattr(torch.cpu, "_is_avx512_bf16_supported", None)  # torch has no public name for it
+        fast = device.type == "cpu" and ask is not None and ask()
+    return torch.bfloat16 if fast else torch.float32
+
+
+def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
+    """The network, changed in place: weights in `dtype` and channels last, each ReLU part of the convolution before it,
+    nothing enlarged before it is convolved.
+
+    Channels last is the layout that convolutions compute in, on CPUs and on tensor cores; in any other they turn their
+    input and output around. `as_weights` brings the input to it. Not for training. Parameters keep their names.
+    """
+    for module in list(network.modules()):
+        if isinstance(module, nn.Sequential):
+            _fuse(module)
+        if type(module) is ConvRelu and _has_onednn():
+            module.__class__ = _FusedConvRelu
+        if isinstance(module, Up):
+            _FusedUp.take(module)
+    return network.to(dtype=dtype, memory_format=torch.channels_last)
+
+
+def as_weights(x: Tensor, network: nn.Module) -> Tensor:
+    """`x` in the dtype and, after `prepare`, the layout of the network's weights."""
+    weights = [w for w in network.parameters() if w.ndim == 4]
+    last = any(w.is_contiguous(memory_format=torch.channels_last) and not w.is_contiguous() for w in weights)
+    return x.to(weights[0].dtype, memory_format=torch.channels_last if last else torch.preserve_format)
+
+
+class _FusedConvRelu(ConvRelu):
+    """In one pass, where torch has oneDNN's (CPU)."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        if x.device.type != "cpu":
+            return super().forward(x)
+        return torch.ops.mkldnn._convolution_pointwise(
+            x, self.weight, self.bias, self.padding, self.stride, self.dilation, self.groups, "relu", [], ""
+        )
+
+
+class _FusedUp(Up):
+    """A level of the decoder whose first convolution is two, summed: one of the skip connection, and one of what is
+    below that works at its size.
+
+    Of nearest enlargement a 3×3 convolution sees 2×2 different pixels, so that the two together are a transposed
+    convolution of 4×4 with stride 2, whose weights are sums of the 3×3: 16 products for 36 a channel, and neither the
+    enlarged picture nor the joined one is ever made.
+    """
+
+    @classmethod
+    def take(cls, up: Up) -> None:
+        """Make `up` one, in place. Its own weights stay where they are, under their names."""
+        weight = up[0].weight.detach()
+        up.register_buffer("of_below", enlarging(weight[:, : up.below]), persistent=False)
+        up.register_buffer("of_skip", weight[:, up.below :].clone(), persistent=False)
+        up.__class__ = cls
+
+    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        y = F.conv_transpose2d(x, self.of_below, self[0].bias, stride=2, padding=1)
+        if type(self[0]) is _FusedConvRelu and x.device.type == "cpu":
+            torch.ops.mkldnn._convolution_pointwise_.binary(
+                y, skip, self.of_skip, None, (1, 1), (1, 1), (1, 1), 1, "add", 1.0, "relu", [], ""
+            )
+        else:
+            y = F.relu(y + F.conv2d(skip, self.of_skip, padding=1))
+        return self[3](self[2](y))
+
+
+def enlarging(weight: Tensor) -> Tensor:
+    """Of a 3×3 convolution `[O, I, 3, 3]`: the weights `[I, O, 4, 4]` with which `conv_transpose2d(x, ..., stride=2,
+    padding=1)` is that convolution of x enlarged twice.
+
+    Along each axis pixel 2i sees i - 1 with tap 0 and i with taps 1 and 2; pixel 2i + 1 sees i with taps 0 and 1 and
+    i + 1 with tap 2. Tap t of the transposed convolution leads from pixel i to pixel 2i + t - 1.
+    """
+    sums = weight.new_tensor([[0, 0, 1], [0, 1, 1], [1, 1, 0], [1, 0, 0]])
+    return torch.einsum("ty,oiyx,sx->iots", sums, weight, sums)
+
+
+def _fuse(layers: nn.Sequential) -> None:
+    for i in range(len(layers) - 1):
+        convolution = layers[i]
+        if type(convolution) is nn.Conv2d and isinstance(layers[i + 1], nn.ReLU) and _has_onednn():
+            convolution.__class__ = _FusedConvRelu
+            layers[i + 1] = nn.Identity()
+
+
+def _has_onednn() -> bool:
+    return torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")

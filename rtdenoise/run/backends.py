@@ -1,0 +1,149 @@
+"""What runs a model: torch, or compute shaders where there is no torch. Frames, images and saved histories are numpy
+arrays whichever it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import InputError
+from ..frame import NOTHING_KNOWN, Frame, Known
+from .memory import explained
+from .plan import Plan, count, look, make_plan
+
+BACKENDS = ("auto", "torch", "glsl")
+
+
+class Backend(Protocol):
+    """A model, ready to run. `history` is the backend's own; None starts anew."""
+
+    def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
+        """From now on leave out what `plan.make_plan` says; counted in `left_out`."""
+
+    def prepare(self, frame: Frame) -> Frame:
+        """A frame of arrays `[1, C, H, W]` as `mismatch` and `step` take it: what both need is done once."""
+
+    def mismatch(self, frame: Frame, history: Any) -> float:
+        """`history.mismatch` of a prepared frame: above `frame.CUT` history belongs to another shot."""
+
+    def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+        """Denoise a prepared frame: `[1, 3, H, W]`, and the history for the next one."""
+
+    def save(self, history: Any) -> dict[str, np.ndarray]:
+        """A history as the fields of `frame.History` that it has, `[1, C, H, W]`: the same for every backend."""
+
+    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
+        """The inverse of `save`. Raises InputError or KeyError where the fields are not those of a history."""
+
+
+def open_backend(name: str, model: str, device: str, precision: str) -> Backend:
+    """The backend `name` with a model in it; 'auto' is torch where it is installed.
+
+    Raises InputError for an unknown name, a device or precision that the backend does not have, and what loading the
+    model raises.
+    """
+    if name not in BACKENDS:
+        raise InputError(f"unknown backend {name!r}; expected one of {', '.join(BACKENDS)}")
+    has_torch = find_spec("torch") is not None
+    if name == "torch" and not has_torch:
+        raise InputError("--backend torch: PyTorch is not installed; install it, or use --backend glsl")
+    if name == "torch" or (name == "auto" and has_torch):
+        return TorchBackend(model, device, precision)
+    return GlslBackend(model, device, precision)
+
+
+class TorchBackend:
+    """`rtdenoise.models`."""
+
+    def __init__(self, model: str, device: str, precision: str) -> None:
+        from ..models import load
+        from ..models.inference import choose_device
+        from .graphs import stepper
+
+        self.device = choose_device(device)
+        self._denoiser = load(model, self.device, precision)
+        self._step = stepper(self._denoiser)
+
+    def prepare(self, frame: Frame) -> Frame:
+        import torch
+
+        from ..sanitise import sanitise
+
+        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+            return sanitise(frame.map(torch.from_numpy).to(self.device))
+
+    def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+        import torch
+
+        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+            image, history = self._step(frame, history, Known(sanitised=True))
+            return image.cpu().numpy(), history
+
+    def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
+        from .planned import Planned
+
+        plan = make_plan(size, frames, self._denoiser.config.motion, first)
+        planned = Planned(self._denoiser, plan, self._step)
+        left_out |= planned.left_out | left_out  # the counts of earlier runs, where there are any
+        planned.left_out, self._step = left_out, planned.step
+        return plan
+
+    def mismatch(self, frame: Frame, history: Any) -> float:
+        import torch
+
+        from ..history import mismatch
+
+        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+            return mismatch(frame, history).item()
+
+    def save(self, history: Any) -> dict[str, np.ndarray]:
+        return {name: tensor.cpu().contiguous().numpy() for name, tensor in history.layers().items()}
+
+    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
+        from ..history import from_arrays
+
+        return from_arrays(fields, self.device)
+
+
+class GlslBackend:
+    """`rtdenoise.glsl.Pipeline`, on the GPU that OpenGL gives."""
+
+    def __init__(self, model: str, device: str, precision: str) -> None:
+        from ..glsl import Pipeline
+
+        if device != "auto":
+            raise InputError(f"--device {device}: goes with --backend torch; OpenGL's driver decides where shaders run")
+        if precision not in ("auto", "fp32", "fp16"):
+            raise InputError(f"precision {precision!r}: --backend glsl has 'fp32' and 'fp16' ('auto' is fp32)")
+        self._pipeline = Pipeline.load(model, half=precision == "fp16")
+        self._left_out: dict[str, int] | None = None  # None: nothing is left out
+
+    def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
+        self._left_out = left_out
+        return make_plan(size, frames, self._pipeline.design.motion, first, windows=False)
+
+    def prepare(self, frame: Frame) -> Frame:
+        return frame
+
+    def mismatch(self, frame: Frame, history: Any) -> float:
+        return self._pipeline.mismatch(frame, history[0])
+
+    def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+        resident, motion_next = history or (None, None)
+        known = NOTHING_KNOWN
+        if self._left_out is not None:
+            known = look(frame, motion_next, history is not None)
+            count(self._left_out, known, self._pipeline.design.accumulates)
+        image, resident = self._pipeline.step(frame, resident, known)
+        return image, (resident, frame.motion_next)  # which says what the next frame can do without
+
+    def save(self, history: Any) -> dict[str, np.ndarray]:
+        return history[0].read()
+
+    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
+        from ..glsl import History
+
+        return History.upload(self._pipeline.ctx, fields), fields.get("motion_next")

@@ -1,0 +1,244 @@
+"""Denoise a sequence of EXR files into a folder: `rtdenoise denoise SEQ --out DIR`. Interrupted runs go on where they
+stopped, finished ones where frames have been appended."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..data.output import check_output, write_frame
+from ..data.sequences import Sequence, open_sequence
+from ..data.stored import read_history, write_history
+from ..errors import InputError
+from ..files import dumps, write_atomically
+from ..frame import CUT
+from ..models.weights import find
+from ..sanitise import faults
+from .backends import Backend, open_backend
+
+if TYPE_CHECKING:
+    from .plan import Plan
+
+try:
+    import fcntl
+except ImportError:  # Windows: two runs on one folder are not kept apart
+    fcntl = None
+
+STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
+LOCK = ".rtdenoise-lock"  # held while a run writes there
+SUMMARY = "denoise.json"
+EXAMINED = 3  # frames that the plan looks at
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a run depends on, beside its input."""
+
+    signal: str = "color"
+    """What is denoised: 'color' (the beauty) or 'indirect'."""
+    model: str = "default"
+    """Name of a shipped model, or a .safetensors file that `rtdenoise train` wrote."""
+    preset: str = "auto"
+    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
+    file."""
+    layout: str = "plain"
+    """Of the output: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in its place)."""
+    recombine: bool = False
+    """Put the denoised signal back together with the rest of the light: the result is the beauty."""
+    keep: tuple[str, ...] = ()
+    """Channels of the input to pass on, by layer name ('albedo', 'depth' ...) or 'all'."""
+    float32: bool = False
+    """Write 32-bit float instead of 16-bit half."""
+    allow_gaps: bool = False
+    """Accept missing frame numbers; history starts anew after each gap."""
+    detect_cuts: bool = True
+    """Start history anew where most pixels find another surface than the motion vectors promise."""
+    plan: bool = True
+    """Leave out what a frame does not need (`rtdenoise inspect` says what); off: everything runs."""
+    backend: str = "auto"
+    """'torch', 'glsl' (OpenGL compute shaders, needs no PyTorch), or 'auto': torch where it is installed."""
+    device: str = "auto"
+    """Of the backend torch: 'auto', 'cpu' or 'cuda'."""
+    precision: str = "auto"
+    """Of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl: of what it stores), or 'auto' (torch: bf16 where the
+    hardware is faster in it; glsl: fp32)."""
+
+
+@dataclass
+class Summary:
+    """What a run did. But for `written`, `skipped` and `seconds` it counts the frames of earlier, interrupted runs
+    too."""
+
+    written: int = 0
+    skipped: int = 0
+    seconds: float = 0.0  # in the denoiser alone
+    replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`sanitise.faults`)
+    cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
+    gaps: list[int] = field(default_factory=list)  # numbers of the frames that are missing
+    left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
+    plan: Plan | None = None
+
+
+def denoise(
+    source: str,
+    out: str | Path,
+    options: Options = Options(),
+    overwrite: bool = False,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+) -> Summary:
+    """Denoise every frame of `source` (folder or glob) into `out`, one file of the same name each; see `data.output`
+    for what is in it.
+
+    Frames that an earlier run with the same options has finished are skipped, and history goes on from its saved
+    state, so the outcome is that of one undisturbed run: also where it was interrupted, and where frames have been
+    appended to the input since. `on_frame(done, total)` is called at the start and after each frame.
+
+    Raises InputError for anything wrong with the input, the options or the output folder.
+    """
+    sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
+    sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
+    check_output(sequence, options.layout, options.recombine, options.keep)
+    backend = open_backend(options.backend, options.model, options.device, options.precision)
+    out = _prepare(Path(out), sequence)
+    with _locked(out):
+        return _run(sequence, out, options, backend, overwrite, on_frame)
+
+
+def _run(
+    sequence: Sequence,
+    out: Path,
+    options: Options,
+    backend: Backend,
+    overwrite: bool,
+    on_frame: Callable[[int, int], None],
+) -> Summary:
+    fingerprints = _fingerprints(sequence, options)
+    done, history, summary = (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend)
+    if not done:  # so that the next run knows the first frame for its own
+        _save_state(out / STATE, {}, 0, fingerprints[0], summary)
+    summary.skipped, summary.gaps = done, list(sequence.gaps)
+    if options.plan:
+        first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
+        summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
+    if summary.plan:
+        sequence = sequence.only(summary.plan.layers)
+
+    on_frame(done, len(sequence))
+    for i in range(done, len(sequence)):
+        frame = sequence.read(i)
+        for what, count in faults(frame).items():
+            summary.replaced[what] = summary.replaced.get(what, 0) + count
+        if i and frame.number != sequence.numbers[i - 1] + 1:
+            history = None
+        started = time.perf_counter()
+        prepared = backend.prepare(frame)
+        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > CUT:
+            summary.cuts.append(frame.number)
+            history = None
+        image, history = backend.step(prepared, history)
+        summary.seconds += time.perf_counter() - started
+        write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
+                    keep=options.keep, float32=options.float32)  # fmt: skip
+        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary)
+        summary.written += 1
+        on_frame(i + 1, len(sequence))
+    _write_summary(out / SUMMARY, sequence, options, summary)
+    return summary
+
+
+@contextlib.contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """One run at a time; the system lets go of the lock however a run ends."""
+    if fcntl is None:
+        yield
+        return
+    with (out / LOCK).open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"{out}: another run is writing there; wait for it, or choose another --out") from None
+        for abandoned in out.glob(".*.tmp"):  # by a run that was killed
+            abandoned.unlink()
+        yield
+
+
+def _write_summary(path: Path, sequence: Sequence, options: Options, summary: Summary) -> None:
+    plan = summary.plan and summary.plan.to_json()
+    document = {
+        "frames": len(sequence), "first": sequence.numbers[0], "last": sequence.numbers[-1], "size": sequence.size,
+        "options": asdict(options), **asdict(summary), "plan": plan,
+    }  # fmt: skip
+    write_atomically(path, (dumps(document, indent=1) + "\n").encode())
+
+
+def _prepare(out: Path, sequence: Sequence) -> Path:
+    """The output folder, made if need be; never one that holds the input."""
+    if out.resolve() in {path.resolve().parent for path in _inputs(sequence)}:
+        raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / ".rtdenoise-probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"{out}: cannot write there: {error.strerror}") from None
+    return out
+
+
+def _inputs(sequence: Sequence) -> list[Path]:
+    return [path for frame in sequence.files for path in frame.files.values()]
+
+
+def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
+    """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
+    parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name not in ("backend", "device")}
+    parts["layers"] = [repr(sequence.rules), repr(sequence.preset)]  # a preset of one's own may have been mended
+    parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
+    scene = sequence.scene or {}
+    parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
+    cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
+    digest = hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode())
+    fingerprints = [digest.hexdigest()]
+    for frame in sequence.files:
+        inputs = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in frame.files.values()]
+        seen = [cameras.get(frame.number + step) for step in (-1, 0, 1)]  # what its motion is computed from
+        digest.update(json.dumps([inputs, seen], sort_keys=True).encode())
+        fingerprints.append(digest.hexdigest())
+    return fingerprints
+
+
+def _resume(out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend) -> tuple[int, Any, Summary]:
+    """How many frames are finished, the history after them, and what there was to say about them."""
+    if not (out / STATE).exists():
+        clash = [name for name in sequence.names if (out / name).exists()]
+        if clash:
+            raise InputError(
+                f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"
+            )
+        return 0, None, Summary()
+    try:
+        stored, metadata = read_history(out / STATE)
+        done, so_far = int(metadata["done"]), json.loads(metadata["so_far"])
+        history = backend.restore(stored) if stored else None
+    except (InputError, KeyError, ValueError) as error:
+        raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
+    if not done:  # whatever is there is of a run that did not come as far as its second frame
+        return 0, None, Summary()
+    if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
+        raise InputError(
+            f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"
+        )
+    if any(not (out / name).exists() for name in sequence.names[:done]):
+        return 0, None, Summary()
+    return done, history, Summary(**so_far)
+
+
+def _save_state(path: Path, history: dict, done: int, fingerprint: str, summary: Summary) -> None:
+    so_far = {"replaced": summary.replaced, "cuts": summary.cuts, "left_out": summary.left_out}
+    write_history(path, history, {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far)})

@@ -1,0 +1,183 @@
+"""Steps recorded once and played back: on a GPU a step is some hundreds of kernels, and launching them one by one from
+Python can take longer than running them.
+
+A recording reads and writes the memory that the recorded step read and wrote, whatever is passed in. So what is passed
+in is copied there, the recording is played, and what it has written is copied out: nothing that a caller holds is ever
+written again. A recording is of one *kind* of step: which layers there are, their sizes and dtypes, whether there is a
+history, and what is `Known`. All else that a step depends on (weights, `ops.use`) stays as it was when it was recorded.
+
+Read `Graphed.step` first. What has to hold of a step for this to work is in docs/performance.md.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import deque
+from collections.abc import Callable, Hashable
+from dataclasses import fields, replace
+from typing import Protocol, TypeVar
+
+import torch
+from torch import Tensor, nn
+
+from ..frame import NOTHING_KNOWN, Frame, History, Known
+from .plan import LAYERS
+
+KEPT = 8  # recordings at a time; a sequence has two to five kinds of steps
+IDLE = 64  # steps without it after which a recording makes room for another kind, and a kind seen once is forgotten
+WARM_UP = 3  # steps before one is captured, as in PyTorch's documentation
+
+Written = TypeVar("Written")
+Step = Callable[..., tuple[Tensor, History]]
+
+
+class Recorder(Protocol):
+    """Records what a function does to tensors."""
+
+    def __call__(self, function: Callable[[], Written]) -> tuple[Callable[[], object], Written]:
+        """What does it again, and what the function has returned. Its tensors hold results once it has been done again,
+        and until another recording of the same recorder is played. Raises RuntimeError where it cannot be recorded."""
+
+
+class Capture:
+    """Records CUDA graphs as PyTorch's notes on CUDA semantics say: warmed up on a side stream, captured by
+    `torch.cuda.graph`. They share one pool of memory, which those notes allow where none needs another's results and no
+    two run at once. While one is captured nothing else in the process may use the GPU."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device, self._pool = device, None
+
+    def __call__(self, function: Callable[[], Written]) -> tuple[Callable[[], object], Written]:
+        # The second is the stream that is current already: a capture that fails would leave its own behind.
+        with torch.cuda.device(self._device), torch.cuda.stream(torch.cuda.current_stream(self._device)):
+            self._pool = self._pool or torch.cuda.graph_pool_handle()
+            side = torch.cuda.Stream()
+            side.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(side):
+                for _ in range(WARM_UP):
+                    function()
+            torch.cuda.current_stream().wait_stream(side)
+            graph = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(graph, pool=self._pool):
+                written = function()
+        return graph.replay, written
+
+
+def stepper(denoiser: nn.Module) -> Step:
+    """The denoiser's `step`: on CUDA recorded (`Graphed`), unless the environment has RTDENOISE_GRAPHS=off."""
+    choice = os.environ.get("RTDENOISE_GRAPHS", "auto")
+    if choice not in ("auto", "off"):
+        raise ValueError(f"RTDENOISE_GRAPHS: expected auto or off, got {choice!r}")
+    device = next(denoiser.parameters()).device
+    return Graphed(denoiser, Capture(device)).step if device.type == "cuda" and choice == "auto" else denoiser.step
+
+
+class Graphed:
+    """A denoiser whose steps are recorded when a kind of them comes for the second time: `step` as the denoiser's, but
+    without gradients. Where one cannot be recorded that is logged once, and everything runs as it would without."""
+
+    def __init__(self, denoiser: nn.Module, record: Recorder) -> None:
+        self.denoiser = denoiser
+        self.recordings: dict[Hashable, Recording] = {}  # by kind
+        self._record: Recorder | None = record
+        self._seen: deque[Hashable] = deque(maxlen=IDLE)  # kinds of the last steps that were not played back
+        self._steps = 0
+
+    @torch.no_grad()
+    def step(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History]:
+        """As the denoiser's own step."""
+        self._steps += 1
+        given = _tensors(frame, history, known)
+        flags = replace(known, exposure=None, distance=None)
+        kind = flags, tuple(_description(name, tensor) for name, tensor in given.items())
+        if kind not in self.recordings and kind in self._seen and self._room():
+            self._add(kind, given)
+        if kind in self.recordings:
+            self.recordings[kind].used = self._steps
+            return self.recordings[kind].play(given)
+        result = self.denoiser.step(frame, history, known)
+        self._seen.append(kind)
+        return result
+
+    def _add(self, kind: Hashable, given: dict[str, Tensor]) -> None:
+        read = {_description(n, t): t for recording in self.recordings.values() for n, t in recording.read.items()}
+        try:
+            self.recordings[kind] = Recording(self.denoiser, kind[0], given, read, self._record)
+        except RuntimeError as error:  # not permitted in a capture, or out of memory
+            self.recordings.clear()
+            self._record = None
+            why = str(error).partition("\n")[0]
+            logging.getLogger("rtdenoise").warning("rtdenoise: slower without CUDA graphs: %s", why)
+
+    def _room(self) -> bool:
+        """Whether one more may be recorded. The one that has not been used for longest makes room, if it is `IDLE`."""
+        if self._record is None:
+            return False
+        if len(self.recordings) < KEPT:
+            return True
+        kind = min(self.recordings, key=lambda kind: self.recordings[kind].used)
+        idle = self._steps - self.recordings[kind].used > IDLE
+        if idle:
+            del self.recordings[kind]
+        return idle
+
+
+class Recording:
+    """One step, to be made again with other tensors like those `given`. Where others `read` tensors like them it reads
+    the same: they are filled anew before each step."""
+
+    def __init__(
+        self,
+        denoiser: nn.Module,
+        known: Known,
+        given: dict[str, Tensor],
+        read: dict[Hashable, Tensor],
+        record: Recorder,
+    ) -> None:
+        self.used = 0  # number of the last step that was this one
+        self.read: dict[str, Tensor] = {}
+        # Tensors that are made in inference mode could be written in no other.
+        with torch.inference_mode(False), torch.no_grad():
+            for name, tensor in given.items():
+                like = read.get(_description(name, tensor))
+                self.read[name] = tensor.clone(memory_format=torch.contiguous_format) if like is None else like
+            arguments = _arguments(self.read, known)
+            self._replay, self._written = record(lambda: denoiser.step(*arguments))
+
+    def play(self, given: dict[str, Tensor]) -> tuple[Tensor, History]:
+        """The step of these tensors. What it only passes on are the given ones, all else are copies."""
+        for name, tensor in self.read.items():
+            tensor.copy_(given[name])
+        self._replay()
+        out = {id(tensor): given[name] for name, tensor in self.read.items()}
+        image, history = self._written
+        for tensor in (image, *history.layers().values()):
+            if id(tensor) not in out:  # an image is in the history as well: one copy
+                out[id(tensor)] = tensor.clone()
+        return out[id(image)], replace(history, **{n: out[id(t)] for n, t in history.layers().items()})
+
+
+def _description(name: str, tensor: Tensor) -> Hashable:
+    return name, tensor.shape, tensor.dtype, tensor.device
+
+
+def _tensors(frame: Frame, history: History | None, known: Known) -> dict[str, Tensor]:
+    """All that a step reads, by name. Inverse: `_arguments`."""
+    statistics = {n: t for n in ("exposure", "distance") if (t := getattr(known, n)) is not None}
+    layers = {n: t for n, t in frame.layers() if n in LAYERS}
+    owners = {"frame": layers, "history": history.layers() if history else {}, "known": statistics}
+    return {f"{owner}.{name}": tensor for owner, tensors in owners.items() for name, tensor in tensors.items()}
+
+
+def _arguments(tensors: dict[str, Tensor], known: Known) -> tuple[Frame, History | None, Known]:
+    """The arguments of a step that reads these tensors, with the flags of `known`."""
+
+    def of(owner: str) -> dict[str, Tensor]:
+        return {n.removeprefix(owner): t for n, t in tensors.items() if n.startswith(owner)}
+
+    nothing = dict.fromkeys(f.name for f in fields(History))
+    past = of("history.")
+    return Frame(**of("frame.")), History(**nothing | past) if past else None, replace(known, **of("known."))

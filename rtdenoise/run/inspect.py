@@ -1,0 +1,247 @@
+"""Look a sequence over before denoising: what is there, what it is used for, and whether the motion can be right."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import torch
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+
+from ..data.conventions import Verdict, check_motion
+from ..data.exr_format import group_channels
+from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
+from ..frame import Frame
+from ..motion import dual_motion, occlusion_mask, on_screen
+from ..sanitise import faults, sanitise
+from ..splat import splat_motion_next
+from .plan import Plan, make_plan
+
+READ = (*DEFAULT_LAYERS, "reference")  # what is read here; the check of the motion can use the reference
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer of `Frame` and where it comes from."""
+
+    name: str
+    channels: tuple[str, ...]  # with a minus in front where the sign is turned, W· or H· where the unit is UV
+    dtype: str  # "half", "float", "uint", or several
+    used: bool  # whether a denoiser reads it; the others are for evaluation or to compute motion from
+
+
+@dataclass(frozen=True)
+class MotionStatistics:
+    """Over all pixels of the frames that were examined. Lengths in pixels; non-finite motion is left out."""
+
+    mean: float
+    p50: float
+    p99: float
+    max: float
+    still: float  # share of pixels with zero motion
+    off_screen: float  # share whose previous position is outside the picture
+    uncovered: float | None  # share that a moving object has just uncovered; None: without motion_next and depth
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What `inspect` found."""
+
+    source: str
+    files: int
+    numbers: tuple[int, int]  # first and last
+    gaps: tuple[int, ...]
+    size: tuple[int, int]  # (H, W)
+    preset: str
+    signal: str
+    demodulated: bool  # whether the renderer has already divided the signal by the albedo
+    layers: tuple[Layer, ...]
+    missing: dict[str, str]  # layer that a denoiser would use -> how to get it
+    computed: tuple[str, ...]  # layers that are computed from position, id and scene.json
+    ignored: tuple[str, ...]  # channels that nothing reads
+    dual_motion: str  # where the dual motion comes from, in words
+    scene: bool  # whether there is a scene.json
+    examined: tuple[int, ...]  # numbers of the frames whose pixels were read
+    faults: dict[str, int]  # "layer: what is wrong" -> pixels of the examined frames that denoising will replace
+    motion: MotionStatistics | None
+    convention: Verdict | None  # None where there is no motion, or no two consecutive frames
+    plan: Plan  # what `denoise` will leave out
+
+
+def inspect(
+    source: str | os.PathLike,
+    *,
+    signal: str = "color",
+    preset: str = "auto",
+    allow_gaps: bool = False,
+    pairs: int = 6,  # pairs of consecutive frames whose pixels are examined, evenly spread
+) -> Inspection:
+    """Examine a sequence. All headers are read, and the pixels of a few frames.
+
+    Raises `InputError` as `open_sequence` does.
+    """
+    sequence = open_sequence(source, signal=signal, preset=preset, layers=("reference",), allow_gaps=allow_gaps)
+    chosen = _choose_pairs(sequence.numbers, pairs)
+    frames = {i: sequence[i] for i in sorted({i for pair in chosen for i in pair} or {0})}
+    moving = [(frames[a], frames[b]) for a, b in chosen if frames[b].motion is not None]
+    counts: dict[str, int] = {}
+    for frame in frames.values():
+        for what, count in faults(frame).items():
+            counts[what] = counts.get(what, 0) + count
+
+    present = {layer for frame in frames.values() for layer, _ in frame.layers()}
+    computed = tuple(sorted(present - sequence.available.keys()))
+    absent = [layer for layer in DEFAULT_LAYERS if layer not in sequence.available and layer not in computed]
+    fed = {name for rule in sequence.available.values() for name in rule.channels}
+    return Inspection(
+        source=str(source),
+        files=len(sequence),
+        numbers=(sequence.numbers[0], sequence.numbers[-1]),
+        gaps=sequence.gaps,
+        size=sequence.size,
+        preset=sequence.preset.name,
+        signal=signal,
+        demodulated=sequence.demodulated,
+        layers=_layers(sequence),
+        missing={layer: sequence.preset.hint(layer, signal) for layer in absent},
+        computed=computed,
+        ignored=tuple(name for name in sequence.header.channels if name not in fed),
+        dual_motion=_dual_source(present, computed),
+        scene=sequence.scene is not None,
+        examined=tuple(frame.number for frame in frames.values()),
+        faults=counts,
+        motion=_motion_statistics(moving) if moving else None,
+        convention=check_motion(moving) if moving else None,
+        plan=make_plan(sequence.size, len(sequence), "dual", [sanitise(frame) for frame in frames.values()]),
+    )
+
+
+def _choose_pairs(numbers: tuple[int, ...], count: int) -> list[tuple[int, int]]:
+    """Indices of consecutive frames, evenly spread over the sequence."""
+    consecutive = [(i - 1, i) for i in range(1, len(numbers)) if numbers[i] == numbers[i - 1] + 1]
+    if len(consecutive) <= count:
+        return consecutive
+    return [consecutive[round(k * (len(consecutive) - 1) / max(count - 1, 1))] for k in range(count)]
+
+
+def _layers(sequence: Sequence) -> tuple[Layer, ...]:
+    types = sequence.header.channels
+    return tuple(
+        Layer(
+            name=name,
+            channels=tuple(
+                ("-" if sign < 0 else "") + (unit if rule.scale == "uv" else "") + c
+                for c, sign, unit in zip(rule.channels, rule.signs, ("W·", "H·", ""), strict=False)
+            ),
+            dtype=", ".join(dict.fromkeys(types[c] for c in rule.channels)),
+            used=name in DEFAULT_LAYERS,
+        )
+        for name, rule in sequence.available.items()
+    )
+
+
+def _motion_statistics(pairs: list[tuple[Frame, Frame]]) -> MotionStatistics:
+    """Of the second frame of each pair."""
+    motions = [current.motion for _, current in pairs]
+    length = torch.cat([torch.hypot(m[:, 0], m[:, 1]).flatten() for m in motions])
+    length = length[length.isfinite()] if length.isfinite().any() else torch.zeros(1)
+    ordered = length.sort().values  # torch.quantile does not take as many values as large pictures have
+
+    def at(share: float) -> float:
+        return ordered[round(share * (len(ordered) - 1))].item()
+
+    return MotionStatistics(
+        mean=length.double().mean().item(),
+        p50=at(0.5),
+        p99=at(0.99),
+        max=at(1.0),
+        still=(length == 0).double().mean().item(),
+        off_screen=_mean_share([~on_screen(m) for m in motions]),
+        uncovered=_mean_share(masks)
+        if (masks := [mask for p in pairs if (mask := _uncovered(*p)) is not None])
+        else None,
+    )
+
+
+def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
+    if "motion" not in present:
+        return "none: there is no motion"
+    if "motion_next" in present:
+        return "exact, from motion_next" + (" (computed)" if "motion_next" in computed else "")
+    if "depth" in present:
+        return "approximate: motion_next is missing and is splatted from motion and depth (docs/motion.md)"
+    return "none: without motion_next and depth, history follows traditional motion"
+
+
+def _uncovered(previous: Frame, current: Frame) -> Tensor | None:
+    """The occlusion mask, by exact or approximate dual motion; None where neither can be had."""
+    motion_next = previous.motion_next
+    if motion_next is None:
+        if previous.depth is None or current.depth is None:
+            return None
+        motion_next = splat_motion_next(current.motion, current.depth, previous.depth)
+    return occlusion_mask(dual_motion(current.motion, motion_next), current.motion)
+
+
+def _mean_share(masks: list[Tensor]) -> float:
+    return sum(mask.double().mean().item() for mask in masks) / len(masks)
+
+
+def render_text(found: Inspection, width: int = 120) -> str:
+    """The inspection as text for a terminal `width` characters wide."""
+    console = Console(width=width, highlight=False, no_color=True)
+    with console.capture() as capture:
+        console.print(f"[bold]{found.source}[/bold]", soft_wrap=True)
+        for label, text in _summary(found):
+            console.print(f"  {label:<12} {text}", markup=False, soft_wrap=True)
+        table = Table(box=None, padding=(0, 2, 0, 0), title="layers", title_justify="left")
+        for column in ("layer", "stored as", "from channels", "used for"):
+            table.add_column(column)
+        for layer in found.layers:
+            purpose = "denoising" if layer.used else "evaluation" if "reference" in layer.name else "motion, if missing"
+            table.add_row(layer.name, layer.dtype, ", ".join(layer.channels), purpose)
+        for name, hint in found.missing.items():
+            table.add_row(name, "missing", "", hint)
+        console.print(table)
+    return capture.get().rstrip("\n")
+
+
+def _summary(found: Inspection) -> list[tuple[str, str]]:
+    """(label, text) of the facts that fit on a line each."""
+    (H, W), (first, last) = found.size, found.numbers
+    gaps = f"; {len(found.gaps)} missing: {_shorten(found.gaps)}" if found.gaps else ", none missing"
+    scene = "yes" if found.scene else "no"
+    bad = ", ".join(f"{what} ({count})" for what, count in found.faults.items()) or "none"
+    divided = ", already divided by the albedo" if found.demodulated else ""
+    lines = [
+        ("frames", f"{found.files} files, {W}×{H}, numbers {first} to {last}{gaps}"),
+        ("layout", f"{found.preset}; signal {found.signal}{divided}; scene.json: {scene}"),
+        ("not used", group_channels(found.ignored) or "-"),
+        ("examined", f"frames {_shorten(found.examined)}"),
+        ("bad pixels", bad),
+    ]
+    lines.append(("dual motion", found.dual_motion))
+    if found.computed:
+        lines.append(("computed", f"{', '.join(found.computed)} (from positions and the cameras beside the frames)"))
+    if m := found.motion:
+        uncovered = "unknown without motion_next and depth" if m.uncovered is None else f"{m.uncovered:.2%}"
+        lines += [
+            ("motion", f"mean {m.mean:.2f} px, median {m.p50:.2f}, 99 % below {m.p99:.2f}, largest {m.max:.2f}"),
+            ("", f"zero in {m.still:.1%} of the pixels, from off screen {m.off_screen:.2%}, uncovered {uncovered}"),
+        ]
+    if found.convention is None:
+        lines.append(("convention", "not checked: it takes motion in two consecutive frames"))
+    else:
+        compared = f" (compared: {found.convention.feature})" if found.convention.feature else ""
+        lines.append(("convention", f"{found.convention.status.upper()}: {found.convention.message}{compared}"))
+    for i, decision in enumerate(found.plan.decisions):
+        lines.append(("" if i else "left out", f"{decision.what}: {decision.left_out} ({decision.why})"))
+    return lines
+
+
+def _shorten(values: tuple, limit: int = 24) -> str:
+    """Comma-separated, cut off after `limit` values."""
+    shown = ", ".join(map(str, values[:limit]))
+    return shown + (f", … ({len(values)} in all)" if len(values) > limit else "")

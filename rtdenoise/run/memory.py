@@ -1,0 +1,46 @@
+"""Memory: keeping what was freed for the next frame, and saying what was missing when there is not enough."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from ..errors import InputError
+
+_MMAP_MAX, _TRIM_THRESHOLD = -4, -1  # glibc's names M_MMAP_MAX and M_TRIM_THRESHOLD (mallopt(3))
+_UNITS = {"bytes": 1 / 2**20, "KiB": 1 / 2**10, "MiB": 1.0, "GiB": 2.0**10, "TiB": 2.0**20}
+
+
+def keep_freed() -> bool:
+    """Have the C library keep freed memory for the next frame; returns whether it could be told to (glibc only).
+
+    By default it gives every large tensor back to the system and gets it anew, page by page and zeroed, each time: on a
+    CPU that costs about as much as the arithmetic of a frame. This holds for the whole process, so programs call
+    it, libraries do not: `rtdenoise denoise` does. Memory in use stays at its peak.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):  # another C library
+        return False
+    return bool(mallopt(_MMAP_MAX, 0)) and bool(mallopt(_TRIM_THRESHOLD, 2**31 - 1))
+
+
+@contextmanager
+def explained(name: str, size: tuple[int, int], device: str) -> Iterator[None]:
+    """Turn torch's lack of memory in here into an InputError that says how much was asked for and what to do.
+
+    `name` and `size` (H, W) are the frame's.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        needed = re.search(r"tried to allocate ([\d.]+) (bytes|[KMGT]iB)", str(error), re.IGNORECASE)
+        if needed is None:
+            raise
+        mib = float(needed[1]) * _UNITS[needed[2]]
+        raise InputError(
+            f"{name}: out of memory on {device} at {size[1]}×{size[0]}: {mib:.0f} MiB more were needed; "
+            "use --precision bf16, another --device, or in a program rtdenoise.run.tiles.Tiled"
+        ) from None

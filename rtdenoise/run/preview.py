@@ -1,0 +1,81 @@
+"""Pictures of a run for people to look at: strips noisy | denoised | reference as PNG, and as a GIF or MP4."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+from torch import Tensor
+
+from ..color import display, display_exposure
+from ..data.output import read_result, recombined
+from ..data.sequences import Sequence
+from ..sanitise import sanitise
+
+FRAMES_PER_SECOND = 12
+WIDEST = 1920  # pixels of an animation, which bounds its memory too
+
+
+def preview(
+    sequence: Sequence, out: Path, layout: str = "plain", recombine: bool = False, most_frames: int = 120
+) -> list[Path]:
+    """Show the first frames of `sequence` beside what `denoise` wrote of them into `out`: `preview.png` (the last of
+    them) and `preview.mp4`, or `preview.gif` where there is no ffmpeg, `WIDEST` pixels wide at most. Returns the
+    files.
+
+    The exposure is that of the last frame shown, for all of them: what flickers is the picture, not the preview.
+    With `recombine` every panel shows the beauty: its signal with the same noisy rest of the light.
+    """
+    scale, strips = None, []
+    for i in reversed(range(min(len(sequence), most_frames))):
+        frame, image = sanitise(sequence[i]), read_result(out, sequence, i, layout, recombine)
+        shown = {"noisy": frame.radiance} | ({} if frame.reference is None else {"reference": frame.reference})
+        if recombine:
+            shown = {label: recombined(sequence, i, frame, signal) for label, signal in shown.items()}
+        panels = {"noisy": shown.pop("noisy"), "denoised": image, **shown}
+        if scale is None:
+            scale = display_exposure(panels.get("reference", image))
+        picture = strip(panels, scale)
+        if not strips:
+            picture.save(out / "preview.png")
+        picture.thumbnail((WIDEST, WIDEST))
+        strips.insert(0, picture)
+    return [out / "preview.png", *([animate(strips, out / "preview")] if len(strips) > 1 else [])]
+
+
+def animate(pictures: list[Image.Image], path: Path) -> Path:
+    """Write pictures of one size as `path`.mp4 where ffmpeg is installed, else as `path`.gif; returns the file."""
+    if shutil.which("ffmpeg"):
+        width, height = (side // 2 * 2 for side in pictures[0].size)  # the codec wants even sides
+        command = [
+            "ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
+            "-r", str(FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(path.with_suffix(".mp4")),
+        ]  # fmt: skip
+        pixels = b"".join(picture.crop((0, 0, width, height)).tobytes() for picture in pictures)
+        if subprocess.run(command, input=pixels, check=False).returncode == 0:
+            return path.with_suffix(".mp4")
+    first, *rest = pictures
+    first.save(path.with_suffix(".gif"), save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0)
+    return path.with_suffix(".gif")
+
+
+def strip(panels: dict[str, Tensor], scale: Tensor | float) -> Image.Image:
+    """Images `[1, 3, H, W]` of linear radiance side by side, display-transformed at one exposure, each with its
+    label."""
+    gap = 4
+    pictures = [to_picture(display(image, scale)) for image in panels.values()]
+    width, height = pictures[0].size
+    canvas = Image.new("RGB", ((width + gap) * len(pictures) - gap, height), "white")
+    draw = ImageDraw.Draw(canvas)
+    for i, (label, picture) in enumerate(zip(panels, pictures, strict=True)):
+        canvas.paste(picture, ((width + gap) * i, 0))
+        draw.text(((width + gap) * i + 6, height - 16), label, fill="white", stroke_width=1, stroke_fill="black")
+    return canvas
+
+
+def to_picture(image: Tensor) -> Image.Image:
+    """`[1, 3, H, W]` in [0, 1] to 8 bits."""
+    return Image.fromarray(np.round(image[0].permute(1, 2, 0).cpu().numpy() * 255).astype(np.uint8))

@@ -1,0 +1,78 @@
+"""Random flips, quarter turns, time reversal, tints and channel permutations of a clip, motion vectors turned along;
+and light that moves where none did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..frame import Frame
+
+_COLOURS = ("radiance", "albedo", "reference", "reference_half")
+_LIGHT = ("radiance", "reference", "reference_half")
+_MOTIONS = ("motion", "motion_next")
+RELIT = 3.0  # stops by which a patch of light is brighter or darker than what is around it at most
+FASTEST = 8.0  # pixels a frame that it moves at most
+TINT = 0.5  # stops by which a colour channel of the light is brightened or darkened at most
+
+
+def augment(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    """The same clip in a mirror, turned, backwards, lit in other colours or with its channels permuted: one draw for
+    all its frames.
+
+    Backwards, `motion` and `motion_next` change places; numbers and noise stay with their frames. World-space normals
+    are left as they are: a mirrored picture is one of a mirrored world, in which they are as good as any.
+    """
+    flip_x, flip_y, transposed = rng.random(3) < 0.5
+    order = torch.from_numpy(rng.permutation(3))
+    backwards = rng.random() < 0.5
+    tint = torch.from_numpy(2 ** rng.uniform(-TINT, TINT, 3)).float().reshape(1, 3, 1, 1)
+
+    def spatial(tensor: Tensor) -> Tensor:
+        tensor = tensor.transpose(2, 3) if transposed else tensor
+        axes = [axis for axis, flipped in ((3, flip_x), (2, flip_y)) if flipped]
+        return tensor.flip(axes) if axes else tensor
+
+    sign = torch.tensor([-1.0 if flip_x else 1.0, -1.0 if flip_y else 1.0]).reshape(1, 2, 1, 1)
+
+    def turned(frame: Frame) -> Frame:
+        frame = frame.map(spatial)
+        changes = {k: t[:, order] for k in _COLOURS if (t := getattr(frame, k)) is not None}
+        changes |= {
+            k: (t.flip(1) if transposed else t) * sign for k in _MOTIONS if (t := getattr(frame, k)) is not None
+        }
+        changes |= {k: changes[k] * tint for k in _LIGHT if k in changes}
+        frame = replace(frame, **changes)
+        return replace(frame, motion=frame.motion_next, motion_next=frame.motion) if backwards else frame
+
+    turned_frames = [turned(frame) for frame in frames]
+    return turned_frames[::-1] if backwards else turned_frames
+
+
+def relight(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    """The same clip with a round patch of brighter or darker light, hard or soft, that crosses the picture and may
+    begin on the way.
+
+    Noise and reference are multiplied alike, so the reference stays the mean of the noise. No feature shows such light,
+    as none shows the shadow of something off the screen or what a turning mirror throws on a wall: only the noise
+    itself says that what was averaged so far is out of date.
+    """
+    H, W = frames[0].radiance.shape[2:]
+    x, y = torch.arange(W).float(), torch.arange(H).float()[:, None]
+    (left, top), velocity = rng.random(2) * (W, H), rng.uniform(-FASTEST, FASTEST, 2)
+    radius, softness = rng.uniform(0.1, 0.6) * min(H, W), 2 ** rng.uniform(-1, 4)
+    stops, switched = rng.uniform(-RELIT, RELIT), rng.random() < 0.5
+    first, middle = int(rng.integers(1, len(frames))) if switched and len(frames) > 1 else 0, (len(frames) - 1) / 2
+
+    relit = []
+    for i, frame in enumerate(frames):
+        if i >= first:
+            u, v = x - (left + velocity[0] * (i - middle)), y - (top + velocity[1] * (i - middle))
+            inside = torch.sigmoid((radius - torch.hypot(u, v)) / softness)
+            factor = 2 ** (stops * inside)
+            frame = replace(frame, **{k: t * factor for k in _LIGHT if (t := getattr(frame, k)) is not None})
+        relit.append(frame)
+    return relit

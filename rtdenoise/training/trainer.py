@@ -1,0 +1,151 @@
+"""One training step and everything that a checkpoint holds."""
+
+from __future__ import annotations
+
+import io
+import math
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from ..exposure import exposure
+from ..files import write_atomically
+from ..frame import Frame
+from ..models import PRESETS, Config, Denoiser, create, grow, read
+from ..models.inference import choose_device
+from ..motion import occlusion_weights, uncovered
+from .config import TrainConfig
+from .distributed import average_gradients, means
+from .losses import temporal_kpn_loss
+from .muon import Muon
+
+
+class Trainer:
+    """Model, optimisers, averaged weights and the step counter: what a checkpoint holds."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        torch.manual_seed(config.seed)
+        self.config = config
+        wanted = replace(PRESETS[config.preset], motion=config.motion)
+        self.model = (create(wanted) if config.init is None else _initial(config, wanted)).to(config.device)
+        self.model.unet.to(memory_format=torch.channels_last)
+        self.average = deepcopy(self.model).eval().requires_grad_(False)
+        self.optimisers = _optimisers(self.model, config)
+        self.step = 0
+        self.best = -math.inf  # dB, of the best validation so far
+        self.skipped = 0  # steps that a loss or gradient that was not finite has cost
+        self.skipped_in_turn = 0  # of these, the last ones
+
+    def train_step(self, clip: list[Frame]) -> dict[str, float]:
+        """One optimiser step on a batch of clips; returns the numbers to log."""
+        config = self.config
+        rate = config.lr * min(1.0, (self.step + 1) / 200) * 0.5 * (1 + math.cos(math.pi * self.step / config.steps))
+        for optimiser in self.optimisers:
+            optimiser.param_groups[0]["lr"] = rate
+        with_occlusion = config.occlusion_loss and self.step >= config.steps // 2
+        terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
+        total = 0.0
+        rng = np.random.default_rng([config.seed, self.step])
+        cut = int(rng.integers(1, len(clip))) if len(clip) > 1 and rng.random() < config.cuts else 0
+        for i, frame in enumerate(clip):
+            if i in (0, cut):
+                history, previous = None, None
+                masks: list[Tensor] = []
+            masks = [uncovered(frame, history and history.motion_next), *masks][:3]
+            with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
+                image, history = self.model.step(frame, history)
+            weights = occlusion_weights(masks) if with_occlusion else None
+            scale = config.loss_exposure * exposure(frame.reference)
+            loss = temporal_kpn_loss(image, frame.reference, previous, weights, scale, config.huber)
+            total = total + loss.total / len(clip)
+            for name in terms:
+                terms[name] += getattr(loss, name).item() / len(clip)
+            previous = (image, frame.reference)
+
+        self.model.zero_grad()
+        total.backward()
+        average_gradients(self.model.parameters())
+        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0).item()
+        if math.isfinite(norm):
+            self.skipped_in_turn = 0
+            for optimiser in self.optimisers:
+                optimiser.step()
+        else:  # a poisoned clip must not poison the weights
+            self.skipped += 1
+            self.skipped_in_turn += 1
+        self.step += 1
+        decay = min(0.999, self.step / (self.step + 10))
+        for mean, parameter in zip(self.average.parameters(), self.model.parameters(), strict=True):
+            mean.lerp_(parameter.detach(), 1 - decay)
+        losses = means({"loss": total.item(), **terms})
+        return {"step": self.step, **losses, "grad_norm": norm, "lr": rate, "skipped": self.skipped}
+
+    def save(self, path: Path) -> None:
+        """Write the checkpoint. Raises InputError where it cannot be written."""
+        state = {
+            "step": self.step,
+            "best": self.best,
+            "skipped": self.skipped,
+            "model": self.model.state_dict(),
+            "average": self.average.state_dict(),
+            "optimisers": [optimiser.state_dict() for optimiser in self.optimisers],
+        }
+        content = io.BytesIO()
+        torch.save(state, content)
+        write_atomically(path, content.getbuffer())
+
+    def load(self, path: Path) -> None:
+        """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one."""
+        state = torch.load(path, map_location=self.config.device, weights_only=True)
+        self.step, self.best, self.skipped = state["step"], state["best"], state.get("skipped", 0)
+        self.model.load_state_dict(state["model"])
+        self.average.load_state_dict(state["average"])
+        before = state["optimisers"] if "optimisers" in state else [state["optimiser"]]  # a run of before Muon
+        for optimiser, held in zip(self.optimisers, before, strict=True):
+            optimiser.load_state_dict(held)
+
+
+def _optimisers(model: Denoiser, config: TrainConfig) -> list[torch.optim.Optimizer]:
+    """What takes the steps: Muon knows matrices only."""
+    parameters = list(model.parameters())
+    if config.optimiser == "adam":
+        return [torch.optim.Adam(parameters, lr=config.lr)]
+    matrices, vectors = [p for p in parameters if p.ndim > 1], [p for p in parameters if p.ndim == 1]
+    return [Muon(matrices, lr=config.lr), torch.optim.Adam(vectors, lr=config.lr)]
+
+
+def _initial(config: TrainConfig, wanted: Config) -> Denoiser:
+    """The network of the file `init`, grown to the preset. Raises InputError where it is another one, or is wider."""
+    model = read(config.init, motion=wanted.motion)
+    if model.config != wanted:
+        try:
+            model = grow(model, wanted)
+        except ValueError as error:
+            raise InputError(f"{config.init}: its network does not grow into preset {config.preset}: {error}") from None
+    return model.train().requires_grad_(True)
+
+
+def check(config: TrainConfig) -> None:
+    """Raises InputError for options that cannot be."""
+    for name in ("steps", "batch", "frames", "size", "validate_every"):
+        if getattr(config, name) < 1:
+            raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
+    for name in ("cuts", "relight"):
+        if not 0 <= getattr(config, name) <= 1:
+            raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
+    if config.preset not in PRESETS:
+        raise InputError(f"unknown preset {config.preset!r}; expected one of {', '.join(PRESETS)}")
+    if config.signal not in ("indirect", "color", "both"):
+        raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
+    if config.motion not in ("dual", "traditional"):
+        raise InputError(f"unknown motion {config.motion!r}; expected 'dual' or 'traditional'")
+    if config.optimiser not in ("adam", "muon"):
+        raise InputError(f"unknown optimiser {config.optimiser!r}; expected 'adam' or 'muon'")
+    if config.device not in ("cpu", "cuda"):
+        raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
+    choose_device(config.device)
