@@ -28,7 +28,7 @@ from ..errors import InputError
 from ..frame import OFF_SCREEN
 from .exr_format import ExrHeader
 from .files import FrameFiles, check_gaps, find_files, number_files
-from .rules import Preset, rules
+from .layout import Layout, rules
 
 CAMERA = (1080, 1920)  # height and width of SampleSet v1's camera: the files of crops do not say it
 COMPONENTS = {
@@ -40,7 +40,7 @@ ARRAYS = {  # name -> number of axes in a file of one frame
     "view_proj_mat": 2, "camera_position": 1, "crop_offset": 1,
 }  # fmt: skip
 
-NOISEBASE = Preset(
+NOISEBASE = Layout(
     "noisebase",
     {
         "color": rules("color", "RGB"),

@@ -15,9 +15,10 @@ from ..errors import InputError
 from ..frame import CHANNELS, Frame
 from .exr_format import ExrHeader
 from .files import FrameFiles, find_frames
+from .layers import SIGNALS
+from .layout import Layout, Rule
 from .layouts import choose, find, samples
 from .noisebase import NOISEBASE, find_archives
-from .rules import SIGNALS, Preset, Rule
 from .scene_motion import complete, read_cameras
 
 DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
@@ -34,7 +35,7 @@ class Sequence:
     files: tuple[FrameFiles, ...]  # of each frame, their numbers ascending
     size: tuple[int, int]  # (H, W)
     signal: str
-    preset: Preset
+    layout: Layout  # of the files
     header: ExrHeader = field(repr=False)  # of the first file
     rules: dict[str, Rule]  # layer of `Frame` -> the channels that it is read from; only those that are read
     available: dict[str, Rule] = field(repr=False)  # as `rules`, for everything that could be read
@@ -60,7 +61,7 @@ class Sequence:
     @property
     def demodulated(self) -> bool:
         """Whether the renderer has already divided the signal by the albedo."""
-        return self.signal in self.preset.demodulated
+        return self.signal in self.layout.demodulated
 
     def __len__(self) -> int:
         return len(self.files)
@@ -111,7 +112,7 @@ class Sequence:
         """
         missing = [layer for layer in layers if layer not in self.available and not self._derivable(layer)]
         if missing:
-            raise InputError(_missing(self.header, self.preset, self.signal, missing[0]))
+            raise InputError(_missing(self.header, self.layout, self.signal, missing[0]))
         return self
 
     def _derivable(self, layer: str) -> bool:
@@ -124,13 +125,13 @@ def open_sequence(
     path_or_glob: str | os.PathLike,  # a folder, a glob, or one file
     *,
     signal: str = "color",  # "color" or "indirect"
-    preset: str = "auto",  # a name of `presets.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", or a .toml file
+    preset: str = "auto",  # a name of `layouts.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", or a .toml file
     layers: Collection[str] | None = None,  # layers of `Frame` to read beside DEFAULT_LAYERS, where the files have them
     allow_gaps: bool = False,  # accept missing frame numbers; they are listed in `Sequence.gaps`
 ) -> Sequence:
     """Find the files and check all their headers: one size, one set of layers, complete files, consecutive numbers.
 
-    The frame number is the last run of digits in a file's name, or where a preset's pattern has it. Raises `InputError`
+    The frame number is the last run of digits in a file's name, or where a layout's pattern has it. Raises `InputError`
     for whatever does not fit.
     """
     if signal not in SIGNALS:
@@ -179,9 +180,9 @@ def _check_like_first(header: ExrHeader, first: ExrHeader, rules: dict[str, Rule
                              f"the file has {header.summary}")  # fmt: skip
 
 
-def _missing(header: ExrHeader, preset: Preset, signal: str, layer: str) -> str:
+def _missing(header: ExrHeader, layout: Layout, signal: str, layer: str) -> str:
     label = f"signal '{signal}'" if layer == "radiance" else f"layer '{layer}'"
-    others = [s for s in SIGNALS if layer == "radiance" and "radiance" in preset.resolve(header, s)]
+    others = [s for s in SIGNALS if layer == "radiance" and "radiance" in layout.resolve(header, s)]
     advice = f"choose the signal '{others[0]}', which is there, or " if others else ""
-    found = f"no {label} ({preset.name} layout); the file has {header.summary}"
-    return f"{header.path}: {found}; {advice}{preset.hint(layer, signal)}"
+    found = f"no {label} ({layout.name} layout); the file has {header.summary}"
+    return f"{header.path}: {found}; {advice}{layout.hint(layer, signal)}"

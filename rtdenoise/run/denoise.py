@@ -198,7 +198,7 @@ def _inputs(sequence: Sequence) -> list[Path]:
 def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
     parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name not in ("backend", "device")}
-    parts["layers"] = [repr(sequence.rules), repr(sequence.preset)]  # a preset of one's own may have been mended
+    parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
