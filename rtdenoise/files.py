@@ -106,7 +106,7 @@ def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading. Raises InputError for what is missing, unreadable, a folder, a FIFO or a device:
     reading one of the latter could wait for ever."""
     try:
-        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | NO_WAITING))
+        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | NO_WAITING))  # noqa: SIM115
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from None
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):

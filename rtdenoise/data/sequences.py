@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,7 +18,8 @@ from .layers import SIGNALS
 from .layout import Layout, Rule
 from .layouts import choose, find, samples
 from .noisebase import NOISEBASE, find_archives
-from .scene_motion import complete, read_cameras
+from .scene_file import read_scene
+from .scene_motion import complete
 
 DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 
@@ -79,22 +79,13 @@ class Sequence:
         return self.read(i).map(torch.from_numpy)
 
     def read(self, i: int) -> Frame:
-        """`self[i]` with numpy arrays; it needs torch only where a layer is computed from positions and `scene`.
-
-        Raises InputError where it does and there is none.
-        """
+        """`self[i]` with numpy arrays, without torch."""
         files = self.files[i]
         channels = files.read({name for rule in self.rules.values() for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in self.rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
-        if not missing or not self.scene or frame.position is None:
-            return frame
-        if find_spec("torch") is None:
-            raise InputError(f"{frame.name}: has no {missing[0]}; computing it from positions needs PyTorch")
-        import torch
-
-        return complete(frame.map(torch.from_numpy), self.scene).map(lambda tensor: tensor.numpy())
+        return complete(frame, self.scene) if missing and self.scene else frame
 
     def only(self, layers: Collection[str]) -> Sequence:
         """The sequence without the layers of `Frame` that are not among `layers`, and what they are computed from.
@@ -148,7 +139,7 @@ def open_sequence(
     available = found.resolve(header, signal)
     if "radiance" not in available:
         raise InputError(_missing(header, found, signal, "radiance"))
-    scene = read_cameras(files[0].path.parent / found.cameras, header)
+    scene = read_scene(files[0].path.parent / found.cameras, header)
     wanted = {*DEFAULT_LAYERS, *(layers or ())}
     if scene and not {"depth", "motion", "motion_next"} <= available.keys():
         wanted |= {"position", "id"}
