@@ -18,7 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from ..errors import InputError
-from ..files import write_atomically
+from ..files import open_regular, write_atomically
 from ..frame import Frame
 from .layers import COMPONENTS, LAYERS, SIGNALS
 
@@ -193,6 +193,7 @@ def _scene(facts: dict) -> str:
 
 
 def _opened(path: Path):
+    open_regular(path).close()
     try:
         return safe_open(path, framework="pt")
     except (SafetensorError, OSError) as error:
