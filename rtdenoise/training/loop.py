@@ -39,8 +39,8 @@ NOT_COMPARED = ("data", "val", "out", "device", "init", "tensorboard", "checkpoi
 def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None) -> Path:
     """Run or resume; returns the path of the weights: those of the best validation, or the last without `val`.
 
-    `on_step` is called at the start, with a loss of NaN, and after each step. Under `torchrun` each process works on its
-    share of every batch (`distributed`), and the first one alone calls `on_step`.
+    `on_step` is called at the start, with a loss of NaN, and after each step. Under `torchrun` each process works on
+    its share of every batch (`distributed`), and the first one alone calls `on_step`.
 
     Raises InputError for unusable data, changed options, or a folder that another run is using, and KeyboardInterrupt
     after Ctrl-C or SIGTERM, once the checkpoint is written.
@@ -121,8 +121,8 @@ def _lead(
 def _steps(
     trainer: Trainer, share: tuple[int, int], data: ClipDataset, stopping: list[int]
 ) -> Iterator[dict[str, float]]:
-    """Take steps until the last one, or until a process was told to stop; a row for the log each. The next batch is read
-    meanwhile."""
+    """Take steps until the last one, or until a process was told to stop; a row for the log each. The next batch is
+    read meanwhile."""
     config = trainer.config
     with ThreadPoolExecutor(1) as reader:
         waiting = reader.submit(batch, data, config, trainer.step, share)

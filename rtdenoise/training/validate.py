@@ -34,8 +34,8 @@ def open_validation(config: TrainConfig, data: ClipDataset) -> ClipDataset | Non
 
 @torch.inference_mode()
 def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[str, float]:
-    """Mean display PSNR in dB over all frames but the first: of the noisy frames, the denoised ones, and their uncovered
-    regions. NaN without such frames."""
+    """Mean display PSNR in dB over all frames but the first: of the noisy frames, the denoised ones, and their
+    uncovered regions. NaN without such frames."""
     rows: dict[str, list[float]] = {"noisy": [], "denoised": [], "denoised_uncovered": []}
     for index in range(len(clips)):
         frames = clips.load(index, signal="color" if config.signal == "color" else "indirect")
