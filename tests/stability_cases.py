@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import torch
 from synthetic import make_frames
@@ -54,7 +54,7 @@ class Subject:
                 parameters = [p for p in self.denoiser.parameters() if p.requires_grad]
                 gradients = torch.autograd.grad(loss.total, parameters, allow_unused=True)
                 self.count(loss.total, *(g for g in gradients if g is not None))
-        tensors = {f.name: t.detach() for f in fields(history) if (t := getattr(history, f.name)) is not None}
+        tensors = {name: tensor.detach() for name, tensor in history.layers().items()}
         self.count(image, *tensors.values())
         return image.detach(), replace(history, **tensors)
 

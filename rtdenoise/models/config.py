@@ -26,7 +26,6 @@ class Head:
     """Initial logit of the middle channel; all its weights and other biases start at 0. None: random weights."""
 
 
-@dataclass(frozen=True)
 class _Config:
     """What the configurations of both architectures share."""
 
