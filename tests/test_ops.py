@@ -7,8 +7,8 @@ import torch
 from torch.nn import functional as F
 
 from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, pick, reproject, upsample, use, warp
-from rtdenoise.ops.layout import cells as cells_of
-from rtdenoise.ops.layout import whole
+from rtdenoise.ops.logits import cells as cells_of
+from rtdenoise.ops.logits import whole
 
 
 @pytest.fixture(autouse=True, params=["plain", "auto"])

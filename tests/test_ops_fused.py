@@ -2,7 +2,6 @@
 gradients; and what happens where they cannot be had. CUDA's run on the GPU where there is one, else in Triton's
 interpreter."""
 
-import importlib
 import logging
 import math
 import os
@@ -17,11 +16,12 @@ if not torch.cuda.is_available():
 
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
-from rtdenoise.ops import native, path, pixels
-from rtdenoise.ops.blocks import block_luminance
+from rtdenoise.ops import dispatch, pixels
+from rtdenoise.ops.blend_history import blend_history
+from rtdenoise.ops.block_luminance import block_luminance
 from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
-from rtdenoise.ops.temporal import blend_history
+from rtdenoise.ops.shares import shares
 from rtdenoise.splat import history_motion
 
 SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
@@ -33,18 +33,16 @@ KERNELS = [(*case, K, dtype) for case in CASES for K in (3, 5) for dtype in DTYP
 
 @pytest.fixture
 def backend(request):
-    """The fused module of a device, and where its tensors live. `native` unless the test says otherwise."""
-    if getattr(request, "param", "native") == "native":
-        return native, "cpu"
-    module = importlib.import_module("rtdenoise.ops.triton")
-    return module, "cuda" if torch.cuda.is_available() else "cpu"
+    """A folder of fused ops, `native` unless the test names another, and the device of its tensors."""
+    folder = getattr(request, "param", "native")
+    return folder, "cuda" if folder == "triton" and torch.cuda.is_available() else "cpu"
 
 
 @pytest.fixture
 def both(backend, monkeypatch):
     """`both(op, *arguments)`: the results of the plain op and of the fused one."""
-    module, device = backend
-    monkeypatch.setattr(path, "implementation", lambda _: (module, None))
+    folder, device = backend
+    monkeypatch.setattr(dispatch, "backend", lambda _: (folder, None))
 
     def run(op, *arguments):
         with ops.use("plain"):
@@ -252,7 +250,7 @@ def test_shares(both, assert_images_close, size, dtype):
     cells = [-(-n // 2) for n in size]
     for spread, layout in ((1, torch.channels_last), (200, torch.channels_last), (1, torch.contiguous_format)):
         head = (spread * torch.randn(2, 12, *cells)).to(dtype).contiguous(memory_format=layout)
-        plain, fused = both(lambda logits: pixels.shares(logits, size), head.unflatten(1, (2, 2, 3)))
+        plain, fused = both(lambda logits: shares(logits, size), head.unflatten(1, (2, 2, 3)))
         assert plain.shape == (2, 3, *size) and plain.dtype == torch.float32
         assert_images_close(fused, plain, "float32")
 
@@ -386,8 +384,11 @@ import torch, triton, triton.language as tl
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 from rtdenoise.ops.triton.apply_kernel import _backward, _forward
-from rtdenoise.ops.triton.look_up import _reproject, _warp
-from rtdenoise.ops.triton.pyramid import _compose, _downsample
+from rtdenoise.ops.triton.compose import _compose
+from rtdenoise.ops.triton.downsample import _downsample
+from rtdenoise.ops.triton.fetch import _fetch
+from rtdenoise.ops.triton.reproject import _reproject
+from rtdenoise.ops.triton.warp import _warp
 
 def build(kernel, constants, **types):
     names = kernel.arg_names
@@ -401,12 +402,13 @@ strides = dict(batch="i64", stride="i64", cell_row="i64", row="i64", cell="i32",
 C = dict(C=3, CP=4, BLOCK=128)
 build(_forward, dict(K=3, KEEP=True, **C), logits="*bf16", **sizes, **strides)
 build(_backward, dict(K=3, **C), **sizes, **strides)
-for mode in ("nearest", "bilinear", "cubic"):
-    build(_warp, dict(MODE=mode, **C), **sizes)
+build(_fetch, C, **sizes)
+for cubic in (False, True):
+    build(_warp, dict(CUBIC=cubic, **C), **sizes)
 build(_downsample, dict(MAXIMUM=False, BLOCK=128), **sizes)
 build(_compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
-build(_reproject, dict(C=7, CP=8, BLOCK=128), valid="*u8", depth_tolerance="fp32", normal_tolerance="fp32",
-      least="fp32", **sizes)
+build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_WEIGHT=0.01, FAR_AWAY=1e6), valid="*u8", depth_tolerance="fp32",
+      normal_tolerance="fp32", **sizes)
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
@@ -417,11 +419,11 @@ def test_the_choice_can_be_forced_and_is_taken_back():
     image, logits = torch.rand(1, 3, 8, 9).double(), torch.randn(1, 25, 8, 9)
     with ops.use("auto"):
         assert ops.apply_kernel(image, logits).dtype == torch.float64  # plain: there is no fused one for doubles
-    with pytest.raises(RuntimeError, match="float32 images, not float64"), ops.use("fused"):
+    with pytest.raises(RuntimeError, match="image is float64"), ops.use("fused"):
         ops.apply_kernel(image, logits)
     with pytest.raises(ValueError, match="'quick'"), ops.use("quick"):
         pass
-    assert path._choice == os.environ.get("RTDENOISE_OPS", "auto")
+    assert dispatch._choice == os.environ.get("RTDENOISE_OPS", "auto")
 
 
 @pytest.mark.parametrize("compiler_is", ["absent", "failing"])
@@ -429,7 +431,7 @@ def test_without_a_compiler_the_plain_ops_run_and_it_is_said_once(compiler_is, m
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("CC", "false" if compiler_is == "failing" else "")
     monkeypatch.setattr(compiler, "COMPILERS", ())
-    compiler.library.cache_clear(), path.implementation.cache_clear()
+    compiler.library.cache_clear(), dispatch.backend.cache_clear()
     image, logits = torch.rand(1, 3, 8, 9), torch.randn(1, 25, 8, 9)
     try:
         with caplog.at_level(logging.WARNING):
@@ -439,7 +441,7 @@ def test_without_a_compiler_the_plain_ops_run_and_it_is_said_once(compiler_is, m
         with pytest.raises(RuntimeError, match=r"no C compiler|failed"), ops.use("fused"):
             ops.apply_kernel(image, logits)
     finally:
-        compiler.library.cache_clear(), path.implementation.cache_clear()
+        compiler.library.cache_clear(), dispatch.backend.cache_clear()
     (record,) = caplog.records
     assert "slower without fused ops on cpu" in record.getMessage()
     assert not list(tmp_path.rglob("*.so"))
