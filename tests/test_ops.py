@@ -90,9 +90,10 @@ def test_warp_between_pixels_is_bilinear():
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_warp_agrees_with_grid_sample(size):
+@pytest.mark.parametrize("channels", [3, 12])
+def test_warp_agrees_with_grid_sample(size, channels):
     H, W = size
-    image, motion = torch.randn(2, 3, H, W), 4 * torch.randn(2, 2, H, W)
+    image, motion = torch.randn(2, channels, H, W), 4 * torch.randn(2, 2, H, W)
     y, x = torch.meshgrid(torch.arange(H) + 0.5, torch.arange(W) + 0.5, indexing="ij")
     grid = torch.stack([(x + motion[:, 0]) / W * 2 - 1, (y + motion[:, 1]) / H * 2 - 1], dim=-1)
     expected = F.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
@@ -129,8 +130,9 @@ def test_cubic_warp_is_exact_for_parabolas_and_overshoots_nowhere():
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16])
-def test_warp_keeps_the_dtype_of_the_image(dtype):
-    image, motion = torch.rand(1, 3, 6, 5), torch.randn(1, 2, 6, 5)
+@pytest.mark.parametrize("channels", [3, 12])
+def test_warp_keeps_the_dtype_of_the_image(dtype, channels):
+    image, motion = torch.rand(1, channels, 6, 5), torch.randn(1, 2, 6, 5)
     for cubic in (False, True):
         out = warp(image.to(dtype), motion, cubic=cubic)
         assert out.dtype == dtype

@@ -144,6 +144,24 @@ def test_reprojection_with_a_choice(both, assert_images_close, op, size):
     assert_images_close(fused, plain, "float32")
 
 
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_reprojection_of_many_channels(both, assert_images_close, size):
+    """Hidden states of a network: values, gradients in image and motion, and the choice of other pixels."""
+    motion = torch.randn(2, 2, *size).mul(4).floor() + 0.1 + 0.8 * torch.rand(2, 2, *size)  # never next to a kink
+    motion[0, :, 0, 0], motion[1, :, -1, -1] = math.nan, 1e6
+    grad = torch.randn(2, 12, *size)
+    seen, otherwise = torch.rand(2, 1, *size) < 0.9, torch.randn(2, 12, *size)
+
+    def gradients(image, motion):
+        image, motion = image.requires_grad_(), motion.requires_grad_()
+        found = ops.warp(image, motion, seen, otherwise)
+        return found.detach(), *torch.autograd.grad(found, (image, motion), grad)
+
+    plain, fused = both(gradients, torch.randn(2, 12, *size), motion)
+    for a, b, terms in zip(fused, plain, (1, 1, 12), strict=True):  # a motion's gradient sums over the channels
+        assert_images_close(a / terms, b / terms, "grid_sample")
+
+
 @pytest.mark.parametrize("op", [ops.warp, cubic])
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_reprojection_gradients(both, assert_images_close, op, size):

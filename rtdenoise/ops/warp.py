@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, plain
 from .targets import check, clamped_targets
 
-FUSED = Fused("warp", native=Support(max_channels=8, gradients=("image",)), triton=Support())
+MAX_CHANNELS = 8  # of the fused ops, which hold all channels of a pixel; wider images take torch's own lookup
+FUSED = Fused(
+    "warp", native=Support(max_channels=MAX_CHANNELS, gradients=("image",)), triton=Support(max_channels=MAX_CHANNELS)
+)
 
 
 def warp(
@@ -34,12 +38,16 @@ def warp(
 
     Targets off the screen take the nearest border pixel (`motion.on_screen` tells which these are); a motion that is
     not finite counts as zero. Whole-pixel motion, zero included, is exact to the bit, so a static picture does not
-    drift. Differentiable in `image` and, almost everywhere, in `motion`.
+    drift; only bilinear lookups in more than `MAX_CHANNELS` channels round (about 1e-7 of the image's width in pixels).
+    Differentiable in `image` and, almost everywhere, in `motion`.
 
     Raises ValueError where the shapes do not fit.
     """
     check(image, motion)
     choice = () if seen is None else (seen, otherwise)
+    if image.shape[1] > MAX_CHANNELS and image.numel() and not cubic and not plain():
+        found = _grid_sample(image, motion)
+        return found if seen is None else torch.where(seen, found, otherwise)
     if run := FUSED(image=image, motion=motion, otherwise=otherwise):
         return run(image, motion, *choice, cubic=cubic)
     B, C, H, W = image.shape
@@ -58,6 +66,15 @@ def warp(
         around = torch.stack([tap for line in taps[1:3] for tap in line[1:3]])
         found = torch.minimum(torch.maximum(found, around.amin(0)), around.amax(0))
     return found if seen is None else torch.where(seen, found, otherwise)
+
+
+def _grid_sample(image: Tensor, motion: Tensor) -> Tensor:
+    """Bilinear `warp` by torch's kernel, in float32 at least: coordinates need the digits."""
+    H, W = image.shape[2:]
+    dtype = torch.promote_types(torch.float32, image.dtype)
+    u, v = clamped_targets(motion.to(dtype), H, W)
+    grid = torch.stack([(2 * u + 1) / W - 1, (2 * v + 1) / H - 1], dim=-1)  # in [-1, 1]: the edges of the image
+    return F.grid_sample(image.to(dtype), grid, padding_mode="border", align_corners=False).to(image.dtype)
 
 
 def _taps(u: Tensor, n: int, cubic: bool, dtype: torch.dtype) -> list[tuple[Tensor, Tensor]]:
