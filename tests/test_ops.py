@@ -13,7 +13,7 @@ from rtdenoise.ops.logits import whole
 
 @pytest.fixture(autouse=True, params=["plain", "auto"])
 def choice(request):
-    """All of it holds for the plain ops and for whatever runs here."""
+    """Every test runs with the plain ops and with the fused ones of this machine."""
     with use(request.param):
         yield
 
@@ -191,7 +191,7 @@ def test_pick_is_its_equation(size, kernel):
 
 
 def test_pick_crosses_no_edge():
-    """A step in the middle of a cell: each pixel takes the pure cell on its own side, and none of the mixed one."""
+    """A step in the middle of a cell: each pixel takes the pure cell on its own side, not the mixed one."""
     fine = torch.tensor([0.0, 0, 0, 1, 1, 1]).reshape(1, 1, 1, 6)
     coarse = downsample(fine)  # 0, ½, 1
     logits = torch.zeros(1, 9, 1, 6)
@@ -200,7 +200,7 @@ def test_pick_crosses_no_edge():
     assert torch.equal(pick(torch.full_like(fine, 9.0), coarse, logits, torch.ones(1, 1, 1, 6)), fine)
 
 
-def test_pick_refuses_what_does_not_fit():
+def test_pick_refuses_shapes_that_do_not_fit():
     shapes = (3, 5, 4), (3, 3, 2), (9, 5, 4), (1, 5, 4)
     fine, coarse, logits, share = (torch.zeros(1, *shape) for shape in shapes)
     for bad in (

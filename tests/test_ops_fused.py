@@ -1,12 +1,14 @@
 """The fused ops against the plain ones, which are the specification: every size, dtype and layout, extreme logits,
-gradients; and what happens where they cannot be had. CUDA's run on the GPU where there is one, else in Triton's
-interpreter."""
+gradients; and the fallback to plain ops. The CUDA ops run on a GPU if there is one, else in Triton's interpreter."""
 
+import importlib
 import logging
 import math
 import os
+import pkgutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -84,7 +86,7 @@ def test_apply_kernel_by_cells(both, assert_images_close, size, K, dtype):
 
 
 @pytest.mark.parametrize("far", [-120.0, -1e3, -1e30, -math.inf])
-def test_a_tap_whose_weight_is_too_small_for_a_float_is_not_seen(both, far):
+def test_a_tap_whose_weight_underflows_is_ignored(both, far):
     image, logits = torch.full((1, 3, 9, 70), 1e37), torch.full((1, 25, 9, 70), far)
     image[:, :, 4, 35], logits[:, 12] = 1.0, 0.0
     for result in both(ops.apply_kernel, image, logits):
@@ -94,7 +96,7 @@ def test_a_tap_whose_weight_is_too_small_for_a_float_is_not_seen(both, far):
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
 def test_blend_history(both, assert_images_close, size, dtype):
-    """Gaps alone, in rows, everywhere and nowhere."""
+    """Single gaps and gaps in rows, then none, then nothing but gaps."""
     spatial, past, alpha = torch.rand(2, 3, *size), torch.rand(2, 3, *size), torch.rand(2, 1, *size)
     seen = torch.rand(2, 1, *size) < 0.8
     seen[:, :, ::3] = True
@@ -138,7 +140,7 @@ def test_reprojection(both, assert_images_close, op, size):
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
 def test_reprojection_with_a_choice(both, assert_images_close, op, size):
     seen = torch.rand(2, 1, *size) < 0.9
-    seen[:, :, ::2] = True  # whole rows of it
+    seen[:, :, ::2] = True  # whole rows
     image, motion, otherwise = (torch.randn(2, c, *size) for c in (3, 2, 3))
     plain, fused = both(op, image, 4 * motion, seen, otherwise)
     assert_images_close(fused, plain, "float32")
@@ -165,7 +167,7 @@ def test_reprojection_of_many_channels(both, assert_images_close, size):
 @pytest.mark.parametrize("op", [ops.warp, cubic])
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_reprojection_gradients(both, assert_images_close, op, size):
-    """In what is looked up; where the choice was another picture there is none."""
+    """Gradients in the image; pixels that take `otherwise` contribute none."""
     motion, otherwise, seen = 4 * torch.randn(2, 2, *size), torch.randn(2, 3, *size), torch.rand(2, 1, *size) < 0.9
 
     def gradient(grad, image):
@@ -177,9 +179,9 @@ def test_reprojection_gradients(both, assert_images_close, op, size):
         assert_images_close(fused, plain, "float32 gradients")
 
 
-def test_pixels_that_hold_a_cubic_lookup_share_its_gradient(both, assert_images_close):
-    """Black and lit pixels side by side: what would overshoot is held by several that are equal."""
-    grad = torch.nn.functional.pad(torch.randn(2, 3, 15, 18), (1, 2, 1, 2))  # between pixels of the screen everywhere
+def test_equal_pixels_that_clamp_a_cubic_lookup_share_its_gradient(both, assert_images_close):
+    """Few distinct values: an overshooting lookup is clamped to several equal pixels at once."""
+    grad = torch.nn.functional.pad(torch.randn(2, 3, 15, 18), (1, 2, 1, 2))  # all lookups lie between pixels
 
     def gradient(image):
         image = image.requires_grad_()
@@ -191,7 +193,7 @@ def test_pixels_that_hold_a_cubic_lookup_share_its_gradient(both, assert_images_
 
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
 def test_tested_reprojection_of_several(both, size):
-    """Several images are looked up as the one that they make together, whatever their layout."""
+    """Several images give the same as their concatenation, whatever their layout."""
     images = tuple(torch.randn(2, c, *size).contiguous(memory_format=torch.channels_last) for c in (3, 1, 3))
     surface = 1 + 0.1 * torch.rand(2, 1, *size), torch.ones(2, 3, *size)
     motion = 4 * torch.randn(2, 2, *size)
@@ -222,11 +224,11 @@ def test_values_within_limits(both, size):
 
 
 @pytest.mark.parametrize("shift", [(3.3, -2.6), (-40.25, 1.0), (0.0, 0.0), (0.5, 17.5)])
-def test_tested_reprojection_of_what_moves_together(both, assert_images_close, shift):
-    """Where neighbours stay neighbours they are loaded as such, but not beyond the screen."""
+def test_tested_reprojection_of_pixels_that_move_together(both, assert_images_close, shift):
+    """Neighbours that stay neighbours are loaded in a row, but not beyond the screen."""
     size = 40, 161
     motion = torch.tensor(shift).reshape(1, 2, 1, 1).expand(2, 2, *size).contiguous()
-    motion[:, :, 20:] += torch.rand(20, 161).round()  # ... and here they do not
+    motion[:, :, 20:] += torch.rand(20, 161).round()  # here neighbours part
     normal, depth = torch.randn(2, 3, *size), 1 + 0.3 * torch.rand(2, 1, *size)
     surface = depth, normal
     plain, fused = both(ops.reproject, torch.randn(2, 7, *size), motion, surface, surface)
@@ -274,7 +276,7 @@ def test_shares(both, assert_images_close, size, dtype):
 
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_what_is_done_to_each_pixel(both, assert_images_close, size):
+def test_pixelwise_ops(both, assert_images_close, size):
     def image(C: int = 3) -> torch.Tensor:
         return torch.rand(2, C, *size)
 
@@ -285,7 +287,7 @@ def test_what_is_done_to_each_pixel(both, assert_images_close, size):
         both(pixels.nearness, hit, torch.tensor([2.0, 1e-12]).reshape(2, 1, 1, 1)),
     ):
         assert_images_close(fused, plain, "float32")
-    reset = image(1).round()  # given up entirely: nothing is left of the mean, however bright it was
+    reset = image(1).round()  # a restart leaves no trace of the mean, however bright it was
     results = both(pixels.accumulate, image(), 1e15 * image(), (9 * image(1)).floor() * (1 - reset), reset, 15.0)
     for plain, fused in zip(*results, strict=True):
         assert_images_close(fused, plain, "float32")
@@ -304,7 +306,7 @@ def test_tested_reprojection(both, assert_images_close, size):
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_tested_reprojection_gradients(both, assert_images_close, size):
-    """Pictures of several channel counts, one of them without a gradient; taps on other surfaces get none of it."""
+    """Images of several channel counts, one without a gradient; taps on other surfaces get no gradient."""
     normal, depth, motion = torch.randn(2, 3, *size), 1 + 0.3 * torch.rand(2, 1, *size), 3 * torch.randn(2, 2, *size)
     motion[1, :, -1, -1] = math.nan
 
@@ -359,7 +361,7 @@ def test_pick_where_only_apply_kernel_is_fused(both, assert_images_close):
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("by_cells", [False, True])
 def test_pick_gradients(assert_images_close, size, by_cells):
-    """As training takes them: through the fused `apply_kernel`."""
+    """Gradients pass through the fused `apply_kernel`, as in training."""
     cells = [-(-n // 2) for n in size]
     fine, coarse, share = torch.randn(2, 3, *size), torch.randn(2, 3, *cells), torch.rand(2, 1, *size)
     logits, grad = torch.randn(*((2, 2, 2, 9, *cells) if by_cells else (2, 9, *size))), torch.randn(2, 3, *size)
@@ -396,7 +398,7 @@ def test_an_odd_picture_of_full_size(assert_images_close):
 
 
 def test_the_triton_kernels_compile_for_a_gpu():
-    """Which the interpreter does not say; needs no GPU."""
+    """The interpreter does not show this. Needs no GPU."""
     code = """
 import torch, triton, triton.language as tl
 from triton.backends.compiler import GPUTarget
@@ -433,6 +435,59 @@ build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_WEIGHT=0.01, FAR_AWAY=1e6), val
     assert result.returncode == 0, result.stderr
 
 
+def declarations():
+    """Every `Fused` that a file of rtdenoise/ops declares."""
+    for module in pkgutil.iter_modules(ops.__path__):
+        values = vars(importlib.import_module(f"rtdenoise.ops.{module.name}")).values()
+        yield from (value for value in values if isinstance(value, dispatch.Fused))
+
+
+def test_every_fused_op_has_the_name_of_its_plain_one():
+    """Declared implementations exist; every file of a folder belongs to an op or is shared."""
+    files = {"native": {"__init__", "compiler", "logits"}, "triton": {"__init__", "common", "pool", "targets", "alike"}}
+    for fused in declarations():
+        assert callable(getattr(importlib.import_module(f"rtdenoise.ops.{fused.file}"), fused.name))
+        for folder in fused.support:
+            assert callable(dispatch._function(folder, fused.file, fused.name))
+            files[folder].add(fused.file)
+    for folder, expected in files.items():
+        assert {file.stem for file in (Path(*ops.__path__) / folder).glob("*.py")} == expected
+    sources = {file.stem for file in (Path(*ops.__path__) / "native").glob("*.c")}
+    assert sources == files["native"] - {"__init__", "compiler", "logits", "blend_history"}  # apply_kernel.c blends
+
+
+@pytest.mark.parametrize(
+    "arguments, problem",
+    [
+        (lambda: (torch.rand(1, 9, 8, 9), torch.randn(1, 9, 8, 9)), "at most 8 channels, not 9"),
+        (lambda: (torch.rand(1, 3, 8, 9), torch.randn(1, 81, 8, 9)), "at most 7², not 81 taps"),
+        (lambda: (torch.rand(0, 3, 8, 9), torch.randn(0, 9, 8, 9)), r"no images of \(0, 3, 8, 9\)"),
+    ],
+)
+def test_the_reason_for_running_plain_is_given(arguments, problem):
+    image, logits = arguments()
+    with ops.use("auto"):
+        assert ops.apply_kernel(image, logits).shape == image.shape
+    with pytest.raises(RuntimeError, match=problem), ops.use("fused"):
+        ops.apply_kernel(image, logits)
+
+
+def test_a_fused_op_without_the_gradient_that_is_asked_for_says_so():
+    image = torch.rand(1, 3, 8, 9, requires_grad=True)
+    with pytest.raises(RuntimeError, match="no gradient in image"), ops.use("fused"):
+        ops.downsample(image)
+    with torch.no_grad(), ops.use("fused"):
+        ops.downsample(image)
+
+
+def test_luminance_of_very_wide_blocks(assert_images_close):
+    """Wider than the fused op takes."""
+    with ops.use("auto"):
+        means, maxima = block_luminance(torch.ones(1, 3, 2, 3000), 2000)
+    assert_images_close(means[..., None, None], torch.ones(1, 2, 1, 1), "float32")
+    assert_images_close(maxima[..., None, None], torch.ones(1, 2, 1, 1), "float32")
+
+
 def test_the_choice_can_be_forced_and_is_taken_back():
     image, logits = torch.rand(1, 3, 8, 9).double(), torch.randn(1, 25, 8, 9)
     with ops.use("auto"):
@@ -445,7 +500,7 @@ def test_the_choice_can_be_forced_and_is_taken_back():
 
 
 @pytest.mark.parametrize("compiler_is", ["absent", "failing"])
-def test_without_a_compiler_the_plain_ops_run_and_it_is_said_once(compiler_is, monkeypatch, tmp_path, caplog):
+def test_without_a_compiler_the_plain_ops_run_and_one_warning_says_so(compiler_is, monkeypatch, tmp_path, caplog):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("CC", "false" if compiler_is == "failing" else "")
     monkeypatch.setattr(compiler, "COMPILERS", ())
