@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from .color import luminance
-from .ops.blocks import block_luminance
+from .ops.block_luminance import block_luminance
 
 
 def exposure(radiance: Tensor, block: int = 8) -> Tensor:

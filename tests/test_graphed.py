@@ -28,7 +28,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, Known
 from rtdenoise.models import AccumulatedKPNConfig, TemporalKPNConfig
 from rtdenoise.models.inference import prepare
-from rtdenoise.ops import path
+from rtdenoise.ops import dispatch
 from rtdenoise.run import graphs as graphed
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.graphs import Capture, Graphed
@@ -373,9 +373,10 @@ def test_no_step_waits_for_the_gpu_or_copies_from_the_host(name):
 
 def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeypatch):
     """The Python around Triton's kernels, which are not launched."""
-    module, launched = importlib.import_module("rtdenoise.ops.triton"), set()
-    files = {
-        "apply_kernel": ("_forward",), "look_up": ("_warp", "_reproject"), "pyramid": ("_downsample", "_compose"),
+    launched = set()
+    kernels = {
+        "apply_kernel": "_forward", "compose": "_compose", "downsample": "_downsample", "fetch": "_fetch",
+        "reproject": "_reproject", "warp": "_warp",
     }  # fmt: skip
 
     class Kernel:
@@ -385,14 +386,13 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeyp
         def __getitem__(self, grid):
             return lambda *arguments, **named: launched.add(self.name)
 
-    for file, names in files.items():
-        for name in names:
-            monkeypatch.setattr(importlib.import_module(f"rtdenoise.ops.triton.{file}"), name, Kernel(name))
-    monkeypatch.setattr(path, "implementation", lambda _: (module, None))
+    for file, name in kernels.items():
+        monkeypatch.setattr(importlib.import_module(f"rtdenoise.ops.triton.{file}"), name, Kernel(name))
+    monkeypatch.setattr(dispatch, "backend", lambda _: ("triton", None))
     model = denoiser.to("meta")
     with capturable(), ops.use("auto"):
         every_kind_of_step(model)
-    expected = {"_forward", "_warp", "_downsample", "_compose"}
+    expected = {"_forward", "_warp", "_fetch", "_downsample", "_compose"}
     assert launched == expected | ({"_reproject"} if isinstance(denoiser, models.AccumulatedKPN) else set())
 
 

@@ -23,9 +23,10 @@ from torch.nn import functional as F
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
 from ..ops import apply_kernel, compose, downsample, pick, reproject, warp
+from ..ops.blend_history import blend_history
 from ..ops.features import features
-from ..ops.pixels import accumulate, demodulate, modulate, nearness, shares
-from ..ops.temporal import blend_history
+from ..ops.pixels import accumulate, demodulate, modulate, nearness
+from ..ops.shares import shares
 from ..sanitise import admit
 from ..splat import history_motion
 from .config import AccumulatedKPNConfig

@@ -1,4 +1,4 @@
-"""`downsample` and `compose` (the paper, eq. 4)."""
+"""`compose`: every fine pixel computes the four coarse differences around it."""
 
 from __future__ import annotations
 
@@ -8,43 +8,16 @@ import triton.language as tl
 from torch import Tensor
 
 from .common import BLOCK, grid, place
-
-
-@triton.jit
-def _pooled(image, y, x, exists, H, W, MAXIMUM: tl.constexpr):
-    """D at the coarse pixel (y, x) of one plane; at an odd border, what there is of the cell."""
-    i, j = tl.minimum(2 * y + 1, H - 1), tl.minimum(2 * x + 1, W - 1)  # where the cell is cut off, its own pixel again
-    p = tl.load(image + 2 * y * W + 2 * x, mask=exists, other=0.0)
-    q = tl.load(image + 2 * y * W + j, mask=exists, other=0.0)
-    r = tl.load(image + i * W + 2 * x, mask=exists, other=0.0)
-    s = tl.load(image + i * W + j, mask=exists, other=0.0)
-    return tl.maximum(tl.maximum(p, q), tl.maximum(r, s)) if MAXIMUM else (p + q + r + s) * 0.25
-
-
-@triton.jit
-def _downsample(image, out, H, W, MAXIMUM: tl.constexpr, BLOCK: tl.constexpr):
-    h, w = (H + 1) // 2, (W + 1) // 2
-    n, y, x, exists = place(h, w, BLOCK)
-    value = _pooled(image + n * H * W, y, x, exists, H, W, MAXIMUM)
-    tl.store(out + n * h * w + y * w + x, value, mask=exists)
-
-
-def downsample(image: Tensor, pool: str) -> Tensor:
-    image = image.contiguous()
-    B, C, H, W = image.shape
-    h, w = (H + 1) // 2, (W + 1) // 2
-    out = image.new_empty(B, C, h, w)
-    _downsample[grid(B * C, h, w)](image, out, H, W, MAXIMUM=pool == "max", BLOCK=BLOCK)
-    return out
+from .pool import pooled
 
 
 @triton.jit
 def _change(fine, coarse, alpha, y, x, exists, H, W, MAXIMUM: tl.constexpr):
-    """alpha · (coarse - D fine) at the coarse pixel (y, x), clamped to what there is."""
+    """alpha · (coarse - D fine) at the coarse pixel (y, x), clamped to the image."""
     h, w = (H + 1) // 2, (W + 1) // 2
     y, x = tl.minimum(tl.maximum(y, 0), h - 1), tl.minimum(tl.maximum(x, 0), w - 1)
     a = tl.load(alpha + y * w + x, mask=exists, other=0.0)
-    return a * (tl.load(coarse + y * w + x, mask=exists, other=0.0) - _pooled(fine, y, x, exists, H, W, MAXIMUM))
+    return a * (tl.load(coarse + y * w + x, mask=exists, other=0.0) - pooled(fine, y, x, exists, H, W, MAXIMUM))
 
 
 @triton.jit
