@@ -130,6 +130,14 @@ def test_names_of_the_source_that_pages_mention_exist():
             assert (ROOT / path).exists(), f"{page.relative_to(ROOT)}: {path}"
 
 
+def test_pages_that_the_source_mentions_exist():
+    folders = ("rtdenoise", "bench", "tools", "shaders", "tests", "examples")
+    for path in (path for folder in folders for path in (ROOT / folder).rglob("*")):
+        if path.suffix in (".py", ".sh", ".glsl", ".c"):
+            for page in re.findall(r"\bdocs/[\w/-]+\.md", path.read_text()):
+                assert (ROOT / page).is_file(), f"{path.relative_to(ROOT)}: {page}"
+
+
 def test_every_page_is_reached_from_the_entry():
     reached, waiting = set(), [ROOT / "README.md"]
     while waiting:
