@@ -128,8 +128,8 @@ def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
     kinds = [s.scene.partition(":") for s in importlib.import_module("standard").SEQUENCES.values()]
     assert {kind for kind, _, _ in kinds} == {"sample", "wide"}  # the sample's is drawn by no generator
     assert all(int(seed) in HELD_OUT for kind, _, seed in kinds if kind == "wide")
-    # Scene files that docs/quality.md is measured on are left out unless asked for.
-    files = re.search(r"data/standard/{(.*?)}", (ROOT / "docs" / "quality.md").read_text())[1].split(",")
+    # Scene files that docs/results/quality.md is measured on are left out unless asked for.
+    files = re.search(r"data/standard/{(.*?)}", (ROOT / "docs" / "results" / "quality.md").read_text())[1].split(",")
     for name in (*files, "hall"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "scene.xml").write_text(ROOM)
