@@ -51,7 +51,8 @@ def find(model: str | Path) -> Path:
     path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in available() else Path(name)
     if not path.is_file():
         raise InputError(
-            f"no model {name!r}{did_you_mean(name, available())}: expected one of {', '.join(available())} or the path of a .safetensors file"
+            f"no model {name!r}{did_you_mean(name, available())}: expected one of {', '.join(available())} or the path "
+            "of a .safetensors file"
         )
     return path
 
