@@ -26,9 +26,8 @@ def chart(data: dict) -> bytes:
     rows = _shown(data)
     title = f"{rows[0]['sequence']}, {rows[0]['spp']} spp; dotted: the Pareto front" if rows else "no denoiser measured"
     looks = _looks(rows, data["methods"])
-    panels = [metric for metric in PANELS if any(row["errors"]["frame"].get(metric) is not None for row in rows)] or [
-        PANELS[0]
-    ]
+    panels = [metric for metric in PANELS if any(row["errors"]["frame"].get(metric) is not None for row in rows)]
+    panels = panels or [PANELS[0]]
     height = max(3.8, 0.18 * len(looks))  # of the legend
     figure = Figure(figsize=(3.6 * len(panels) + 2.2, height), dpi=110, layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]

@@ -20,7 +20,8 @@ def markdown(data: dict) -> str:
         "# Error against run time",
         f"{data['signal']} light, {fewest} spp, {len(data['sequences'])} sequences: "
         f"{', '.join(map(plain, data['sequences']))}. "
-        f"Commit {run['commit']}, {run['date']}, {plain(', '.join(run['devices'].values()))}. `report.html` has the pictures.",
+        f"Commit {run['commit']}, {run['date']}, {plain(', '.join(run['devices'].values()))}. "
+        "`report.html` has the pictures.",
         "![Error against time](report.png)",
         _losses(data, fewest),
         *(_table(group, data) for group in _in_order(grouped(rows, "sequence", "device"))),
@@ -63,8 +64,8 @@ def _losses(data: dict, spp: int) -> str:
         metric = row["metric"]
         values = [write_number(metric, row[key]) for key in ("peer_value", "our_value")]
         lines.append(
-            f"| {plain(row['sequence'])} | {row['region']} | {METRICS[metric].label} | {row['peer']} | {values[0]} | "
-            f"{values[1]} | {row['time_ratio']:.2f}× |"
+            f"| {plain(row['sequence'])} | {row['region']} | {METRICS[metric].label} | {plain(row['peer'])} | "
+            f"{values[0]} | {values[1]} | {row['time_ratio']:.2f}× |"
         )
     return "\n".join(lines)
 
@@ -84,7 +85,7 @@ def _table(group: list[dict], data: dict) -> str:
         values += [write_number(m, row["errors"]["uncovered"].get(m)) for m in UNCOVERED]
         is_input = data["methods"][row["method"]]["family"] == "input"
         time = "–" if is_input or not ours else f"{row['ms']['median'] / ours:.2f}×"
-        name = f"**{row['label']}**" if row["label"] == data["ours"] else row["label"]
+        name = f"**{plain(row['label'])}**" if row["label"] == data["ours"] else plain(row["label"])
         lines.append(f"| {name} | {' | '.join(values)} | {time} |")
     return "\n".join(lines)
 
@@ -118,6 +119,6 @@ def _reading(sequence: str, rows: list[dict]) -> str:
         samples = f"{'≈ ' if needs['extrapolated'] else ''}{needs['spp']:.3g} spp" if needs else "–"
         takes = f"{needs['ms']:.0f} ms" if needs and needs["ms"] else "–"
         ratios = [f"{has['cost_ratio']:.2f}×" if has else "–", f"{area['factor']:.2f}×" if area else "–"]
-        name = "plain Monte Carlo" if row["peer"] == "noisy" else row["peer"]
+        name = "plain Monte Carlo" if row["peer"] == "noisy" else plain(row["peer"])
         lines.append(f"| {name} | {samples} | {takes} | {ratios[0]} | {ratios[1]} |")
     return "\n".join(lines)
