@@ -282,6 +282,13 @@ def test_a_mended_preset_is_another_run(shot, tmp_path, model, capsys):
     assert "other options" in refused(capsys, *command)
 
 
+def test_another_option_is_named(shot, tmp_path, model, capsys):
+    command = ("denoise", shot, "--out", tmp_path / "out", "--model", model)
+    main([str(a) for a in command])
+    line = refused(capsys, *command, "--signal", "indirect", "--keep", "albedo")
+    assert "other options: signal color, now indirect, keep [], now ['albedo'];" in line
+
+
 def test_unknown_device(shot, tmp_path, model, capsys):
     command = ("denoise", shot, "--out", tmp_path / "out", "--model", model, "--device", "gpu")
     assert "unknown device 'gpu'" in refused(capsys, *command)

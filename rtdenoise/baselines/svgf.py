@@ -145,9 +145,8 @@ def kind_of(frame: Frame) -> Tensor:
     Only TEXTURED pixels are demodulated (radiance divided by albedo). Kinds keep radiance and irradiance from being
     averaged.
     """
-    return torch.where(
-        frame.depth > 0, torch.where(frame.albedo.amax(1, keepdim=True) < MIN_ALBEDO, BARE, TEXTURED), MISS
-    )
+    surface = torch.where(frame.albedo.amax(1, keepdim=True) < MIN_ALBEDO, BARE, TEXTURED)
+    return torch.where(frame.depth > 0, surface, MISS)
 
 
 def estimate_variance(moments: Tensor, length: Tensor, spread: Tensor, surface: Surface) -> Tensor:
