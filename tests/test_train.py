@@ -284,7 +284,7 @@ def test_training_starts_from_weights(config, tmp_path):
     again = Trainer(replace(config, init=first))
     assert all(torch.equal(a, b) for a, b in zip(again.model.parameters(), read(first).parameters(), strict=True))
     assert all(p.requires_grad for p in again.model.parameters())
-    with pytest.raises(InputError, match="does not grow into model paper"):
+    with pytest.raises(InputError, match="does not grow into paper"):
         Trainer(replace(config, init=first, model="paper"))
 
 

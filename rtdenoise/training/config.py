@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from tyro.conf import UseAppendAction
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -20,7 +22,7 @@ class TrainConfig:
     """Weights to start from instead of random ones: a .safetensors file of the same network or a narrower one."""
     model: str = "default"
     """Network to train: 'paper', 'fast', 'default' or 'quality'."""
-    set: tuple[str, ...] = ()
+    set: UseAppendAction[tuple[str, ...]] = ()
     """Fields of the network's configuration to change, as NAME=VALUE: widths=32,48,64,80,96 or longest=24."""
     signal: str = "indirect"
     """The signal to denoise: 'indirect', 'color', or 'both' (color in a third of the clips)."""

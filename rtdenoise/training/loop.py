@@ -158,14 +158,14 @@ def _save_weights(trainer: Trainer, path: Path) -> None:
 
 
 def _compared(config: TrainConfig) -> dict:
-    """The options that identify a run."""
-    return {key: value for key, value in asdict(config).items() if key not in NOT_COMPARED}
+    """The options that identify a run, as JSON holds them."""
+    return {key: value for key, value in asdict(config).items() if key not in NOT_COMPARED} | {"set": [*config.set]}
 
 
 def _same_config(config: TrainConfig, path: Path) -> None:
     """Write the options of a new run; refuse to go on with other ones. Options missing from older runs take today's
     defaults; older runs call the network `preset`."""
-    options, defaults = _compared(config), {field.name: field.default for field in fields(TrainConfig)}
+    options, defaults = _compared(config), {field.name: field.default for field in fields(TrainConfig)} | {"set": []}
     if not path.exists():
         write_atomically(path, (json.dumps({"version": __version__, "options": options}, indent=1) + "\n").encode())
         return
@@ -174,6 +174,6 @@ def _same_config(config: TrainConfig, path: Path) -> None:
         before.setdefault("model", before.get("preset", defaults["model"]))
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{path}: not the options of a run; use another --out") from None
-    for key, now in json.loads(json.dumps(options)).items():
+    for key, now in options.items():
         if (was := before.get(key, defaults[key])) != now:
             raise InputError(f"{path.parent}: this run was started with {key} = {was}, not {now}; use another --out")

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from ..exposure import exposure
 from ..files import write_atomically
 from ..frame import Frame
@@ -126,7 +126,7 @@ def _initial(config: TrainConfig, wanted: Config) -> Denoiser:
         try:
             model = grow(model, wanted)
         except ValueError as error:
-            raise InputError(f"{config.init}: its network does not grow into model {config.model}: {error}") from None
+            raise InputError(f"{config.init}: its network does not grow into {config.model}: {error}") from None
     return model.train().requires_grad_(True)
 
 
@@ -144,7 +144,8 @@ def check(config: TrainConfig) -> None:
         if not 0 <= getattr(config, name) <= 1:
             raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
     if config.model not in PRESETS:
-        raise InputError(f"unknown model {config.model!r}; expected one of {', '.join(PRESETS)}")
+        near = did_you_mean(config.model, PRESETS)
+        raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(PRESETS)}")
     model_config(config)
     if config.signal not in ("indirect", "color", "both"):
         raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
