@@ -243,16 +243,16 @@ def folder(tmp_path):
 
 
 def test_programs_are_compiled_once(gl):
-    first = program(gl, "blend", CHANNELS=3, GROUP_X=8, GROUP_Y=8)
-    assert program(gl, "blend", GROUP_Y=8, GROUP_X=8, CHANNELS=3) is first
-    assert program(gl, "blend", CHANNELS=1, GROUP_X=8, GROUP_Y=8) is not first
+    first = program(gl, "ops/blend", CHANNELS=3, GROUP_X=8, GROUP_Y=8)
+    assert program(gl, "ops/blend", GROUP_Y=8, GROUP_X=8, CHANNELS=3) is first
+    assert program(gl, "ops/blend", CHANNELS=1, GROUP_X=8, GROUP_Y=8) is not first
 
 
 def test_constants_are_strict():
     with pytest.raises(ShaderError, match=r"apply_kernel\.comp\.glsl: missing constants GROUP_X, GROUP_Y, LOGITS_HALF"):
-        expand("apply_kernel", KERNEL=5, CHANNELS=3)
+        expand("ops/apply_kernel", KERNEL=5, CHANNELS=3)
     with pytest.raises(ShaderError, match=r"unknown constants KERNEL; it takes CHANNELS, GROUP_X, GROUP_Y"):
-        expand("blend", CHANNELS=3, GROUP_X=8, GROUP_Y=8, KERNEL=5)
+        expand("ops/blend", CHANNELS=3, GROUP_X=8, GROUP_Y=8, KERNEL=5)
 
 
 def test_includes_are_recursive_and_taken_once(folder):

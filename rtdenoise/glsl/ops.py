@@ -237,7 +237,7 @@ def _run_all(
             raise ValueError(f"{name}: expected {np.dtype(dtype)}, got {array.dtype}")
 
     B, _, H, W = shapes[0]
-    dispatch(name, [*arrays, *results], (W, H, B), {"size": size[::-1], **uniforms}, **constants)
+    dispatch(f"ops/{name}", [*arrays, *results], (W, H, B), {"size": size[::-1], **uniforms}, **constants)
     return results if resident == {True} else [result.read() for result in results]
 
 

@@ -7,7 +7,7 @@ A shader declares the constants it needs, in itself or in what it includes; each
 
 For an engine of one's own `expand` gives the text of a shader with everything in it, OpenGL or Vulkan (SPIR-V) alike:
 
-    print(expand("apply_kernel", KERNEL=5, CHANNELS=3, LOGITS_HALF=1, GROUP_X=32, GROUP_Y=4)[0])
+    print(expand("ops/apply_kernel", KERNEL=5, CHANNELS=3, LOGITS_HALF=1, GROUP_X=32, GROUP_Y=4)[0])
 """
 
 from __future__ import annotations
