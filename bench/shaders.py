@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 from stages import STAGES
 
@@ -13,7 +11,6 @@ from rtdenoise.frame import Frame
 from rtdenoise.glsl import Clock, GpuArray, Pipeline
 from rtdenoise.glsl.designs import design
 from rtdenoise.models import Denoiser
-from rtdenoise.models.create import architecture
 
 PRECISIONS = {"glsl fp32": (False, "frame"), "glsl fp16": (True, "frame, float16 activations")}
 """Method -> whether activations are stored as float16, row of tolerances.py against torch."""
@@ -31,7 +28,7 @@ class Shaders:
 
     def __init__(self, denoiser: Denoiser, frame: Frame, half: bool) -> None:
         tensors = {name: tensor.float().cpu().numpy() for name, tensor in denoiser.state_dict().items()}
-        self._pipeline = Pipeline(design(architecture(denoiser.config), asdict(denoiser.config)), tensors, half)
+        self._pipeline = Pipeline(design(denoiser.config), tensors, half)
         self._ctx = self._pipeline.ctx
         self._layers = {name: GpuArray.upload(self._ctx, t[0].cpu().numpy()) for name, t in frame.layers()}
         self._history = self._pipeline.run(self._layers)[1]

@@ -20,7 +20,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.models import load, read
-from rtdenoise.training.losses import temporal_kpn_loss
+from rtdenoise.models.losses import temporal_kpn_loss
 
 MODES = ("float32", "bfloat16", "float16", "training")
 AUTOCAST = {"float16": torch.float16, "training": torch.bfloat16}  # the other two are precisions of a loaded model

@@ -10,16 +10,24 @@ from safetensors.torch import save_file
 from rtdenoise.color import albedo_divisor
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, History
-from rtdenoise.models import PRESETS, AccumulatedKPN, TemporalKPN, accumulated_kpn, available, create, load, save
-from rtdenoise.models import temporal_kpn as paper
-from rtdenoise.models.create import architecture
+from rtdenoise.models import (
+    PRESETS,
+    AccumulatedKPN,
+    AccumulatedKPNConfig,
+    TemporalKPN,
+    TemporalKPNConfig,
+    available,
+    create,
+    load,
+    save,
+)
 from rtdenoise.ops import apply_kernel
 from rtdenoise.sanitise import faults, sanitise
 from rtdenoise.splat import history_motion
 
 SMALL = {
-    "temporal_kpn": paper.Config(widths=(8, 8, 8, 8)),
-    "accumulated_kpn": accumulated_kpn.Config(widths=(8, 8, 8, 8), scales=4, edge_kernel=3, pick_kernel=3),
+    "temporal_kpn": TemporalKPNConfig(widths=(8, 8, 8, 8)),
+    "accumulated_kpn": AccumulatedKPNConfig(widths=(8, 8, 8, 8), scales=4, edge_kernel=3, pick_kernel=3),
 }
 
 
@@ -225,7 +233,7 @@ def test_unusable_weights_are_named(tmp_path, denoiser):
     save_file({"x": torch.zeros(1)}, tmp_path / "bare.safetensors")
     with pytest.raises(InputError, match="no model configuration"):
         load(tmp_path / "bare.safetensors")
-    state, kind = denoiser.state_dict(), {"architecture": architecture(denoiser.config)}
+    state, kind = denoiser.state_dict(), {"architecture": denoiser.config.architecture}
     save_file(state, tmp_path / "other.safetensors", metadata=kind | {"config": '{"widths": [8, 8, 8, 8, 16]}'})
     with pytest.raises(InputError, match="do not fit the configuration"):
         load(tmp_path / "other.safetensors")

@@ -24,13 +24,13 @@ from rtdenoise.frame import Known, mean_distance
 from rtdenoise.glsl import GpuArray, Pipeline
 from rtdenoise.glsl.program import shaders
 from rtdenoise.history import mismatch
-from rtdenoise.models import PRESETS, accumulated_kpn
+from rtdenoise.models import PRESETS, AccumulatedKPNConfig
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.plan import look
 from rtdenoise.sanitise import sanitise
 
 # By the preset of the same architecture.
-SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3)}
+SMALL = {"paper": TINY, "default": AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3)}
 
 
 @pytest.fixture(autouse=True)

@@ -26,8 +26,7 @@ from rtdenoise import models, ops
 from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, Known
-from rtdenoise.models import accumulated_kpn, temporal_kpn
-from rtdenoise.models.create import architecture
+from rtdenoise.models import AccumulatedKPNConfig, TemporalKPNConfig
 from rtdenoise.models.inference import prepare
 from rtdenoise.ops import path
 from rtdenoise.run import graphs as graphed
@@ -37,8 +36,8 @@ from rtdenoise.run.tiles import step_in_windows
 from rtdenoise.sanitise import sanitise
 
 SMALL = [
-    temporal_kpn.Config(widths=(4, 4, 4, 4)),
-    accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3),
+    TemporalKPNConfig(widths=(4, 4, 4, 4)),
+    AccumulatedKPNConfig(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3),
 ]
 DEVICES = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
 
@@ -73,7 +72,7 @@ class Rehearsal:
         return [image, *history.layers().values()]
 
 
-@pytest.fixture(params=SMALL, ids=architecture)
+@pytest.fixture(params=SMALL, ids=lambda config: config.architecture)
 def denoiser(request):
     torch.manual_seed(1)
     return models.create(request.param).eval().requires_grad_(False)

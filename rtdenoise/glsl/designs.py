@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-ARCHITECTURES = ("temporal_kpn", "accumulated_kpn")
+from ..models.config import Config, TemporalKPNConfig
+
 # Input channels of `models.AccumulatedKPN` in the order of its features shader: in the end what may be zero everywhere.
 ORDER = [0, 1, 2, 18, 6, 7, 8, 15, 9, 10, 11, 16, 12, 13, 14, 17, 3, 4, 5, 19, 20]
 
@@ -59,39 +60,12 @@ class Design:
         return 21 if self.accumulates else 13
 
 
-def design(architecture: str, config: Mapping) -> Design:
-    """Raises KeyError or ValueError where `config` is not that of a known architecture."""
-    if architecture not in ARCHITECTURES:
-        raise ValueError(f"expected an architecture of {', '.join(ARCHITECTURES)}, got {architecture!r}")
-    widths, kernel, motion = tuple(config["widths"]), config["kernel"], config["motion"]
-    if motion not in ("dual", "traditional"):
-        raise ValueError(f"expected motion 'dual' or 'traditional', got {motion!r}")
-    if architecture == "temporal_kpn":
-        if config["pool"] not in ("mean", "max"):
-            raise ValueError(f"expected pool 'mean' or 'max', got {config['pool']!r}")
-        return Design(architecture, widths, 3, kernel, kernel, motion, config["pool"])
-    newer = {name: config.get(name, 1) for name in ("edge_kernel", "pick_kernel")}
-    scales, temporal_kernel, longest = config["scales"], config["temporal_kernel"], config["longest"]
-    return Design(architecture, widths, scales, kernel, temporal_kernel, motion, longest=longest, **newer)
-
-
-def expected_shapes(d: Design) -> dict[str, tuple[int, ...]]:
-    """Name -> shape of every tensor of the model's state dict."""
-    full = sum(d.full_rows)
-    inputs = d.widths[0] if d.accumulates else d.features
-    shapes: dict[str, tuple[int, ...]] = {}
-    pairs = {f"encoder.{i}": (a, b) for i, (a, b) in enumerate(zip((inputs, *d.widths), d.widths, strict=False))}
-    pairs |= {f"decoder.{i}": (a + b, b) for i, (a, b) in enumerate(zip(d.widths[1:], d.widths, strict=False))}
-    for name, (a, b) in pairs.items():
-        shapes |= {f"unet.{name}.0.weight": (b, a, 3, 3), f"unet.{name}.2.weight": (b, b, 3, 3)}
-    heads = d.coarse_rows if d.accumulates else [full, *d.coarse_rows]
-    shapes |= {f"heads.{i}.weight": (n, w, 1, 1) for i, (n, w) in enumerate(zip(heads, d.widths, strict=False))}
-    if d.accumulates:
-        shapes["stem.weight"] = (d.widths[0], d.features, 4, 4)
-    shapes |= {name.replace("weight", "bias"): shape[:1] for name, shape in shapes.items()}
-    if d.accumulates:
-        shapes |= {"full_head.weight": (d.widths[0], full, 2, 2), "full_head.bias": (full,)}
-    return shapes
+def design(config: Config) -> Design:
+    """The design of a configuration."""
+    values = {field.name: getattr(config, field.name) for field in fields(config)}
+    if isinstance(config, TemporalKPNConfig):
+        values |= {"scales": config.scales, "temporal_kernel": config.kernel}
+    return Design(config.architecture, **values)
 
 
 def full_head(d: Design, tensors: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from ..frame import NOTHING_KNOWN, Frame, Known
 from ..models.weights import read_model
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
-from .designs import Design, design, expected_shapes
+from .designs import Design, design
 from .kernels import Kernels
 from .passes import Passes
 from .scratch import Scratch
@@ -54,18 +54,8 @@ class Pipeline:
         Raises InputError for an unknown name, an unreadable file, weights that do not fit their configuration, and
         where there is no OpenGL 4.3.
         """
-        stored = read_model(model)
-        if unknown := overrides.keys() - stored.config.keys():
-            raise InputError(
-                f"{', '.join(sorted(unknown))}: not an override of model {str(model)!r}; its configuration has "
-                f"{', '.join(stored.config)}"
-            )
-        try:
-            found = design(stored.architecture, {**stored.config, **overrides})
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{stored.path}: its configuration is not one of this version: {error}") from None
-        stored.expect(expected_shapes(found), overrides)
-        return cls(found, stored.tensors, half)
+        stored = read_model(model, **overrides)
+        return cls(design(stored.config), stored.tensors, half)
 
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -93,7 +83,7 @@ class Pipeline:
 
     def mismatch(self, frame: Frame, history: History) -> float:
         """Share of the pixels with history on the screen that find another surface there, as `history.mismatch`: above
-        `frame.CUT` it is another shot, for which `step` wants no history. Waits for the GPU."""
+        `frame.MAX_CUT_MISMATCH` it is another shot, for which `step` wants no history. Waits for the GPU."""
         layers = self._upload(frame, history)
         _, surface, *_ = self.passes.prepare(layers)
         return self.passes.mismatch(self.passes.vectors(layers), surface, history.surface)

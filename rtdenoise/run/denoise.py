@@ -17,7 +17,7 @@ from ..data.sequences import Sequence, open_sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
 from ..files import dumps, write_atomically
-from ..frame import CUT
+from ..frame import MAX_CUT_MISMATCH
 from ..models.weights import find
 from ..sanitise import faults
 from .backends import Backend, open_backend
@@ -138,7 +138,7 @@ def _run(
             history = None
         started = time.perf_counter()
         prepared = backend.prepare(frame)
-        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > CUT:
+        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             summary.cuts.append(frame.number)
             history = None
         image, history = backend.step(prepared, history)

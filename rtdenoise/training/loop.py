@@ -1,6 +1,6 @@
 """Train the denoiser: `rtdenoise train --data DIR --out RUN`. Resumable at any step, deterministic with a seed.
 
-A run directory explains itself: `config.json` (all options but `ELSEWHERE`), `log.jsonl` (a line per logged step
+A run directory explains itself: `config.json` (all options but `NOT_COMPARED`), `log.jsonl` (a line per logged step
 and per validation), `checkpoint.pt` (everything needed to go on), `weights.safetensors` (the averaged weights of the
 best validation, ready for `rtdenoise denoise --model`).
 """
@@ -36,9 +36,8 @@ from .trainer import Trainer, check
 
 OnStep = Callable[[int, int, float], None]  # step, steps in all, loss
 WEIGHTS = "weights.safetensors"
-HOPELESS = 20  # steps in turn without a finite loss: a poisoned clip costs one, broken weights all
-# Options that may change when a run is resumed.
-ELSEWHERE = ("data", "val", "out", "device", "init", "tensorboard", "checkpoint_minutes")
+MAX_SKIPPED_IN_TURN = 20  # steps without a finite loss: a poisoned clip costs one, broken weights all
+NOT_COMPARED = ("data", "val", "out", "device", "init", "tensorboard", "checkpoint_minutes")  # may change on resuming
 
 
 def train(config: TrainConfig, on_step: OnStep | None = None) -> Path:
@@ -111,8 +110,8 @@ def _run(
             started = time.perf_counter()
             row = trainer.train_step([frame.to(config.device) for frame in clip])
             row["seconds"] = time.perf_counter() - started
-            if trainer.skipped_in_turn == HOPELESS:
-                raise InputError(f"{out}: {HOPELESS} steps in turn without a finite loss or gradient: the weights are "
+            if trainer.skipped_in_turn == MAX_SKIPPED_IN_TURN:
+                raise InputError(f"{out}: {trainer.skipped_in_turn} steps in turn without a finite loss or gradient: the weights are "
                                  f"broken; begin another run with a lower --lr, from --init {out / WEIGHTS} if that is "
                                  "there")  # fmt: skip
             if not first:
@@ -189,16 +188,17 @@ def _batch(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, 
 
 
 def _plain(config: TrainConfig) -> dict:
-    """Options as JSON holds them, without those that say where and not what."""
-    return {key: value for key, value in asdict(config).items() if key not in ELSEWHERE}
+    """The options that identify a run, for JSON."""
+    return {key: value for key, value in asdict(config).items() if key not in NOT_COMPARED}
 
 
 def _same_config(config: TrainConfig, path: Path) -> None:
-    """Write the options of a new run; refuse to go on with other ones. What an older run does not know of had what is
-    the default now."""
+    """Write the options of a new run; refuse to go on with other ones. Options missing from older runs take today's
+    defaults; the network was `preset` there."""
     options, defaults = _plain(config), {field.name: field.default for field in fields(TrainConfig)}
     if path.exists():
         before = json.loads(path.read_text())["options"]
+        before["model"] = before.get("model", before.pop("preset", defaults["model"]))
         for key in options:
             if (was := before.get(key, defaults[key])) != options[key]:
                 raise InputError(
