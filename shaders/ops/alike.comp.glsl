@@ -1,17 +1,12 @@
 #version 430
 // Whether two pixels may show the same surface: include/alike.glsl.
-//
-// takes    depth [B, 1, H, W], normal [B, 3, H, W] · other_depth, other_normal of what it is compared with
-// returns  result [B, 1, H, W]: 1 or 0
-#define PARAMETERS PARAMETER(vec2, tolerance)  // of depth, of normals
 #include "tensor.glsl"
 #include "alike.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Depth { float depth[]; };
-layout(std430, binding = 1) readonly restrict buffer Normal { float normal[]; };
-layout(std430, binding = 2) readonly restrict buffer OtherDepth { float other_depth[]; };
-layout(std430, binding = 3) readonly restrict buffer OtherNormal { float other_normal[]; };
-layout(std430, binding = 4) writeonly restrict buffer Result { float result[]; };
+#pragma parameters vec2 tolerance                       // of depth, of normals
+#pragma reads float depth, float normal                 // [B, 1, H, W], [B, 3, H, W]
+#pragma reads float other_depth, float other_normal     // the same, of the surface to compare with
+#pragma writes float result                          // [B, 1, H, W]: 1 or 0
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);

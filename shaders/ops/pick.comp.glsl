@@ -1,48 +1,34 @@
 #version 430
-// Let every fine pixel pick from the K×K coarse ones around its own, as far as its share says:
+// Blend every fine pixel with a weighted mean of the K×K coarse pixels around its own:
 //
 //     w[b,k,y,x]   = softmax_k logits[b,k,y,x], over the taps k = dy·K + dx that lie inside the coarse image
 //     p[b,c,y,x]   = Σ_{dy,dx ∈ 0..K-1} w[b, dy·K+dx, y, x] · coarse[b, c, ⌊y/2⌋+dy-r, ⌊x/2⌋+dx-r],    r = ⌊K/2⌋
 //     out[b,c,y,x] = (1 - share) · fine + share · p
-//
-// takes    fine [B, CHANNELS, H, W] · logits [B, KERNEL², H, W], float or packed half (LOGITS_HALF) ·
-//          coarse [B, CHANNELS, ⌈H/2⌉, ⌈W/2⌉] · share [B, 1, H, W] in [0, 1]
-// returns  result [B, CHANNELS, H, W]
-#pragma constants KERNEL CHANNELS LOGITS_HALF
+#pragma constants CHANNELS
 #include "tensor.glsl"
 #include "pyramid.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Fine { float fine[]; };
+#pragma reads float fine     // [B, CHANNELS, H, W]
 #include "logits.glsl"
-layout(std430, binding = 2) readonly restrict buffer Coarse { float coarse[]; };
-layout(std430, binding = 3) readonly restrict buffer Share { float share[]; };
-layout(std430, binding = 4) writeonly restrict buffer Result { float result[]; };
+#include "softmax.glsl"
+#pragma reads float coarse   // [B, CHANNELS, ⌈H/2⌉, ⌈W/2⌉]
+#pragma reads float share    // [B, 1, H, W] in [0, 1]
+#pragma writes float result  // [B, CHANNELS, H, W]
 
 void main() {
-    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
+    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), corner = pixel / 2 - KERNEL / 2;
     int b = int(gl_GlobalInvocationID.z);
     if (!inside(pixel, size)) return;
 
-    // The maximum is taken over the taps inside only: a tap outside must not push the others below what exp can hold.
-    int first = at(b, 0, pixel, TAPS, size), plane = size.x * size.y;  // tap k lies at first + k · plane
-    ivec2 corner = pixel / 2 - KERNEL / 2;
-    float greatest = LOWEST;
-    for (int k = 0; k < TAPS; ++k) {
-        if (inside(corner + ivec2(k % KERNEL, k / KERNEL), coarse_size())) greatest = max(greatest, logit(first + k * plane));
-    }
-    float total = 0.0;
-    float sum[CHANNELS];
-    for (int c = 0; c < CHANNELS; ++c) sum[c] = 0.0;
-    for (int k = 0; k < TAPS; ++k) {
-        ivec2 tap = corner + ivec2(k % KERNEL, k / KERNEL);
-        if (!inside(tap, coarse_size())) continue;
-        float w = exp(logit(first + k * plane) - greatest);
-        total += w;
-        for (int c = 0; c < CHANNELS; ++c) sum[c] += w * coarse[at(b, c, tap, CHANNELS, coarse_size())];
-    }
-    float s = share[at(b, 0, pixel, 1, size)];
+    first_logit = at(b, 0, pixel, TAPS, size);
+    float total = softmax(corner, coarse_size()), s = share[at(b, 0, pixel, 1, size)];
     for (int c = 0; c < CHANNELS; ++c) {
+        float sum = 0.0;
+        for (int k = 0; k < TAPS; ++k) {
+            ivec2 read = clamp(corner + tap(k), ivec2(0), coarse_size() - 1);
+            sum += weight[k] * coarse[at(b, c, read, CHANNELS, coarse_size())];
+        }
         int i = at(b, c, pixel, CHANNELS, size);
-        result[i] = (1.0 - s) * fine[i] + s * sum[c] / total;
+        result[i] = (1.0 - s) * fine[i] + s * sum / total;
     }
 }
