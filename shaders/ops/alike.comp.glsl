@@ -6,7 +6,7 @@
 #pragma parameters vec2 tolerance                       // of depth, of normals
 #pragma reads float depth, float normal                 // [B, 1, H, W], [B, 3, H, W]
 #pragma reads float other_depth, float other_normal     // the same, of the surface to compare with
-#pragma writes float result                          // [B, 1, H, W]: 1 or 0
+#pragma writes float result                             // [B, 1, H, W]: 1 or 0
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
