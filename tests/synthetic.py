@@ -52,7 +52,7 @@ def write_sequence(folder, frames, without=()):
         if "reference" in layers:
             layers["indirect_reference"] = layers["reference"]
         if "reference_half" in layers:
-            layers["half_reference"] = layers["half_indirect_reference"] = layers.pop("reference_half")
+            layers["indirect_reference_half"] = layers["reference_half"]
         write_layers(folder / f"frame.{frame.number:04d}.exr", layers, dtypes={"color": "float"})
     return folder
 

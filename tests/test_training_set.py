@@ -406,7 +406,7 @@ def test_two_runs_into_one_folder(tmp_path, capsys):
     with only_run(tmp_path, "0-of-1"), pytest.raises(SystemExit) as stop:
         main(["render", "--preset", "train", "--clips", "1", "--size", "32", "--out", str(tmp_path)])
     assert stop.value.code == 2
-    assert "another run is rendering into this folder" in capsys.readouterr().err
+    assert "another run is writing there" in capsys.readouterr().err
     with only_run(tmp_path, "0-of-1"):
         pass
 

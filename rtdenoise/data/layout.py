@@ -1,4 +1,4 @@
-"""What a preset is made of: rules that turn named channels into the layers of a frame, and patterns of file names."""
+"""A file layout: rules that turn named channels into the layers of a frame, and patterns of file names."""
 
 from __future__ import annotations
 
@@ -8,26 +8,18 @@ from fnmatch import fnmatchcase
 
 from ..frame import CHANNELS
 from .exr_format import ExrHeader
+from .layers import SIGNALS
 
-SIGNALS = {  # signal -> which of a file's layers become a frame's, where they have another name
-    "color": {"radiance": ("color",), "reference_half": ("half_reference",)},
-    "indirect": {
-        "radiance": ("indirect",),
-        "albedo": ("indirect_albedo", "albedo"),
-        "reference": ("indirect_reference",),
-        "reference_half": ("half_indirect_reference",),
-    },
-}
 SCALES = ("pixels", "uv")  # uv: fractions of the picture's width and height
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One layer from channels: component i is `signs[i]` × the channel `channels[i]`, for motion in `scale`."""
+    """How channels make a layer: component i is `signs[i]` × the channel `channels[i]`, for motion in `scale`."""
 
     channels: tuple[str, ...]  # one with a `*` stands for the first channel that fits
     signs: tuple[int, ...]
-    miss: float = float("inf")  # depth only: from this distance on, nothing was hit
+    miss: float = float("inf")  # depth only: nothing was hit from this distance on
     scale: str = "pixels"  # motion only: one of SCALES
 
     def match(self, channels: Collection[str]) -> Rule | None:
@@ -47,16 +39,17 @@ def rules(names: str, components: str, signs: tuple[int, ...] = (), **conversion
 
 
 @dataclass(frozen=True)
-class Preset:
-    """A renderer's names. `layers` gives alternatives for each layer: the first whose channels are all there counts.
+class Layout:
+    """The channel and file names of a renderer.
 
-    Where a renderer writes a file per buffer, `buffers` names the files, and the channels of the file of a buffer are
-    called as if it were a part of that name in a multi-part file: `albedo.R`.
+    `layers` gives alternatives for each layer on disk: the first whose channels are all present counts. Where a
+    renderer writes one file for each buffer, `buffers` names the files; the channels of such a file carry the buffer's
+    name, as in a part of a multi-part file: `albedo.R`.
     """
 
     name: str
     layers: Mapping[str, tuple[Rule, ...]]
-    hints: Mapping[str, str] = field(default_factory=dict, repr=False)  # layer -> what to switch on to have it
+    hints: Mapping[str, str] = field(default_factory=dict, repr=False)  # layer -> how to make the renderer write it
     demodulated: frozenset[str] = frozenset()  # signals that the renderer has already divided by the albedo
     buffers: Mapping[str, tuple[str, ...]] = field(default_factory=dict, repr=False)  # buffer -> patterns, see files.py
     cameras: str = "scene.json"  # the file beside the frames that may hold cameras and transforms
@@ -78,7 +71,7 @@ class Preset:
         return next((match for match in matches if match), None)
 
     def hint(self, layer: str, signal: str) -> str:
-        """What to do about a layer of `Frame` that is missing."""
+        """How to get a layer of `Frame` that is missing."""
         names = _names(layer, signal)
         for name in names:
             if name in self.hints:
@@ -87,8 +80,13 @@ class Preset:
                 channels = self.layers[name][0].channels
                 buffer = channels[0].partition(".")[0]
                 return f"write it as {self.buffers[buffer][0] if buffer in self.buffers else ', '.join(channels)}"
-        return f"this layout has no name for {names[0]}: describe the files in a preset of your own (--preset my.toml)"
+        return f"this layout has no name for {names[0]}: describe the files in a layout of your own (--preset my.toml)"
 
 
 def _names(layer: str, signal: str) -> tuple[str, ...]:
-    return SIGNALS[signal].get(layer, (layer,))
+    """The layers on disk that may become a layer of `Frame`, best first."""
+    if layer == "albedo":  # best: the albedo that the renderer has divided the signal by
+        return f"{signal}_albedo", "albedo"
+    if layer == "components" and signal != "color":  # they make up the beauty
+        return ("indirect components",)
+    return (SIGNALS[signal].get(layer, layer),)
