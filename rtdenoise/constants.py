@@ -8,7 +8,7 @@ MIN_ALBEDO = 0.1
 MIN_ALBEDO_SHARE = 0.25  # of the brightest channel of the pixel's albedo
 
 # Two pixels may show the same surface (`ops.alike`).
-MAX_DEPTH_DIFFERENCE = 0.1  # share of the greater depth
+DEPTH_TOLERANCE = 0.1  # largest difference of depths, as a share of the greater one
 MIN_NORMAL_COSINE = 0.5
 # Sum of bilinear weights below which there is no history: dividing by it would only magnify rounding (`ops.reproject`).
 MIN_HISTORY_WEIGHT = 1e-2

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from ..constants import MAX_DEPTH_DIFFERENCE, MIN_NORMAL_COSINE
+from ..constants import DEPTH_TOLERANCE, MIN_NORMAL_COSINE
 from .context import GpuArray, default_context, storage_limit
 from .operation import Array, expect, run, run_all, shape_of
 
@@ -86,7 +86,7 @@ def fetch(
 def alike(
     surface: tuple[Array, Array],  # depth [B, 1, H, W] and normal [B, 3, H, W] at each pixel
     other: tuple[Array, Array],  # the same, of the surface to compare with
-    depth_tolerance: float = MAX_DEPTH_DIFFERENCE,
+    depth_tolerance: float = DEPTH_TOLERANCE,
     normal_tolerance: float = MIN_NORMAL_COSINE,
     out: GpuArray | None = None,  # [B, 1, H, W]
 ) -> Array:  # [B, 1, H, W] bool; as GpuArray float32, 1 or 0
@@ -105,7 +105,7 @@ def reproject(
     motion: Array,  # [B, 2, H, W] (x, y) in pixels
     surface: tuple[Array, Array],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
     surface_previous: tuple[Array, Array],  # the same of the previous frame, not reprojected
-    depth_tolerance: float = MAX_DEPTH_DIFFERENCE,
+    depth_tolerance: float = DEPTH_TOLERANCE,
     normal_tolerance: float = MIN_NORMAL_COSINE,
     out: tuple[GpuArray, GpuArray] | None = None,  # [B, C, H, W], [B, 1, H, W]
 ) -> tuple[Array, Array]:  # [B, C, H, W], [B, 1, H, W] bool; as GpuArray float32, 1 or 0

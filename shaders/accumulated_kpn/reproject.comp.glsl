@@ -5,7 +5,7 @@
 // The mean of albedo includes this frame at once. The mean of light does not: the network first predicts how far to give it up.
 //
 //     mean_albedo = w · albedo + (1 - w) · mean_albedo_before,    w = 1 / (1 + length)
-#pragma constants MAX_DEPTH_DIFFERENCE MIN_NORMAL_COSINE
+#pragma constants DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 
 #pragma reads vec4 chosen                        // [H, W] motion
@@ -28,7 +28,7 @@ void main() {
     int i = at(pixel, size);
     vec4 mean = vec4(0.0);
     vec3 albedo = vec3(0.0);
-    Taps taps = weigh_taps(pixel, chosen[i].xy, surface[i], MAX_DEPTH_DIFFERENCE, MIN_NORMAL_COSINE);
+    Taps taps = weigh_taps(pixel, chosen[i].xy, surface[i], DEPTH_TOLERANCE, MIN_NORMAL_COSINE);
     if (is_valid(taps)) {
         for (int t = 0; t < 4; ++t) {
             if (taps.weight[t] == 0.0) continue;

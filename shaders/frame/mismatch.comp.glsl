@@ -1,7 +1,7 @@
 #version 430
 // Whether history still belongs to this shot (history.mismatch): count the pixels whose surface was on the screen, and those
 // among them for which the nearest pixel of the previous frame shows another surface.
-#pragma constants MAX_DEPTH_DIFFERENCE MIN_NORMAL_COSINE
+#pragma constants DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "on_screen.glsl"
 #include "alike.glsl"
@@ -17,7 +17,7 @@ void main() {
     vec2 target = vec2(pixel) + vectors[i].xy;
     if (!on_screen(target)) return;
     atomicAdd(counts[0], 1u);
-    if (!alike(surface[i], surface_before[at(nearest(target), size)], MAX_DEPTH_DIFFERENCE, MIN_NORMAL_COSINE)) {
+    if (!alike(surface[i], surface_before[at(nearest(target), size)], DEPTH_TOLERANCE, MIN_NORMAL_COSINE)) {
         atomicAdd(counts[1], 1u);
     }
 }

@@ -1,14 +1,14 @@
 #version 430
 // Turn winners into motion, and close cracks: where another surface than the previous one has landed, take the motion of the
 // closest pixel, at most MAX_CRACK_DISTANCE away, that shows the previous surface and received its own.
-#pragma constants MAX_DEPTH_DIFFERENCE MAX_CRACK_DISTANCE OFF_SCREEN
+#pragma constants DEPTH_TOLERANCE MAX_CRACK_DISTANCE OFF_SCREEN
 #include "splat.glsl"
 
 #pragma reads uint best, uint winner  // [H, W]
 #pragma writes vec4 vectors_before    // [H, W] 0, motion_next of the previous frame
 
 bool landed(int i) { return winner[i] != NOTHING; }
-bool fits(int i) { return landed(i) && uintBitsToFloat(best[i]) <= MAX_DEPTH_DIFFERENCE; }
+bool fits(int i) { return landed(i) && uintBitsToFloat(best[i]) <= DEPTH_TOLERANCE; }
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -24,7 +24,7 @@ void main() {
                 int distance = dx * dx + dy * dy;
                 if (distance >= closest || !inside(p, size)) continue;
                 int i = at(p, size);
-                if (!fits(i) || mismatch(surface_before[i].w, surface_before[here].w) > MAX_DEPTH_DIFFERENCE) continue;
+                if (!fits(i) || mismatch(surface_before[i].w, surface_before[here].w) > DEPTH_TOLERANCE) continue;
                 closest = distance;
                 from = i;
             }
