@@ -5,13 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue: Rec. 709
-MIN_ALBEDO = 0.1  # radiance is never divided by less, however dark the surface
-MIN_ALBEDO_SHARE = 0.25  # nor by less than this share of the albedo's brightest channel
+from .constants import LUMINANCE_WEIGHTS, MIN_ALBEDO, MIN_ALBEDO_SHARE
 
 
 def compress(radiance: Tensor) -> Tensor:
-    """`log(1 + x)`: what the network sees and the loss is taken in, so that fireflies do not rule. Inverse:
+    """`log(1 + x)`: the domain of the network's input and of the loss, where fireflies do not dominate. Inverse:
     `expand`."""
     return torch.log1p(radiance)
 
@@ -56,5 +54,5 @@ def display_exposure(reference: Tensor) -> Tensor:
 
 
 def display(radiance: Tensor, scale: Tensor | float = 1.0) -> Tensor:
-    """What a screen shows: exposed by `scale`, clipped to [0, 1], sRGB-encoded."""
+    """The picture on a screen: exposed by `scale`, clipped to [0, 1], sRGB-encoded."""
     return srgb_encode((radiance * scale).clamp(0, 1))

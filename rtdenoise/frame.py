@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
+from .constants import MIN_DISTANCE
 from .errors import InputError
 
 if TYPE_CHECKING:
@@ -169,4 +170,4 @@ def stack(frames: list[Frame]) -> Frame:
 def mean_distance(depth: Tensor) -> Tensor:
     """Mean of the depths that are not 0, `[B, 1, 1, 1]`; never zero."""
     hits = (depth > 0).sum((1, 2, 3), keepdim=True).clamp(min=1)
-    return (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
+    return (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=MIN_DISTANCE)

@@ -427,8 +427,8 @@ for cubic in (False, True):
     build(_warp, dict(CUBIC=cubic, **C), **sizes)
 build(_downsample, dict(MAXIMUM=False, BLOCK=128), **sizes)
 build(_compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
-build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_WEIGHT=0.01, FAR_AWAY=1e6), valid="*u8", depth_tolerance="fp32",
-      normal_tolerance="fp32", **sizes)
+build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1e6), valid="*u8",
+      depth_tolerance="fp32", normal_tolerance="fp32", **sizes)
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)

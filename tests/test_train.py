@@ -22,7 +22,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.files import dumps
 from rtdenoise.models import PRESETS, load, read
 from rtdenoise.ops import warp
-from rtdenoise.training.augment import RELIT, augment, relight
+from rtdenoise.training.augment import MAX_RELIGHT, augment, relight
 from rtdenoise.training.batches import batch
 from rtdenoise.training.loop import train
 from rtdenoise.training.trainer import TrainConfig, Trainer
@@ -60,7 +60,7 @@ def test_relighting_multiplies_noise_and_reference_alike():
         least, most = min(least, *(r.min().item() for r in ratios)), max(most, *(r.max().item() for r in ratios))
         untouched.add(sum((ratio == 1).all().item() for ratio in ratios))  # frames before it begins
         assert any(not torch.allclose(a, b) for a, b in pairwise(ratios))  # it changes
-    assert 2**-RELIT <= least < 0.5 and 2 < most <= 2**RELIT
+    assert 2**-MAX_RELIGHT <= least < 0.5 and 2 < most <= 2**MAX_RELIGHT
     assert 0 in untouched and len(untouched) > 2
 
 

@@ -33,10 +33,10 @@ def temporal_kpn_loss(
 ) -> Loss:
     """L = L1(I, R) + L1(I_i - I_{i-1}, R_i - R_{i-1}) + L1(I ⊙ Σ w_k M_k, R ⊙ Σ w_k M_k).
 
-    The domain is `color.compress` of the exposed radiance: in linear radiance a handful of fireflies would be the
-    whole loss. With `huber` the distances are Huber's: against references that are noisy themselves L1 aims at the
-    median, which is too dark, squares at the mean. The weights of eq. 5 are applied after the compression, so they mean
-    the same in dark and in bright places.
+    The domain is `color.compress` of the exposed radiance: in linear radiance a few fireflies would be the whole loss.
+    With `huber` the distances are Huber's: against noisy references L1 aims at the median, which is too dark, squares
+    aim at the mean. The weights of eq. 5 apply after the compression, so that they mean the same in dark and in bright
+    places.
     """
 
     def distance(a: Tensor, b: Tensor) -> Tensor:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-DEPTH_TOLERANCE = 0.1  # relative difference of two depths on one surface
-MIN_NORMAL_COSINE = 0.5  # between two normals on one surface
+from ..constants import DEPTH_TOLERANCE, MIN_NORMAL_COSINE
 
 
 def alike(

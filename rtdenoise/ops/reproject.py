@@ -8,11 +8,11 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from .alike import DEPTH_TOLERANCE, MIN_NORMAL_COSINE, alike
+from ..constants import DEPTH_TOLERANCE, MIN_HISTORY_WEIGHT, MIN_NORMAL_COSINE
+from .alike import alike
 from .dispatch import Fused, Support
 from .targets import check
 
-MIN_WEIGHT = 1e-2  # of the bilinear weights left after the test: dividing by less would amplify rounding errors
 FAR_AWAY = 1e6  # pixels: longer motion is off the screen anyway, and this still fits an integer
 FUSED = Fused("reproject", native=Support(max_channels=8, gradients=("stored",)), triton=Support())
 
@@ -30,8 +30,8 @@ def reproject(
         out(p) = Σ_t b_t v_t stored(t) / Σ_t b_t v_t          over the four pixels t around p + motion(p)
 
     with the bilinear weights b_t, and v_t = 1 where t is on the screen and its surface is `alike` the one at p. Where
-    Σ b v < `MIN_WEIGHT` the result is 0 and not valid. So history neither leaks across silhouettes nor fades at them.
-    Differentiable in `stored`.
+    Σ b v < `MIN_HISTORY_WEIGHT` the result is 0 and not valid. So history neither leaks across silhouettes nor fades at
+    them. Differentiable in `stored`.
 
     Raises ValueError where the shapes do not fit.
     """
@@ -62,5 +62,5 @@ def reproject(
         weight = ((f if dx else 1 - f) * (g if dy else 1 - g)).unsqueeze(1) * same
         total = total + weight
         found = found + weight * flat.gather(2, index.expand(B, C, H * W)).reshape(B, C, H, W)
-    valid = total >= MIN_WEIGHT
-    return torch.where(valid, found / total.clamp(min=MIN_WEIGHT), 0.0), valid
+    valid = total >= MIN_HISTORY_WEIGHT
+    return torch.where(valid, found / total.clamp(min=MIN_HISTORY_WEIGHT), 0.0), valid

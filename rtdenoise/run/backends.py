@@ -124,7 +124,7 @@ class GlslBackend:
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out
-        return make_plan(size, frames, self._pipeline.design.motion, first, windows=False)
+        return make_plan(size, frames, self._pipeline.config.motion, first, windows=False)
 
     def prepare(self, frame: Frame) -> Frame:
         return frame
@@ -137,7 +137,7 @@ class GlslBackend:
         known = NOTHING_KNOWN
         if self._left_out is not None:
             known = look(frame, motion_next, history is not None)
-            count(self._left_out, known, self._pipeline.design.accumulates)
+            count(self._left_out, known, self._pipeline.accumulates)
         image, resident = self._pipeline.step(frame, resident, known)
         return image, (resident, frame.motion_next)  # the next frame's plan needs this motion_next
 

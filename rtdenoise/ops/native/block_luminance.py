@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ...color import LUMINANCE_WEIGHTS
+from ...constants import LUMINANCE_WEIGHTS
 from ..block_luminance import MAX_BLOCK
 from .compiler import library, pointer
 

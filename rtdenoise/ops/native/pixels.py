@@ -8,7 +8,7 @@ from ctypes import c_float, c_int64
 import torch
 from torch import Tensor
 
-from ...color import MIN_ALBEDO, MIN_ALBEDO_SHARE
+from ...constants import MIN_ALBEDO, MIN_ALBEDO_SHARE
 from .compiler import library, pointer
 
 

@@ -1,5 +1,5 @@
 // Bilinear reprojection that tests every tap, in one pass. The specification is ops/reproject.py. C is the number of
-// channels; MIN_WEIGHT and FAR_AWAY are those of ops/reproject.py.
+// channels; MIN_HISTORY_WEIGHT and FAR_AWAY are those of ops/reproject.py.
 #include "common.h"
 #include "alike.h"
 
@@ -53,8 +53,8 @@ static inline void look(Row r, const int *left, const int *top, const float *f, 
 #pragma GCC unroll 8
             for (int c = 0; c < C; c++) sum[c] = fmaf(t.weight, r.stored[c][t.at], sum[c]);
         }
-        r.valid[x] = total >= MIN_WEIGHT;
-        float scale = total >= MIN_WEIGHT ? 1 / total : 0;
+        r.valid[x] = total >= MIN_HISTORY_WEIGHT;
+        float scale = total >= MIN_HISTORY_WEIGHT ? 1 / total : 0;
 #pragma GCC unroll 8
         for (int c = 0; c < C; c++) r.out[c * plane + x] = sum[c] * scale;
     }
@@ -109,7 +109,7 @@ void reproject_backward(float *grad_stored, const float *motion, const float *de
                 taps[k] = look_at(k, r, at, (int)left, (int)top, u - left, v - top, 0, 0);
                 total += taps[k].weight;
             }
-            if (total < MIN_WEIGHT) continue;
+            if (total < MIN_HISTORY_WEIGHT) continue;
             for (int k = 0; k < 4; k++)
                 for (int c = 0; c < C; c++)
                     to[c * plane + taps[k].at] += taps[k].weight / total * from[c * plane + at];

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..reproject import FAR_AWAY, MIN_WEIGHT
+from ...constants import MIN_HISTORY_WEIGHT
+from ..reproject import FAR_AWAY
 from .compiler import library, pointer
 
 
@@ -59,4 +60,4 @@ def _forward(
 
 
 def _library(channels: int) -> ctypes.CDLL:
-    return library("reproject", C=channels, MIN_WEIGHT=MIN_WEIGHT, FAR_AWAY=FAR_AWAY)
+    return library("reproject", C=channels, MIN_HISTORY_WEIGHT=MIN_HISTORY_WEIGHT, FAR_AWAY=FAR_AWAY)

@@ -7,7 +7,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ..reproject import FAR_AWAY, MIN_WEIGHT
+from ...constants import MIN_HISTORY_WEIGHT
+from ..reproject import FAR_AWAY
 from .alike import alike, surface_at
 from .common import constants, grid, place
 
@@ -19,8 +20,8 @@ def _bounded(motion, FAR_AWAY: tl.constexpr):
 
 @triton.jit
 def _reproject(stored, motion, depth, normal, depth_before, normal_before, out, valid, H, W, depth_tolerance,
-               normal_tolerance, C: tl.constexpr, CP: tl.constexpr, BLOCK: tl.constexpr, MIN_WEIGHT: tl.constexpr,
-               FAR_AWAY: tl.constexpr):  # fmt: skip
+               normal_tolerance, C: tl.constexpr, CP: tl.constexpr, BLOCK: tl.constexpr, MIN_HISTORY_WEIGHT:
+               tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
     plane = H.to(tl.int64) * W
     c = tl.arange(0, CP)
@@ -44,8 +45,8 @@ def _reproject(stored, motion, depth, normal, depth_before, normal_before, out, 
         total += weight
         values = tl.load(stored + channels + at[:, None], mask=inside[:, None] & (c[None, :] < C), other=0.0)
         found += weight[:, None] * values
-    enough = total >= MIN_WEIGHT
-    scale = tl.where(enough, 1 / tl.maximum(total, MIN_WEIGHT), 0.0)
+    enough = total >= MIN_HISTORY_WEIGHT
+    scale = tl.where(enough, 1 / tl.maximum(total, MIN_HISTORY_WEIGHT), 0.0)
     real = exists[:, None] & (c[None, :] < C)
     tl.store(out + channels + pixel[:, None], found * scale[:, None], mask=real)
     tl.store(valid + b * plane + pixel, enough.to(tl.uint8), mask=exists)
@@ -59,6 +60,6 @@ def reproject(
     stored, motion, *geometry = (t.contiguous() for t in (torch.cat(stored, dim=1), motion, *geometry))
     B, C, H, W = stored.shape
     out, valid = torch.empty_like(stored), torch.empty(B, 1, H, W, dtype=torch.uint8, device=stored.device)
-    limits = {"MIN_WEIGHT": MIN_WEIGHT, "FAR_AWAY": FAR_AWAY}
+    limits = {"MIN_HISTORY_WEIGHT": MIN_HISTORY_WEIGHT, "FAR_AWAY": FAR_AWAY}
     _reproject[grid(B, H, W)](stored, motion, *geometry, out, valid, H, W, *tolerances, **constants(C), **limits)
     return out, valid.view(torch.bool)

@@ -1,16 +1,13 @@
 #version 430
-// Nearest reprojection, for what must not be mixed across silhouettes. With (u, v) the clamped target:
+// Nearest reprojection, for values that must not be mixed across silhouettes. With (u, v) the clamped target:
 //
 //     out[b,c,y,x] = image[b, c, ⌊v + ½⌋, ⌊u + ½⌋]
-//
-// takes    image [B, CHANNELS, H, W] · motion [B, 2, H, W]
-// returns  result [B, CHANNELS, H, W]
 #pragma constants CHANNELS
 #include "tensor.glsl"
-#include "motion.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Image { float image[]; };
-layout(std430, binding = 2) writeonly restrict buffer Result { float result[]; };
+#pragma reads float image    // [B, CHANNELS, H, W]
+#include "motion.glsl"
+#pragma writes float result  // [B, CHANNELS, H, W]
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);

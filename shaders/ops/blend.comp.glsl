@@ -1,15 +1,11 @@
 #version 430
 // out = α · spatial + (1 - α) · temporal
-//
-// takes    spatial, temporal [B, CHANNELS, H, W] · alpha [B, 1, H, W] in [0, 1]
-// returns  result [B, CHANNELS, H, W]
 #pragma constants CHANNELS
 #include "tensor.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Spatial { float spatial[]; };
-layout(std430, binding = 1) readonly restrict buffer Temporal { float temporal[]; };
-layout(std430, binding = 2) readonly restrict buffer Alpha { float alpha[]; };
-layout(std430, binding = 3) writeonly restrict buffer Result { float result[]; };
+#pragma reads float spatial, float temporal  // [B, CHANNELS, H, W]
+#pragma reads float alpha                    // [B, 1, H, W] in [0, 1]
+#pragma writes float result                  // [B, CHANNELS, H, W]
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
