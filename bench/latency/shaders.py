@@ -1,11 +1,10 @@
-"""The whole frame as compute shaders for `latency_720p.py`: one pipeline on a frame that lies on the GPU already."""
+"""The whole frame as compute shaders: one pipeline on a frame that is on the GPU already."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 
 import numpy as np
-from stages import STAGES
 
 from rtdenoise import glsl
 from rtdenoise.errors import InputError
@@ -15,15 +14,17 @@ from rtdenoise.glsl.designs import design
 from rtdenoise.models import Denoiser
 from rtdenoise.models.create import architecture
 
+from .stages import STAGES
+
 PRECISIONS = {"glsl fp32": (False, "frame"), "glsl fp16": (True, "frame, float16 activations")}
-"""Method -> whether activations are stored as float16, row of tolerances.py against torch."""
+"""Method -> whether activations are stored as float16, row of tolerances.py for its comparison with torch."""
 
 PREDICTION, KERNELS, BLENDING, REPROJECTION = STAGES
 STAGE_OF = {"features": PREDICTION, "network": PREDICTION, "kernels": KERNELS, "blend": BLENDING,
             "reprojection": REPROJECTION}  # fmt: skip
-"""Stage of the pipeline -> of the paper. The last layer of the network counts as kernel application, which it is part
-of: logits are computed where they are used. The edge kernel counts as blending here, with whose passes it runs, and as
-kernel application in torch's rows."""
+"""Stage of the pipeline -> stage of the paper. The network's last layer counts as kernel application: logits are
+computed where they are used. The edge kernel counts as blending here, because it runs in those passes; in torch's rows
+it counts as kernel application."""
 
 
 class Shaders:
@@ -47,7 +48,7 @@ class Shaders:
         return self.step().read()[None]
 
     def stages(self) -> dict[str, float]:
-        """Seconds of one step by stage of the paper: on a GPU by its own clock."""
+        """Seconds of one step by stage of the paper, on a GPU by its own clock."""
         self._pipeline.clock = Clock(self._ctx)
         self.step()
         seconds, self._pipeline.clock = self._pipeline.clock.read(), None
@@ -55,18 +56,18 @@ class Shaders:
 
     @property
     def megabytes(self) -> float:
-        """GPU memory of a step: the frame, what is kept between frames, and two histories."""
+        """GPU memory of a step: the frame, two histories, and the pipeline's scratch buffers."""
         arrays = [*self._layers.values(), *(2 * [a for a in vars(self._history).values() if a is not None])]
         return (sum(array.buffer.size for array in arrays) + self._pipeline.scratch.nbytes) / 1e6
 
 
 def renderer() -> str:
-    """What OpenGL runs on. Raises InputError where there is none."""
+    """Name of the device that OpenGL runs on. Raises InputError where there is no OpenGL."""
     return glsl.default_context().info["GL_RENDERER"]
 
 
 def measurable(quick: bool) -> tuple[bool, str]:
-    """Whether shaders are worth timing here, and on what, or why not. Software renderers take minutes a frame."""
+    """Whether to time shaders here; the device, or the reason why not. Software renderers take minutes per frame."""
     try:
         name = renderer()
     except InputError as error:
