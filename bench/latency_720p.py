@@ -25,9 +25,11 @@ from bench.latency.shaders import measurable
 from bench.latency.stages import STAGES, peak_bytes, staged
 from bench.latency.tables import TOTAL, plot, scaling, table
 from rtdenoise import models, ops
+from rtdenoise.frame import Frame
 from rtdenoise.run.memory import keep_freed
 
 RESULT, PAGES = RESULTS / "latency_720p.json", (DOCS / "results" / "performance.md",)
+PICTURE = DOCS / "images" / "latency_720p.png"
 SIZES = {
     "quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
     "4k": (3840, 2160),
@@ -51,7 +53,8 @@ class Options:
     quick: bool = False
     """64×36, 3 calls."""
     out: Path = RESULT
-    """JSON file; the table and the plot go beside it, .md and .png."""
+    """JSON file; its table and plot go beside it, .md and .png. The default also updates docs/results/performance.md
+    and its plot, unless --quick."""
 
 
 def main(o: Options) -> None:
@@ -70,15 +73,17 @@ def main(o: Options) -> None:
     cuda = torch.cuda.get_device_name() if torch.cuda.is_available() else "not measured: there is none"
     devices = {"torch": cuda if device == "cuda" else harness.cpu(), "cpu": harness.cpu(), "glsl": gl, "cuda": cuda}
     content = {"device": device, "measured_peaks": peaks, "rows": rows}
-    published = {"pages": PAGES, "tables": tables} if o.out == RESULT and not o.quick else {}
-    document = harness.publish(o.out, content, devices=devices, **published)
+    published = o.out == RESULT and not o.quick
+    where = {"pages": PAGES, "tables": tables} if published else {}
+    document = harness.publish(o.out, content, devices=devices, **where)
     text = "\n\n".join(filter(None, [*(table(document, size) for size in sizes), scaling(document["rows"])]))
     o.out.with_suffix(".md").write_text(text + "\n")
     print(text)
+    picture = PICTURE if published else o.out.with_suffix(".png")
     if find_spec("matplotlib"):
-        plot(document, o.out.with_suffix(".png"))
+        plot(document, picture)
     else:
-        print(f"{o.out.with_suffix('.png')}: not drawn: pip install 'rtdenoise[bench]' brings matplotlib")
+        print(f"{picture}: not drawn: pip install 'rtdenoise[bench]' brings matplotlib")
 
 
 def tables(document: dict) -> dict[str, str]:
@@ -124,7 +129,7 @@ def step(method: Method, device: str) -> None:
         synchronise(device)
 
 
-def stages(method: Method, frame, device: str, calls: int) -> dict[str, object]:
+def stages(method: Method, frame: Frame, device: str, calls: int) -> dict[str, object]:
     """Time and bytes of a torch method by stage, the arithmetic of its network, and its peak memory."""
     ledgers = []
     with ops.use(method.ops):
