@@ -17,7 +17,7 @@ from bench import DOCS, RESULTS, ROOT, harness
 from rtdenoise.evaluate.demo import METHODS, demo
 
 RESULT = RESULTS / "sample.json"
-PAGES = (ROOT / "README.md", DOCS / "reference" / "models" / "default.md", DOCS / "reference" / "models" / "paper.md")
+PAGES = (ROOT / "README.md", DOCS / "reference" / "models" / "default.md")
 SIGNALS = ("indirect", "color")
 LABELS = {
     "noisy": "noisy, 1 spp",

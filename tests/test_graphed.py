@@ -9,10 +9,8 @@ import importlib
 import inspect
 import logging
 import math
-import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest

@@ -3,7 +3,6 @@
 import copy
 import importlib
 import io
-import sys
 from pathlib import Path
 
 import numpy as np
