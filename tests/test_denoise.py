@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from rtdenoise.cli.main.main import main
 from synthetic import TINY, make_frames, with_bad_pixels, write_sequence
 
 import rtdenoise
+from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save

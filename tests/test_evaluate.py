@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rtdenoise.cli.main.main import main
 from synthetic import make_frames, write_sequence
 
 from rtdenoise import metrics
+from rtdenoise.cli.main import main
 from rtdenoise.color import display_exposure
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, evaluate, methods, uncovered

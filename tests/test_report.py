@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 from browser import Browser
-from rtdenoise.cli.main.main import main
 from synthetic import make_frames, write_sequence
 
+from rtdenoise.cli.main import main
 from rtdenoise.color import display
 from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError

@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
-from rtdenoise.cli.main.main import main
 from synthetic import make_frames, write_sequence
 
+from rtdenoise.cli.main import main
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.evaluate import uncovered
 from rtdenoise.evaluate.demo import SAMPLE, demo

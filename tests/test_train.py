@@ -80,7 +80,7 @@ def config(clips, other_clips, tmp_path, monkeypatch):
         data=(clips,),
         out=tmp_path / "run",
         val=other_clips,
-        preset="tiny",
+        model="tiny",
         steps=6,
         batch=2,
         frames=3,
@@ -253,7 +253,7 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
     assert train(config).is_file()
     with pytest.raises(InputError, match="started with optimiser = adam, not muon"):
         train(replace(config, optimiser="muon"))
-    for wrong in ("preset", "motion", "device", "signal", "optimiser"):
+    for wrong in ("model", "motion", "device", "signal", "optimiser"):
         with pytest.raises(InputError, match=f"unknown {wrong} 'x'"):
             train(replace(config, **{wrong: "x"}))
     with pytest.raises(InputError, match="steps: expected 1 or more, got 0"):
@@ -283,8 +283,8 @@ def test_training_starts_from_weights(config, tmp_path):
     again = Trainer(replace(config, init=first))
     assert all(torch.equal(a, b) for a, b in zip(again.model.parameters(), read(first).parameters(), strict=True))
     assert all(p.requires_grad for p in again.model.parameters())
-    with pytest.raises(InputError, match="does not grow into preset paper"):
-        Trainer(replace(config, init=first, preset="paper"))
+    with pytest.raises(InputError, match="does not grow into paper"):
+        Trainer(replace(config, init=first, model="paper"))
 
 
 def test_a_cut_starts_anew(config):

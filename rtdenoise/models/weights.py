@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 
 _SHIPPED = resources.files("rtdenoise") / "weights"
 
@@ -51,7 +51,8 @@ def find(model: str | Path) -> Path:
     path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in available() else Path(name)
     if not path.is_file():
         raise InputError(
-            f"no model {name!r}: expected one of {', '.join(available())} or the path of a .safetensors file"
+            f"no model {name!r}{did_you_mean(name, available())}: expected one of {', '.join(available())} or the path "
+            "of a .safetensors file"
         )
     return path
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from tyro.conf import UseAppendAction
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -17,9 +19,11 @@ class TrainConfig:
     val: Path | None = None
     """Folder of validation clips, of other scenes than the training ones."""
     init: Path | None = None
-    """Weights to start from instead of random ones: a .safetensors file of the same preset, or of a narrower one."""
-    preset: str = "paper"
-    """Model preset."""
+    """Weights to start from instead of random ones: a .safetensors file of the same network, or of a narrower one."""
+    model: str = "paper"
+    """Network: 'paper', 'fast', 'default' or 'quality'."""
+    set: UseAppendAction[tuple[str, ...]] = ()
+    """NAME=VALUE: another value for a field of the network's configuration, such as widths=32,48,64,80,96."""
     signal: str = "indirect"
     """What is denoised: 'indirect', 'color', or 'both', of which a third of the clips are color."""
     motion: str = "dual"

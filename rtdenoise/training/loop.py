@@ -190,15 +190,17 @@ def _batch(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, 
 
 def _plain(config: TrainConfig) -> dict:
     """Options as JSON holds them, without those that say where and not what."""
-    return {key: value for key, value in asdict(config).items() if key not in ELSEWHERE}
+    options = {key: value for key, value in asdict(config).items() if key not in ELSEWHERE}
+    return options | {"set": list(config.set)}
 
 
 def _same_config(config: TrainConfig, path: Path) -> None:
     """Write the options of a new run; refuse to go on with other ones. What an older run does not know of had what is
     the default now."""
-    options, defaults = _plain(config), {field.name: field.default for field in fields(TrainConfig)}
+    options, defaults = _plain(config), {field.name: field.default for field in fields(TrainConfig)} | {"set": []}
     if path.exists():
         before = json.loads(path.read_text())["options"]
+        before = {"model" if key == "preset" else key: value for key, value in before.items()}  # older runs say preset
         for key in options:
             if (was := before.get(key, defaults[key])) != options[key]:
                 raise InputError(

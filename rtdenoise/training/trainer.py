@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from ..exposure import exposure
 from ..files import write_atomically
 from ..frame import Frame
@@ -31,7 +31,7 @@ class Trainer:
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
-        wanted = replace(PRESETS[config.preset], motion=config.motion)
+        wanted = replace(PRESETS[config.model], motion=config.motion)
         self.model = (create(wanted) if config.init is None else _initial(config, wanted)).to(config.device)
         self.model.unet.to(memory_format=torch.channels_last)
         self.average = deepcopy(self.model).eval().requires_grad_(False)
@@ -120,13 +120,13 @@ def _optimisers(model: Denoiser, config: TrainConfig) -> list[torch.optim.Optimi
 
 
 def _initial(config: TrainConfig, wanted: Config) -> Denoiser:
-    """The network of the file `init`, grown to the preset. Raises InputError where it is another one, or is wider."""
+    """The network of the file `init`, grown to `model`. Raises InputError where it is another one, or is wider."""
     model = read(config.init, motion=wanted.motion)
     if model.config != wanted:
         try:
             model = grow(model, wanted)
         except ValueError as error:
-            raise InputError(f"{config.init}: its network does not grow into preset {config.preset}: {error}") from None
+            raise InputError(f"{config.init}: its network does not grow into {config.model}: {error}") from None
     return model.train().requires_grad_(True)
 
 
@@ -138,8 +138,9 @@ def check(config: TrainConfig) -> None:
     for name in ("cuts", "relight"):
         if not 0 <= getattr(config, name) <= 1:
             raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
-    if config.preset not in PRESETS:
-        raise InputError(f"unknown preset {config.preset!r}; expected one of {', '.join(PRESETS)}")
+    if config.model not in PRESETS:
+        near = did_you_mean(config.model, PRESETS)
+        raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(PRESETS)}")
     if config.signal not in ("indirect", "color", "both"):
         raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
     if config.motion not in ("dual", "traditional"):
