@@ -56,7 +56,7 @@ def test_a_published_result_says_where_it_is_from_and_updates_its_pages(tmp_path
     page, other = tmp_path / "page.md", tmp_path / "other.md"
     page.write_text("before\n<!-- a -->\nold\n<!-- /a -->\nafter\n<!-- b -->\n<!-- /b -->\n")
     other.write_text("<!-- a -->\n<!-- /a -->\n")
-    made = {"timing": harness.Timing(1.23456, 0.1, 5), "missing": float("nan")}
+    made = {"timing": harness.Timing(1.235, 0.1, 5), "ratio": 0.123456, "missing": float("nan")}
     document = harness.publish(
         tmp_path / "results" / "x.json", made, digits=3, pages=(page, other),
         tables=lambda d: {"a": f"{d['timing']['median_ms']} ms", "b": "new"},
@@ -64,9 +64,10 @@ def test_a_published_result_says_where_it_is_from_and_updates_its_pages(tmp_path
     assert document == json.loads((tmp_path / "results" / "x.json").read_text())
     assert document["command"] == "python bench/tiles.py --size 64x36"
     assert {"date", "commit", "versions"} <= document.keys() and document["devices"]["torch"] == harness.cpu()
-    assert document["timing"] == {"median_ms": 1.23, "iqr_ms": 0.1, "calls": 5} and document["missing"] is None
-    assert page.read_text() == "before\n<!-- a -->\n1.23 ms\n<!-- /a -->\nafter\n<!-- b -->\nnew\n<!-- /b -->\n"
-    assert other.read_text() == "<!-- a -->\n1.23 ms\n<!-- /a -->\n"
+    assert document["timing"] == {"median_ms": 1.235, "iqr_ms": 0.1, "calls": 5}
+    assert document["ratio"] == 0.123 and document["missing"] is None
+    assert page.read_text() == "before\n<!-- a -->\n1.235 ms\n<!-- /a -->\nafter\n<!-- b -->\nnew\n<!-- /b -->\n"
+    assert other.read_text() == "<!-- a -->\n1.235 ms\n<!-- /a -->\n"
 
 
 def test_a_section_without_a_place_is_told_after_the_others_are_updated(tmp_path):
@@ -90,5 +91,5 @@ def test_latency_without_oidn_and_matplotlib_says_how_to_get_them(tmp_path):
 
 def test_the_latency_table_is_relative_to_oidn():
     document = json.loads((RESULTS / "latency_720p.json").read_text())
-    lines = table(document, "720p").splitlines()
-    assert [line for line in lines if line.startswith("| oidn high")][0].split(" | ")[6] == "1.00× as fast"
+    (oidn,) = [line for line in table(document, "720p").splitlines() if line.startswith("| oidn high")]
+    assert oidn.split(" | ")[6] == "1.00× as fast"

@@ -28,8 +28,8 @@ def publish(
 ) -> dict:
     """Write `content` with its command, date, commit and devices to `path`, then update the sections of `pages`.
 
-    `devices`: what was measured -> the device's name; by default torch on the CPU. `digits`: significant digits of the
-    numbers; None keeps all. Timings become dictionaries. Returns the document as it stands in the file.
+    `devices`: backend -> name of its device; by default torch on the CPU. `digits`: significant digits of the numbers;
+    None keeps all. Timings become dictionaries. Returns the document as it stands in the file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     facts = origin(command_line(), devices or {"torch": cpu()})

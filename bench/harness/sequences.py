@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +11,10 @@ from torch import Tensor
 
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.evaluate import evaluate
+from rtdenoise.evaluate import Step, evaluate, outputs
 from rtdenoise.frame import Frame
 
 from .. import SAMPLE
-
-Step = Callable  # (frame, history) -> (image, history)
 
 
 def mural(signal: str, layers: tuple[str, ...] | None = None) -> list[Frame]:
@@ -34,11 +32,7 @@ def clips(folder: Path, count: int, signal: str) -> Iterator[list[Frame]]:
 @torch.inference_mode()
 def denoise(step: Step, frames: Iterable[Frame]) -> list[Tensor]:
     """The images `[1, 3, H, W]` of a sequence, each from its frame and the history of the frames before."""
-    images, history = [], None
-    for frame in frames:
-        image, history = step(frame, history)
-        images.append(image)
-    return images
+    return [output.image for output in outputs(step, frames)]
 
 
 def mean_errors(

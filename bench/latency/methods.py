@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from rtdenoise import models, ops
-from rtdenoise.baselines.oidn import _Filter
+from rtdenoise.baselines.oidn import OidnFilter, filter_inputs
 from rtdenoise.frame import Frame
 from rtdenoise.models.inference import prepare
 from rtdenoise.run.graphs import Capture, Graphed
@@ -95,17 +95,12 @@ def oidn_methods(frame: Frame, qualities: tuple[str, ...]) -> list[Method]:
     """OIDN on the frame's device: its filter alone, set up once, without the conversion of planes to pixels."""
     methods = []
     for quality in qualities:
-        images = {"color": frame.radiance, "albedo": frame.albedo, "normal": frame.normal}
-        filtering = _Filter(images, quality, clean=False)
-        if not filtering(images).isfinite().all():
+        oidn = OidnFilter(filter_inputs(frame), quality)
+        oidn.execute()
+        if not oidn.result.isfinite().all():
             sys.exit(f"oidn {quality} is wrong: its output is not finite. No times are reported.")
-        methods.append(Method(f"oidn {quality}", partial(_execute, filtering)))
+        methods.append(Method(f"oidn {quality}", oidn.execute))
     return methods
-
-
-def _execute(filtering: _Filter) -> None:
-    """The filter alone, on the images copied into it before, which live as long as `filtering` does."""
-    filtering.filter.execute()
 
 
 def has_oidn() -> bool:
