@@ -72,7 +72,8 @@ def main(options: Options) -> None:
     for seed in range(options.seeds):  # seed by seed: an interrupted bench has compared all settings once
         for setting in options.settings:
             config = TrainConfig(
-                data=options.data, out=options.runs / f"{setting}-{seed}", init=single_frames(options, setting),
+                data=options.data, out=options.runs / f"{setting}-{seed}", model="paper",
+                init=single_frames(options, setting),
                 steps=options.steps, frames=options.frames, seed=seed, **SETTINGS[setting],
             )  # fmt: skip
             row = {"setting": setting, "seed": seed, "errors": errors(train(config), clips)}
@@ -86,7 +87,7 @@ def single_frames(options: Options, setting: str) -> Path:
     network = {key: value for key, value in SETTINGS[setting].items() if key == "set"}
     out = options.runs / ("single-paper-max" if network else "single-paper")
     steps = {"steps": options.single, "frames": 1, "batch": 16}
-    return train(TrainConfig(options.data, out, occlusion_loss=False, **steps, **network))
+    return train(TrainConfig(options.data, out, model="paper", occlusion_loss=False, **steps, **network))
 
 
 def errors(weights: Path, clips: ClipDataset) -> dict[str, dict[str, float]]:

@@ -73,7 +73,7 @@ def cost(clips: ClipDataset) -> dict:
 def main(folder: tyro.conf.Positional[Path], name: tyro.conf.Positional[str]) -> None:
     torch.set_num_threads(1)
     clips, rng = ClipDataset(folder), np.random.default_rng(0)
-    trainer = Trainer(TrainConfig((folder,), folder, batch=BATCH, frames=FRAMES, size=SIZE))
+    trainer = Trainer(TrainConfig((folder,), folder, model="paper", batch=BATCH, frames=FRAMES, size=SIZE))
 
     def load() -> list:
         windows = [
