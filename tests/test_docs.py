@@ -104,6 +104,40 @@ def test_links_and_commands_of_the_documents_lead_somewhere():
             assert (ROOT / script).is_file(), f"{page.relative_to(ROOT)}: {script}"
 
 
+def resolves(name):
+    """Whether a dotted name is a module of the package, or an attribute of one, or of a class there."""
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:length]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[length:]:
+            found = getattr(found, part, None)
+        return found is not None
+    return False
+
+
+def test_names_of_the_source_that_pages_mention_exist():
+    for page in (page for page in PAGES if page.parent != BENCH):
+        text = page.read_text()
+        imports = re.findall(r"^from (rtdenoise[\w.]*) import (.+)$", text, re.M)
+        names = re.findall(r"`(rtdenoise(?:\.[a-zA-Z_]+)+)\b", text)
+        names += [f"{module}.{name}" for module, imported in imports for name in imported.split(", ")]
+        for name in names:
+            assert resolves(name), f"{page.relative_to(ROOT)}: {name}"
+        for path in re.findall(r"`((?:rtdenoise|shaders|tests|tools|examples)/[\w/.-]+)`", text):
+            assert (ROOT / path).exists(), f"{page.relative_to(ROOT)}: {path}"
+
+
+def test_pages_that_the_source_mentions_exist():
+    folders = ("rtdenoise", "bench", "tools", "shaders", "tests", "examples")
+    for path in (path for folder in folders for path in (ROOT / folder).rglob("*")):
+        if path.suffix in (".py", ".sh", ".glsl", ".c"):
+            for page in re.findall(r"\bdocs/[\w/-]+\.md", path.read_text()):
+                assert (ROOT / page).is_file(), f"{path.relative_to(ROOT)}: {page}"
+
+
 def test_every_page_is_reached_from_the_entry():
     reached, waiting = set(), [ROOT / "README.md"]
     while waiting:
