@@ -3,7 +3,7 @@
 python bench/error_vs_time.py [SEQ ...]    # the standard set, and sequences of your own
 python bench/error_vs_time.py --quick      # four frames of the bundled sequence: renders and keeps nothing
 
-Renders what is missing into data/standard, measures into out/standard (an interrupted run continues), and writes
+Renders missing sequences into data/standard, measures into out/standard (an interrupted run continues), and writes
 bench/results/error_vs_time.json and docs/results/report.{md,png}; the page with pictures stays in out/standard. No
 model was trained on these scenes. Inputs at 2, 4 and 8 samples per pixel share the references of those at 1.
 """

@@ -3,7 +3,7 @@
 python bench/files.py [--kills 50] [--frames 2000]
 
 Kills: `rtdenoise denoise` on the bundled sequence is killed (SIGKILL) after a random time and started again, `--kills`
-times. Whenever a run reaches its end its files are compared, byte by byte, with those of an undisturbed run, and the
+times. Whenever a run completes, its files are compared, byte by byte, with those of an undisturbed run, and the
 folder is emptied. Memory: a long sequence of links to the bundled frames is denoised in one process, whose resident
 memory is read after every frame.
 """

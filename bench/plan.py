@@ -93,7 +93,7 @@ def measure(backend: str, model: str, frames: list[Frame]) -> dict[str, object]:
     expected, found = everything.step(last, history)[0], planned.step(last, history)[0]
     exact = np.array_equal(expected, found)
     error = harness.check("plan", found, expected, "exact" if exact else "float32 tiles")
-    named = [what for what, count in left_out.items() if count]
+    named = [omission for omission, count in left_out.items() if count]
     timings = harness.measure(
         {"everything": lambda: everything.step(last, history), "plan": lambda: planned.step(last, history)},
         calls=CALLS[backend], warmup=1, clock=time.process_time,
@@ -197,7 +197,7 @@ def table(rows: dict) -> str:
         "|---|---|---|---|---|",
     ]
     for scene, backends in rows.items():
-        left_out = dict.fromkeys(what for row in backends.values() for what in row["left_out"])
+        left_out = dict.fromkeys(omission for row in backends.values() for omission in row["left_out"])
         error = max(row["greatest_error"] for row in backends.values())
         output = "same to the bit" if all(row["exact"] for row in backends.values()) else f"within {error:.1g}"
         ratios = [f"{backends[b]['ratio']:.2f}" if b in backends else "–" for b in CALLS]

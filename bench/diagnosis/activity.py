@@ -36,9 +36,9 @@ def main(folder: tyro.conf.Positional[Path], more: tyro.conf.Positional[tuple[Pa
         "clips": lambda signal: (frames for folder in folders for frames in harness.clips(folder, COUNT, signal)),
     }
     rows = [
-        {"model": name, "shown": what, "layers": active(name, sequences)}
+        {"model": name, "shown": label, "layers": active(name, sequences)}
         for name in available()
-        for what, sequences in shown.items()
+        for label, sequences in shown.items()
     ]
     harness.publish(RESULT, {"clips_a_folder": COUNT, "rows": rows}, digits=3, pages=PAGES, tables=tables)
 

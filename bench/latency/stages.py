@@ -56,11 +56,14 @@ def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger
 
     replaced = []
     for stage, names in STAGES.items():
-        for name in names:
+        found = [name for name in names if hasattr(model, name) or hasattr(module, name)]
+        if not found:
+            raise ValueError(f"{type(model).__name__} has none of the functions of stage '{stage}': {', '.join(names)}")
+        for name in found:
             owner = model if hasattr(model, name) else module
-            if function := getattr(owner, name, None):
-                replaced.append((owner, name, function))
-                setattr(owner, name, timed(stage, function))
+            function = getattr(owner, name)
+            replaced.append((owner, name, function))
+            setattr(owner, name, timed(stage, function))
     try:
         yield ledger
     finally:
