@@ -73,6 +73,8 @@ def test_a_model_without_a_recipe_is_refused():
 
 
 def test_the_gpu_check_needs_a_gpu(tmp_path):
+    (tmp_path / "nvidia-smi").write_text("#!/bin/sh\nexit 9\n")
+    (tmp_path / "nvidia-smi").chmod(0o755)
     result = subprocess.run(
         ["/bin/sh", ROOT / "tools" / "gpu_check.sh"],
         env={"PATH": f"{tmp_path}:/usr/bin:/bin"},
