@@ -306,7 +306,7 @@ def test_a_single_frame_is_measured_and_drawn(tmp_path):
 def test_references_that_are_not_finite_are_refused(layer, tmp_path, capsys):
     frames = make_frames(3)
     bad = getattr(frames[1], layer).clone()
-    bad[..., 2, 3], bad[:, 0, 4, 5] = math.nan, math.inf
+    bad[..., 2, 3], bad[:, 0, 4, 5] = math.nan, math.nan
     frames[1] = replace(frames[1], **{layer: bad})
     shot = write_sequence(tmp_path / "shot", frames)
     with pytest.raises(SystemExit, match="2"):
