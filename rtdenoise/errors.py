@@ -13,6 +13,6 @@ class InputError(ValueError):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """" (did you mean 'svgf'?)" where `known` holds a similar name, else "": for a message about an unknown name."""
+    """ " (did you mean 'svgf'?)" where `known` holds a similar name, else "": for a message about an unknown name."""
     near = get_close_matches(name.lower(), list(known), n=1, cutoff=0.6)
     return f" (did you mean {near[0]!r}?)" if near else ""

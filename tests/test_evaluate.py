@@ -1,4 +1,4 @@
-"""Methods, errors and times of one run, and what `rtdenoise evaluate` writes of them."""
+"""Methods, errors and times of one run, and the files that `rtdenoise evaluate` writes."""
 
 import json
 import math
@@ -349,6 +349,10 @@ def content(tmp_path_factory):
         (lambda c: c["results"].append(3), "results, 1: expected a JSON object, found 3"),
         (lambda c: c["sequences"]["shot"].pop("stills"), "sequences, shot: key 'stills' is missing"),
         (lambda c: c["methods"].clear(), "results, 0: method 'noisy' is not among 'methods'"),
+        (
+            lambda c: c["methods"]["noisy"].update(family="magic"),
+            "methods, noisy: family 'magic'; expected one of input",
+        ),
         (lambda c: c["runs"].clear(), "results, 0: run 0 is not among 'runs'"),
         (lambda c: c["results"][0].update(errors={}), "expected errors of the region 'frame'"),
     ],

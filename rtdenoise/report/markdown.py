@@ -106,7 +106,7 @@ def _readings(data: dict) -> str:
         return ""
     goal = f"To reach the PSNR of rtdenoise `{data['ours']}` at its fewest samples; ≈ is extrapolated."
     tables = [_reading(name, [row for row in rows if row["sequence"] == name]) for name in told]
-    return "\n\n".join(["## What it would take", goal, *tables])
+    return "\n\n".join(["## Equal error and equal time", goal, *tables])
 
 
 def _reading(sequence: str, rows: list[dict]) -> str:
