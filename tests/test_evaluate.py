@@ -351,7 +351,7 @@ def content(tmp_path_factory):
         (lambda c: c["methods"].clear(), "results, 0: method 'noisy' is not among 'methods'"),
         (
             lambda c: c["methods"]["noisy"].update(family="magic"),
-            "methods, noisy: family 'magic'; expected one of input",
+            "methods, noisy: family 'magic'; expected",
         ),
         (lambda c: c["runs"].clear(), "results, 0: run 0 is not among 'runs'"),
         (lambda c: c["results"][0].update(errors={}), "expected errors of the region 'frame'"),

@@ -137,8 +137,8 @@ def flip_map(image: Tensor, reference: Tensor, scale: Tensor | float, dynamic_ra
     """The perceived difference when flipping between both, `[1, 1, H, W]` in [0, 1], at 67 pixels per degree.
 
     LDR (Andersson et al. 2020) is taken on the display transform; HDR (Andersson et al. 2021) is the maximum of
-    LDR-FLIP over the exposures that FLIP derives from the reference. Raises InputError where `flip_evaluator` is not installed,
-    ValueError for another dynamic range.
+    LDR-FLIP over the exposures that FLIP derives from the reference. Raises InputError where `flip_evaluator` is not
+    installed, ValueError for another dynamic range.
     """
     if dynamic_range not in ("LDR", "HDR"):
         raise ValueError(f"expected dynamic range 'LDR' or 'HDR', got {dynamic_range!r}")
