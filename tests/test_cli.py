@@ -125,6 +125,16 @@ def test_interrupted_while_it_starts():
     assert found.stderr.count("\n") == 1
 
 
+def test_interrupted_inside_a_compiled_module(monkeypatch, capsys):
+    def interrupted(arguments):
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr(commands, "parse", interrupted)
+    with pytest.raises(SystemExit, match="130"):
+        main(["inspect", "x"])
+    assert capsys.readouterr().err.startswith("rtdenoise: interrupted")
+
+
 @pytest.mark.parametrize("command", [["--help"], ["inspect", "SHOT"], ["--version"]])
 def test_a_reader_that_has_gone_is_no_traceback(command, tmp_path):
     shot = write_sequence(tmp_path / "shot", make_frames(2))

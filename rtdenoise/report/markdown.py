@@ -18,7 +18,7 @@ def markdown(data: dict) -> str:
     run = data["runs"][-1]
     parts = [
         "# Error against run time",
-        f"{data['signal']} light, {fewest} spp, {len(data['sequences'])} sequences: "
+        f"{data['signal']} light, {fewest} spp, {_count(len(data['sequences']), 'sequence')}: "
         f"{', '.join(map(plain, data['sequences']))}. "
         f"Commit {run['commit']}, {run['date']}, {plain(', '.join(run['devices'].values()))}. "
         "`report.html` has the pictures.",
@@ -38,6 +38,10 @@ def plain(text: str) -> str:
 def write_number(metric: str, value: float | None) -> str:
     """With the digits of the metric; a dash for None."""
     return "–" if value is None else f"{value:.{METRICS[metric].digits}f}"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _in_order(groups: list[list[dict]]) -> list[list[dict]]:
