@@ -21,7 +21,8 @@ import torch
 
 from rtdenoise.baselines.oidn import Oidn
 from rtdenoise.color import display_exposure
-from rtdenoise.data.clips import SIGNALS, ClipDataset
+from rtdenoise.data.clips import ClipDataset
+from rtdenoise.data.layers import SIGNALS
 from rtdenoise.metrics.image import decibels, mse, reference_mse
 
 RESULT = harness.ROOT / "bench" / "results" / "clean.json"

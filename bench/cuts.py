@@ -19,8 +19,8 @@ import harness
 import torch
 
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.frame import Frame, History
-from rtdenoise.history import CUT, mismatch
+from rtdenoise.frame import MAX_CUT_MISMATCH, Frame, History
+from rtdenoise.history import mismatch
 
 RESULT = harness.ROOT / "bench" / "results" / "cuts.json"
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
@@ -54,7 +54,7 @@ def main(folders: list[Path]) -> None:
     document = {
         **harness.origin({"torch": harness.cpu()}),
         "clips": len(clips),
-        "used": CUT,
+        "used": MAX_CUT_MISMATCH,
         "pairs": {kind: len(values) for kind, values in found.items()},
         "mismatch": {
             kind: {"least": v.min().item(), "median": v.median().item(), "greatest": v.max().item()}

@@ -47,7 +47,7 @@ def tables(document: dict) -> dict[str, str]:
     return {
         "files": f"Killed {kills['kills']} times, after {min(at)} to {max(at)} finished frames: {same}, "
         f"{kills['refused']} runs refused. A sequence of {memory['frames']} frames: {early} of memory after a tenth of "
-        f"them, {late} at the end (`python bench/files.py`, [JSON](../bench/results/files.json))."
+        f"them, {late} at the end (`python bench/files.py`, [JSON](../../bench/results/files.json))."
     }
 
 

@@ -199,7 +199,7 @@ def _scenes(document: dict) -> list[str]:
                 f"### {name}, {signal}",
                 f"{facts['frames']} frames of {width}×{height}, {100 * facts['uncovered_share']:.1f} % uncovered; the "
                 f"references' own error: {own[0]} dB PSNR, relMSE {own[1]}.",
-                f"![noisy, OIDN, A, default, reference](images/quality/{name}-{signal}.webp)",
+                f"![noisy, OIDN, A, default, reference](../images/quality/{name}-{signal}.webp)",
                 _table(_rows(document, signal, name)),
             ]
     return parts

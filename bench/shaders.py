@@ -1,8 +1,6 @@
-"""The whole frame as compute shaders for `latency_720p.py`: one pipeline on a frame that lies on the GPU already."""
+"""The whole frame as compute shaders for `latency_720p.py`: one pipeline on a frame in GPU memory."""
 
 from __future__ import annotations
-
-from dataclasses import asdict
 
 import numpy as np
 from stages import STAGES
@@ -11,9 +9,7 @@ from rtdenoise import glsl
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame
 from rtdenoise.glsl import Clock, GpuArray, Pipeline
-from rtdenoise.glsl.designs import design
 from rtdenoise.models import Denoiser
-from rtdenoise.models.create import architecture
 
 PRECISIONS = {"glsl fp32": (False, "frame"), "glsl fp16": (True, "frame, float16 activations")}
 """Method -> whether activations are stored as float16, row of tolerances.py against torch."""
@@ -21,9 +17,9 @@ PRECISIONS = {"glsl fp32": (False, "frame"), "glsl fp16": (True, "frame, float16
 PREDICTION, KERNELS, BLENDING, REPROJECTION = STAGES
 STAGE_OF = {"features": PREDICTION, "network": PREDICTION, "kernels": KERNELS, "blend": BLENDING,
             "reprojection": REPROJECTION}  # fmt: skip
-"""Stage of the pipeline -> of the paper. The last layer of the network counts as kernel application, which it is part
-of: logits are computed where they are used. The edge kernel counts as blending here, with whose passes it runs, and as
-kernel application in torch's rows."""
+"""Stage of the pipeline -> stage of the paper. The last layer of the network counts as kernel application, because its
+logits are computed where they are used. The edge kernel runs, and counts, with blending; in torch's rows it counts as
+kernel application."""
 
 
 class Shaders:
@@ -31,7 +27,7 @@ class Shaders:
 
     def __init__(self, denoiser: Denoiser, frame: Frame, half: bool) -> None:
         tensors = {name: tensor.float().cpu().numpy() for name, tensor in denoiser.state_dict().items()}
-        self._pipeline = Pipeline(design(architecture(denoiser.config), asdict(denoiser.config)), tensors, half)
+        self._pipeline = Pipeline(denoiser.config, tensors, half)
         self._ctx = self._pipeline.ctx
         self._layers = {name: GpuArray.upload(self._ctx, t[0].cpu().numpy()) for name, t in frame.layers()}
         self._history = self._pipeline.run(self._layers)[1]
@@ -55,18 +51,19 @@ class Shaders:
 
     @property
     def megabytes(self) -> float:
-        """GPU memory of a step: the frame, what is kept between frames, and two histories."""
+        """GPU memory of a step: the frame, the buffers kept between frames, and two histories."""
         arrays = [*self._layers.values(), *(2 * [a for a in vars(self._history).values() if a is not None])]
         return (sum(array.buffer.size for array in arrays) + self._pipeline.scratch.nbytes) / 1e6
 
 
 def renderer() -> str:
-    """What OpenGL runs on. Raises InputError where there is none."""
+    """The name of OpenGL's device. Raises InputError where there is no driver."""
     return glsl.default_context().info["GL_RENDERER"]
 
 
 def measurable(quick: bool) -> tuple[bool, str]:
-    """Whether shaders are worth timing here, and on what, or why not. Software renderers take minutes a frame."""
+    """Whether to time the shaders here, and the device or the reason why not. Software renderers take minutes a
+    frame."""
     try:
         name = renderer()
     except InputError as error:

@@ -59,7 +59,7 @@ def tables(document: dict) -> dict[str, str]:
         "tiles": f"`{document['model']}` reaches {document['reach']} pixels. {small} in tiles of {equal['tile']}: "
         f"greatest error {equal['greatest_error']:.1g}. {size} in tiles of {large['tile']}: "
         f"{large['peak_memory_gb']} GB at most, {large['non_finite']} values not finite "
-        f"(`{document['command']}`, [JSON](../bench/results/tiles.json))."
+        f"(`{document['command']}`, [JSON](../../bench/results/tiles.json))."
     }
 
 

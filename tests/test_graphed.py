@@ -26,10 +26,9 @@ from rtdenoise import models, ops
 from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, Known
-from rtdenoise.models import accumulated_kpn, temporal_kpn
-from rtdenoise.models.create import architecture
+from rtdenoise.models import AccumulatedKPNConfig, TemporalKPNConfig
 from rtdenoise.models.inference import prepare
-from rtdenoise.ops import path
+from rtdenoise.ops import dispatch
 from rtdenoise.run import graphs as graphed
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.graphs import Capture, Graphed
@@ -37,8 +36,8 @@ from rtdenoise.run.tiles import step_in_windows
 from rtdenoise.sanitise import sanitise
 
 SMALL = [
-    temporal_kpn.Config(widths=(4, 4, 4, 4)),
-    accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3),
+    TemporalKPNConfig(widths=(4, 4, 4, 4)),
+    AccumulatedKPNConfig(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3),
 ]
 DEVICES = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
 
@@ -73,7 +72,7 @@ class Rehearsal:
         return [image, *history.layers().values()]
 
 
-@pytest.fixture(params=SMALL, ids=architecture)
+@pytest.fixture(params=SMALL, ids=lambda config: config.architecture)
 def denoiser(request):
     torch.manual_seed(1)
     return models.create(request.param).eval().requires_grad_(False)
@@ -374,9 +373,10 @@ def test_no_step_waits_for_the_gpu_or_copies_from_the_host(name):
 
 def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeypatch):
     """The Python around Triton's kernels, which are not launched."""
-    module, launched = importlib.import_module("rtdenoise.ops.triton"), set()
-    files = {
-        "apply_kernel": ("_forward",), "look_up": ("_warp", "_reproject"), "pyramid": ("_downsample", "_compose"),
+    launched = set()
+    kernels = {
+        "apply_kernel": "_forward", "compose": "_compose", "downsample": "_downsample", "fetch": "_fetch",
+        "reproject": "_reproject", "warp": "_warp",
     }  # fmt: skip
 
     class Kernel:
@@ -386,14 +386,13 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeyp
         def __getitem__(self, grid):
             return lambda *arguments, **named: launched.add(self.name)
 
-    for file, names in files.items():
-        for name in names:
-            monkeypatch.setattr(importlib.import_module(f"rtdenoise.ops.triton.{file}"), name, Kernel(name))
-    monkeypatch.setattr(path, "implementation", lambda _: (module, None))
+    for file, name in kernels.items():
+        monkeypatch.setattr(importlib.import_module(f"rtdenoise.ops.triton.{file}"), name, Kernel(name))
+    monkeypatch.setattr(dispatch, "backend", lambda _: ("triton", None))
     model = denoiser.to("meta")
     with capturable(), ops.use("auto"):
         every_kind_of_step(model)
-    expected = {"_forward", "_warp", "_downsample", "_compose"}
+    expected = {"_forward", "_warp", "_fetch", "_downsample", "_compose"}
     assert launched == expected | ({"_reproject"} if isinstance(denoiser, models.AccumulatedKPN) else set())
 
 

@@ -99,7 +99,7 @@ CAPTURED = ("PathTracer.color", "PathTracer.albedo", "GBufferRT.normW", "GBuffer
 )
 def test_falcor(tmp_path, pattern, names):
     sequence = open_sequence(write_falcor(tmp_path, pattern, names))
-    assert (sequence.preset.name, sequence.numbers, sequence.size) == ("falcor", (0, 1, 2, 3), (H, W))
+    assert (sequence.layout.name, sequence.numbers, sequence.size) == ("falcor", (0, 1, 2, 3), (H, W))
     frame, b = sequence[2], buffers(2)
     b["linear_z"][0, 0] = 0
     for layer, image in {"radiance": b["color"], "albedo": b["albedo"], "normal": b["normal"],
@@ -135,7 +135,7 @@ def test_a_glob_picks_frames_by_any_file(tmp_path):
     sequence = open_sequence(str(folder / "color_000[12].exr"))
     assert sequence.numbers == (1, 2) and sequence[0].albedo is not None
     write_layers(folder / "frame.0007.exr", {"color": np.ones((H, W, 3))})
-    assert open_sequence(folder / "frame.0007.exr").preset.name == "native"
+    assert open_sequence(folder / "frame.0007.exr").layout.name == "native"
     write(folder / "sub" / "Other.color.3.exr", np.ones((H, W, 3)))
     write(folder / "sub" / "Mogwai.color.3.exr", np.ones((H, W, 3)))
     assert message(open_sequence, folder / "sub", preset="falcor").startswith(
@@ -152,7 +152,7 @@ def test_a_glob_picks_frames_by_any_file(tmp_path):
 
 def test_bmfr(tmp_path):
     sequence = open_sequence(write_bmfr(tmp_path))
-    assert sequence.preset.name == "bmfr" and sequence.demodulated
+    assert sequence.layout.name == "bmfr" and sequence.demodulated
     assert sequence.require("depth", "motion", "motion_next") is sequence
     frame, b = sequence[1], buffers(1)
     assert is_close(frame.radiance, np.full((H, W, 3), 2.0), 1e-5) and is_close(frame.albedo, b["albedo"])
@@ -193,7 +193,7 @@ def test_bmfr_cameras_that_do_not_fit(tmp_path):
 
 def test_oidn_takes_the_lowest_number_of_samples(tmp_path):
     sequence = open_sequence(write_oidn(tmp_path), layers=["reference"])
-    assert (sequence.preset.name, sequence.numbers) == ("oidn", (0, 1, 2, 3))
+    assert (sequence.layout.name, sequence.numbers) == ("oidn", (0, 1, 2, 3))
     frame, b = sequence[3], buffers(3)
     for layer, image in {"radiance": b["color"], "albedo": b["albedo"], "normal": b["normal"],
                          "reference": b["color"] * 100}.items():  # fmt: skip
@@ -257,7 +257,7 @@ def write_tracer(folder):
 def test_a_preset_file(tmp_path):
     write_tracer(tmp_path)
     sequence = open_sequence(tmp_path, preset=str(tmp_path / "tracer.toml"))
-    assert (sequence.preset.name, sequence.numbers, sequence.demodulated) == ("tracer", (0, 1, 2, 3), False)
+    assert (sequence.layout.name, sequence.numbers, sequence.demodulated) == ("tracer", (0, 1, 2, 3), False)
     frame, b = sequence[2], buffers(2)
     b["depth"][:2] = 0
     for layer, image in {"radiance": b["color"], "albedo": b["albedo"], "normal": b["normal"], "depth": b["depth"],

@@ -128,8 +128,8 @@ def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
     kinds = [s.scene.partition(":") for s in importlib.import_module("standard").SEQUENCES.values()]
     assert {kind for kind, _, _ in kinds} == {"sample", "wide"}  # the sample's is drawn by no generator
     assert all(int(seed) in HELD_OUT for kind, _, seed in kinds if kind == "wide")
-    # Scene files that docs/quality.md is measured on are left out unless asked for.
-    files = re.search(r"data/standard/{(.*?)}", (ROOT / "docs" / "quality.md").read_text())[1].split(",")
+    # Scene files that docs/results/quality.md is measured on are left out unless asked for.
+    files = re.search(r"data/standard/{(.*?)}", (ROOT / "docs" / "results" / "quality.md").read_text())[1].split(",")
     for name in (*files, "hall"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "scene.xml").write_text(ROOM)
@@ -406,7 +406,7 @@ def test_two_runs_into_one_folder(tmp_path, capsys):
     with only_run(tmp_path, "0-of-1"), pytest.raises(SystemExit) as stop:
         main(["render", "--preset", "train", "--clips", "1", "--size", "32", "--out", str(tmp_path)])
     assert stop.value.code == 2
-    assert "another run is rendering into this folder" in capsys.readouterr().err
+    assert "another run is writing there" in capsys.readouterr().err
     with only_run(tmp_path, "0-of-1"):
         pass
 

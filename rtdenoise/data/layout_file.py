@@ -1,4 +1,4 @@
-"""Presets of one's own, from a TOML file: which channels, of which files, make each layer.
+"""Layouts of one's own, from a TOML file: the channels, and files, that make each layer.
 
     name = "tracer"
     demodulated = ["indirect"]           # signals that are already divided by the albedo
@@ -15,7 +15,7 @@
 
     [depth]
     channels = ["Z"]
-    miss = 1e9                           # from this distance on, nothing was hit
+    miss = 1e9                           # nothing was hit from this distance on
     file = "depth/{frame}.exr"
 
 Layers are those of the native layout. There is no `radiance`: a file has `color`, `indirect` or both.
@@ -28,16 +28,15 @@ import tomllib
 from pathlib import Path
 
 from ..errors import InputError
-from ..frame import CHANNELS
-from .rules import SCALES, SIGNALS, Preset, Rule
+from .layers import LAYERS, OLD_NAMES, SIGNALS
+from .layout import SCALES, Layout, Rule
 
-COUNTS = {name: CHANNELS[layer] for signal in SIGNALS.values() for layer, names in signal.items() for name in names}
-COUNTS |= {layer: count for layer, count in CHANNELS.items() if layer not in ("radiance", "reference_half")}
+COUNTS = {name: layer.channels for name, layer in LAYERS.items()} | {"indirect_albedo": 3}
 KEYS = ("channels", "signs", "scale", "miss", "file")
 
 
-def read_preset(path: Path) -> Preset:
-    """Read and check a preset. Raises `InputError`, on one line, for whatever does not fit."""
+def read_layout(path: Path) -> Layout:
+    """Read and check a layout file. Raises `InputError`, on one line, for whatever does not fit."""
     try:
         document = tomllib.loads(path.read_text())
     except OSError as error:
@@ -50,14 +49,15 @@ def read_preset(path: Path) -> Preset:
         raise InputError(f"{path}: name is {name!r}, expected a string")
     if not isinstance(demodulated, list) or not all(signal in SIGNALS for signal in demodulated):
         raise InputError(f"{path}: demodulated is {demodulated!r}, expected a list of {', '.join(SIGNALS)}")
-    layers = {layer: _layer(path, layer, table) for layer, table in document.items()}
+    tables = {OLD_NAMES.get(layer, layer): table for layer, table in document.items()}
+    layers = {layer: _rule(path, layer, table) for layer, table in tables.items()}
     if not layers.keys() & SIGNALS.keys():
         raise InputError(f"{path}: describes no signal; expected a table [color] or [indirect]")
-    files = {layer: table["file"] for layer, table in document.items() if "file" in table}
+    files = {layer: table["file"] for layer, table in tables.items() if "file" in table}
     if files and (without := [layer for layer in layers if layer not in files]):
         raise InputError(f"{path}: [{without[0]}] has no 'file', [{next(iter(files))}] has one; give all layers a "
                          "file, or none where one file holds all of them")  # fmt: skip
-    return Preset(
+    return Layout(
         name,
         {layer: (_prefixed(rule, layer) if files else rule,) for layer, rule in layers.items()},
         demodulated=frozenset(demodulated),
@@ -65,7 +65,7 @@ def read_preset(path: Path) -> Preset:
     )
 
 
-def _layer(path: Path, layer: str, table: object) -> Rule:
+def _rule(path: Path, layer: str, table: object) -> Rule:
     label = f"{path}: [{layer}]"
     if layer not in COUNTS:
         raise InputError(f"{path}: unknown layer '{layer}'{_near(layer, COUNTS)}; known are {', '.join(COUNTS)}")

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from .. import motion
+from ..data import scene_motion
 from ..errors import InputError
 from ..files import write_atomically
 from .scenes.scene import Scene
@@ -58,8 +59,9 @@ def describe_frame(scene: Scene, number: int, size: tuple[int, int]) -> dict:
 
 
 def motion_between(position: np.ndarray, id: np.ndarray, frame_i: dict, frame_j: dict) -> np.ndarray:
-    """`rtdenoise.motion.motion_between` from frame i to frame j for one image: [H, W, 3], [H, W, 1] to [H, W, 2]."""
-    return _array(motion.motion_between(_tensor(position), _tensor(id), frame_i, frame_j))
+    """`scene_motion.motion_between` from frame i to frame j for one image: [H, W, 3], [H, W, 1] to [H, W, 2]."""
+    planes = scene_motion.motion_between(np.moveaxis(position, 2, 0), np.moveaxis(id, 2, 0), frame_i, frame_j)
+    return np.ascontiguousarray(np.moveaxis(planes, 0, 2))
 
 
 def uncovered(motion_now: np.ndarray, previous_motion_next: np.ndarray, threshold: float = 1.0) -> np.ndarray:

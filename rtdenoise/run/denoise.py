@@ -3,11 +3,11 @@ stopped, finished ones where frames have been appended."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
+import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +16,8 @@ from ..data.output import check_output, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
-from ..files import dumps, write_atomically
-from ..frame import CUT
+from ..files import dumps, lock, remove_unfinished, write_atomically
+from ..frame import MAX_CUT_MISMATCH
 from ..models.weights import find
 from ..sanitise import faults
 from .backends import Backend, open_backend
@@ -25,13 +25,7 @@ from .backends import Backend, open_backend
 if TYPE_CHECKING:
     from .plan import Plan
 
-try:
-    import fcntl
-except ImportError:  # Windows: two runs on one folder are not kept apart
-    fcntl = None
-
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
-LOCK = ".rtdenoise-lock"  # held while a run writes there
 SUMMARY = "denoise.json"
 EXAMINED = 3  # frames that the plan looks at
 
@@ -109,7 +103,8 @@ def denoise(
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision)
     out = _prepare(Path(out), sequence)
-    with _locked(out):
+    with lock(out):
+        remove_unfinished(out)
         return _run(sequence, out, options, backend, overwrite, on_frame)
 
 
@@ -143,7 +138,7 @@ def _run(
             history = None
         started = time.perf_counter()
         prepared = backend.prepare(frame)
-        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > CUT:
+        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             summary.cuts.append(frame.number)
             history = None
         image, history = backend.step(prepared, history)
@@ -155,22 +150,6 @@ def _run(
         on_frame(i + 1, len(sequence))
     _write_summary(out / SUMMARY, sequence, options, summary)
     return summary
-
-
-@contextlib.contextmanager
-def _locked(out: Path) -> Iterator[None]:
-    """One run at a time; the system lets go of the lock however a run ends."""
-    if fcntl is None:
-        yield
-        return
-    with (out / LOCK).open("a") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"{out}: another run is writing there; wait for it, or choose another --out") from None
-        for abandoned in out.glob(".*.tmp"):  # by a run that was killed
-            abandoned.unlink()
-        yield
 
 
 def _write_summary(path: Path, sequence: Sequence, options: Options, summary: Summary) -> None:
@@ -188,9 +167,7 @@ def _prepare(out: Path, sequence: Sequence) -> Path:
         raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
     try:
         out.mkdir(parents=True, exist_ok=True)
-        probe = out / ".rtdenoise-probe"
-        probe.touch()
-        probe.unlink()
+        tempfile.TemporaryFile(dir=out).close()
     except OSError as error:
         raise InputError(f"{out}: cannot write there: {error.strerror}") from None
     return out
@@ -203,7 +180,7 @@ def _inputs(sequence: Sequence) -> list[Path]:
 def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
     parts = {name: getattr(options, name) for name in DECISIVE}
-    parts["layers"] = [repr(sequence.rules), repr(sequence.preset)]  # a preset of one's own may have been mended
+    parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}

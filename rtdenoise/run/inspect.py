@@ -101,11 +101,11 @@ def inspect(
         numbers=(sequence.numbers[0], sequence.numbers[-1]),
         gaps=sequence.gaps,
         size=sequence.size,
-        preset=sequence.preset.name,
+        preset=sequence.layout.name,
         signal=signal,
         demodulated=sequence.demodulated,
         layers=_layers(sequence),
-        missing={layer: sequence.preset.hint(layer, signal) for layer in absent},
+        missing={layer: sequence.layout.hint(layer, signal) for layer in absent},
         computed=computed,
         ignored=tuple(name for name in sequence.header.channels if name not in fed),
         dual_motion=_dual_source(present, computed),
@@ -171,7 +171,7 @@ def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
     if "motion_next" in present:
         return "exact, from motion_next" + (" (computed)" if "motion_next" in computed else "")
     if "depth" in present:
-        return "approximate: motion_next is missing and is splatted from motion and depth (docs/motion.md)"
+        return "approximate: motion_next is missing and is splatted from motion and depth (docs/use/motion.md)"
     return "none: without motion_next and depth, history follows traditional motion"
 
 
