@@ -78,9 +78,9 @@ def test_settings_of_a_network_are_collected():
     ("old", "new"),
     [
         ("train --data c --out r --preset fast", "rtdenoise train --data c --out r --model fast"),
-        ("train --data c --out r --preset=fast", "rtdenoise train --data c --out r --model=fast"),
-        ("render --clips 3 --out c", "rtdenoise clips --out DIR"),
-        ("render --preset train --out c", "rtdenoise clips --out DIR"),
+        ("train --data c --out r --preset=fast", "rtdenoise train --data c --out r --model fast"),
+        ("render --clips 3 --out c", "rtdenoise clips --count 3 --out c --generator 1"),
+        ("render --preset train --clips=3 --out c", "rtdenoise clips --count 3 --out c"),
     ],
 )
 def test_an_old_spelling_is_answered_with_the_new_one(old, new, capsys):
