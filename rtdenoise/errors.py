@@ -1,6 +1,9 @@
-"""The one exception that is for the user, not for the programmer."""
+"""The one exception that is for the user, not for the programmer, and the parts that its messages share."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
 
 
 class InputError(ValueError):
@@ -18,3 +21,9 @@ class InputError(ValueError):
 def printable(text: str) -> str:
     """The text with `\\n`, `\\x1b` and so on for characters that would not show, or would steer a terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """ " (did you mean 'svgf'?)" where `known` holds a similar name, else "": for a message about an unknown name."""
+    near = get_close_matches(name.lower(), list(known), n=1, cutoff=0.6)
+    return f" (did you mean {near[0]!r}?)" if near else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from .constants import DEPTH_TOLERANCE, MIN_NORMAL_COSINE
 from .frame import OCCLUSION_THRESHOLD, Frame
 from .ops import alike, fetch
 
@@ -59,8 +60,8 @@ def same_surface(
     depth_previous: Tensor,  # [B, 1, H, W] of the previous frame, not yet reprojected
     normal_previous: Tensor,  # [B, 3, H, W]
     motion: Tensor,  # [B, 2, H, W] the motion that history is fetched with
-    depth_tolerance: float = 0.1,
-    normal_tolerance: float = 0.5,
+    depth_tolerance: float = DEPTH_TOLERANCE,
+    normal_tolerance: float = MIN_NORMAL_COSINE,
 ) -> Tensor:  # [B, 1, H, W] bool
     """Whether history was fetched from a surface like the one that is here now (the geometric part of history
     validity): `ops.alike`, both looked up at the nearest pixel."""

@@ -9,9 +9,9 @@ import torch
 from rtdenoise.data.clips import clip_path, write_clip
 from rtdenoise.data.exr import write_layers
 from rtdenoise.frame import Frame
-from rtdenoise.models.temporal_kpn import Config
+from rtdenoise.models.config import TemporalKPNConfig
 
-TINY = Config(widths=(4, 4, 4, 4))  # a network that runs in no time
+TINY = TemporalKPNConfig(widths=(4, 4, 4, 4))  # a network that runs in no time
 
 
 def make_frames(count=4, H=24, W=32, seed=0, noise=1.0):

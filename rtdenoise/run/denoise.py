@@ -17,7 +17,7 @@ from ..data.sequences import Sequence, open_sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
 from ..files import dumps, lock, remove_unfinished, write_atomically
-from ..frame import CUT
+from ..frame import MAX_CUT_MISMATCH
 from ..models.weights import find
 from ..sanitise import faults
 from .backends import Backend, open_backend
@@ -62,6 +62,9 @@ class Options:
     precision: str = "auto"
     """Of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl: of what it stores), or 'auto' (torch: bf16 where the
     hardware is faster in it; glsl: fp32)."""
+
+
+DECISIVE = tuple(f.name for f in fields(Options) if f.name not in ("backend", "device"))  # that changes the files
 
 
 @dataclass
@@ -114,9 +117,11 @@ def _run(
     on_frame: Callable[[int, int], None],
 ) -> Summary:
     fingerprints = _fingerprints(sequence, options)
-    done, history, summary = (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend)
+    done, history, summary = (
+        (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend, options)
+    )
     if not done:  # so that the next run knows the first frame for its own
-        _save_state(out / STATE, {}, 0, fingerprints[0], summary)
+        _save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps = done, list(sequence.gaps)
     if options.plan:
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
@@ -133,14 +138,14 @@ def _run(
             history = None
         started = time.perf_counter()
         prepared = backend.prepare(frame)
-        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > CUT:
+        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             summary.cuts.append(frame.number)
             history = None
         image, history = backend.step(prepared, history)
         summary.seconds += time.perf_counter() - started
         write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
                     keep=options.keep, float32=options.float32)  # fmt: skip
-        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary)
+        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options)
         summary.written += 1
         on_frame(i + 1, len(sequence))
     _write_summary(out / SUMMARY, sequence, options, summary)
@@ -169,7 +174,7 @@ def _prepare(out: Path, sequence: Sequence, options: Options) -> Path:
 
 def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
-    parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name not in ("backend", "device")}
+    parts = {name: getattr(options, name) for name in DECISIVE}
     parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
     scene = sequence.scene or {}
@@ -185,7 +190,9 @@ def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
     return fingerprints
 
 
-def _resume(out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend) -> tuple[int, Any, Summary]:
+def _resume(
+    out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend, options: Options
+) -> tuple[int, Any, Summary]:
     """How many frames are finished, the history after them, and what there was to say about them."""
     if not (out / STATE).exists():
         clash = [name for name in sequence.names if (out / name).exists()]
@@ -203,14 +210,22 @@ def _resume(out: Path, sequence: Sequence, fingerprints: list[str], backend: Bac
     if not done:  # whatever is there is of a run that did not come as far as its second frame
         return 0, None, Summary()
     if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
-        raise InputError(
-            f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"
-        )
+        other = _changed(json.loads(metadata.get("options", "{}")), options)
+        raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
     if any(not (out / name).exists() for name in sequence.names[:done]):
         return 0, None, Summary()
     return done, history, Summary(**so_far)
 
 
-def _save_state(path: Path, history: dict, done: int, fingerprint: str, summary: Summary) -> None:
+def _changed(before: dict, options: Options) -> str:
+    """The options that differ, in words; states of older runs do not record them."""
+    now = json.loads(json.dumps(asdict(options)))  # tuples become lists, as in `before`
+    changed = [key for key in DECISIVE if key in before and before[key] != now[key]]
+    told = ", ".join(f"{key.replace('_', '-')} {before[key]}, now {now[key]}" for key in changed)
+    return f"other options: {told}" if told else "other options or input"
+
+
+def _save_state(path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options) -> None:
     so_far = {"replaced": summary.replaced, "cuts": summary.cuts, "left_out": summary.left_out}
-    write_history(path, history, {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far)})
+    metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far)}
+    write_history(path, history, metadata | {"options": json.dumps(asdict(options))})

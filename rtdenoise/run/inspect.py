@@ -172,7 +172,7 @@ def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
     if "motion_next" in present:
         return "exact, from motion_next" + (" (computed)" if "motion_next" in computed else "")
     if "depth" in present:
-        return "approximate: motion_next is missing and is splatted from motion and depth (docs/motion.md)"
+        return "approximate: motion_next is missing and is splatted from motion and depth (docs/use/motion.md)"
     return "none: without motion_next and depth, history follows traditional motion"
 
 

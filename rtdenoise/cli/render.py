@@ -1,0 +1,51 @@
+"""`rtdenoise render`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render a sequence with Mitsuba 3: noisy frames, features, exact motion both ways, references."""
+
+    scene: Positional[str]
+    """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', or a Mitsuba scene file (.xml)."""
+    out: Path
+    """Folder for the frames; frames that it holds already are kept."""
+    motion: Path | None = None
+    """TOML file that moves camera and objects of a scene file."""
+    textures: Path | None = None
+    """With wide:SEED: folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""
+    frames: int = 12
+    """Frames of the sequence."""
+    size: int | None = None
+    """Pixels: width and height, unless those are given."""
+    width: int | None = None
+    """Pixels (default: 320)."""
+    height: int | None = None
+    """Pixels (default: 180)."""
+    spp: int = 1
+    """Samples per pixel of the noisy frames."""
+    reference_spp: int = 256
+    """Samples per pixel of the references; 0 renders none."""
+    max_depth: int = 6
+    """Longest light path, in edges."""
+    seed: int = 0
+    """Of the noise."""
+
+    def run(self) -> None:
+        for name in ("frames", "width", "height", "size", "spp", "max_depth"):
+            if (value := getattr(self, name)) is not None and value < 1:
+                raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
+        from ..render.draw import open_scene
+        from ..render.frames import RenderOptions, render_sequence
+
+        size = (self.height or self.size or 180, self.width or self.size or 320)
+        options = RenderOptions(size, self.spp, self.reference_spp, self.max_depth, self.seed)
+        render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames, options)
