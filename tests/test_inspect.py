@@ -229,7 +229,7 @@ def test_the_facts(tmp_path):
     json.dumps(asdict(found))
 
     text = render_text(found)
-    assert "4 files, 110×72, numbers 1 to 6; 2 missing: 4, 5" in text and "native; signal color" in text
+    assert "4 files, 110×72, numbers 1 to 6; 2 missing: 4 to 5" in text and "native; signal color" in text
     assert (
         "radiance: NaN or Inf (1), motion: NaN or Inf (5)" in text
         and "extra.V" in text
