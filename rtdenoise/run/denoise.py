@@ -203,18 +203,27 @@ def _resume(
         return 0, None, Summary()
     try:
         stored, metadata = read_history(out / STATE)
-        done, so_far = int(metadata["done"]), json.loads(metadata["so_far"])
+        done, summary = int(metadata["done"]), _counts(json.loads(metadata["so_far"]))
+        before = dict(json.loads(metadata.get("options", "{}")))
         history = backend.restore(stored) if stored else None
-    except (InputError, KeyError, ValueError) as error:
+    except (InputError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
-    if not done:  # whatever is there is of a run that did not come as far as its second frame
+    if done <= 0:  # whatever is there is of a run that did not come as far as its second frame
         return 0, None, Summary()
     if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
-        other = _changed(json.loads(metadata.get("options", "{}")), options)
+        other = _changed(before, options)
         raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
     if any(not (out / name).exists() for name in sequence.names[:done]):
         return 0, None, Summary()
-    return done, history, Summary(**so_far)
+    return done, history, summary
+
+
+def _counts(so_far: dict) -> Summary:
+    """The summary of an earlier run, from its saved state. Raises ValueError and others where it is not one's."""
+    summary = Summary(**{key: so_far[key] for key in ("replaced", "cuts", "left_out")})
+    if not all(type(n) is int for n in (*summary.replaced.values(), *summary.cuts, *summary.left_out.values())):
+        raise ValueError("counts that are no integers")
+    return summary
 
 
 def _changed(before: dict, options: Options) -> str:
