@@ -13,9 +13,11 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from ..errors import InputError
 from ..run.denoise import Options
+from .clips import Clips
 from .evaluate import Evaluate, Report
 from .progress import progress_bar
-from .training import Clean, Render, Train
+from .render import Render, refuse_old_spelling
+from .training import Clean, Train
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,7 @@ Command = (
     Annotated[Denoise, tyro.conf.subcommand("denoise")]
     | Annotated[Inspect, tyro.conf.subcommand("inspect")]
     | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[Clips, tyro.conf.subcommand("clips")]
     | Annotated[Clean, tyro.conf.subcommand("clean")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
@@ -119,10 +122,11 @@ Command = (
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of `rtdenoise`. Exit codes: 0 done, 2 something is wrong with the input (one line on stderr), 130
     interrupted."""
-    command = tyro.cli(
-        Command, args=arguments, prog="rtdenoise", description="Real-time denoising of path-traced animations."
-    )
     try:
+        refuse_old_spelling(sys.argv[1:] if arguments is None else arguments)
+        command = tyro.cli(
+            Command, args=arguments, prog="rtdenoise", description="Real-time denoising of path-traced animations."
+        )
         command.run()
     except InputError as error:
         print(f"rtdenoise: {error}", file=sys.stderr)

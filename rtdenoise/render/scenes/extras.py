@@ -1,4 +1,4 @@
-"""Objects that are dropped into a scene file: simple shapes, placed where nothing is in their way."""
+"""Objects added to a scene file: simple shapes, placed where nothing is in their way."""
 
 from __future__ import annotations
 

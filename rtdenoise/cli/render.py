@@ -1,0 +1,74 @@
+"""`rtdenoise render`: one sequence of EXR files."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render one sequence with Mitsuba 3: noisy frames, features, exact motion both ways, references."""
+
+    out: Path
+    """Folder for the frames; existing ones are kept."""
+    scene: Positional[str] = ""
+    """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', or a Mitsuba scene file (.xml)."""
+    motion: Path | None = None
+    """TOML file that moves camera and objects of a scene file."""
+    textures: Path | None = None
+    """With wide:SEED: folder of PNG, JPEG or WebP pictures that some surfaces get as textures."""
+    frames: int = 12
+    """Frames of the sequence."""
+    size: int | None = None
+    """Pixels: width and height, unless those are given."""
+    width: int | None = None
+    """Pixels (default: 320)."""
+    height: int | None = None
+    """Pixels (default: 180)."""
+    spp: int = 1
+    """Samples per pixel of the noisy frames."""
+    reference_spp: int = 256
+    """Samples per pixel of the references; 0: no references."""
+    max_depth: int = 6
+    """Longest light path, in edges."""
+    seed: int = 0
+    """Of the noise; scenes have seeds of their own."""
+
+    def run(self) -> None:
+        if not self.scene:
+            raise InputError("nothing to render: name a scene; training sets are rendered by `rtdenoise clips`")
+        at_least_one(self, "frames", "width", "height", "size", "spp", "max_depth")
+        from ..render.frames import RenderOptions
+        from ..render.scenes.named import open_scene
+        from ..render.sequence import render_sequence
+
+        size = (self.height or self.size or 180, self.width or self.size or 320)
+        options = RenderOptions(size, self.spp, self.reference_spp, self.max_depth, self.seed)
+        render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames, options)
+
+
+def refuse_old_spelling(arguments: list[str]) -> None:
+    """Raise InputError with the new command where `render` is asked for training clips, as older versions were."""
+    command, *options = [part for argument in arguments for part in argument.split("=", 1)] or [""]
+    if command != "render" or not {"--clips", "--preset"} & set(options):
+        return
+    if "--preset" in options:
+        at = options.index("--preset")
+        del options[at : at + 2]
+    else:
+        options += ["--generator", "1"]
+    options = ["--count" if option == "--clips" else option for option in options]
+    raise InputError(f"training clips have a command of their own: rtdenoise clips {shlex.join(options)}")
+
+
+def at_least_one(command: object, *names: str) -> None:
+    """Raise InputError where one of these options is given and below 1."""
+    for name in names:
+        if (value := getattr(command, name)) is not None and value < 1:
+            raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
