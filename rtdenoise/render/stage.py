@@ -1,4 +1,4 @@
-"""Scenes as Mitsuba 3 has them. Mitsuba is imported inside functions: without it this module still imports."""
+"""Load a scene into Mitsuba 3. Mitsuba is imported inside functions: without it this module still imports."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ def start_mitsuba(threads: int | None = None):
         import drjit as dr
         import mitsuba as mi
     except ImportError as error:
-        raise InputError("rendering needs Mitsuba 3, which is missing: pip install 'rtdenoise[render]'") from error
+        raise InputError(
+            "rendering needs Mitsuba 3, which is not installed: pip install 'rtdenoise[render]'"
+        ) from error
     if mi.variant() is None:
         if dr.has_backend(dr.JitBackend.CUDA):
             mi.set_variant("cuda_ad_rgb")
@@ -56,17 +58,17 @@ class Stage:
         import drjit as dr
 
         self.scene, self.exposure, self.time = scene, scene.exposure, None
-        # One BSDF of every kind lives as long as the stage: the kernels then contain the same kinds for all scenes, and
-        # are found in the cache.
+        # One BSDF of every kind lives as long as the stage: kernels then contain the same kinds for all scenes and are
+        # found in the cache.
         grey = np.full((4, 4, 3), 0.5, np.float32)
-        self._ballast = [_bsdf(mi, Material(grey, kind)) for kind in ("diffuse", "plastic", "metal", "glass")]
+        self._all_kinds = [_bsdf(mi, Material(grey, kind)) for kind in ("diffuse", "plastic", "metal", "glass")]
         self.mitsuba = _build(mi, scene)
         owner = {name: o for o in scene.objects for name in (o.shapes or (f"object_{o.id}",))}
         moving = {name: o for name, o in owner.items() if o.motion is not None}
 
         # A ray reports Mitsuba's registry id of the shape, which changes with every load.
         numbers = {dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]: s.id() for s in self.mitsuba.shapes()}
-        table = np.zeros(max(1 << 12, max(numbers) + 1), np.uint32)  # mostly of one size, for the kernel cache
+        table = np.zeros(max(1 << 12, max(numbers) + 1), np.uint32)  # mostly the same size, for the kernel cache
         for number, name in numbers.items():
             table[number] = owner[name].id
         self.object_ids = mi.UInt32(table)
@@ -96,12 +98,12 @@ class Stage:
 
 
 def load_file(path: Path):
-    """The Mitsuba scene of an XML file, its shapes unmerged: merged ones would lose their ids."""
+    """The Mitsuba scene of an XML file with unmerged shapes: merging would lose their ids."""
     mi = start_mitsuba()
     import drjit as dr
 
     threads = dr.thread_count()
-    dr.set_thread_count(max(threads, 2))  # with one thread Mitsuba 3.9 waits for itself on some files, parallel or not
+    dr.set_thread_count(max(threads, 2))  # with one thread Mitsuba 3.9 deadlocks on some files, `parallel` or not
     try:
         return mi.load_file(str(path), optimize=False)
     except RuntimeError as error:
@@ -111,14 +113,14 @@ def load_file(path: Path):
 
 
 def _last_line(message: str) -> str:
-    """Of Mitsuba's nested messages the innermost, with the list that it may end in, as one line."""
+    """The innermost of Mitsuba's nested messages, with the list that may follow it, as one line."""
     lines = message.strip().splitlines()
     start = max(i for i, line in enumerate(lines) if not line.lstrip().startswith("-") or i == 0)
     return " ".join(line.strip() for line in lines[start:])
 
 
 def _build(mi, scene: Scene):
-    """The scene of the file, if there is one, and the objects, lights and sky that come to it."""
+    """The scene of the file, if there is one, with the scene's own objects, lights and sky added."""
     made = {f"object_{o.id}": _shape(mi, o) for o in scene.objects if o.mesh is not None}
     if scene.file and not made and scene.sky is None and not scene.spots and scene.sun is None:
         return load_file(scene.file)
@@ -142,9 +144,9 @@ def _build(mi, scene: Scene):
 
 
 def _contents(mi, loaded) -> dict:
-    """Shapes, sensors and those emitters of a loaded scene that are not part of a shape, for a scene of one's own."""
+    """Shapes, sensors and emitters (but those of a shape) of a loaded scene, as parts of a new one."""
     emitters = [e for e in loaded.emitters() if not mi.has_flag(e.flags(), mi.EmitterFlags.Surface)]
-    shapes = {shape.id(): shape for shape in loaded.shapes()}  # Mitsuba takes the keys for ids
+    shapes = {shape.id(): shape for shape in loaded.shapes()}  # Mitsuba uses the keys as ids
     return shapes | {f"part {i}": part for i, part in enumerate([*loaded.sensors(), *emitters])}
 
 

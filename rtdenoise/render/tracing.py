@@ -65,12 +65,12 @@ def trace(scene, sampler, ray, max_depth):
 
 
 def _finite(radiance):
-    """A path that went wrong numerically contributes nothing."""
+    """Paths with numerical errors contribute nothing."""
     return dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
 
 
 def first_hit(scene, ray, sampler, object_ids):
-    """What the primary rays see: position, shading normal, distance, albedo, object id, and the emission at the hit.
+    """Features of the primary rays' hits: position, shading normal, distance, albedo, object id, emission.
 
     `object_ids` maps Mitsuba's shape registry ids to ours. Albedo is the diffuse reflectance where there is a diffuse
     lobe, 1 for glass, and the specular reflectance for metals (where it has no name, the weight of one BSDF sample,

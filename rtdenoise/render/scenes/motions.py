@@ -1,4 +1,4 @@
-"""How objects and cameras move: time in frames → 4×4 matrices. Plain data: a motion can be written down in a file.
+"""Motions of objects and cameras: time in frames → 4×4 matrices. Plain data, so that a file can hold a motion.
 
 World space is right-handed with +y up. Angles are in degrees, speeds in units (or degrees) per frame.
 """
@@ -35,9 +35,9 @@ class Keyframes:
     """Values at given frames, straight lines between them."""
 
     frames: tuple[float, ...]  # ascending
-    values: tuple[tuple[float, ...], ...]  # one of the same length for every frame
-    hold: bool = False  # the first and last value also hold before and after; otherwise that is undefined
-    name: str = "motion"  # what is moved, for messages
+    values: tuple[tuple[float, ...], ...]  # one for every frame, all of one length
+    hold: bool = False  # hold the first and last value before and after; otherwise those frames are undefined
+    name: str = "motion"  # of the moving object, for messages
 
     def __call__(self, t: float) -> np.ndarray:
         """The value at frame t. Raises InputError where it is undefined."""
@@ -85,7 +85,7 @@ class Camera:
 
     to_world: np.ndarray  # [4, 4]; columns: right, down, forward, origin
     fov: float  # horizontal field of view, of the whole picture
-    shot: int = 0  # between frames of different shots there is a cut: no motion leads from one to the other
+    shot: int = 0  # between frames of different shots lies a cut, which no motion crosses
     window: tuple[int, int, int, int] | None = None  # the image is a part of a picture: (its height, width, top, left)
 
     def _pinhole(self, size: tuple[int, int]) -> tuple[float, float, float]:
@@ -107,7 +107,7 @@ class Camera:
 
 
 def look_at(origin, target, fov: float, roll: float = 0.0) -> Camera:
-    """The camera at `origin` that has `target` in the middle of the image and +y up."""
+    """The camera at `origin` with `target` in the middle of the image and +y up."""
     forward = np.asarray(target, float) - origin
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0, 1, 0))
@@ -132,7 +132,7 @@ class CameraPath:
     keys: Keyframes | None = None  # (origin, target) in six numbers, instead of `origin` and `target`
 
     def slowed(self, factor: float) -> CameraPath:
-        """The same path at `factor` times the speed; of keys that stays."""
+        """The same path at `factor` times the speed; keyframes keep theirs."""
         velocity = tuple(factor * v for v in self.velocity)
         return replace(
             self, velocity=velocity, orbit=factor * self.orbit, pan=factor * self.pan, shake=factor * self.shake

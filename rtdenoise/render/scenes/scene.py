@@ -1,4 +1,4 @@
-"""What a renderer is given: surfaces, what they are made of, how they and the camera move. Plain data, no renderer."""
+"""A scene as plain data: surfaces, materials, lights, motions and a camera. Needs no renderer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .motions import Camera, Motion
 
 @dataclass(frozen=True)
 class Material:
-    """One of the few kinds that every scene uses, so that the renderer's kernels are compiled once."""
+    """One of a few kinds that all scenes share, so that the renderer's kernels are compiled once."""
 
     texture: np.ndarray  # [H, W, 3] reflectance
     kind: str = "diffuse"  # diffuse | plastic | metal | glass
@@ -46,11 +46,11 @@ class Spot:
 
 @dataclass(frozen=True)
 class Sun:
-    """Parallel light from one direction, not to be seen itself."""
+    """Parallel light from one direction; the sun itself is invisible."""
 
     towards: tuple[float, float, float]  # unit vector to the sun
     irradiance: tuple[float, float, float]  # of a surface that faces it
-    weight: float = 1.0  # how often it is sampled, in times of each other light
+    weight: float = 1.0  # how often it is sampled, relative to any other light
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Scene:
     camera: Callable[[float], Camera]
     sky: np.ndarray | None = None  # [H, W, 3] latitude-longitude radiance; None: black
     exposure: float = 1.0  # factor on all radiance
-    file: Path | None = None  # Mitsuba XML that has surfaces and light; objects with a mesh are added to its own
+    file: Path | None = None  # Mitsuba XML with surfaces and light; objects with a mesh are added
     spots: tuple[Spot, ...] = ()
     sun: Sun | None = None
-    facts: dict = field(default_factory=dict)  # what was drawn, for the metadata
+    facts: dict = field(default_factory=dict)  # for the metadata of clips
