@@ -25,7 +25,7 @@ def start_mitsuba(threads: int | None = None):
         import mitsuba as mi
     except ImportError as error:
         raise InputError(
-            "rendering needs Mitsuba 3, which is not installed: pip install 'rtdenoise[render]'"
+            "rendering needs Mitsuba 3, which is missing: pip install 'rtdenoise[render]'"
         ) from error
     if mi.variant() is None:
         if dr.has_backend(dr.JitBackend.CUDA):

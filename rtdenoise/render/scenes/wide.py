@@ -139,8 +139,11 @@ def _backdrop(b: WideBuilder, camera: CameraPath) -> None:
 
 
 def add_mover(b: Builder, camera: CameraPath, role: Role, frames: int, width: int) -> None:
-    """Add an object that moves as `role` says, in a picture `width` pixels wide. Crossing objects pass the middle of the
-    view about the middle of the clip; ENTERING ones come in from the border in its first half."""
+    """Add an object that moves as `role` says, in a picture `width` pixels wide.
+
+    Crossing objects pass the middle of the view about the middle of the clip; ENTERING ones come in from the border in
+    its first half.
+    """
     rng = b.rng
     view = camera(camera.start)
     right, forward, origin = view.to_world[:3, 0], view.to_world[:3, 2], view.to_world[:3, 3]
