@@ -102,10 +102,13 @@ def features(stage: Stage, number: int, size, spp: int = 1, seed: int = 0) -> di
     stage.at(number)
     camera = stage.scene.camera(number)
     sampler = tracing.make_sampler(_stream(seed, number, NOISY), size[0] * size[1] * spp)
-    ray = tracing.primary_rays(sampler, size, spp, camera.world_from_pixel(size))
-    hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids)
+    ray = tracing.primary_rays(sampler, size, spp, camera)
+    hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids, stage.holes)
     layers = {k: _image(hit[k], size, spp) for k in ("albedo", "normal", "emission")}
     layers |= {k: _image(hit[k], size, spp, first=True) for k in ("depth", "position", "id")}
+    if stage.holes or camera.aperture > 0:  # rays start behind holes, or beside the middle of the lens
+        distance = np.linalg.norm(layers["position"] - camera.to_world[:3, 3], axis=-1, keepdims=True)
+        layers["depth"] = np.where(layers["id"] > 0, distance, 0).astype(np.float32)
     layers["emission"] *= stage.exposure
     layers["albedo"] = np.clip(np.maximum(layers["albedo"], layers["emission"]), 0, 1)
     frames = {n: describe_frame(stage.scene, n, size) for n in (number - 1, number, number + 1)}
@@ -122,14 +125,14 @@ def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, 
     from . import tracing
 
     stage.at(number)
-    lens = stage.scene.camera(number).world_from_pixel(size)
+    camera = stage.scene.camera(number)
     pieces = int(np.ceil(spp * size[0] * size[1] / MAX_RAYS))
     total = np.zeros((2, *size, 3))
     for piece, samples in enumerate(np.diff(np.linspace(0, spp, pieces + 1).astype(int))):
         key = (seed, number, stream) if piece == 0 else (seed, number, stream, piece)
         sampler = tracing.make_sampler(_stream(*key), int(size[0] * size[1] * samples))
-        ray = tracing.primary_rays(sampler, size, int(samples), lens)
-        light = tracing.trace(stage.mitsuba, sampler, ray, max_depth)
+        ray = tracing.primary_rays(sampler, size, int(samples), camera)
+        light = tracing.trace(stage.mitsuba, sampler, ray, max_depth, stage.holes)
         dr.eval(light)  # once: the sums below would trace every channel anew
         if samples > 1:
             light = [mi.Color3f(*(dr.block_sum(channel, int(samples)) for channel in part)) for part in light]

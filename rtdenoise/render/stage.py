@@ -5,12 +5,13 @@ from __future__ import annotations
 import glob
 import os
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
-from .scenes.scene import Material, Object, Scene
+from .scenes.scene import Material, Object, Principled, Scene
 
 LLVM_PATTERNS = ("/usr/lib/*/libLLVM*.so*", "/usr/lib/llvm-*/lib/libLLVM*.so*", "/usr/lib64/libLLVM*.so*")
 
@@ -62,6 +63,13 @@ class Stage:
         # found in the cache.
         grey = np.full((4, 4, 3), 0.5, np.float32)
         self._all_kinds = [_bsdf(mi, Material(grey, kind)) for kind in ("diffuse", "plastic", "metal", "glass")]
+        self.holes = any(isinstance(o.material, Principled) for o in scene.objects)  # see `tracing`
+        if self.holes:
+            one = grey[..., :1]
+            self._all_kinds += [
+                _bsdf(mi, Principled(grey, one, one, normal, alpha, transmission))
+                for normal, alpha, transmission in product((None, grey), (None, one), (0.0, 1.0))
+            ]
         self.mitsuba = _build(mi, scene)
         owner = {name: o for o in scene.objects for name in (o.shapes or (f"object_{o.id}",))}
         moving = {name: o for name, o in owner.items() if o.motion is not None}
@@ -74,22 +82,32 @@ class Stage:
         self.object_ids = mi.UInt32(table)
 
         self._parameters = mi.traverse(self.mitsuba) if moving else {}
+        self._poses: dict[str, np.ndarray] = {}  # parameter -> the pose that it has now, where it is not at rest
         for name, o in moving.items():
             if f"{name}.vertex_positions" not in self._parameters:
                 raise InputError(f"shape '{name}' of object '{o.name}' is no mesh: only meshes can move")
         self._rest = [
-            (o, key, np.array(self._parameters[key]).reshape(-1, 3))
+            (o.id, key, np.array(self._parameters[key]).reshape(-1, 3))
             for name, o in moving.items()
             for key in (f"{name}.vertex_positions", f"{name}.vertex_normals")
             if key in self._parameters
         ]
 
+    def direct(self, scene: Scene) -> Stage:
+        """Give the same objects other motions, and the scene another camera; only objects that had a motion get one."""
+        self.scene, self.time = scene, None
+        return self
+
     def at(self, t: float) -> Stage:
         """Move everything to frame t."""
         mi = start_mitsuba()
         if self._rest and t != self.time:
-            for o, key, rest in self._rest:
-                pose = o.motion(t)
+            poses = {o.id: o.motion(t) for o in self.scene.objects if o.motion is not None}
+            for id, key, rest in self._rest:
+                pose = poses.get(id, np.eye(4))
+                if np.array_equal(pose, self._poses.get(key, np.eye(4))):
+                    continue
+                self._poses[key] = pose
                 moved = rest @ pose[:3, :3].T + (pose[:3, 3] if key.endswith("positions") else 0)
                 self._parameters[key] = mi.Float(moved.astype(np.float32).ravel())
             self._parameters.update()
@@ -150,11 +168,14 @@ def _contents(mi, loaded) -> dict:
     return shapes | {f"part {i}": part for i, part in enumerate([*loaded.sensors(), *emitters])}
 
 
-def _bsdf(mi, material: Material):
-    def bitmap(image):
-        return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image, np.float32)), "raw": True}
+def _bitmap(mi, image: np.ndarray) -> dict:
+    return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image, np.float32)), "raw": True}
 
-    texture, alpha = bitmap(material.texture), float(material.roughness)
+
+def _bsdf(mi, material: Material | Principled):
+    if isinstance(material, Principled):
+        return mi.load_dict(_principled(mi, material))
+    texture, alpha = _bitmap(mi, material.texture), float(material.roughness)
     kinds = {
         "diffuse": {"type": "diffuse", "reflectance": texture},
         "plastic": {"type": "roughplastic", "diffuse_reflectance": texture, "alpha": alpha},
@@ -164,11 +185,29 @@ def _bsdf(mi, material: Material):
     return mi.load_dict(kinds[material.kind])
 
 
+def _principled(mi, material: Principled) -> dict:
+    """Always the same few nestings of plugins, so that the kernels of all scenes are found in the cache."""
+    bsdf = {
+        "type": "principled", "base_color": _bitmap(mi, material.color),
+        "roughness": _bitmap(mi, np.clip(material.roughness, 0.03, 1)), "metallic": _bitmap(mi, material.metallic),
+    }  # fmt: skip
+    if material.transmission > 0:
+        return bsdf | {"spec_trans": material.transmission, "eta": material.ior}
+    if material.normal is not None:
+        bsdf = {"type": "normalmap", "normalmap": _bitmap(mi, material.normal), "nested": bsdf}
+    bsdf = {"type": "twosided", "nested": bsdf}
+    if material.alpha is not None:
+        bsdf = {"type": "mask", "opacity": _bitmap(mi, material.alpha), "nested": bsdf}
+    return bsdf
+
+
 def _shape(mi, o: Object):
     properties = mi.Properties()
     properties["bsdf"] = _bsdf(mi, o.material)
     if o.emission is not None:
-        properties["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "rgb", "value": list(o.emission)}})
+        plain = isinstance(o.emission, tuple)
+        radiance = {"type": "rgb", "value": list(o.emission)} if plain else _bitmap(mi, o.emission)
+        properties["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
     shape = mi.Mesh(
         f"object_{o.id}", len(o.mesh.vertices), len(o.mesh.faces), properties,
         has_vertex_normals=True, has_vertex_texcoords=True,

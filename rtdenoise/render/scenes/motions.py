@@ -81,12 +81,14 @@ class Motion:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera at one moment."""
+    """A camera at one moment. Projections are those of a pinhole in the middle of its lens."""
 
     to_world: np.ndarray  # [4, 4]; columns: right, down, forward, origin
     fov: float  # horizontal field of view, of the whole picture
     shot: int = 0  # between frames of different shots lies a cut, which no motion crosses
     window: tuple[int, int, int, int] | None = None  # the image is a part of a picture: (its height, width, top, left)
+    aperture: float = 0.0  # radius of the lens; 0: everything is sharp
+    focus: float = 1.0  # distance along the axis of what is sharp
 
     def _pinhole(self, size: tuple[int, int]) -> tuple[float, float, float]:
         """Distance of the image plane, and the column and row of the optical axis, in pixels of an image `size`."""
@@ -130,6 +132,8 @@ class CameraPath:
     shake: float = 0.0  # hand-held: amplitude, in degrees, of slow and fast sines of the view's direction
     seed: int = 0  # of the shake's phases
     keys: Keyframes | None = None  # (origin, target) in six numbers, instead of `origin` and `target`
+    aperture: float = 0.0  # radius of the lens; 0: no depth of field
+    focus: float = 1.0  # distance of what is sharp
 
     def slowed(self, factor: float) -> CameraPath:
         """The same path at `factor` times the speed; keyframes keep theirs."""
@@ -153,7 +157,8 @@ class CameraPath:
         distance = np.linalg.norm(target - origin)
         target = target + distance * np.radians(1) * np.array([yaw, pitch, 0])
         moved = np.array(self.velocity) * t
-        return look_at(origin + moved, target + moved, self.fov, roll / 2)
+        camera = look_at(origin + moved, target + moved, self.fov, roll / 2)
+        return replace(camera, aperture=self.aperture, focus=self.focus)
 
 
 @dataclass(frozen=True)

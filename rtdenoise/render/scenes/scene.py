@@ -22,14 +22,27 @@ class Material:
 
 
 @dataclass(frozen=True)
+class Principled:
+    """A physically based material with images, as asset libraries have them; row 0 is at v = 0."""
+
+    color: np.ndarray  # [H, W, 3] reflectance
+    roughness: np.ndarray  # [H, W, 1]
+    metallic: np.ndarray  # [H, W, 1]
+    normal: np.ndarray | None = None  # [H, W, 3] tangent-space normals, halved and offset into [0, 1]
+    alpha: np.ndarray | None = None  # [H, W, 1] opacity
+    transmission: float = 0.0  # share of light that is refracted, in [0, 1]
+    ior: float = 1.5
+
+
+@dataclass(frozen=True)
 class Object:
     """A surface with an identity of its own."""
 
     id: int  # ≥ 1
     name: str
     mesh: Mesh | None = None  # at rest, in world space
-    material: Material | None = None
-    emission: tuple[float, float, float] | None = None  # radiance, on the side of the normals
+    material: Material | Principled | None = None
+    emission: tuple[float, float, float] | np.ndarray | None = None  # radiance on the side of the normals, or a texture
     motion: Motion | None = None  # None: does not move
     shapes: tuple[str, ...] = ()  # instead of mesh and material: ids of the shapes of a Mitsuba file
 
