@@ -1,6 +1,7 @@
 """Training sets, the second generator of scenes, extra objects, keyframes, cuts, and what can go wrong on the way."""
 
 import errno
+import importlib
 import json
 import multiprocessing
 import os
