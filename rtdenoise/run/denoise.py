@@ -65,7 +65,8 @@ class Options:
     where the hardware is faster with it; glsl: fp32)."""
 
 
-DECISIVE = tuple(f.name for f in fields(Options) if f.name not in ("backend", "device"))  # options that change the files
+# Options that change the files.
+DECISIVE = tuple(f.name for f in fields(Options) if f.name not in ("backend", "device"))
 
 
 @dataclass
