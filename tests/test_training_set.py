@@ -124,8 +124,7 @@ def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
 
     assert not {scene_seed(Fixed(seed)) for seed in HELD_OUT} & set(HELD_OUT)
     assert scene_seed(Fixed(7)) == 7
-    monkeypatch.syspath_prepend(str(ROOT / "bench"))
-    kinds = [s.scene.partition(":") for s in importlib.import_module("standard").SEQUENCES.values()]
+    kinds = [s.scene.partition(":") for s in importlib.import_module("bench.harness.standard").SEQUENCES.values()]
     assert {kind for kind, _, _ in kinds} == {"sample", "wide"}  # the sample's is drawn by no generator
     assert all(int(seed) in HELD_OUT for kind, _, seed in kinds if kind == "wide")
     # Scene files that docs/results/quality.md is measured on are left out unless asked for.
