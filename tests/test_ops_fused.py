@@ -13,9 +13,6 @@ from pathlib import Path
 import pytest
 import torch
 
-if not torch.cuda.is_available():
-    os.environ["TRITON_INTERPRET"] = "1"  # read when rtdenoise.ops.triton is imported
-
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.ops import dispatch, pixels
