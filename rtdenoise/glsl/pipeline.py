@@ -120,6 +120,7 @@ class Pipeline:
             if self.accumulates:
                 now = kernels.texture(levels, now, inputs.guide, means.mean_albedo)
             result, denoised = kernels.blend(levels, past, now)
+            passes.keep_even_sky(inputs, result, denoised)
         vectors = vectors if "motion_next" in layers else None
         kept = (mean, means.mean_albedo) if self.accumulates else (None, None)
         return result, History(denoised, inputs.surface, vectors, *kept)

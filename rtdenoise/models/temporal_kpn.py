@@ -15,6 +15,7 @@ from ..color import compress
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
 from ..ops import apply_kernel, blend, compose, downsample, warp
+from ..ops.even_sky import even_sky
 from ..ops.pixels import nearness
 from ..sanitise import admit
 from ..splat import history_motion
@@ -79,6 +80,7 @@ class TemporalKPN(nn.Module):
         # Filter the reprojected history with its own kernel and blend.
         output = blend(output, apply_kernel(warped, heads.temporal), heads.alpha_temporal)
         output = output.clamp(min=0)  # eq. 4 subtracts: keep radiance physical
+        output = even_sky(output, frame.radiance, frame.depth)
         return output, History(output, frame.motion_next, frame.depth, frame.normal)
 
     def features(self, frame: Frame, warped: Tensor, known: Known = NOTHING_KNOWN) -> Tensor:
