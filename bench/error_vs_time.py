@@ -50,7 +50,7 @@ def main(o: Options) -> None:
     else:
         folders = standard.prepare()
         standard.add_samples()
-        at_1_spp = evaluation.Options(precisions=("fp32", "bf16"), signal="indirect")
+        at_1_spp = evaluation.Options(("all",), precisions=("fp32", "bf16"), signal="indirect")
         evaluation.run([*folders, *o.sequences], out, at_1_spp)
         evaluation.run(folders, out, evaluation.Options(OVER_SPP, spp=standard.SPP, signal="indirect"))
     written = report(out)

@@ -77,7 +77,7 @@ def test_a_scene_says_how_good_its_references_are(quality):
 
 @pytest.fixture
 def still(tmp_path):
-    """A folder as `evaluate` keeps it: a gradient, black where nothing was denoised, uncovered in one place."""
+    """A folder as `evaluate` writes it: a gradient as reference, a black picture, one uncovered region."""
     height, width = 72, 128
     gradient = np.linspace(0, 2, width, dtype=np.float32)[None, :, None].repeat(height, 0).repeat(3, 2)
     uncovered = np.zeros((height, width, 1), np.float32)

@@ -11,7 +11,7 @@ import pytest
 from safetensors import safe_open
 
 from rtdenoise.cli.commands import parse
-from rtdenoise.training.loop import _plain
+from rtdenoise.training.loop import _compared as compared
 
 ROOT = Path(__file__).parent.parent
 RECIPE = ROOT / "tools" / "train_weights.sh"
@@ -43,14 +43,14 @@ def test_the_recipe_is_that_of_the_weights(model):
     with safe_open(ROOT / "rtdenoise" / "weights" / f"{model}.safetensors", framework="np") as file:
         options = json.loads(file.metadata()["training"])
     options.setdefault("model", options.pop("preset", None))  # the option's name when the shipped weights were trained
-    plain = _plain(trained[-1])
+    plain = compared(trained[-1])
     shared = options.keys() & plain.keys()  # options that are newer than the weights are not in their file
     assert {"model", "steps", "lr", "cuts", "frames"} <= shared
     assert {key: options[key] for key in shared} == {key: plain[key] for key in shared}
 
 
 def test_the_settings_differ_in_nothing_else():
-    a, b, c = (_plain(config) for config in parsed(printed("settings", SCENES="scenes")))
+    a, b, c = (compared(config) for config in parsed(printed("settings", SCENES="scenes")))
     assert (a["motion"], a["occlusion_loss"]) == ("traditional", False)
     assert (b["motion"], b["occlusion_loss"]) == ("dual", False)
     assert (c["motion"], c["occlusion_loss"]) == ("dual", True)

@@ -1,4 +1,4 @@
-"""Choose the threshold of `history.mismatch` above which a frame begins another shot: `MAX_CUT_MISMATCH` of rtdenoise/frame.py.
+"""Choose `frame.MAX_CUT_MISMATCH`, the threshold of `history.mismatch` above which a frame begins another shot.
 
 python bench/calibration/cuts.py CLIPS [CLIPS ...]    # training sets
 
@@ -23,11 +23,7 @@ import torch
 import tyro
 
 from rtdenoise.data.clips import ClipDataset
-<<<<<<< HEAD:bench/cuts.py
 from rtdenoise.frame import MAX_CUT_MISMATCH, Frame, History
-=======
-from rtdenoise.frame import MAX_CUT_MISMATCH, Frame, History
->>>>>>> refs/heads/bench:bench/calibration/cuts.py
 from rtdenoise.history import mismatch
 
 RESULT, PAGES = RESULTS / "cuts.json", (DOCS / "results" / "stability.md",)

@@ -1,8 +1,4 @@
-<<<<<<< HEAD:bench/shaders.py
-"""The whole frame as compute shaders for `latency_720p.py`: one pipeline on a frame in GPU memory."""
-=======
 """The whole frame as compute shaders: one pipeline on a frame that is on the GPU already."""
->>>>>>> refs/heads/bench:bench/latency/shaders.py
 
 from __future__ import annotations
 
@@ -22,15 +18,9 @@ PRECISIONS = {"glsl fp32": (False, "frame"), "glsl fp16": (True, "frame, float16
 PREDICTION, KERNELS, BLENDING, REPROJECTION = STAGES
 STAGE_OF = {"features": PREDICTION, "network": PREDICTION, "kernels": KERNELS, "blend": BLENDING,
             "reprojection": REPROJECTION}  # fmt: skip
-<<<<<<< HEAD:bench/shaders.py
-"""Stage of the pipeline -> stage of the paper. The last layer of the network counts as kernel application, because its
-logits are computed where they are used. The edge kernel runs, and counts, with blending; in torch's rows it counts as
-kernel application."""
-=======
 """Stage of the pipeline -> stage of the paper. The network's last layer counts as kernel application: logits are
 computed where they are used. The edge kernel counts as blending here, because it runs in those passes; in torch's rows
 it counts as kernel application."""
->>>>>>> refs/heads/bench:bench/latency/shaders.py
 
 
 class Shaders:
@@ -62,31 +52,18 @@ class Shaders:
 
     @property
     def megabytes(self) -> float:
-<<<<<<< HEAD:bench/shaders.py
-        """GPU memory of a step: the frame, the buffers kept between frames, and two histories."""
-=======
         """GPU memory of a step: the frame, two histories, and the pipeline's scratch buffers."""
->>>>>>> refs/heads/bench:bench/latency/shaders.py
         arrays = [*self._layers.values(), *(2 * [a for a in vars(self._history).values() if a is not None])]
         return (sum(array.buffer.size for array in arrays) + self._pipeline.scratch.nbytes) / 1e6
 
 
 def renderer() -> str:
-<<<<<<< HEAD:bench/shaders.py
-    """The name of OpenGL's device. Raises InputError where there is no driver."""
-=======
     """Name of the device that OpenGL runs on. Raises InputError where there is no OpenGL."""
->>>>>>> refs/heads/bench:bench/latency/shaders.py
     return glsl.default_context().info["GL_RENDERER"]
 
 
 def measurable(quick: bool) -> tuple[bool, str]:
-<<<<<<< HEAD:bench/shaders.py
-    """Whether to time the shaders here, and the device or the reason why not. Software renderers take minutes a
-    frame."""
-=======
     """Whether to time shaders here; the device, or the reason why not. Software renderers take minutes per frame."""
->>>>>>> refs/heads/bench:bench/latency/shaders.py
     try:
         name = renderer()
     except InputError as error:

@@ -146,7 +146,6 @@ def check(config: TrainConfig) -> None:
     if config.model not in PRESETS:
         near = did_you_mean(config.model, PRESETS)
         raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(PRESETS)}")
-    model_config(config)
     if config.signal not in ("indirect", "color", "both"):
         raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
     if config.motion not in ("dual", "traditional"):
@@ -156,3 +155,4 @@ def check(config: TrainConfig) -> None:
     if config.device not in ("cpu", "cuda"):
         raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
     choose_device(config.device)
+    model_config(config)
