@@ -51,6 +51,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _run(arguments: list[str]) -> None:
+    from ..threads import set_defaults
     from .console import accept_every_character
     from .spelling import refuse_old_spelling
 
@@ -61,6 +62,7 @@ def _run(arguments: list[str]) -> None:
         print(f"rtdenoise {__version__}")
         return
     refuse_old_spelling(arguments)
+    set_defaults()
 
     from .commands import parse
 
