@@ -68,6 +68,13 @@ class Frame:
     name: str = ""  # where it came from, for messages
 
     def __post_init__(self) -> None:
+        found = tuple(getattr(self.radiance, "shape", ()))
+        if len(found) != 4:
+            of = f"of shape {found}" if hasattr(self.radiance, "shape") else f"of type {type(self.radiance).__name__}"
+            raise InputError(
+                f"{self.name or 'frame'}: expected radiance [B, 3, H, W], got an array {of}; "
+                "rtdenoise.Denoiser takes [H, W, 3]"
+            )
         size = (self.radiance.shape[0], *self.radiance.shape[2:])
         for layer, tensor in self.layers():
             channels, found = CHANNELS[layer], tuple(tensor.shape)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .errors import InputError
 from .frame import NOTHING_KNOWN, OFF_SCREEN, Frame, Known
 
 if TYPE_CHECKING:
@@ -28,9 +29,15 @@ VALID = {  # smallest and largest value of a layer; `sanitise` replaces the othe
 def admit(frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN) -> Frame:
     """Check and sanitise a frame for a step that filters along surfaces.
 
-    `previous` is the image in the history, None without one. Raises InputError where albedo, normal, depth or (with
-    history) motion is missing, or the history is of another size.
+    `previous` is the image in the history, None without one. Raises InputError where `frame` is no Frame of tensors,
+    where albedo, normal, depth or (with history) motion is missing, and where the history is of another size.
     """
+    if not isinstance(frame, Frame) or isinstance(frame.radiance, np.ndarray):
+        found = f"a Frame of {type(frame.radiance).__name__}" if isinstance(frame, Frame) else type(frame).__name__
+        raise InputError(
+            f"step takes a rtdenoise.Frame of torch tensors [B, C, H, W], got {found}; rtdenoise.Denoiser takes numpy "
+            "arrays and tensors, also [H, W, 3]"
+        )
     frame = frame if known.sanitised else sanitise(frame)
     frame.require("albedo", "normal", "depth", *(() if previous is None else ("motion",)), previous=previous)
     return frame

@@ -127,6 +127,11 @@ class Pipeline:
 
     def _upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
         """The layers that a step reads. Raises InputError where one is missing, or history is of another size."""
+        if not isinstance(frame, Frame):
+            raise InputError(
+                f"step takes a rtdenoise.Frame of numpy arrays [1, C, H, W], got {type(frame).__name__}; "
+                "rtdenoise.Denoiser(backend='glsl') takes arrays [H, W, C]"
+            )
         if len(frame.radiance) != 1:
             raise InputError(f"{frame.name or 'frame'}: expected one frame at a time, got {len(frame.radiance)}")
         needed = ("albedo", "normal", "depth", *(() if history is None else ("motion",)))
