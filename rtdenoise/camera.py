@@ -24,8 +24,9 @@ def pinhole_camera(
     size: tuple[int, int],  # (H, W) of the picture
     convention: str = "mitsuba",  # of the camera's axes: "mitsuba", "opengl" (Blender too) or "opencv"
 ) -> np.ndarray:  # [3, 4]
-    """The camera matrix of a perspective camera with square pixels and a centred axis, for `screen_motion`.
+    """The matrix `[3, 4]` of a perspective camera with square pixels and a centred axis, for `screen_motion`.
 
+    `to_world` is camera-to-world `[4, 4]`, `fov` the angle across the picture's width in degrees, `size` is (H, W).
     Axes, in camera space: 'mitsuba' x left, y up, z forward; 'opengl' x right, y up, z backward; 'opencv' x right, y
     down, z forward. Raises InputError for another convention, and for a matrix of another shape.
     """
@@ -48,9 +49,14 @@ def screen_motion(
     poses: Mapping[int, np.ndarray] | None = None,  # number -> object-to-world [4, 4] in this frame, of what moves
     other_poses: Mapping[int, np.ndarray] | None = None,  # the same in the other frame
 ) -> np.ndarray:  # [H, W, 2] float32, (x, y) in pixels, the other frame minus this one; x right, y down
-    """Exact screen motion of rigidly moving objects under a moving camera: `motion` or `motion_next` of a `Frame`.
+    """Exact screen motion of rigidly moving objects under a moving camera: `[H, W, 2]` float32, (x, y) in pixels, the
+    other frame minus this one. With the frame before as the other it is `motion`, with the frame after `motion_next`.
 
         p' = pose_other pose⁻¹ p,    motion = project_other(p') - project(p)
+
+    `position` is `[H, W, 3]` in world space; `camera` and `other` are matrices as `pinhole_camera` makes them; `hit`
+    `[H, W]` says where a surface was hit (None: where `position` is not 0). `ids` `[H, W]` number the objects; `poses`
+    and `other_poses` map the numbers of those that move to object-to-world matrices `[4, 4]`.
 
     Objects without a pose stand still. Where nothing was hit the point is at infinity along the pixel's ray: only the
     camera's rotation counts. `OFF_SCREEN` stands for points behind the other camera. Raises InputError for arrays of

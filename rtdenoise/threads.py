@@ -1,4 +1,4 @@
-"""Threads of torch and of the C operations: how many, and how they wait. Without torch, which reads this as it loads."""
+"""Threads of torch and of the C operations: how many, and how they wait. Torch reads it as it loads."""
 
 from __future__ import annotations
 

@@ -161,7 +161,10 @@ def test_another_size_starts_anew_said_once(backend):
 
 
 BAD = {
-    "integers": ({"color": np.zeros((8, 8, 3), np.uint8)}, r"color: expected floats \(linear radiance, .*\), got uint8"),
+    "integers": (
+        {"color": np.zeros((8, 8, 3), np.uint8)},
+        r"color: expected floats \(linear radiance, .*got uint8",
+    ),
     "integer tensors": ({"color": torch.zeros(8, 8, 3, dtype=torch.int32)}, r"expected floats .* got int32"),
     "integer depth": ({"depth": np.ones((8, 8), int)}, r"depth: expected floats \(float16, 32 or 64\), got int64"),
     "no batch": ({"color": np.zeros((3, 8, 8), np.float32)}, r"got \[3, 8, 8\]; add the batch axis: array\[None\]"),
@@ -169,7 +172,10 @@ BAD = {
     "channels last": ({"color": np.zeros((1, 8, 8, 3), np.float32)}, r"move the channels: .*transpose\(0, 3, 1, 2\)"),
     "grey": ({"color": np.zeros((8, 8), np.float32)}, r"expected \[H, W, 3\] or \[B, 3, H, W\], got \[8, 8\]"),
     "empty": ({"color": np.zeros((0, 8, 3), np.float32)}, r"color: expected .*, got an empty array \[0, 8, 3\]"),
-    "motion in three": ({"motion": np.zeros((8, 8, 3), np.float32)}, r"motion: expected \[H, W, 2\] .* got \[8, 8, 3\]"),
+    "motion in three": (
+        {"motion": np.zeros((8, 8, 3), np.float32)},
+        r"motion: expected \[H, W, 2\].* \[8, 8, 3\]",
+    ),
     "another size": ({"normal": np.zeros((8, 9, 3), np.float32)}, r"normal: expected 8×8 as color .*, got 9×8"),
     "a word": ({"color": "frame.exr"}, "color: expected a numpy array or a torch tensor, got str"),
     "nothing": ({"color": None}, "color: expected a numpy array or a torch tensor, got NoneType"),

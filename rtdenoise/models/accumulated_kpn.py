@@ -90,7 +90,12 @@ class AccumulatedKPN(nn.Module):
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """As `Denoiser.step`."""
+        """Denoise one frame: `[B, 3, H, W]` linear radiance ≥ 0, and the history for the next frame.
+
+        `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
+        shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
+        another size, or `frame` is no Frame of tensors.
+        """
         frame = admit(frame, history and history.radiance, known)
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance, but for what is not diffuse
 

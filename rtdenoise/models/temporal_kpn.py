@@ -52,7 +52,12 @@ class TemporalKPN(nn.Module):
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """As `Denoiser.step`: the paper, §4."""
+        """Denoise one frame: `[B, 3, H, W]` linear radiance ≥ 0, and the history for the next frame.
+
+        `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
+        shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
+        another size, or `frame` is no Frame of tensors. The paper, §4.
+        """
         frame = admit(frame, history and history.radiance, known)
 
         # Reproject the previous output; where that is off the screen start from the noise, like a first frame.

@@ -76,7 +76,9 @@ def _as_numpy(name: str, array: Any) -> np.ndarray:
     try:
         return np.asarray(array)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: expected a numpy array or a torch tensor, got {type(array).__name__} ({error})") from None
+        raise InputError(
+            f"{name}: expected a numpy array or a torch tensor, got {type(array).__name__} ({error})"
+        ) from None
 
 
 def _expect_floats(name: str, array: np.ndarray | Tensor) -> None:

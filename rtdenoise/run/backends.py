@@ -27,7 +27,7 @@ class Backend(Protocol):
         """Follow the plan (`plan.make_plan`) from now on; the frames are counted in `left_out`."""
 
     def prepare(self, frame: Frame) -> Frame:
-        """A frame of arrays `[1, C, H, W]`, or of tensors, as `mismatch` and `step` take it: shared work is done once."""
+        """A frame of arrays or tensors `[1, C, H, W]` as `mismatch` and `step` take it: shared work is done once."""
 
     def mismatch(self, frame: Frame, history: Any) -> float:
         """`history.mismatch` of a prepared frame: above `frame.MAX_CUT_MISMATCH` history belongs to another shot."""

@@ -132,7 +132,9 @@ class Denoiser:
         if self._history is None:
             return None
         if self._shape != shape:
-            self._say("size", f"the frame is {list(shape)}, the one before was {list(self._shape)}: history starts anew")
+            self._say(
+                "size", f"the frame is {list(shape)}, the one before was {list(self._shape)}: history starts anew"
+            )
             return None
         if frame.motion is None:
             self._say("motion", f"no motion: {COSTS['motion']}; rtdenoise.screen_motion computes it, "
