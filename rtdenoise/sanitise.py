@@ -82,6 +82,12 @@ def sanitise(frame: Frame) -> Frame:
     return replace(frame, **clean)
 
 
+def valid(layer: str, array: np.ndarray) -> np.ndarray:
+    """`sanitise` of one layer as a numpy array, but for fireflies; without torch. Not for depth and motion."""
+    low, high = VALID[layer]
+    return np.nan_to_num(array, nan=0.0, posinf=0.0, neginf=0.0).clip(low, high)
+
+
 def faults(frame: Frame) -> dict[str, int]:
     """Count the pixels that `sanitise` will replace: "layer: fault" -> count, without the zeros. For tensors on the CPU
     or numpy arrays; fireflies are counted where torch is installed."""

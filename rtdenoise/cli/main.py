@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "torch":
             raise
-        _stop(2, "this needs PyTorch, which is not installed; `denoise` alone does without it")
+        _stop(2, "this needs PyTorch, which is not installed; type: pip install 'rtdenoise[torch]'")
     except OSError as error:  # a full disk, a folder without write permission
         _stop(2, f"{error.filename or 'a file'}: {error.strerror or error}")
     except RuntimeError as error:
