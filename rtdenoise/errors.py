@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+INSTALL_TORCH = "type: pip install 'rtdenoise[torch]'"
+
 
 class InputError(ValueError):
     """Something outside the program is wrong: a file, a layer, a size, an option, a missing driver.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
 from .memory import explained
 from .plan import Plan, count, look, make_plan
@@ -55,7 +55,7 @@ def open_backend(name: str, model: str, device: str, precision: str) -> Backend:
         raise InputError(f"unknown backend {name!r}; expected one of {', '.join(BACKENDS)}")
     has_torch = find_spec("torch") is not None
     if name == "torch" and not has_torch:
-        raise InputError("--backend torch: PyTorch is not installed; type: pip install 'rtdenoise[torch]', or use --backend glsl")
+        raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
     if name == "torch" or (name == "auto" and has_torch):
         return TorchBackend(model, device, precision)
     return GlslBackend(model, device, precision)

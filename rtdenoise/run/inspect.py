@@ -12,6 +12,7 @@ from rich.table import Table
 
 from ..data.exr_format import group_channels
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
+from ..errors import INSTALL_TORCH
 from ..frame import Frame
 from ..sanitise import faults
 from .plan import Plan, make_plan
@@ -195,7 +196,7 @@ def _summary(found: Inspection) -> list[tuple[str, str]]:
             ("", f"zero in {m.still:.1%} of the pixels, from off screen {m.off_screen:.2%}, uncovered {uncovered}"),
         ]
     if found.convention is None:
-        needs = "motion in two consecutive frames" if HAS_TORCH else "PyTorch: pip install 'rtdenoise[torch]'"
+        needs = "motion in two consecutive frames" if HAS_TORCH else f"PyTorch; {INSTALL_TORCH}"
         lines.append(("convention", f"not checked: it takes {needs}"))
     else:
         compared = f" (compared: {found.convention.feature})" if found.convention.feature else ""
