@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+INSTALL_TORCH = "type: pip install 'rtdenoise[torch]'"
+
 
 class InputError(ValueError):
     """Something outside the program is wrong: a file, a layer, a size, an option, a missing driver.

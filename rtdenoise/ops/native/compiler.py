@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import logging
 import os
 import platform
 import re
@@ -18,6 +19,7 @@ from torch import Tensor
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
+COMPILE_SECONDS = 10  # of all files that a model needs, on one core
 THREADS = "-fopenmp"  # finds the OpenMP that torch has loaded: both share one pool of threads
 WIDE_VECTORS = "-mprefer-vector-width=512"  # x86: by default compilers use half the width
 
@@ -36,8 +38,16 @@ def library(name: str, **constants: int | float) -> ctypes.CDLL:
     key = hashlib.sha256("\0".join([source, *command, _machine()]).encode()).hexdigest()[:16]
     path = _cache() / f"{name}-{key}.so"
     if not path.is_file():
+        _announce()
         _compile(command, source, path)
     return ctypes.CDLL(str(path))
+
+
+@functools.cache
+def _announce() -> None:
+    """Say once a process why the first frame takes long."""
+    message = "rtdenoise: compiling kernels for this CPU once, about %d s; they are kept in %s"
+    logging.getLogger("rtdenoise").warning(message, COMPILE_SECONDS, _cache())
 
 
 def pointer(tensor: Tensor | None) -> ctypes.c_void_p:
