@@ -20,7 +20,7 @@ try:
 except ImportError:  # Windows: two runs on one folder are not kept apart
     fcntl = None
 
-UNFINISHED = re.compile(r"\.rtdenoise-(\d+)-[0-9a-f]{16}\.tmp")  # the process that writes it, and a random number
+UNFINISHED = re.compile(r"\.rtdenoise-(\d+)-[0-9a-f]{16}\.\w+")  # the process that writes it, and a random number
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)  # flags that Windows lacks
 NO_WAITING = getattr(os, "O_NONBLOCK", 0)
 

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtdenoise.data.exr import read_channels, read_header
-from rtdenoise.data.exr_format import MULTI_PART, TILED, find_table_end
+from rtdenoise.data.exr_chunks import find_table_end
+from rtdenoise.data.exr_format import MULTI_PART, TILED
 from rtdenoise.errors import InputError
 
 MAGIC = 20000630

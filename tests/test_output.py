@@ -5,6 +5,7 @@ import pytest
 import torch
 from synthetic import TINY, make_frames, write_sequence
 
+from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.output import recombined
 from rtdenoise.data.sequences import open_sequence
@@ -109,3 +110,69 @@ def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, model, opti
         denoise(str(shot), tmp_path / "out", Options(model=model, **options))
     assert expected in str(caught.value) and "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+# --- the input is never written to ------------------------------------------------------------------------------------
+
+
+def links_to(shot, folder, link=lambda new, old: new.symlink_to(old)):
+    folder.mkdir()
+    for path in sorted(shot.iterdir()):
+        link(folder / path.name, path)
+    return folder
+
+
+def refusal(source, out, **options):
+    with pytest.raises(InputError) as caught:
+        denoise(str(source), out, Options(model="default", **options), overwrite=True)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_a_folder_of_links_to_the_input_is_the_input(tmp_path, layout):
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    links = links_to(shot, tmp_path / "links")
+    before = {path: (path.is_symlink(), path.read_bytes()) for path in (*shot.iterdir(), *links.iterdir())}
+    (tmp_path / "same").symlink_to(links)
+    for source, out in ((links, links), (links, shot), (links, tmp_path / "same"), (tmp_path / "same", shot)):
+        assert refusal(source, out, layout=layout).endswith(
+            f"{out}: this folder holds the input, which is never written to; choose another --out"
+        )
+    assert "links/frame.0000.exr: is a file of the input" in refusal(shot, links, layout=layout)
+    hard = links_to(shot, tmp_path / "hard", lambda new, old: new.hardlink_to(old))
+    assert "hard/frame.0000.exr: is a file of the input" in refusal(shot, hard, layout=layout)
+    assert before == {path: (path.is_symlink(), path.read_bytes()) for path in before}
+    assert {path.name for path in links.iterdir()} == {path.name for path in shot.iterdir()}
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_frames_that_would_be_written_to_one_file(tmp_path, layout):
+    """Every frame has a folder of its own, and the same file name in it."""
+    layers = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2}
+    for number in range(2):
+        (tmp_path / "shot" / str(number)).mkdir(parents=True)
+        write_layers(tmp_path / "shot" / str(number) / "all.exr", {k: np.ones((H, W, n)) for k, n in layers.items()})
+    letters = {"color": "RGB", "albedo": "RGB", "normal": "XYZ", "depth": "Z", "motion": "XY"}
+    tables = [
+        f"[{layer}]\nchannels = {[('' if layer == 'color' else f'{layer}.') + c for c in names]}\n"
+        "file = '{frame}/all.exr'"
+        for layer, names in letters.items()
+    ]
+    (tmp_path / "my.toml").write_text("\n".join(tables))
+    found = refusal(tmp_path / "shot", tmp_path / "out", preset=str(tmp_path / "my.toml"), layout=layout)
+    assert found.startswith(
+        f"{tmp_path}/shot/1/all.exr: would be written to the same file as {tmp_path}/shot/0/all.exr"
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_links_in_the_output_folder_are_not_followed(tmp_path, model):
+    shot, out = write_sequence(tmp_path / "shot", make_frames(2)), tmp_path / "out"
+    out.mkdir()
+    (tmp_path / "mine").write_text("mine")
+    for name in ("frame.0000.exr", "denoise.json", ".rtdenoise-state.safetensors", ".rtdenoise-probe", "preview.png"):
+        (out / name).symlink_to(tmp_path / "mine")
+    main(["denoise", str(shot), "--out", str(out), "--model", model, "--overwrite", "--preview"])
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert {path.name for path in out.iterdir() if path.is_symlink()} == {".rtdenoise-probe"}

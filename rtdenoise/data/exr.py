@@ -1,6 +1,6 @@
 """OpenEXR files as named channels: read the header, read the wanted channels, write layers.
 
-OpenEXR decodes and encodes (3.5 or later: streams). `exr_format.py` parses the header, for three reasons seen with the
+OpenEXR decodes and encodes (3.5 or later: streams). `exr_header.py` parses the header, for three reasons seen with the
 Python API of OpenEXR 3.5.3:
 
 - `OpenEXR.File(path, header_only=True)` gives the names of the channels but not their pixel types.
@@ -24,7 +24,9 @@ import OpenEXR
 
 from ..errors import InputError
 from ..files import open_regular, read_bytes, write_atomically
-from .exr_format import ExrHeader, parse_file, single_part
+from .exr_chunks import single_part
+from .exr_format import ExrHeader
+from .exr_header import parse_file
 from .layers import LAYERS
 
 NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}

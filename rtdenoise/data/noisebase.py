@@ -25,6 +25,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..errors import InputError
+from ..files import open_regular
 from ..frame import OFF_SCREEN
 from .exr_format import ExrHeader
 from .files import FrameFiles, check_gaps, find_files, number_files
@@ -184,6 +185,7 @@ def _opened(path: Path) -> Iterator:
         import zarr
     except ImportError:
         raise InputError(f"{path}: noisebase's files are read with zarr: pip install 'rtdenoise[noisebase]'") from None
+    open_regular(path).close()
     try:
         store = zarr.storage.ZipStore(path, mode="r")
         group = zarr.open_group(store, mode="r")

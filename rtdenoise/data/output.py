@@ -1,19 +1,21 @@
-"""A denoised frame as a file: in `R,G,B`, or in the place that the signal has in the renderer's own file; alone, or
-recombined with the rest of the light.
+"""A denoised frame as a file: in `R,G,B`, or where the renderer's own file has the signal; alone, or recombined with
+the rest of the light.
 
-With S the noisy signal, D the denoised one, C the noisy beauty and A what the renderer has divided the signal by (1
-where it has not), the recombined beauty is
+With S the noisy signal, D the denoised one, C the noisy beauty and A the albedo if the renderer has divided the signal
+by it (else 1), the recombined beauty is
 
     signal color      D · A
     signal indirect   C + (D − S) · A
 
-The second is the sum of all lights with the denoised indirect light in the place of the noisy one: Cycles' Combined is
-Σ (direct + indirect) · color over diffuse, glossy and transmission, plus emission and environment, and what is not
-S · A cancels out. It needs none of those passes, and stays right where a scene has more of them (volumes).
+The second replaces the noisy indirect light in the sum of all lights: Cycles' Combined is Σ (direct + indirect) · color
+over diffuse, glossy and transmission, plus emission and environment, and everything but S · A cancels out. It needs
+none of those passes, and stays right where a scene has more of them (volumes).
 """
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,7 +37,7 @@ PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
 
 
 def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[str, ...]) -> None:
-    """Raise `InputError` for what cannot be written, before anything is denoised."""
+    """Raise `InputError` for output that cannot be written, before anything is denoised."""
     if layout not in LAYOUTS:
         raise InputError(f"unknown layout '{layout}': known are {', '.join(LAYOUTS)}")
     if layout == "source" and sequence.paths[0].suffix.lower() != ".exr":
@@ -50,6 +52,46 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
     if recombine and sequence.demodulated and "albedo" not in sequence.rules:
         raise InputError(f"{sequence.paths[0]}: --recombine needs the albedo that the signal was divided by; "
                          f"{sequence.layout.hint('albedo', sequence.signal)}")  # fmt: skip
+    sources: dict[str, Path] = {}
+    for name, file in _written(sequence, layout, recombine):
+        if name in sources:
+            raise InputError(f"{file}: would be written to the same file as {sources[name]}: {name}; rename the files, "
+                             "so that each has a name of its own")  # fmt: skip
+        sources[name] = file
+
+
+def protect_input(sequence: Sequence, out: Path, layout: str, recombine: bool) -> None:
+    """Raise `InputError` where the output folder holds the input, or one of the output files is an input file: links
+    are followed."""
+    inputs = [path for frame in sequence.files for path in frame.files.values()]
+    folders = {folder for path in inputs for folder in (path.parent.resolve(), path.resolve().parent)}
+    if out.resolve() in folders or _identity(out) in {_identity(folder) for folder in folders}:
+        raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
+    identities = {_identity(path) for path in inputs}
+    for name, _ in _written(sequence, layout, recombine):
+        if (found := _identity(out / name)) and found in identities:
+            raise InputError(f"{out / name}: is a file of the input, which is never written to; choose another --out")
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Device and number of a file or folder, links followed; None where there is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
+def _written(sequence: Sequence, layout: str, recombine: bool) -> Iterator[tuple[str, Path]]:
+    """(name in the output folder, the input file that it is made from) of every file that a run writes."""
+    if layout == "plain":
+        yield from zip(sequence.names, sequence.paths, strict=True)
+        return
+    beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
+    channels = {*_place(sequence).channels, *(beauty.channels if beauty else ())}
+    for files, path in zip(sequence.files, sequence.paths, strict=True):
+        for file in files.locate(channels):
+            yield _name(file, path), file
 
 
 def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> Tensor:
@@ -69,7 +111,7 @@ def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> T
 def read_result(
     out: Path, sequence: Sequence, index: int, layout: str = "plain", recombine: bool = False
 ) -> Tensor:  # [1, 3, H, W]
-    """What `write_frame` wrote with these options: the denoised signal, or the beauty."""
+    """The denoised signal, or the beauty, that `write_frame` wrote with these options."""
     import torch
 
     path = sequence.paths[index]
@@ -98,9 +140,9 @@ def write_frame(
     """Write one frame under the name of the input file that holds the signal.
 
     plain    the signal in `R,G,B`, with `recombine` the beauty instead, and what is kept
-    source   every channel of the input under its name and in its part, the denoised signal in the place of the noisy
-             one, with `recombine` also the beauty in the place of the renderer's. Where buffers are files of their own,
-             those alone that have changed.
+    source   every channel of the input under its name and in its part; the denoised signal replaces the noisy one,
+             with `recombine` also the beauty the renderer's. Where buffers are files of their own, only those that
+             have changed.
     """
     beauty = None
     if recombine:
@@ -126,7 +168,7 @@ def _place(sequence: Sequence) -> Rule:
 
 
 def _name(file: Path, signal: Path) -> str:
-    """What the output for `file` is called: its name, unless the signal's file in another folder has the same."""
+    """The name of the output for `file`: its own, with its folder in front where the signal's file has the same."""
     return f"{file.parent.name}.{file.name}" if file != signal and file.name == signal.name else file.name
 
 

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..data.output import check_output, write_frame
+from ..data.output import check_output, protect_input, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
@@ -78,7 +78,7 @@ class Summary:
     seconds: float = 0.0  # in the denoiser alone
     replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`sanitise.faults`)
     cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
-    gaps: list[int] = field(default_factory=list)  # numbers of the frames that are missing
+    gaps: list[tuple[int, int]] = field(default_factory=list)  # (first, last) missing frame number of each gap
     left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
     plan: Plan | None = None
 
@@ -103,7 +103,7 @@ def denoise(
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision)
-    out = _prepare(Path(out), sequence)
+    out = _prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
         return _run(sequence, out, options, backend, overwrite, on_frame)
@@ -162,20 +162,15 @@ def _write_summary(path: Path, sequence: Sequence, options: Options, summary: Su
     write_atomically(path, (dumps(document, indent=1) + "\n").encode())
 
 
-def _prepare(out: Path, sequence: Sequence) -> Path:
+def _prepare(out: Path, sequence: Sequence, options: Options) -> Path:
     """The output folder, made if need be; never one that holds the input."""
-    if out.resolve() in {path.resolve().parent for path in _inputs(sequence)}:
-        raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
+    protect_input(sequence, out, options.layout, options.recombine)
     try:
         out.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=out).close()
     except OSError as error:
         raise InputError(f"{out}: cannot write there: {error.strerror}") from None
     return out
-
-
-def _inputs(sequence: Sequence) -> list[Path]:
-    return [path for frame in sequence.files for path in frame.files.values()]
 
 
 def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
@@ -209,18 +204,27 @@ def _resume(
         return 0, None, Summary()
     try:
         stored, metadata = read_history(out / STATE)
-        done, so_far = int(metadata["done"]), json.loads(metadata["so_far"])
+        done, summary = int(metadata["done"]), _counts(json.loads(metadata["so_far"]))
+        before = dict(json.loads(metadata.get("options", "{}")))
         history = backend.restore(stored) if stored else None
-    except (InputError, KeyError, ValueError) as error:
+    except (InputError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
-    if not done:  # whatever is there is of a run that did not come as far as its second frame
+    if done <= 0:  # whatever is there is of a run that did not come as far as its second frame
         return 0, None, Summary()
     if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
-        other = _changed(json.loads(metadata.get("options", "{}")), options)
+        other = _changed(before, options)
         raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
     if any(not (out / name).exists() for name in sequence.names[:done]):
         return 0, None, Summary()
-    return done, history, Summary(**so_far)
+    return done, history, summary
+
+
+def _counts(so_far: dict) -> Summary:
+    """The summary of an earlier run, from its saved state. Raises ValueError and others where it is not one's."""
+    summary = Summary(**{key: so_far[key] for key in ("replaced", "cuts", "left_out")})
+    if not all(type(n) is int for n in (*summary.replaced.values(), *summary.cuts, *summary.left_out.values())):
+        raise ValueError("counts that are no integers")
+    return summary
 
 
 def _changed(before: dict, options: Options) -> str:

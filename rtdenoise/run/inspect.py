@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..data.conventions import Verdict, check_motion
 from ..data.exr_format import group_channels
+from ..data.files import describe_gap
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from ..frame import Frame
 from ..motion import dual_motion, occlusion_mask, on_screen
@@ -52,7 +53,7 @@ class Inspection:
     source: str
     files: int
     numbers: tuple[int, int]  # first and last
-    gaps: tuple[int, ...]
+    gaps: tuple[tuple[int, int], ...]  # (first, last) missing number of each
     size: tuple[int, int]  # (H, W)
     preset: str
     signal: str
@@ -211,7 +212,9 @@ def render_text(found: Inspection, width: int = 120) -> str:
 def _summary(found: Inspection) -> list[tuple[str, str]]:
     """(label, text) pairs, a line each."""
     (H, W), (first, last) = found.size, found.numbers
-    gaps = f"; {len(found.gaps)} missing: {_shorten(found.gaps)}" if found.gaps else ", none missing"
+    missing = sum(end - start + 1 for start, end in found.gaps)
+    numbers = _shorten(tuple(map(describe_gap, found.gaps)))
+    gaps = f"; {missing} missing: {numbers}" if missing else ", none missing"
     scene = "yes" if found.scene else "no"
     bad = ", ".join(f"{what} ({count})" for what, count in found.faults.items()) or "none"
     divided = ", already divided by the albedo" if found.demodulated else ""
