@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from rtdenoise.data.conventions import READINGS, Reading
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.ops import warp
+from rtdenoise.run.conventions import READINGS, Reading
 from rtdenoise.run.inspect import inspect, render_text
 
 H, W, FRAMES = 72, 110, 4

@@ -14,7 +14,7 @@ from .exr_chunks import check_complete, find_table_end
 from .exr_format import DEEP, MAGIC, MULTI_PART, TILED, ExrHeader, Part
 
 PIXEL_TYPES = ("uint", "half", "float")  # in the order of the format's codes
-MAX_SIDE = 1 << 16  # pixels; a larger picture is taken for a damaged header before OpenEXR allocates it
+MAX_SIDE, MAX_PIXELS = 1 << 16, 1 << 28  # a larger picture is a damaged header; OpenEXR would allocate it
 MAX_NAME = 255  # bytes, as the format has it
 FIRST_READ = 1 << 16  # bytes; most headers are smaller
 TABLE_BLOCK = 4096  # chunk offsets that are looked at together
@@ -113,7 +113,8 @@ def _parse_part(path: Path, cursor: _Cursor, raw: bytes, attributes: dict[str, b
     if len(attributes["dataWindow"]) != 16:
         raise InputError(f"{path}: damaged: the data window has {len(attributes['dataWindow'])} bytes, expected 16")
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
-    if not (0 <= right - left < MAX_SIDE and 0 <= bottom - top < MAX_SIDE):
+    width, height = right - left + 1, bottom - top + 1
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE and width * height <= MAX_PIXELS):
         raise InputError(f"{path}: damaged: the data window is ({left}, {top}) to ({right}, {bottom})")
     name = attributes.get("name", b"").rstrip(b"\0").decode("utf-8", "replace") if flags & MULTI_PART else ""
     try:
@@ -127,7 +128,7 @@ def _parse_part(path: Path, cursor: _Cursor, raw: bytes, attributes: dict[str, b
     return Part(
         name=name,
         attributes=raw,
-        size=(right - left + 1, bottom - top + 1),
+        size=(width, height),
         channels=dict(channels),
         full_names=dict(zip(full_names, (stored for stored, _ in channels), strict=True)),
         tiled=storage == "tiledimage" or bool(flags & TILED),

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from ..errors import InputError
-from ..files import write_atomically
+from ..files import read_json, write_atomically
 from .frames import LAYERS, RenderOptions, describe_frame, render_frame
 from .scenes.scene import Scene
 from .stage import Stage
@@ -35,7 +35,7 @@ def write_scene_json(scene: Scene, path: Path, numbers: range, size: tuple[int, 
         ],
     }
     if path.exists():
-        document["frames"] = _joined(path, json.loads(path.read_text()), document)
+        document["frames"] = _joined(path, read_json(path), document)
     write_atomically(path, json.dumps(document).encode())
 
 

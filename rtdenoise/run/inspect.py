@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from ..data.conventions import Verdict, check_motion
 from ..data.exr_format import group_channels
 from ..data.files import describe_gap
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
@@ -18,6 +17,7 @@ from ..frame import Frame
 from ..motion import dual_motion, occlusion_mask, on_screen
 from ..sanitise import faults, sanitise
 from ..splat import splat_motion_next
+from .conventions import Verdict, check_motion
 from .plan import Plan, make_plan
 
 READ = (*DEFAULT_LAYERS, "reference")  # the check of the motion can use the reference
