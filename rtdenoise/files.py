@@ -40,14 +40,17 @@ def replacing(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
             temporary.unlink()
 
 
-def write_atomically(path: Path, content: bytes | memoryview) -> None:
-    """Write a file that appears under its name only when it is complete.
+def write_atomically(path: Path, content: bytes | memoryview, sync: bool = False) -> None:
+    """Write a file that appears under its name only when it is complete; with `sync` also after a loss of power.
 
     Raises InputError where it cannot be written, as on a full disk.
     """
     try:
         with replacing(path) as temporary:
             temporary.write_bytes(content)
+            if sync:
+                with open(temporary, "rb") as file:
+                    os.fsync(file.fileno())
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; run again when that is solved") from None
 
