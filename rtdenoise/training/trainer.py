@@ -121,7 +121,7 @@ class Trainer:
         except Exception as error:  # torch has no class of its own for this: pickles fail in a dozen ways
             if isinstance(error, MemoryError):
                 raise
-            problem = str(error).strip().partition("\n")[0] or type(error).__name__
+            problem = " ".join(str(error).split())[:200] or type(error).__name__
             raise InputError(f"{path}: not a checkpoint of this run ({problem}); remove it to begin anew, or copy one "
                              "there that is intact") from None  # fmt: skip
         self.step, self.best, self.skipped = step, best, skipped
