@@ -20,6 +20,10 @@ class InputError(ValueError):
         super().__init__(printable(message))
 
 
+class NotCompiled(OSError):
+    """A fused op cannot be compiled or loaded here; the plain one takes its place."""
+
+
 def printable(text: str) -> str:
     """The text with `\\n`, `\\x1b` and so on for characters that would not show, or would steer a terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))

@@ -1,5 +1,8 @@
 """What `denoise` writes for native sequences: recombination, layouts, and what it refuses."""
 
+import json
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +14,7 @@ from rtdenoise.data.output import recombined
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
+from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options, denoise
 
 H, W = 5, 7
@@ -176,3 +180,59 @@ def test_links_in_the_output_folder_are_not_followed(tmp_path, model):
     main(["denoise", str(shot), "--out", str(out), "--model", model, "--overwrite", "--preview"])
     assert (tmp_path / "mine").read_text() == "mine"
     assert {path.name for path in out.iterdir() if path.is_symlink()} == {".rtdenoise-probe"}
+
+
+# --- what is written, and what is found again -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_a_result_that_is_not_finite_is_never_written(tmp_path, model, layout, monkeypatch):
+    """Whatever went wrong before: the image is checked as it is written."""
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    step = TorchBackend.step
+
+    def broken(self, frame, history):
+        image, history = step(self, frame, history)
+        image[0, 1, 3, 3:5] = np.nan if frame.number else 0.5
+        return image, history
+
+    monkeypatch.setattr(TorchBackend, "step", broken)
+    with pytest.raises(InputError, match=r"frame\.0001\.exr: the result has 2 pixels that are not finite"):
+        denoise(str(shot), tmp_path / "out", Options(model=model, layout=layout))
+    assert [path.name for path in sorted((tmp_path / "out").glob("*.exr"))] == ["frame.0000.exr"]
+
+
+@pytest.mark.parametrize("options", [{"layout": "source"}, {"keep": ("all",)}], ids=["source", "keep"])
+def test_nan_in_channels_that_are_passed_on_is_told(tmp_path, model, options, capsys):
+    frames = make_frames(3)
+    for frame in frames[1:]:
+        frame.normal[0, 1, 2:4, 2] = math.nan
+    shot = write_sequence(tmp_path / "shot", frames)
+    arguments = ["--layout", "source"] if "layout" in options else ["--keep", "all"]
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", model, *arguments])
+    assert "passed on as in the input: NaN in 4 pixels of normal.Y" in capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "denoise.json").read_text())["passed_on"] == {"normal.Y": 4}
+    assert denoise(str(shot), tmp_path / "out", Options(model=model, **options)).passed_on == {"normal.Y": 4}
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+@pytest.mark.parametrize(
+    ("junk", "expected"),
+    [
+        (lambda path: path.write_text("junk"), "not an OpenEXR file"),
+        (lambda path: path.write_bytes(b""), "damaged or replaced"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-9]), "damaged or replaced"),
+        (lambda path: write_sequence(path.parent, make_frames(2, H=9, W=8)), "8×9 pixels"),
+        (lambda path: write_layers(path, {"color": np.zeros((24, 32, 3))}), "another size in bytes"),
+    ],
+)
+def test_a_finished_frame_that_was_replaced_is_noticed(tmp_path, model, layout, junk, expected):
+    shot, out = write_sequence(tmp_path / "shot", make_frames(3)), tmp_path / "out"
+    options = Options(model=model, layout=layout)
+    denoise(str(shot), out, options)
+    junk(out / "frame.0001.exr")
+    with pytest.raises(InputError, match=expected) as caught:
+        denoise(str(shot), out, options)
+    assert "--overwrite" in str(caught.value) and "\n" not in str(caught.value)
+    assert denoise(str(shot), out, options, overwrite=True).written == 3
+    assert denoise(str(shot), out, options).skipped == 3

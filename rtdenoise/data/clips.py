@@ -30,6 +30,7 @@ RADIANCE = tuple(layer for names in zip(*(SIGNALS[s].values() for s in SIGNALS),
 FEATURES = tuple(name for name, layer in LAYERS.items() if layer.in_every_clip and name not in RADIANCE)
 OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_clip)
 HALF_MAX = float(np.finfo(np.float16).max)
+FLOAT_TYPES, ID_TYPES = ("F16", "F32"), ("U16", "U8", "F32")  # of clips of any age, as safetensors names them
 MAX_SCALE = 1024.0  # more would leave half precision no digits for dark pixels; beyond it values are clamped
 
 
@@ -84,6 +85,7 @@ def read_layers(path: Path) -> dict[str, np.ndarray]:
     """Every layer of a clip, `[T, C, H, W]` float32. Raises InputError for what is no clip."""
     with _opened(path) as clip:
         scales, names = _scales(path, clip), clip.keys()
+        _size(path, clip, {name for name in names if name in LAYERS})
         return {n: _unscaled(clip.get_tensor(n), scales.get(n)).numpy() for n in names}
 
 
@@ -129,7 +131,7 @@ class ClipDataset:
             raise InputError(f"unknown signal '{signal}'; expected {' or '.join(SIGNALS)}")
         with _opened(path) as clip:
             sources = _sources(path, set(clip.keys()), signal, layers)
-            length, _, height, width = clip.get_slice("color").get_shape()
+            length, height, width = _size(path, clip, {name for names in sources.values() for name in names})
             count = length if frames is None else frames
             window = (height, width) if size is None else (size, size) if isinstance(size, int) else size
             if count > length or window[0] > height or window[1] > width:
@@ -165,6 +167,23 @@ def _sources(path: Path, stored: set[str], signal: str, asked: Collection[str]) 
         for field, names in optional.items()
         if stored.issuperset(names) and (field != "position" or field in asked)
     }
+
+
+def _size(path: Path, clip, names: Collection[str]) -> tuple[int, int, int]:
+    """Frames, height and width. Raises InputError unless these layers have their types and channels, and one size."""
+    sizes = set()
+    for name in sorted(names):
+        layer, stored = LAYERS[name], clip.get_slice(name)
+        shape, dtype = stored.get_shape(), stored.get_dtype()
+        types = ID_TYPES if name == "id" else FLOAT_TYPES
+        if len(shape) != 4 or shape[1] != layer.channels or 0 in shape or dtype not in types:
+            raise InputError(f"{path}: damaged: layer '{name}' is {dtype} {shape}, expected {types[0]} "
+                             f"[T, {layer.channels}, H, W]; delete the clip and render it again")  # fmt: skip
+        sizes.add((shape[0], *shape[2:]))
+    if len(sizes) > 1:
+        raise InputError(f"{path}: damaged: layers of {len(sizes)} sizes (frames, height, width), such as "
+                         f"{min(sizes)} and {max(sizes)}; delete the clip and render it again")  # fmt: skip
+    return sizes.pop() if sizes else (0, 0, 0)
 
 
 def _unscaled(stored: Tensor, scale: float | None) -> Tensor:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -75,16 +76,25 @@ def _identity(path: Path) -> tuple[int, int] | None:
     return found.st_dev, found.st_ino
 
 
+def output_names(sequence: Sequence, layout: str, recombine: bool) -> list[list[str]]:
+    """The names of the files that a run writes for each frame."""
+    return [[name for name, _ in frame] for frame in _files(sequence, layout, recombine)]
+
+
 def _written(sequence: Sequence, layout: str, recombine: bool) -> Iterator[tuple[str, Path]]:
     """(name in the output folder, the input file that it is made from) of every file that a run writes."""
+    return chain.from_iterable(_files(sequence, layout, recombine))
+
+
+def _files(sequence: Sequence, layout: str, recombine: bool) -> Iterator[list[tuple[str, Path]]]:
+    """`_written`, a list a frame."""
     if layout == "plain":
-        yield from zip(sequence.names, sequence.paths, strict=True)
+        yield from ([pair] for pair in zip(sequence.names, sequence.paths, strict=True))
         return
     beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
     channels = {*_place(sequence).channels, *(beauty.channels if beauty else ())}
     for files, path in zip(sequence.files, sequence.paths, strict=True):
-        for file in files.locate(channels):
-            yield _name(file, path), file
+        yield [(_name(file, path), file) for file in files.locate(channels)]
 
 
 def recombined(sequence: Sequence, index: int, frame: Frame, image: np.ndarray) -> np.ndarray:
@@ -126,25 +136,34 @@ def write_frame(
     recombine: bool = False,
     keep: tuple[str, ...] = (),  # layers or channels of the input to pass on, or "all"; plain layout only
     float32: bool = False,
-) -> None:
-    """Write one frame under the name of the input file that holds the signal.
+) -> dict[str, int]:
+    """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in channels
+    that are passed on as they are, by channel, where there are any.
 
     plain    the signal in `R,G,B`, with `recombine` the beauty instead, and what is kept
     source   every channel of the input under its name and in its part; the denoised signal replaces the noisy one,
              with `recombine` also the beauty the renderer's. Where buffers are files of their own, only those that
              have changed.
+
+    Raises InputError where the result is not finite, and where the file cannot be written.
     """
     beauty = recombined(sequence, index, frame, image) if recombine else None
     path = sequence.paths[index]
+    for result in (image, beauty):
+        if result is not None and (bad := int((~np.isfinite(result)).any(1).sum())):
+            raise InputError(f"{path}: the result has {bad} pixels that are not finite, so it was not written; are the "
+                             "weights of --model sound, and the frame's values plausible?")  # fmt: skip
     if layout == "plain":
-        _write_plain(out / sequence.names[index], sequence, index, image if beauty is None else beauty, keep, float32)
-        return
+        result = image if beauty is None else beauty
+        return _write_plain(out / sequence.names[index], sequence, index, result, keep, float32)
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
         planes |= _planes(rule, beauty)
+    nans = {}
     for file, names in sequence.files[index].locate(planes).items():
         changed = {stored: planes[full] for stored, full in names.items()}
-        write_like(out / _name(file, path), file, changed, dtype="float" if float32 else None)
+        nans |= write_like(out / _name(file, path), file, changed, dtype="float" if float32 else None)
+    return nans
 
 
 def _place(sequence: Sequence) -> Rule:
@@ -165,7 +184,7 @@ def _planes(rule: Rule, image: np.ndarray) -> dict[str, np.ndarray]:
 
 def _write_plain(
     path: Path, sequence: Sequence, index: int, image: np.ndarray, keep: tuple[str, ...], float32: bool
-) -> None:
+) -> dict[str, int]:
     layers: dict[str, np.ndarray] = {"color": np.moveaxis(image[0], 0, 2)}
     dtypes = {"color": "float" if float32 else "half"}
     if keep:
@@ -177,6 +196,7 @@ def _write_plain(
         layers |= sequence.files[index].read(names)
         dtypes |= {name: types[name] for name in names}
     write_layers(path, layers, dtypes=dtypes)
+    return {name: bad for name, plane in layers.items() if name != "color" and (bad := int(np.isnan(plane).sum()))}
 
 
 def _kept(channel: str, keep: tuple[str, ...]) -> bool:

@@ -113,7 +113,7 @@ def _examine(pairs: list[tuple[Frame, Frame]]) -> tuple[MotionStatistics, Verdic
     """The motion in pairs of consecutive frames of numpy arrays. Needs torch."""
     import torch
 
-    from ..data.conventions import check_motion
+    from .conventions import check_motion
     from .motion_statistics import motion_statistics
 
     tensors = [(before.map(torch.from_numpy), now.map(torch.from_numpy)) for before, now in pairs]
