@@ -23,7 +23,7 @@ from rtdenoise.files import dumps
 from rtdenoise.models import PRESETS, load, read
 from rtdenoise.ops import warp
 from rtdenoise.training.augment import MAX_RELIGHT, augment, relight
-from rtdenoise.training.batches import batch
+from rtdenoise.training.batches import clips as batch
 from rtdenoise.training.loop import train
 from rtdenoise.training.trainer import TrainConfig, Trainer
 
