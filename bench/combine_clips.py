@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from rtdenoise.data.clips import clip_path, write_clip
+from rtdenoise.render.draw import draw_scene
 from rtdenoise.render.frames import _image, _stream, describe_frame, motion_between
+from rtdenoise.render.options import ClipOptions, find_scenes
 from rtdenoise.render.stage import Stage, start_mitsuba
-from rtdenoise.render.training_set import SetOptions, find_scenes, open_stage
 from rtdenoise.render.windows import candidates, choose, look_through
 
 LEVELS = (1, 2, 4, 8, 16, 32)  # samples per pixel of the noisy frames
@@ -42,11 +43,11 @@ def render_levels(stage: Stage, number: int, size: tuple[int, int], seed: int, m
 
     stage.at(number)
     noisy, total = LEVELS[-1], LEVELS[-1] + 2 * HALF
-    lens = stage.scene.camera(number).world_from_pixel(size)
+    camera = stage.scene.camera(number)
     sampler = tracing.make_sampler(_stream(seed, number, NOISY), size[0] * size[1] * total)
-    ray = tracing.primary_rays(sampler, size, total, lens)
-    hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids)
-    light = tracing.trace(stage.mitsuba, sampler, ray, max_depth)
+    ray = tracing.primary_rays(sampler, size, total, camera)
+    hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids, stage.holes)
+    light = tracing.trace(stage.mitsuba, sampler, ray, max_depth, stage.holes)
     dr.eval(hit, light)
 
     def samples(value) -> np.ndarray:  # [H, W, samples, 3]
@@ -74,13 +75,13 @@ def render_levels(stage: Stage, number: int, size: tuple[int, int], seed: int, m
     return levels
 
 
-def render_scene(out: Path, group: int, options: SetOptions) -> None:
+def render_scene(out: Path, group: int, options: ClipOptions) -> None:
     """Render the missing clips of scene number `group`."""
     members = range(group * WINDOWS, (group + 1) * WINDOWS)
     if all(clip_path(out / f"spp{LEVELS[-1]:02d}", i).exists() for i in members):
         return
-    stage, found, facts = open_stage(group, options)
-    whole, view = stage.scene, (2 * options.size[0], 2 * options.size[1])
+    stage, found, facts = draw_scene(group, options)
+    whole = stage.scene
     windows, taken = candidates(found, options.size, options.frames), []
     for index in members:
         clock = time.time()
@@ -88,7 +89,7 @@ def render_scene(out: Path, group: int, options: SetOptions) -> None:
         window = choose(windows, taken, options.size, options.frames, bool(rng.uniform() < 0.5), rng)
         taken.append(window)
         stage.scene = whole
-        look_through(stage, window, view)
+        look_through(stage, window, options.view)
         seed = int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0])
         numbers = range(window.first, window.first + options.frames)
         frames = [render_levels(stage, n, options.size, seed, options.max_depth) for n in numbers]
@@ -120,7 +121,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     scenes = find_scenes(options.scenes, options.motions, HELD_OUT)
     size = (options.size, options.size)
-    chosen = SetOptions(options.count, size, options.frames, options.seed, scenes=scenes, sun=0.3, calm=0.15)
+    chosen = ClipOptions(options.count, size, options.frames, options.seed, scenes=scenes, sun=0.3, calm=0.15)
     for group in range(options.count // WINDOWS):
         if group % options.shard[1] == options.shard[0]:
             render_scene(options.out, group, chosen)

@@ -11,7 +11,7 @@ motion      `[B, 2, H, W]` = (x, y) in pixels, previous minus current: the surfa
 motion_next next minus current: the surface that is at p now will be at `p + motion_next(p)` in the next frame.
 id          integer per object; 0 where nothing was hit. Stable over a sequence.
 
-A *signal* is what is denoised: `color` (the beauty) or `indirect` (light that bounced at least once on its way).
+A *signal* is the light to denoise: `color` (the beauty) or `indirect` (light that bounced at least once on its way).
 """
 
 from __future__ import annotations

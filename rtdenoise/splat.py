@@ -12,10 +12,11 @@ from torch import Tensor
 
 from .constants import DEPTH_TOLERANCE, MAX_CRACK_DISTANCE
 from .frame import OFF_SCREEN, Frame, History
-from .motion import OCCLUSION_THRESHOLD, on_screen
+from .motion import OCCLUSION_THRESHOLD, dual_motion, occlusion_mask, on_screen
 from .ops import fetch
-from .ops.history_motion import history_motion as fetching_motion
+from .ops.dispatch import Fused, Support
 
+FUSED = Fused("history_motion", native=Support())
 NOTHING = torch.iinfo(torch.int64).max  # key of a pixel that nothing lands on
 
 
@@ -31,7 +32,12 @@ def history_motion(frame: Frame, history: History, kind: str = "dual") -> tuple[
     motion_next = history.motion_next
     if motion_next is None:
         motion_next = splat_motion_next(frame.motion, frame.depth, history.depth)
-    return fetching_motion(frame.motion, motion_next, OCCLUSION_THRESHOLD)
+    if run := FUSED(motion=frame.motion, motion_next=motion_next):
+        return run(frame.motion, motion_next, OCCLUSION_THRESHOLD)
+    dual = dual_motion(frame.motion, motion_next)
+    uncovered = occlusion_mask(dual, frame.motion)
+    motion = torch.where(uncovered, dual, frame.motion)
+    return motion, on_screen(motion), uncovered
 
 
 def traditional(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:

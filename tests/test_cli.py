@@ -78,9 +78,9 @@ def test_settings_of_a_network_are_collected():
     ("old", "new"),
     [
         ("train --data c --out r --preset fast", "rtdenoise train --data c --out r --model fast"),
-        ("train --data c --out r --preset=fast", "rtdenoise train --data c --out r --model=fast"),
-        ("render --clips 3 --out c", "rtdenoise clips --out DIR"),
-        ("render --preset train --out c", "rtdenoise clips --out DIR"),
+        ("train --data c --out r --preset=fast", "rtdenoise train --data c --out r --model fast"),
+        ("render --clips 3 --out c", "rtdenoise clips --count 3 --out c --generator 1"),
+        ("render --preset train --clips=3 --out c", "rtdenoise clips --count 3 --out c"),
     ],
 )
 def test_an_old_spelling_is_answered_with_the_new_one(old, new, capsys):
@@ -123,6 +123,16 @@ def test_interrupted_while_it_starts():
     found = process("inspect", "x", code=code)
     assert found.returncode == 130 and found.stderr.startswith("rtdenoise: interrupted") and found.stdout == ""
     assert found.stderr.count("\n") == 1
+
+
+def test_interrupted_inside_a_compiled_module(monkeypatch, capsys):
+    def interrupted(arguments):
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr(commands, "parse", interrupted)
+    with pytest.raises(SystemExit, match="130"):
+        main(["inspect", "x"])
+    assert capsys.readouterr().err.startswith("rtdenoise: interrupted")
 
 
 @pytest.mark.parametrize("command", [["--help"], ["inspect", "SHOT"], ["--version"]])

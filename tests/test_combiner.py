@@ -197,7 +197,7 @@ def test_missing_features_are_those_of_a_white_wall(config):
 @pytest.mark.parametrize("half_size", [True, False])
 @pytest.mark.parametrize("size", [(40, 34), (37, 33)])
 def test_strips_are_the_whole(half_size, size, monkeypatch):
-    config = CombinerConfig(widths=(6, 8, 8), half_size=half_size, kernel=7, scales=3)
+    config = CombinerConfig(widths=(6, 8, 8, 8), half_size=half_size, kernel=7, scales=3)
     model, window = make(config), window_of(config, H=size[0], W=size[1])
     whole = model.combine(window).image
     monkeypatch.setattr(module, "MAX_LOGITS", 49 * size[1] * 8)
@@ -284,7 +284,7 @@ def test_training_corrects_the_estimate(clips, tmp_path, monkeypatch):
     monkeypatch.setitem(COMBINERS, "tiny", SMALL["causal"])
     config = TrainConfig(
         data=(clips,), out=tmp_path / "run", model="tiny", estimates=("svgf", "fast"), signal="color", frames=3,
-        size=16, batch=4, steps=60, lr=1e-2, amp=False,
+        size=16, batch=4, steps=60, lr=0.1, amp=False,
     )  # fmt: skip
     trainer, data = Trainer(config), ClipDataset(clips)
     rows = [trainer.train_step(trainer.task.batch(data, config, step % 10)) for step in range(60)]

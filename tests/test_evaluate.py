@@ -1,4 +1,4 @@
-"""Methods, errors and times of one run, and what `rtdenoise evaluate` writes of them."""
+"""Methods, errors and times of one run, and the files that `rtdenoise evaluate` writes."""
 
 import json
 import math
@@ -306,7 +306,7 @@ def test_a_single_frame_is_measured_and_drawn(tmp_path):
 def test_references_that_are_not_finite_are_refused(layer, tmp_path, capsys):
     frames = make_frames(3)
     bad = getattr(frames[1], layer).clone()
-    bad[..., 2, 3], bad[:, 0, 4, 5] = math.nan, math.inf
+    bad[..., 2, 3], bad[:, 0, 4, 5] = math.nan, math.nan
     frames[1] = replace(frames[1], **{layer: bad})
     shot = write_sequence(tmp_path / "shot", frames)
     with pytest.raises(SystemExit, match="2"):
@@ -349,6 +349,10 @@ def content(tmp_path_factory):
         (lambda c: c["results"].append(3), "results, 1: expected a JSON object, found 3"),
         (lambda c: c["sequences"]["shot"].pop("stills"), "sequences, shot: key 'stills' is missing"),
         (lambda c: c["methods"].clear(), "results, 0: method 'noisy' is not among 'methods'"),
+        (
+            lambda c: c["methods"]["noisy"].update(family="magic"),
+            "methods, noisy: family 'magic'; expected",
+        ),
         (lambda c: c["runs"].clear(), "results, 0: run 0 is not among 'runs'"),
         (lambda c: c["results"][0].update(errors={}), "expected errors of the region 'frame'"),
     ],

@@ -9,10 +9,8 @@ import importlib
 import inspect
 import logging
 import math
-import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -169,13 +167,15 @@ def test_what_is_passed_on_is_not_copied_and_nothing_waits(denoiser, device):
     assert len(graph.recordings) == 1
 
 
-def test_statistics_of_a_whole_frame_are_passed_to_its_windows(denoiser, device, assert_images_close):
+def test_statistics_of_a_whole_frame_are_passed_to_its_windows(denoiser, device, assert_images_close, monkeypatch):
     graph, frame = recorded(denoiser, device), make_frames(1, H=64, W=96)[0].to(device)
-    graph.statistics, cores = denoiser.statistics, [(0, 0, 32, 96), (32, 0, 64, 96)]
+    graph.statistics, graph.config = denoiser.statistics, denoiser.config
+    cores = [(0, 0, 32, 96), (32, 0, 64, 96)]
+    monkeypatch.setattr(type(denoiser.config), "network_reach", 0)  # so that windows are smaller than the frame
     for light in (1.0, 2.0, 0.5, 3.0):
         lit = replace(frame, radiance=frame.radiance * light)
-        expected, _ = step_in_windows(denoiser, lit, None, Known(), cores, 32)
-        image, _ = step_in_windows(graph, lit, None, Known(), cores, 32)
+        expected, _ = step_in_windows(denoiser, lit, None, Known(), cores)
+        image, _ = step_in_windows(graph, lit, None, Known(), cores)
         assert_images_close(image.cpu(), expected.cpu(), tolerance(device))
     assert len(graph.recordings) == 1
 
@@ -195,8 +195,8 @@ def test_recordings_can_be_played_in_any_mode_of_autograd(denoiser, device, infe
 
 
 def test_a_kind_is_recorded_when_it_comes_again_and_the_idle_make_room(denoiser, monkeypatch):
-    monkeypatch.setattr(graphed, "KEPT", 2)
-    monkeypatch.setattr(graphed, "IDLE", 5)
+    monkeypatch.setattr(graphed, "MAX_RECORDINGS", 2)
+    monkeypatch.setattr(graphed, "IDLE_STEPS", 5)
     graph = Graphed(denoiser, Rehearsal())
     sizes = [make_frames(1, H=8, W=width)[0] for width in (8, 16, 24)]
 
@@ -305,8 +305,7 @@ def test_the_backend_records_beneath_the_plan(denoiser, plan, tmp_path, monkeypa
 
 
 def test_the_benchmark_times_what_was_recorded(denoiser, monkeypatch):
-    monkeypatch.setattr(sys, "path", [*sys.path, str(Path(__file__).parent.parent / "bench")])
-    latency, (frame, *_) = importlib.import_module("latency_720p"), make_frames(1)
+    latency, (frame, *_) = importlib.import_module("bench.latency.methods"), make_frames(1)
     image, history = denoiser.step(frame)
     expected = denoiser.step(frame, history)[0]
     method = latency.Method("tiny", partial(denoiser.step, frame, history), denoiser, "plain")

@@ -436,17 +436,18 @@ build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1
 
 
 def declarations():
-    """Every `Fused` that a file of rtdenoise/ops declares."""
-    for module in pkgutil.iter_modules(ops.__path__):
-        values = vars(importlib.import_module(f"rtdenoise.ops.{module.name}")).values()
-        yield from (value for value in values if isinstance(value, dispatch.Fused))
+    """(module, `Fused`) for every op with a fused implementation."""
+    for name in ["splat", *(f"ops.{module.name}" for module in pkgutil.iter_modules(ops.__path__))]:
+        module = importlib.import_module(f"rtdenoise.{name}")
+        yield from ((module, value) for value in vars(module).values() if isinstance(value, dispatch.Fused))
 
 
 def test_every_fused_op_has_the_name_of_its_plain_one():
     """Declared implementations exist; every file of a folder belongs to an op or is shared."""
     files = {"native": {"__init__", "compiler", "logits"}, "triton": {"__init__", "common", "pool", "targets", "alike"}}
-    for fused in declarations():
-        assert callable(getattr(importlib.import_module(f"rtdenoise.ops.{fused.file}"), fused.name))
+    for module, fused in declarations():
+        assert callable(getattr(module, fused.name))
+        assert module.__name__ in (f"rtdenoise.ops.{fused.file}", "rtdenoise.splat")
         for folder in fused.support:
             assert callable(dispatch._function(folder, fused.file, fused.name))
             files[folder].add(fused.file)

@@ -82,7 +82,7 @@ def test_methods_take_turns_and_say_so():
     told = []
     steps = {"a": counting, "b": counting}
     evaluate(make_frames(2), steps, on_step=lambda label, done, total: told.append((label, done, total)))
-    assert told == [("a", 0, 4), ("b", 1, 4), ("a", 2, 4), ("b", 3, 4)]
+    assert told == [("a", 1, 4), ("b", 2, 4), ("a", 3, 4), ("b", 4, 4)]
 
 
 def test_unnumbered_frames_are_one_shot():

@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from rtdenoise.cli.main.main import main
-from rtdenoise.render.scenes.scene.pictures import find_pictures, hang
-from rtdenoise.render.scenes.scene.textures import SIZE
 
+from rtdenoise.cli.main import main
 from rtdenoise.data.clips import ClipDataset, clip_path, read_facts
 from rtdenoise.errors import InputError
 from rtdenoise.render.card import write_card
-from rtdenoise.render.draw import open_scene
-from rtdenoise.render.scenes.scene import wide as procedural_wide
-from rtdenoise.render.training_set import SetOptions, render_group
+from rtdenoise.render.options import ClipOptions
+from rtdenoise.render.scene_clips import render_group
+from rtdenoise.render.scenes import wide
+from rtdenoise.render.scenes.named import open_scene
+from rtdenoise.render.scenes.pictures import find_pictures, hang
+from rtdenoise.render.scenes.textures import SIZE
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ def test_a_texture_is_a_window_in_linear_light(folder):
 
 
 def test_only_textures_change(folder):
-    plain = procedural_wide.procedural(11)
+    plain = wide.procedural(11)
     dressed = hang(plain, find_pictures(folder), np.random.default_rng(0))
     changed = [not np.array_equal(a.material.texture, b.material.texture)
                for a, b in zip(plain.objects, dressed.objects, strict=True)]  # fmt: skip
@@ -55,7 +56,7 @@ def test_only_textures_change(folder):
     for a, b in zip(plain.objects, dressed.objects, strict=True):
         assert (a.id, a.mesh, a.motion, a.emission) == (b.id, b.mesh, b.motion, b.emission)
         assert (a.material.kind, a.material.roughness) == (b.material.kind, b.material.roughness)
-    backdrop = next(s for s in map(procedural_wide.procedural, range(99)) if s.facts["kind"] == "dark to light")
+    backdrop = next(s for s in map(wide.procedural, range(99)) if s.facts["kind"] == "dark to light")
     for seed in range(9):  # black beside white stays what it is
         before, after = backdrop, hang(backdrop, find_pictures(folder), np.random.default_rng(seed))
         for a, b in zip(before.objects, after.objects, strict=True):
@@ -63,7 +64,7 @@ def test_only_textures_change(folder):
 
 
 def test_a_set_with_pictures_is_the_same_again_and_names_them(folder, tmp_path):
-    options = SetOptions(1, (32, 32), 2, seed=3, reference_range=(2, 4), workers=1, textures=str(folder))
+    options = ClipOptions(1, (32, 32), 2, seed=3, reference_range=(2, 4), workers=1, textures=str(folder))
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         render_group(tmp_path / name, 0, options)
@@ -90,7 +91,7 @@ def test_bad_folders_and_pictures(folder, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"no pictures found; expected \.png"):
         find_pictures(tmp_path / "empty")
-    with pytest.raises(InputError, match="goes with wide:SEED or --preset train, not with 'sample'"):
+    with pytest.raises(InputError, match="goes with wide:SEED, not with 'sample'"):
         open_scene("sample", None, folder)
     (folder / "d.png").write_bytes(b"no picture at all")
     find_pictures.cache_clear()
@@ -104,5 +105,5 @@ def test_bad_folders_and_pictures(folder, tmp_path, capsys):
     with pytest.raises(InputError, match=r"d\.png: not a readable picture"):
         find_pictures(folder).texture("d.png", np.random.default_rng(0))
     with pytest.raises(SystemExit):
-        main(["render", "--out", str(tmp_path / "out"), "--clips", "1", "--textures", str(folder)])
-    assert "--textures goes with" in capsys.readouterr().err
+        main(["clips", "--out", str(tmp_path / "out"), "--generator", "1", "--textures", str(folder)])
+    assert "--textures: goes with --generator 2 and 3" in capsys.readouterr().err

@@ -6,27 +6,30 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rtdenoise.render.scenes.scene.motions import CameraPath, Motion
-from rtdenoise.render.scenes.scene.sample import sample
-from rtdenoise.render.scenes.scene.scene import Material, Object, Scene
 
 from rtdenoise.data.clips import FEATURES, RADIANCE, ClipDataset, clip_path, read_facts
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.render import stage
-from rtdenoise.render.clips import ClipOptions, render_clip, render_clips
-from rtdenoise.render.draw import UNCOVERING, open_scene, probe
+from rtdenoise.render.clips import render_clips
+from rtdenoise.render.draw import MIN_UNCOVERED, probe
 from rtdenoise.render.frames import (
     RenderOptions,
     describe_frame,
     features,
     motion_between,
     radiance,
-    render_sequence,
     uncovered,
-)  # fmt: skip
-from rtdenoise.render.scenes.scene import meshes, procedural, textures
+)
+from rtdenoise.render.options import ClipOptions
+from rtdenoise.render.scene_clips import render_group
+from rtdenoise.render.scenes import meshes, procedural, textures
+from rtdenoise.render.scenes.motions import CameraPath, Motion
+from rtdenoise.render.scenes.named import open_scene
+from rtdenoise.render.scenes.sample import sample
+from rtdenoise.render.scenes.scene import Material, Object, Scene
+from rtdenoise.render.sequence import render_sequence
 from rtdenoise.render.stage import Stage, find_llvm, start_mitsuba
 
 SIZE = (64, 96)
@@ -136,10 +139,10 @@ def test_noisy_frame_is_an_unbiased_view_of_the_reference(shot):
     for layers in shot[2]:
         for noisy, clean in (("color", "reference"), ("indirect", "indirect_reference")):
             assert layers[noisy].mean() == pytest.approx(layers[clean].mean(), rel=0.06)
-            second = 2 * layers[clean] - layers[f"half_{clean}"]
-            noise = np.abs(second - layers[f"half_{clean}"]).mean()
+            second = 2 * layers[clean] - layers[f"{clean}_half"]
+            noise = np.abs(second - layers[f"{clean}_half"]).mean()
             assert 0 < noise < layers[clean].mean()
-            assert second.mean() == pytest.approx(layers[f"half_{clean}"].mean(), rel=0.03)
+            assert second.mean() == pytest.approx(layers[f"{clean}_half"].mean(), rel=0.03)
 
 
 def test_features_have_the_ranges_of_the_conventions(shot):
@@ -172,7 +175,7 @@ def test_warping_by_motion_reproduces_the_next_reference(shot):
     covered = uncovered(now["motion"], before["motion_next"])
     moving = (now["id"][..., 0] == 8) & _inner(now["id"]) & ~covered  # the box
     still = (now["id"][..., 0] > 0) & ~np.isin(now["id"][..., 0], [8, 9]) & _inner(now["id"]) & ~covered
-    noise = np.abs(tone(now["reference"]) - tone(now["half_reference"])).mean()
+    noise = np.abs(tone(now["reference"]) - tone(now["reference_half"])).mean()
     error = {}
     for sign in (1, 0, -1):
         warped, inside = _warp(tone(before["reference"]), sign * now["motion"])
@@ -277,27 +280,34 @@ def test_sequence_resumes_where_it_stopped(shot, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["frame.0004.exr", "frame.0005.exr", "scene.json"]
 
 
-TINY = ClipOptions(count=1, size=(16, 24), frames=3, seed=2, reference_spp=4, workers=1)
+TINY = ClipOptions(count=1, size=(16, 24), frames=3, seed=2, reference_spp=4, workers=1, generator=1)
 
 
 def test_clip_is_determined_by_its_seed(tmp_path):
-    facts = [render_clip(tmp_path / f"clip_{i:06d}.safetensors", seed, TINY) for i, seed in enumerate((2, 2, 11))]
-    a, b, other = (ClipDataset(tmp_path).load(i) for i in range(3))
+    facts = []
+    for name, seed in (("a", 2), ("b", 2), ("other", 11)):
+        (tmp_path / name).mkdir()
+        facts += render_group(tmp_path / name, 0, replace(TINY, seed=seed))
+    a, b, other = (ClipDataset(tmp_path / name).load(0) for name in ("a", "b", "other"))
     for first, second, third in zip(a, b, other, strict=True):
         for name, tensor in first.layers():
             assert tensor.equal(getattr(second, name)), name
         assert not first.radiance.equal(third.radiance)
     assert facts[0] | {"seconds": 0} == facts[1] | {"seconds": 0}
-    assert read_facts(tmp_path / "clip_000000.safetensors") == facts[0]
+    assert read_facts(clip_path(tmp_path / "a", 0)) == facts[0]
 
 
 def test_clips_are_resumed_and_described(tmp_path):
     lines = []
-    card = render_clips(tmp_path, TINY, progress=lines.append)
+
+    def progress(done, total, line):
+        lines.append((done, total))
+
+    card = render_clips(tmp_path, TINY, progress)
     stamp = clip_path(tmp_path, 0).stat().st_mtime_ns
-    assert len(lines) == 1 and card["clips"] == 1
-    render_clips(tmp_path, TINY, progress=lines.append)
-    assert len(lines) == 1 and clip_path(tmp_path, 0).stat().st_mtime_ns == stamp
+    assert lines == [(0, 1), (1, 1)] and card["clips"] == 1
+    render_clips(tmp_path, TINY, progress)
+    assert lines[2:] == [(0, 0)] and clip_path(tmp_path, 0).stat().st_mtime_ns == stamp
     assert json.loads((tmp_path / "dataset.json").read_text())["seeds"] == [2, 2]
     assert "samples a pixel" in (tmp_path / "DATA.md").read_text()
 
@@ -349,7 +359,7 @@ def test_many_procedural_clips_uncover_background():
     for seed in range(8):
         loaded = Stage(procedural.procedural(seed))
         facts.append(loaded.scene.facts | probe(loaded, 4))
-    assert np.mean([f["uncovered"] > UNCOVERING for f in facts]) >= 0.3
+    assert np.mean([f["uncovered"] > MIN_UNCOVERED for f in facts]) >= 0.3
     assert all(0 <= f["uncovered"] < 0.5 and f["sky"] < 1 for f in facts)
 
 

@@ -1,4 +1,4 @@
-"""The bundled sequence and the shipped weights: what `make demo` shows, asserted."""
+"""The bundled sequence and the shipped weights: the claims of `make demo`."""
 
 import json
 from pathlib import Path

@@ -4,25 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rtdenoise.render.scenes.scene.motions import CameraPath
-from rtdenoise.render.scenes.scene.scene import Material, Object, Scene, Sun
-from rtdenoise.render.scenes.scene.sunlit import BLACK, HALF, OPEN_TO, PANELS, sunlit
 
 from rtdenoise.data.clips import read_facts
 from rtdenoise.errors import InputError
-from rtdenoise.render.draw import open_scene
+from rtdenoise.render.clips import render_clips
 from rtdenoise.render.frames import NOISY, radiance
-from rtdenoise.render.scenes.scene import meshes, textures
-from rtdenoise.render.scenes.scene import wide as procedural_wide
+from rtdenoise.render.options import ClipOptions
+from rtdenoise.render.scenes import meshes, textures, wide
+from rtdenoise.render.scenes.motions import CameraPath
+from rtdenoise.render.scenes.named import open_scene
+from rtdenoise.render.scenes.scene import Material, Object, Scene, Sun
+from rtdenoise.render.scenes.sunlit import BLACK, HALF, OPEN_TO, PANELS, sunlit
 from rtdenoise.render.stage import Stage
-from rtdenoise.render.training_set import SetOptions, render_set
 
 SEEDS = range(40)
-TINY = SetOptions(count=4, size=(32, 32), frames=2, seed=5, reference_range=(4, 8), workers=1, sun=1.0)
+TINY = ClipOptions(count=4, size=(32, 32), frames=2, seed=5, reference_range=(4, 8), workers=1, sun=1.0)
 
 
 def lit(seed: int) -> Scene:
-    return sunlit(procedural_wide.procedural(seed), np.random.default_rng(seed))
+    return sunlit(wide.procedural(seed), np.random.default_rng(seed))
 
 
 def test_the_sun_shines_through_a_side_that_is_open():
@@ -37,7 +37,7 @@ def test_the_sun_shines_through_a_side_that_is_open():
 
 def test_only_a_closed_room_loses_a_side():
     for seed in SEEDS:
-        before, after = procedural_wide.procedural(seed), lit(seed)
+        before, after = wide.procedural(seed), lit(seed)
         names = {o.name for o in before.objects}
         lost = names - {o.name for o in after.objects}
         closed = {"floor", *OPEN_TO} <= names
@@ -104,19 +104,18 @@ def test_sunlit_is_a_scene_to_render_and_shows_something():
 
 
 def test_a_set_says_that_it_is_lit_and_is_not_mixed_up_with_others(tmp_path):
-    card = render_set(tmp_path, TINY, lambda *_: None)
+    card = render_clips(tmp_path, TINY, lambda *_: None)
     assert read_facts(tmp_path / "clip_000000.safetensors")["sun_through"] in PANELS
     assert card["sunlit"] == 4 and "4 clips have a sun" in (tmp_path / "DATA.md").read_text()
     others = {"sun": 0.0, "reference_error": 0.5, "generator": 2, "scenes": (("hall/scene.xml", ""),)}
     for name, value in others.items():
         with pytest.raises(InputError, match="choose another --out or the options of that run"):
-            render_set(tmp_path, replace(TINY, **{name: value}), lambda *_: None)
+            render_clips(tmp_path, replace(TINY, **{name: value}), lambda *_: None)
 
 
 def test_nothing_moves_that_did_not():
     for seed in SEEDS:
         before, after = (
-            {o.id: o.motion for o in scene.objects if o.motion}
-            for scene in (procedural_wide.procedural(seed), lit(seed))
+            {o.id: o.motion for o in scene.objects if o.motion} for scene in (wide.procedural(seed), lit(seed))
         )
         assert before == after

@@ -16,29 +16,30 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from rtdenoise.cli.main.main import main
-from rtdenoise.cli.main.training import Render
-from rtdenoise.render.scenes.scene.motions import CameraPath, Keyframes, Motion, Shots
-from rtdenoise.render.scenes.scene.scene import Scene
 from safetensors.numpy import save_file
 
+from rtdenoise.cli.clips import Clips
+from rtdenoise.cli.main import main
 from rtdenoise.data.clips import ClipDataset, bytes_per_clip, clip_path, read_facts
 from rtdenoise.errors import InputError
 from rtdenoise.files import write_atomically
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.motion import dual_motion, on_screen
-from rtdenoise.render.clips import ClipOptions, render_clips
-from rtdenoise.render.draw import open_scene
-from rtdenoise.render.frames import RenderOptions, describe_frame, features, render_sequence
-from rtdenoise.render.scenes.scene import extras, meshes, procedural
-from rtdenoise.render.scenes.scene import wide as procedural_wide
+from rtdenoise.render.clips import render_clips
+from rtdenoise.render.draw import HELD_OUT, scene_seed
+from rtdenoise.render.frames import RenderOptions, describe_frame, features
+from rtdenoise.render.options import ClipOptions, find_scenes, parse_shard
+from rtdenoise.render.scenes import extras, meshes, procedural, wide
+from rtdenoise.render.scenes.motions import CameraPath, Keyframes, Motion, Shots
+from rtdenoise.render.scenes.named import open_scene
+from rtdenoise.render.scenes.scene import Scene
+from rtdenoise.render.sequence import render_sequence
 from rtdenoise.render.stage import Stage
-from rtdenoise.render.training_set import HELD_OUT, SetOptions, find_scenes, parse_shard, render_set, scene_seed
 from rtdenoise.render.windows import Window, choose, look_through
 from rtdenoise.render.workers import only_run, run_jobs
 
 ROOT = Path(__file__).parent.parent
-TINY = SetOptions(count=6, size=(32, 32), frames=3, seed=5, reference_range=(4, 8), workers=1)
+TINY = ClipOptions(count=6, size=(32, 32), frames=3, seed=5, reference_range=(4, 8), workers=1)
 SEQUENCE = RenderOptions(size=(16, 24), reference_spp=0)
 ROOM = """<scene version="3.0.0">
   <sensor type="perspective"><float name="fov" value="60"/>
@@ -73,7 +74,7 @@ def script(room: Path, text: str) -> Path:
 
 def test_a_set_is_the_same_in_shards_and_after_a_kill(tmp_path):
     lines = []
-    card = render_set(tmp_path / "whole", TINY, lambda done, total, line: lines.append((done, total, line)))
+    card = render_clips(tmp_path / "whole", TINY, lambda done, total, line: lines.append((done, total, line)))
     assert [line[:2] for line in lines] == [(i, 6) for i in range(7)]
     assert "6 clips to render" in lines[0][2] and "on disk" in lines[0][2]
     assert card["clips"] == 6 and card["generators"] == [3]
@@ -83,11 +84,11 @@ def test_a_set_is_the_same_in_shards_and_after_a_kill(tmp_path):
 
     parts = tmp_path / "parts"
     for i in range(2):
-        render_set(parts, replace(TINY, shard=(i, 2)), lambda *_: None)
+        render_clips(parts, replace(TINY, shard=(i, 2)), lambda *_: None)
         if i == 0:
             assert [clip_path(parts, k).exists() for k in range(6)] == [True] * 4 + [False] * 2
     clip_path(parts, 2).unlink()  # as if killed before it was done
-    render_set(parts, TINY, lambda *_: None)
+    render_clips(parts, TINY, lambda *_: None)
     assert json.loads((parts / "dataset.json").read_text())["clips"] == 6
     for index in range(6):
         one, other = ClipDataset(tmp_path / "whole").load(index), ClipDataset(parts).load(index)
@@ -109,7 +110,7 @@ def test_scenes_are_mixed_in_with_their_licences(room, tmp_path):
     with pytest.raises(InputError, match="no scenes found"):
         find_scenes(tmp_path, None, ("street", "room"))
     options = replace(TINY, count=16, scenes=scenes, shard=(2, 4), seed=1)
-    card = render_set(tmp_path / "out", options, lambda *_: None)
+    card = render_clips(tmp_path / "out", options, lambda *_: None)
     assert card["sources"] == {"room": 4} and card["licences"] == {"room": "A room by Nobody, CC0.\n"}
     assert "A room by Nobody, CC0." in (tmp_path / "out" / "DATA.md").read_text()
 
@@ -124,8 +125,7 @@ def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
 
     assert not {scene_seed(Fixed(seed)) for seed in HELD_OUT} & set(HELD_OUT)
     assert scene_seed(Fixed(7)) == 7
-    monkeypatch.syspath_prepend(str(ROOT / "bench"))
-    kinds = [s.scene.partition(":") for s in importlib.import_module("standard").SEQUENCES.values()]
+    kinds = [s.scene.partition(":") for s in importlib.import_module("bench.harness.standard").SEQUENCES.values()]
     assert {kind for kind, _, _ in kinds} == {"sample", "wide"}  # the sample's is drawn by no generator
     assert all(int(seed) in HELD_OUT for kind, _, seed in kinds if kind == "wide")
     # Scene files that docs/results/quality.md is measured on are left out unless asked for.
@@ -133,7 +133,7 @@ def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
     for name in (*files, "hall"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "scene.xml").write_text(ROOM)
-    ((scene, _),) = find_scenes(tmp_path, None, Render(out=tmp_path).exclude)
+    ((scene, _),) = find_scenes(tmp_path, None, Clips(out=tmp_path).exclude)
     assert len(files) == 4 and Path(scene).parent.name == "hall"
 
 
@@ -148,7 +148,7 @@ def test_windows_are_chosen_where_most_is_uncovered():
 
 
 def test_a_window_is_a_part_of_the_picture():
-    scene = procedural_wide.procedural(4)
+    scene = wide.procedural(4)
     stage = Stage(scene)
     view, window = (48, 64), Window(0, 8, 20, 0.0, 0.0)
     whole = describe_frame(scene, 3, view)["world_to_pixel"]
@@ -164,23 +164,23 @@ def test_a_window_is_a_part_of_the_picture():
 
 
 def test_the_wide_generator_repeats_and_leaves_the_first_alone():
-    kinds = [procedural_wide.procedural(seed).facts["kind"] for seed in range(80)]
-    assert set(kinds) == set(procedural_wide.KINDS)
-    a, again = procedural_wide.procedural(7), procedural_wide.procedural(7)
+    kinds = [wide.procedural(seed).facts["kind"] for seed in range(80)]
+    assert set(kinds) == set(wide.KINDS)
+    a, again = wide.procedural(7), wide.procedural(7)
     assert [o.name for o in a.objects] == [o.name for o in again.objects]
-    assert procedural.VERSION == 1 and procedural_wide.VERSION == 3
+    assert procedural.VERSION == 1 and wide.VERSION == 3
     # Seed 5 of the first generator, as it has been since version 1.
     first = procedural.procedural(5)
     assert [o.name for o in first.objects] == FIRST_OF_SEED_5
     moving = [seed for seed, kind in enumerate(kinds) if kind == "static"]
     for seed in moving:
-        scene = procedural_wide.procedural(seed)
+        scene = wide.procedural(seed)
         assert np.array_equal(scene.camera(0).to_world, scene.camera(9).to_world)
 
 
 def test_in_calm_scenes_only_the_camera_moves_and_slowly():
     for seed in range(12):
-        scene = procedural_wide.procedural(seed, calm=True)
+        scene = wide.procedural(seed, calm=True)
         assert scene.facts["kind"] == "calm"
         assert not [o.name for o in scene.objects if o.motion and o.name != "leaves"]  # which stir
         a, b = (scene.camera(t).to_world for t in (9, 10))
@@ -192,26 +192,26 @@ def test_in_calm_scenes_only_the_camera_moves_and_slowly():
 def test_in_a_calm_set_nothing_moves_but_cameras(tmp_path, room):
     crate = script(room, '[[object]]\nshapes = ["crate_wood"]\nvelocity = [0.1, 0, 0]')
     options = replace(TINY, count=24, frames=2, calm=1.0, scenes=((str(room), str(crate)),))
-    card = render_set(tmp_path / "calm", options, lambda *_: None)
+    card = render_clips(tmp_path / "calm", options, lambda *_: None)
     assert set(card["kinds"]) == {"calm", "calm scene file"}
     for index in range(options.count):
         facts = read_facts(clip_path(tmp_path / "calm", index))
         if facts["kind"] == "calm scene file":  # this room's camera stands still
             assert facts["motion"] == facts["uncovered"] == 0
     with pytest.raises(InputError, match=r"was rendered with calm = 1.0, not 0.5"):
-        render_set(tmp_path / "calm", replace(options, calm=0.5), lambda *_: None)
+        render_clips(tmp_path / "calm", replace(options, calm=0.5), lambda *_: None)
 
 
 def test_what_happens_does_not_decide_where():
     """In version 2 one number drew both."""
     found = {}
     for seed in range(150):
-        facts = procedural_wide.procedural(seed).facts
+        facts = wide.procedural(seed).facts
         found.setdefault(facts["kind"], set()).add(facts["place"].partition("/")[0])
     assert all(found[kind] == {"closed", "half-open", "outdoor"} for kind in ("uncovering", "entering", "free"))
-    older = [procedural_wide.procedural(seed, version=2).facts for seed in range(60)]
+    older = [wide.procedural(seed, version=2).facts for seed in range(60)]
     assert {f["place"].partition("/")[0] for f in older if f["kind"] == "uncovering"} == {"closed"}
-    names = [o.name for o in procedural_wide.procedural(2_000_006, version=2).objects]
+    names = [o.name for o in wide.procedural(2_000_006, version=2).objects]
     assert names == OUTDOOR_OF_VERSION_2
 
 
@@ -247,8 +247,8 @@ FIRST_OF_SEED_5 = [
 
 
 def test_what_enters_is_outside_at_first():
-    for seed in [s for s in range(60) if procedural_wide.procedural(s).facts["kind"] == "entering"][:4]:
-        scene = procedural_wide.procedural(seed, frames=20)
+    for seed in [s for s in range(60) if wide.procedural(s).facts["kind"] == "entering"][:4]:
+        scene = wide.procedural(seed, frames=20)
         mover = next(o for o in scene.objects if o.name.startswith("moving"))
         centre = mover.mesh.vertices.mean(0)
         path = scene.camera
@@ -277,7 +277,7 @@ def test_keyframes_move_cameras_and_objects():
 
 
 def test_no_history_crosses_a_cut(tmp_path):
-    base = procedural_wide.procedural(7)
+    base = wide.procedural(7)
     paths = (CameraPath((0, 1, 0), (0, 1, -4)), CameraPath((1, 1.5, -1), (0, 1, -4)))
     scene = Scene("cut", base.objects, Shots(paths, (2,)), base.sky)
     stage = Stage(scene)
@@ -388,7 +388,7 @@ def test_a_full_disk_is_one_line_and_leaves_no_half_clip(tmp_path, monkeypatch):
 def test_a_disk_that_is_too_small_is_told_in_advance(tmp_path, monkeypatch):
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1e6))
     with pytest.raises(InputError, match=r"6 clips take 1\.3 MB, 1\.0 MB are free"):
-        render_set(tmp_path, TINY, lambda *_: None)
+        render_clips(tmp_path, TINY, lambda *_: None)
 
 
 def test_a_killed_worker_is_one_line():
@@ -404,7 +404,7 @@ def test_a_killed_worker_is_one_line():
 
 def test_two_runs_into_one_folder(tmp_path, capsys):
     with only_run(tmp_path, "0-of-1"), pytest.raises(SystemExit) as stop:
-        main(["render", "--preset", "train", "--clips", "1", "--size", "32", "--out", str(tmp_path)])
+        main(["clips", "--count", "1", "--size", "32", "--out", str(tmp_path)])
     assert stop.value.code == 2
     assert "another run is writing there" in capsys.readouterr().err
     with only_run(tmp_path, "0-of-1"):
@@ -420,11 +420,11 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
         ({"calm": 1.0}, "calm = 0.0, not 1.0"),  # the clip is of before there was the option
     ):
         with pytest.raises(InputError, match=rf"clip_000004\.safetensors: was rendered with {complaint}"):
-            render_set(tmp_path, replace(TINY, **change), lambda *_: None)
+            render_clips(tmp_path, replace(TINY, **change), lambda *_: None)
     with only_run(tmp_path, "0-of-1"), pytest.raises(InputError, match="another run"):  # gets past the comparison
-        render_set(tmp_path, replace(TINY, seed=5, reference_error=0.2), lambda *_: None)
+        render_clips(tmp_path, replace(TINY, seed=5, reference_error=0.2), lambda *_: None)
     with pytest.raises(InputError, match="generator = 3, not 1"):
-        render_clips(tmp_path, ClipOptions(8, (32, 32), 3))
+        render_clips(tmp_path, ClipOptions(8, (32, 32), 3, generator=1), lambda *_: None)
 
     out = tmp_path / "shot"
     for first in (0, 1):  # more frames of the same scene are welcome
@@ -440,20 +440,23 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        ("--scenes x", "--scenes: goes with --preset train"),
-        ("--clips 2 --sun 1", "--sun: goes with --preset train"),
-        ("--preset train --sun 1.5", "--sun: expected a share from 0 to 1, got 1.5"),
-        ("--preset train --calm -1", "--calm: expected a share from 0 to 1, got -1.0"),
-        ("--preset train --reference-spp 9", "takes --reference-error, not --reference-spp"),
-        ("--preset train --reference-error 0", "--reference-error: expected more than 0, got 0"),
-        ("room/scene.xml --clips 2", "scene: is for one sequence"),
-        ("--clips 2 --motion m.toml", "motion: is for one sequence"),
-        ("", "nothing to render: name a scene, or ask for --clips"),
+        ("clips --sun 1.5", "--sun: expected a share from 0 to 1, got 1.5"),
+        ("clips --calm -1", "--calm: expected a share from 0 to 1, got -1.0"),
+        ("clips --count 0", "--count: expected 1 or more, got 0"),
+        ("clips --reference-error 0", "--reference-error: expected more than 0, got 0"),
+        ("clips --reference-spp 9", "--reference-spp: goes with --generator 1"),
+        ("clips --generator 1 --reference-spp 0", "need references; expected 2 or more, got 0"),
+        ("clips --generator 1 --sun 1", "--sun: goes with --generator 2 and 3, not with 1"),
+        ("clips --motions x", "go with --scenes"),
+        ("render", "nothing to render: name a scene"),
+        ("render --clips 2", "rtdenoise clips --count 2 --out "),
+        ("render --clips=2", "--generator 1"),
+        ("render --preset train --clips 2 --sun 1", "rtdenoise clips --count 2 --sun 1 --out "),
     ],
 )
 def test_options_that_would_be_left_aside(tmp_path, capsys, arguments, message):
     with pytest.raises(SystemExit, match="2"):
-        main(["render", "--out", str(tmp_path / "out"), *arguments.split()])
+        main([*arguments.split(), "--out", str(tmp_path / "out")])
     assert message in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
@@ -463,4 +466,4 @@ def test_wrong_options(tmp_path):
             parse_shard(text)
     assert parse_shard("1/4") == (1, 4)
     with pytest.raises(InputError, match="multiples of 4"):
-        render_set(tmp_path, replace(TINY, size=(33, 32)), lambda *_: None)
+        render_clips(tmp_path, replace(TINY, size=(33, 32)), lambda *_: None)

@@ -1,63 +1,78 @@
-"""`rtdenoise clips`."""
+"""`rtdenoise clips`: sets of training clips."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
 from ..errors import InputError
 from .progress import progress_bar
+from .render import at_least_one
+
+OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error"}
 
 
 @dataclass(frozen=True)
 class Clips:
-    """Render training clips with Mitsuba 3: windows of generated scenes and of scene files."""
+    """Render training clips with Mitsuba 3: windows of animated scenes in which something happens."""
 
     out: Path
-    """Folder for the clips; clips that it holds already are kept."""
+    """Folder for the clips; existing ones are kept, so running again continues."""
     count: int = 300
-    """Number of clips."""
+    """Clips of the set."""
+    generator: Literal[1, 2, 3] = 3
+    """Version of the procedural scenes; 2 made the older sets of the shipped weights, 1 renders whole pictures."""
     scenes: Path | None = None
-    """Folder of NAME/scene.xml; half of the clips show these scenes."""
+    """Folder of NAME/scene.xml; half of the scenes are drawn from these."""
     motions: Path | None = None
     """With --scenes: folder of NAME.toml, the motions of these scenes."""
     exclude: tuple[str, ...] = ("street", "dining-room", "staircase2", "bathroom")
     """With --scenes: names that are left out, to validate on."""
-    generator: Literal[2, 3] = 3
-    """Version of the scene generator."""
     sun: float = 0.0
     """Share of the generated scenes that a sun shines on, with sharp shadows (0 to 1)."""
     calm: float = 0.0
-    """Share of the scenes in which only the camera moves (0 to 1)."""
+    """Share of the scenes in which nothing but the camera moves, slowly where they are generated (0 to 1)."""
     textures: Path | None = None
-    """Folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""
-    reference_error: float = 0.01
-    """Relative squared error that references of beauty may have."""
-    shard: str = "0/1"
-    """'i/n' renders the i-th of n equal parts of the set, counted from 0."""
+    """Folder of PNG, JPEG or WebP pictures that some surfaces get as textures."""
     frames: int = 10
     """Frames of each clip."""
     size: int = 128
-    """Width and height in pixels."""
+    """Pixels: width and height, unless those are given."""
+    width: int | None = None
+    """Pixels."""
+    height: int | None = None
+    """Pixels."""
     spp: int = 1
     """Samples per pixel of the noisy frames."""
+    reference_error: float = 0.01
+    """Relative squared error that references of beauty may have; sets their samples, 32 to 512."""
+    reference_spp: int | None = None
+    """With --generator 1: samples per pixel of the references (default: 64), more in noisier scenes."""
     max_depth: int = 6
     """Longest light path, in edges."""
     seed: int = 0
-    """Of the first scene."""
+    """Of the set; with --generator 1, of the scene of clip 0, clip i has seed + i."""
+    shard: str = "0/1"
+    """'i/n' renders the i-th of n equal parts of the set, counted from 0."""
     workers: int = 2
-    """Processes."""
+    """Processes, of one thread each."""
 
     def run(self) -> None:
-        for name in ("count", "frames", "size", "spp", "max_depth", "workers"):
-            if (value := getattr(self, name)) < 1:
-                raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
-        from ..render.training_set import SetOptions, find_scenes, parse_shard, render_set
+        at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers")
+        for name in ("sun", "calm"):
+            if not 0 <= (share := getattr(self, name)) <= 1:
+                raise InputError(f"--{name}: expected a share from 0 to 1, got {share}")
+        if not self.reference_error > 0:
+            raise InputError(f"--reference-error: expected more than 0, got {self.reference_error}")
+        self._refuse_unused_options()
+        from ..render.clips import render_clips
+        from ..render.options import ClipOptions, find_scenes, parse_shard
 
-        options = SetOptions(
-            self.count, (self.size, self.size), self.frames, self.seed, self.spp, self.reference_error,
-            max_depth=self.max_depth, workers=self.workers, shard=parse_shard(self.shard),
+        options = ClipOptions(
+            self.count, (self.height or self.size, self.width or self.size), self.frames, self.seed, self.spp,
+            self.reference_error, reference_spp=self.reference_spp or 64, max_depth=self.max_depth,
+            workers=self.workers, shard=parse_shard(self.shard),
             scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
             generator=self.generator, sun=self.sun, calm=self.calm, textures=str(self.textures or ""),
         )  # fmt: skip
@@ -68,5 +83,17 @@ class Clips:
                 bar.update(task, completed=done, total=total)
                 bar.console.print(line, highlight=False, soft_wrap=True)
 
-            card = render_set(self.out, options, report)
+            card = render_clips(self.out, options, report)
         print(f"{self.out}: {card['clips']} clips; DATA.md says what they are")
+
+    def _refuse_unused_options(self) -> None:
+        """Raise InputError for options that the generator does not take."""
+        given = {option.name for option in fields(self) if getattr(self, option.name) != option.default}
+        if self.generator == 1 and (unused := given & OF_WINDOWS):
+            raise InputError(f"--{min(unused).replace('_', '-')}: goes with --generator 2 and 3, not with 1")
+        if self.generator != 1 and self.reference_spp is not None:
+            raise InputError("--reference-spp: goes with --generator 1; other sets take --reference-error")
+        if self.reference_spp == 0:
+            raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
+        if given & {"motions", "exclude"} and not self.scenes:
+            raise InputError("--motions, --exclude: go with --scenes")

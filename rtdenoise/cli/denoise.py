@@ -37,8 +37,8 @@ class Denoise:
                 self.source, self.out, self.settings, self.overwrite,
                 lambda done, total: bar.update(task, completed=done, total=total),
             )  # fmt: skip
-        for line in told(summary):
-            print(f"{self.out}: {line}")
+        written, *more = told(summary)
+        print("\n".join([f"{self.out}: {written}", *more]))
         if self.preview:
             print("preview:", ", ".join(map(str, self._preview())))
 

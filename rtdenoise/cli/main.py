@@ -10,6 +10,7 @@ import sys
 
 from ..errors import InputError
 
+INTERRUPTED = "interrupted; run the same command again to go on"
 OUT_OF_MEMORY = ("out of memory", "can't allocate memory", "not enough memory")  # how torch and its drivers say it
 
 
@@ -28,7 +29,7 @@ def main(arguments: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter flushes once more as it exits
         sys.exit(141)
     except KeyboardInterrupt:
-        _stop(130, "interrupted; run the same command again to go on")
+        _stop(130, INTERRUPTED)
     except InputError as error:
         _stop(2, str(error))
     except MemoryError as error:
@@ -43,6 +44,10 @@ def main(arguments: list[str] | None = None) -> None:
         if not any(words in str(error).lower() for words in OUT_OF_MEMORY):
             raise
         _stop(2, _out_of_memory(error))
+    except ImportError as error:  # compiled modules turn Ctrl-C during their import into an ImportError
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
+        _stop(130, INTERRUPTED)
 
 
 def _run(arguments: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""`rtdenoise render`."""
+"""`rtdenoise render`: one sequence of EXR files."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ..errors import InputError
 
 @dataclass(frozen=True)
 class Render:
-    """Render a sequence with Mitsuba 3: noisy frames, features, exact motion both ways, references."""
+    """Render one sequence with Mitsuba 3: noisy frames, features, exact motion both ways, references."""
 
-    scene: Positional[str]
-    """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', or a Mitsuba scene file (.xml)."""
     out: Path
-    """Folder for the frames; frames that it holds already are kept."""
+    """Folder for the frames; existing ones are kept."""
+    scene: Positional[str] = ""
+    """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', or a Mitsuba scene file (.xml)."""
     motion: Path | None = None
     """TOML file that moves camera and objects of a scene file."""
     textures: Path | None = None
-    """With wide:SEED: folder of PNG, JPEG or WebP pictures; some surfaces get them as textures."""
+    """With wide:SEED: folder of PNG, JPEG or WebP pictures that some surfaces get as textures."""
     frames: int = 12
     """Frames of the sequence."""
     size: int | None = None
@@ -33,19 +33,27 @@ class Render:
     spp: int = 1
     """Samples per pixel of the noisy frames."""
     reference_spp: int = 256
-    """Samples per pixel of the references; 0 renders none."""
+    """Samples per pixel of the references; 0: no references."""
     max_depth: int = 6
     """Longest light path, in edges."""
     seed: int = 0
-    """Of the noise."""
+    """Of the noise; scenes have seeds of their own."""
 
     def run(self) -> None:
-        for name in ("frames", "width", "height", "size", "spp", "max_depth"):
-            if (value := getattr(self, name)) is not None and value < 1:
-                raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
-        from ..render.draw import open_scene
-        from ..render.frames import RenderOptions, render_sequence
+        if not self.scene:
+            raise InputError("nothing to render: name a scene; training sets are rendered by `rtdenoise clips`")
+        at_least_one(self, "frames", "width", "height", "size", "spp", "max_depth")
+        from ..render.frames import RenderOptions
+        from ..render.scenes.named import open_scene
+        from ..render.sequence import render_sequence
 
         size = (self.height or self.size or 180, self.width or self.size or 320)
         options = RenderOptions(size, self.spp, self.reference_spp, self.max_depth, self.seed)
         render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames, options)
+
+
+def at_least_one(command: object, *names: str) -> None:
+    """Raise InputError where one of these options is given and below 1."""
+    for name in names:
+        if (value := getattr(command, name)) is not None and value < 1:
+            raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")

@@ -23,7 +23,7 @@ import numpy as np
 import OpenEXR
 
 from ..errors import InputError
-from ..files import write_atomically
+from ..files import open_regular, read_bytes, write_atomically
 from .exr_format import ExrHeader, parse_file, single_part
 from .layers import LAYERS
 
@@ -41,11 +41,11 @@ def read_header(path: str | os.PathLike) -> ExrHeader:
     deep pixels.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
+    with open_regular(path) as file:
+        try:
             return parse_file(path, file)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def read_channels(path: str | os.PathLike, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -176,10 +176,13 @@ def _decode(path: Path, header: ExrHeader, index: int) -> dict[str, np.ndarray]:
 def _open(path: Path, header: ExrHeader, index: int) -> OpenEXR.File:
     """One part of a file, decoded, as a file of its own."""
     try:
-        data = path.read_bytes() if len(header.parts) == 1 else single_part(header, index)
+        data = read_bytes(path) if len(header.parts) == 1 else single_part(header, index)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
         decoded = OpenEXR.File(io.BytesIO(data), separate_channels=True)
         decoded.channels()
-    except (RuntimeError, ValueError, OSError):
+    except (RuntimeError, ValueError, OSError, MemoryError):
         # OpenEXR drops a part that it cannot decode, then complains that there is no part: not worth passing on.
         raise InputError(f"{path}: damaged: the pixels cannot be decoded") from None
     return decoded

@@ -17,6 +17,7 @@ RESULT = {*KEY, "run", "fingerprint", "ms", "errors", "ghost_length", "frames"}
 SKIPPED = {*KEY, "reason"}
 SEQUENCE = {"size", "frames", "sample_ms", "exposure", "uncovered_share", "stills"}
 METHOD = {"what", "family"}
+FAMILIES = ("input", "accumulation", "filter", "oidn", "network", "ablation")
 RUN = {"command", "date", "commit", "devices", "versions"}
 
 
@@ -99,7 +100,10 @@ def _missing(content: dict, part: str, keys: set[str]) -> str:
 
 
 def _stray(content: dict) -> str:
-    """A result of a sequence, method or run that the document does not describe."""
+    """A method of no known family, or a result whose sequence, method or run the document does not describe."""
+    for name, method in content.get("methods", {}).items():
+        if method["family"] not in FAMILIES:
+            return f"methods, {name}: family {method['family']!r}; expected one of {', '.join(FAMILIES)}"
     for i, row in enumerate(content.get("results", [])):
         for key, part in (("sequence", "sequences"), ("method", "methods")):
             if row[key] not in content.get(part, {}):

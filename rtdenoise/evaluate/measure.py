@@ -62,7 +62,7 @@ def evaluate(
     regions: Collection[str] = REGIONS,  # of ALL_REGIONS
     device: str | torch.device = "cpu",
     delays: Mapping[str, int] | None = None,  # name -> frames that a step looks ahead (`sequence`), for steps
-    on_step: OnStep = lambda label, done, total: None,  # called before each step
+    on_step: OnStep = lambda label, done, total: None,  # called after each step
 ) -> list[Result]:
     """Run the methods over `frames` and measure each against the references.
 
@@ -90,10 +90,10 @@ def evaluate(
     results = {name: Result(name, {}, []) for name in steps}
     for i in range(len(frames)):
         for turn, (name, run) in enumerate(runs.items()):
-            on_step(name, i * len(runs) + turn, len(frames) * len(runs))
             output = next(run)
             results[name].images.append(output.image.cpu())
             judge.add(results[name], i, output.seconds)
+            on_step(name, i * len(runs) + turn + 1, len(frames) * len(runs))
     for result in results.values():
         judge.sum_up(result)
     return list(results.values())

@@ -18,7 +18,6 @@ import torch
 
 from .. import models
 from ..color import display_exposure
-from ..data.exr import write_layers
 from ..errors import InputError, did_you_mean
 from ..frame import Frame
 from ..run.plan import make_plan
@@ -29,6 +28,7 @@ from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, OnStep, Result, ev
 from .origin import LIBRARIES, device_name, origin, typed
 from .registry import PRECISIONS, Method, choose
 from .sequence import Step, uncovered
+from .stills import keep_picture, keep_truth, stills
 
 MEASURED_WITH = (*LIBRARIES, "pyoidn", "scikit-image", "flip-evaluator", "pyfvvdp")
 # Metric -> the module that it needs, and the package that pip installs for it.
@@ -153,9 +153,9 @@ class _Input:
             row = {"method": method.name, "precision": precision, "fingerprint": self._fingerprint(method)}
             self.document.put(self.key | row | {"run": self.document.runs.index(this_run)} | _numbers(result))
             if self.spp == self.source.spp and precision == "fp32":
-                _keep_picture(out, self.source, self.frames, method.name, result)
+                keep_picture(out, self.source, self.frames, method.name, result)
         if self.spp == self.source.spp:
-            _keep_truth(out, self.source, self.frames)
+            keep_truth(out, self.source, self.frames)
         self.say(f"{self.label}: {len(steps)} methods on {len(self.frames)} frames")
 
     def _start(self, wanted: list[tuple[Method, str]]) -> dict[tuple[Method, str], Step]:
@@ -232,33 +232,3 @@ def _describe(source: Source, frames: list[Frame]) -> dict:
         "stills": [frames[i].number for i in stills(masks)],
         "plan": make_plan(source.base.size, len(frames), "dual", [sanitise(frame) for frame in frames]).to_json(),
     }
-
-
-def stills(masks: list[torch.Tensor]) -> list[int]:
-    """Indices of the frames to look at: the one with the largest uncovered share, else the last."""
-    shares = [float(mask.float().mean()) for mask in masks]
-    return [int(np.argmax(shares)) if max(shares) > 0 else len(masks) - 1]
-
-
-def _keep_picture(out: Path, source: Source, frames: list[Frame], method: str, result: Result) -> None:
-    for i in stills(uncovered(frames)):
-        write_layers(_still(out, source, frames[i]) / f"{method}.exr", {"color": _array(result.images[i])})
-
-
-def _keep_truth(out: Path, source: Source, frames: list[Frame]) -> None:
-    masks = uncovered(frames)
-    for i in stills(masks):
-        motion = torch.zeros_like(frames[i].radiance[:, :2]) if frames[i].motion is None else frames[i].motion
-        truth = {"color": frames[i].reference, "motion": motion, "uncovered": masks[i].float()}
-        layers = {layer: _array(image) for layer, image in truth.items()}
-        write_layers(_still(out, source, frames[i]) / "reference.exr", layers)
-
-
-def _still(out: Path, source: Source, frame: Frame) -> Path:
-    folder = out / "pictures" / source.name / f"{frame.number:04d}"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def _array(image: torch.Tensor) -> np.ndarray:
-    return image[0].permute(1, 2, 0).numpy()

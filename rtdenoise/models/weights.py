@@ -91,11 +91,14 @@ def _expect(path: Path, found: Mapping[str, tuple], config: Config, overrides: C
 
 
 def _overridden(config: Config, model: str, overrides: Mapping[str, object]) -> Config:
+    known = asdict(config)
+    if unknown := [name for name in overrides if name not in known]:
+        raise InputError(f"{', '.join(unknown)}: not an override of model {model!r}; its configuration has "
+                         f"{', '.join(known)}")  # fmt: skip
     try:
         return replace(config, **overrides)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{', '.join(overrides)}: not an override of model {model!r}: {error}; its configuration has "
-                         f"{', '.join(asdict(config))}") from None  # fmt: skip
+        raise InputError(f"model {model!r}: {error}") from None
 
 
 def _config(path: Path, metadata: Mapping[str, str]) -> Config:

@@ -10,7 +10,7 @@ import numpy as np
 from ..data.clips import ClipDataset, read_facts
 from ..files import write_atomically
 
-GENERATED = "program"  # where a clip comes from if not from a scene file: no third-party data
+GENERATED = "program"  # source of clips without third-party data
 
 
 def write_card(folder: Path, command: str) -> dict:
@@ -50,7 +50,7 @@ def write_card(folder: Path, command: str) -> dict:
 
 
 def _pictures(used: list[dict]) -> dict[str, dict]:
-    """Folder of pictures -> how many clips have some of it, which files, under what licence."""
+    """Folder of pictures -> count of clips that show some, names of the files, licence."""
     return {
         folder: {
             "clips": sum(u["folder"] == folder for u in used),
@@ -103,7 +103,7 @@ Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
 """
     text += f"""- kinds: {", ".join(f"{n} {k}" for k, n in card["kinds"].items())}
 - versions: {", ".join(f"{k} {v}" for k, v in card["versions"].items())}
-- tensors `[T, C, H, W]` and conventions: `rtdenoise/data/dataset.py`, `rtdenoise/frame.py`
+- tensors `[T, C, H, W]` and conventions: `rtdenoise/data/clips.py`, `rtdenoise/frame.py`
 """
     if scenes:
         text += "\n## Scenes by others\n\n" + "".join(f"- {name}: {count} clips\n" for name, count in scenes.items())

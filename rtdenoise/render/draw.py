@@ -1,4 +1,4 @@
-"""Choose scenes: draw a seed until it makes a good clip, judged cheaply, and find scenes by name."""
+"""Draw the scenes of training clips: seeds are drawn until a scene is fit to be seen, judged from features alone."""
 
 from __future__ import annotations
 
@@ -8,61 +8,32 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from .card import GENERATED
 from .frames import calibrate, features, uncovered
-from .scenes import procedural, textures
-from .scenes import wide as procedural_wide
-from .scenes.extras import SHAPES, free_place
+from .options import ClipOptions
+from .scenes import procedural, wide
+from .scenes.dress import dress
 from .scenes.file import open_file
-from .scenes.motions import Motion, rigid
 from .scenes.pictures import find_pictures, hang
-from .scenes.sample import sample
-from .scenes.scene import Material, Object, Scene
+from .scenes.scene import Scene
 from .scenes.sunlit import sunlit
 from .stage import Stage
+from .windows import Survey, candidates, survey
 
-UNCOVERING = 0.015  # least share of uncovered pixels in a clip that is drawn to uncover
-ATTEMPTS = 12
-
-
-def open_scene(name: str, motion: str | Path | None = None, folder: str | Path | None = None) -> Scene:
-    """`sample`, `procedural:SEED` or `wide:SEED` (generators 1 and 2), `sunlit:SEED` (generator 3, with a sun), or a
-    Mitsuba XML file, set in motion by a TOML file. `folder` holds pictures that some surfaces of a `wide` scene get."""
-    if folder and not name.startswith("wide:"):
-        raise InputError(f"--textures {folder}: goes with wide:SEED or --preset train, not with '{name}'")
-    if name.endswith(".xml"):
-        scene = open_file(name, motion)
-        return _exposed(scene) if "brightness" in scene.facts else scene
-    if motion:
-        raise InputError(f"{motion}: a motion file goes with a Mitsuba XML scene, not with '{name}'")
-    kind, _, seed = name.partition(":")
-    if name == "sample":
-        return sample()
-    if kind == "procedural" and seed.isdecimal():
-        stage, facts = draw(int(seed))
-        return replace(stage.scene, exposure=stage.exposure, facts=facts)
-    if kind == "wide" and seed.isdecimal():
-        scene = procedural_wide.procedural(int(seed), version=2)
-        rng = np.random.default_rng([2, int(seed), 0, 0])
-        return _exposed(hang(scene, find_pictures(folder), rng) if folder else scene)
-    if kind == "sunlit" and seed.isdecimal():
-        scene = procedural_wide.procedural(int(seed))
-        return _exposed(sunlit(scene, np.random.default_rng([procedural_wide.VERSION, int(seed), 1])))
-    raise InputError(f"unknown scene '{name}'; expected sample, procedural:SEED, wide:SEED or sunlit:SEED with a whole "
-                     "number, or a .xml file")  # fmt: skip
+SCENE_SHARE = 0.5  # of the scenes that come from --scenes, where that is given
+MAX_ATTEMPTS = {1: 12, 2: 8, 3: 8}  # drawings of a generator's scene; the last one is taken as it is
+HELD_OUT = range(2_000_000, 2_000_100)  # seeds of generated scenes to evaluate on: no training set draws them
+MIN_UNCOVERED = 0.015  # share of pixels, mean over a clip of generator 1 that is meant to uncover
+MIN_UNCOVERED_IN_WINDOW = {"uncovering": 0.015, "entering": 0.01, "dark to light": 0.01}  # in the best one, by kind
 
 
-def _exposed(scene: Scene) -> Scene:
-    stage = Stage(scene)
-    if not np.isfinite(calibrate(stage, scene.facts["brightness"])["noise"]):
-        raise InputError(f"{scene.file or scene.name}: nothing lit is seen in frame 0; move the camera's start")
-    return replace(scene, exposure=stage.exposure)
+# --- generator 1 ------------------------------------------------------------------------------------------------------
 
 
 def probe(stage: Stage, frames: int) -> dict[str, float]:
-    """Facts of a clip from its features alone, at 64×64: nothing is traced beyond the first hit.
+    """Facts of a clip from its first hits alone, at 64×64.
 
-    `uncovered`: share of pixels that were hidden in the previous frame, a mean over the frames; `sky`: share of pixels
+    `uncovered`: share of pixels that were hidden in the previous frame, mean over the frames; `sky`: share of pixels
     without a hit; `near`: distance of the nearest twentieth; `speed`: of the fastest hundredth, in widths a frame.
     """
     size = (64, 64)
@@ -79,15 +50,15 @@ def probe(stage: Stage, frames: int) -> dict[str, float]:
     }
 
 
-def draw(seed: int, frames: int = procedural.CLIP_FRAMES) -> tuple[Stage, dict]:
+def draw_first(seed: int, frames: int = procedural.CLIP_FRAMES) -> tuple[Stage, dict]:
     """The first drawing of a seed's scene that makes a good clip, loaded and exposed, and its facts."""
-    for attempt in range(ATTEMPTS):
+    for attempt in range(MAX_ATTEMPTS[1]):
         scene = procedural.procedural(seed, attempt)
         stage = Stage(scene)
         facts = scene.facts | probe(stage, frames)
-        wanted = UNCOVERING if facts["kind"] == "uncovering" else 0.0
+        wanted = MIN_UNCOVERED if facts["kind"] == "uncovering" else 0.0
         good = facts["uncovered"] >= wanted and facts["sky"] < 0.75 and facts["near"] > 0.3 and facts["speed"] < 0.25
-        last = attempt == ATTEMPTS - 1
+        last = attempt == MAX_ATTEMPTS[1] - 1
         if good or last:
             facts |= calibrate(stage, facts["brightness"], frames // 2)
             if (facts["evenness"] > 0.12 and facts["noise"] < 5.5) or last:
@@ -95,36 +66,70 @@ def draw(seed: int, frames: int = procedural.CLIP_FRAMES) -> tuple[Stage, dict]:
     raise AssertionError("unreachable")
 
 
-def dress(file: Path, motion: str | None, rng: np.random.Generator, frames: int) -> Scene:
-    """A scene file with its motion and one to three objects more that cross the view; for a clip of `frames`."""
-    scene = open_file(file, motion)
-    stage, start = Stage(scene), (frames - 1) / 2
-    camera = scene.camera(start)
-    right, forward, origin = (camera.to_world[:3, k] for k in (0, 2, 3))
-    depth = features(stage, round(start), (48, 48))["depth"]
-    unit = float(np.median(depth[depth > 0])) * np.tan(np.radians(camera.fov / 2)) if (depth > 0).any() else 1.0
-    extras = []
-    for _ in range(int(rng.integers(1, 4))):
-        shape = SHAPES[str(rng.choice(list(SHAPES)))]
-        texture = textures.poster(rng) if rng.uniform() < 0.3 else textures.surface(rng)
-        kind = str(rng.choice(["diffuse", "plastic", "metal"], p=[0.7, 0.15, 0.15]))
-        mesh = shape(unit * rng.uniform(0.05, 0.16))
-        place = free_place(stage.mitsuba, camera, mesh, rng)
-        if place is None:
-            continue
-        half_view = float((place - origin) @ forward) * np.tan(np.radians(camera.fov / 2))
-        step = procedural.log_uniform(rng, 3, 16) * 2 * half_view / 256  # pixels a frame of a picture 256 wide
-        along = right * rng.choice([-1, 1]) + rng.normal(size=3) * 0.1
-        velocity = tuple((along / np.linalg.norm(along) * step).tolist())
-        move = Motion(tuple(place.tolist()), start, velocity, spin=float(rng.uniform(-8, 8)))
-        material = Material(np.clip(texture, 0.02, 0.92), kind, float(rng.uniform(0.15, 0.4)))
-        extras.append(
-            Object(
-                len(scene.objects) + len(extras) + 1,
-                "extra",
-                mesh.transform(rigid(np.eye(3), place)),
-                material,
-                motion=move,
-            )
-        )
-    return replace(scene, objects=(*scene.objects, *extras))
+# --- windows ----------------------------------------------------------------------------------------------------------
+
+
+def draw_scene(group: int, options: ClipOptions) -> tuple[Stage, Survey, dict]:
+    """Scene number `group` of a set, loaded, exposed and surveyed, and its facts."""
+    rng = np.random.default_rng([options.seed, group])
+    calm = options.calm > 0 and bool(rng.uniform() < options.calm)
+    if options.scenes and rng.uniform() < SCENE_SHARE:
+        return _draw_file(group, options, calm, rng)
+    return _draw_generated(group, options, calm, rng)
+
+
+def _draw_file(group: int, options: ClipOptions, calm: bool, rng: np.random.Generator) -> tuple[Stage, Survey, dict]:
+    """One of the scene files; unless it is calm, with objects more that cross the view."""
+    file, motion = options.scenes[rng.integers(len(options.scenes))]
+    frames = 2 * options.frames
+    opened = open_file(Path(file), motion or None)
+    scene = _papered(_at_rest(opened) if calm else dress(opened, rng, frames), options, group)
+    stage = Stage(scene)
+    found = survey(stage, frames, options.view)
+    calibrate(stage, scene.facts.get("brightness", 0.5), frames // 2)
+    licence = Path(file).with_name("LICENSE.txt")
+    facts = {"source": scene.name, "licence": licence.read_text() if licence.is_file() else ""}
+    return stage, found, scene.facts | facts | {"kind": "calm scene file" if calm else "scene file",
+                                                "place": scene.name}  # fmt: skip
+
+
+def _draw_generated(
+    group: int, options: ClipOptions, calm: bool, rng: np.random.Generator
+) -> tuple[Stage, Survey, dict]:
+    """A scene of `wide`, with a sun in some: the first attempt that shows something, near enough and well lit."""
+    seed, frames = scene_seed(rng), 2 * options.frames
+    sunny = rng.uniform() < options.sun
+    attempts = MAX_ATTEMPTS[options.generator]
+    for attempt in range(attempts):
+        scene = wide.procedural(seed, attempt, frames, options.view[1], options.generator, calm)
+        if sunny:
+            scene = sunlit(scene, np.random.default_rng([options.seed, group, 1, attempt + 1]))
+        scene = _papered(scene, options, group, attempt)
+        stage = Stage(scene)
+        found = survey(stage, frames, options.view)
+        last = attempt == attempts - 1
+        most = max(w.uncovered for w in candidates(found, options.size, options.frames))
+        wanted = MIN_UNCOVERED_IN_WINDOW.get(scene.facts["kind"], 0.0)
+        if last or (found.sky < 0.75 and found.near > 0.3 and most >= wanted):
+            light = calibrate(stage, scene.facts["brightness"], frames // 2)
+            if last or (light["evenness"] > 0.08 and light["noise"] < 8):
+                return stage, found, scene.facts | light | {"source": GENERATED, "scene_seed": seed}
+    raise AssertionError("unreachable")
+
+
+def scene_seed(rng: np.random.Generator) -> int:
+    """The seed of a generated scene, never a held-out one."""
+    seed = int(rng.integers(1 << 31))
+    return seed + len(HELD_OUT) if seed in HELD_OUT else seed
+
+
+def _at_rest(scene: Scene) -> Scene:
+    """The scene with objects that stand still; the camera keeps its path."""
+    return replace(scene, objects=tuple(replace(o, motion=None) for o in scene.objects))
+
+
+def _papered(scene: Scene, options: ClipOptions, group: int, attempt: int = 0) -> Scene:
+    """The scene with pictures on some surfaces; they have random numbers of their own, so nothing else changes."""
+    if not options.textures:
+        return scene
+    return hang(scene, find_pictures(options.textures), np.random.default_rng([options.seed, group, 2, attempt + 1]))

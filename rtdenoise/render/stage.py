@@ -1,16 +1,17 @@
-"""Scenes as Mitsuba 3 has them. Mitsuba is imported inside functions: without it this module still imports."""
+"""Load a scene into Mitsuba 3. Mitsuba is imported inside functions: without it this module still imports."""
 
 from __future__ import annotations
 
 import glob
 import os
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
-from .scenes.scene import Material, Object, Scene
+from .scenes.scene import Material, Object, Principled, Scene
 
 LLVM_PATTERNS = ("/usr/lib/*/libLLVM*.so*", "/usr/lib/llvm-*/lib/libLLVM*.so*", "/usr/lib64/libLLVM*.so*")
 
@@ -24,7 +25,9 @@ def start_mitsuba(threads: int | None = None):
         import drjit as dr
         import mitsuba as mi
     except ImportError as error:
-        raise InputError("rendering needs Mitsuba 3, which is missing: pip install 'rtdenoise[render]'") from error
+        raise InputError(
+            "rendering needs Mitsuba 3, which is missing: pip install 'rtdenoise[render]'"
+        ) from error
     if mi.variant() is None:
         if dr.has_backend(dr.JitBackend.CUDA):
             mi.set_variant("cuda_ad_rgb")
@@ -56,38 +59,55 @@ class Stage:
         import drjit as dr
 
         self.scene, self.exposure, self.time = scene, scene.exposure, None
-        # One BSDF of every kind lives as long as the stage: the kernels then contain the same kinds for all scenes, and
-        # are found in the cache.
+        # One BSDF of every kind lives as long as the stage: kernels then contain the same kinds for all scenes and are
+        # found in the cache.
         grey = np.full((4, 4, 3), 0.5, np.float32)
-        self._ballast = [_bsdf(mi, Material(grey, kind)) for kind in ("diffuse", "plastic", "metal", "glass")]
+        self._all_kinds = [_bsdf(mi, Material(grey, kind)) for kind in ("diffuse", "plastic", "metal", "glass")]
+        self.holes = any(isinstance(o.material, Principled) for o in scene.objects)  # see `tracing`
+        if self.holes:
+            one = grey[..., :1]
+            self._all_kinds += [
+                _bsdf(mi, Principled(grey, one, one, normal, alpha, transmission))
+                for normal, alpha, transmission in product((None, grey), (None, one), (0.0, 1.0))
+            ]
         self.mitsuba = _build(mi, scene)
         owner = {name: o for o in scene.objects for name in (o.shapes or (f"object_{o.id}",))}
         moving = {name: o for name, o in owner.items() if o.motion is not None}
 
         # A ray reports Mitsuba's registry id of the shape, which changes with every load.
         numbers = {dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]: s.id() for s in self.mitsuba.shapes()}
-        table = np.zeros(max(1 << 12, max(numbers) + 1), np.uint32)  # mostly of one size, for the kernel cache
+        table = np.zeros(max(1 << 12, max(numbers) + 1), np.uint32)  # mostly the same size, for the kernel cache
         for number, name in numbers.items():
             table[number] = owner[name].id
         self.object_ids = mi.UInt32(table)
 
         self._parameters = mi.traverse(self.mitsuba) if moving else {}
+        self._poses: dict[str, np.ndarray] = {}  # parameter -> the pose that it has now, where it is not at rest
         for name, o in moving.items():
             if f"{name}.vertex_positions" not in self._parameters:
                 raise InputError(f"shape '{name}' of object '{o.name}' is no mesh: only meshes can move")
         self._rest = [
-            (o, key, np.array(self._parameters[key]).reshape(-1, 3))
+            (o.id, key, np.array(self._parameters[key]).reshape(-1, 3))
             for name, o in moving.items()
             for key in (f"{name}.vertex_positions", f"{name}.vertex_normals")
             if key in self._parameters
         ]
 
+    def direct(self, scene: Scene) -> Stage:
+        """Give the same objects other motions, and the scene another camera; only objects that had a motion get one."""
+        self.scene, self.time = scene, None
+        return self
+
     def at(self, t: float) -> Stage:
         """Move everything to frame t."""
         mi = start_mitsuba()
         if self._rest and t != self.time:
-            for o, key, rest in self._rest:
-                pose = o.motion(t)
+            poses = {o.id: o.motion(t) for o in self.scene.objects if o.motion is not None}
+            for id, key, rest in self._rest:
+                pose = poses.get(id, np.eye(4))
+                if np.array_equal(pose, self._poses.get(key, np.eye(4))):
+                    continue
+                self._poses[key] = pose
                 moved = rest @ pose[:3, :3].T + (pose[:3, 3] if key.endswith("positions") else 0)
                 self._parameters[key] = mi.Float(moved.astype(np.float32).ravel())
             self._parameters.update()
@@ -96,12 +116,12 @@ class Stage:
 
 
 def load_file(path: Path):
-    """The Mitsuba scene of an XML file, its shapes unmerged: merged ones would lose their ids."""
+    """The Mitsuba scene of an XML file with unmerged shapes: merging would lose their ids."""
     mi = start_mitsuba()
     import drjit as dr
 
     threads = dr.thread_count()
-    dr.set_thread_count(max(threads, 2))  # with one thread Mitsuba 3.9 waits for itself on some files, parallel or not
+    dr.set_thread_count(max(threads, 2))  # with one thread Mitsuba 3.9 deadlocks on some files, `parallel` or not
     try:
         return mi.load_file(str(path), optimize=False)
     except RuntimeError as error:
@@ -111,14 +131,14 @@ def load_file(path: Path):
 
 
 def _last_line(message: str) -> str:
-    """Of Mitsuba's nested messages the innermost, with the list that it may end in, as one line."""
+    """The innermost of Mitsuba's nested messages, with the list that may follow it, as one line."""
     lines = message.strip().splitlines()
     start = max(i for i, line in enumerate(lines) if not line.lstrip().startswith("-") or i == 0)
     return " ".join(line.strip() for line in lines[start:])
 
 
 def _build(mi, scene: Scene):
-    """The scene of the file, if there is one, and the objects, lights and sky that come to it."""
+    """The scene of the file, if there is one, with the scene's own objects, lights and sky added."""
     made = {f"object_{o.id}": _shape(mi, o) for o in scene.objects if o.mesh is not None}
     if scene.file and not made and scene.sky is None and not scene.spots and scene.sun is None:
         return load_file(scene.file)
@@ -142,17 +162,20 @@ def _build(mi, scene: Scene):
 
 
 def _contents(mi, loaded) -> dict:
-    """Shapes, sensors and those emitters of a loaded scene that are not part of a shape, for a scene of one's own."""
+    """Shapes, sensors and emitters (but those of a shape) of a loaded scene, as parts of a new one."""
     emitters = [e for e in loaded.emitters() if not mi.has_flag(e.flags(), mi.EmitterFlags.Surface)]
-    shapes = {shape.id(): shape for shape in loaded.shapes()}  # Mitsuba takes the keys for ids
+    shapes = {shape.id(): shape for shape in loaded.shapes()}  # Mitsuba uses the keys as ids
     return shapes | {f"part {i}": part for i, part in enumerate([*loaded.sensors(), *emitters])}
 
 
-def _bsdf(mi, material: Material):
-    def bitmap(image):
-        return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image, np.float32)), "raw": True}
+def _bitmap(mi, image: np.ndarray) -> dict:
+    return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image, np.float32)), "raw": True}
 
-    texture, alpha = bitmap(material.texture), float(material.roughness)
+
+def _bsdf(mi, material: Material | Principled):
+    if isinstance(material, Principled):
+        return mi.load_dict(_principled(mi, material))
+    texture, alpha = _bitmap(mi, material.texture), float(material.roughness)
     kinds = {
         "diffuse": {"type": "diffuse", "reflectance": texture},
         "plastic": {"type": "roughplastic", "diffuse_reflectance": texture, "alpha": alpha},
@@ -162,11 +185,29 @@ def _bsdf(mi, material: Material):
     return mi.load_dict(kinds[material.kind])
 
 
+def _principled(mi, material: Principled) -> dict:
+    """Always the same few nestings of plugins, so that the kernels of all scenes are found in the cache."""
+    bsdf = {
+        "type": "principled", "base_color": _bitmap(mi, material.color),
+        "roughness": _bitmap(mi, np.clip(material.roughness, 0.03, 1)), "metallic": _bitmap(mi, material.metallic),
+    }  # fmt: skip
+    if material.transmission > 0:
+        return bsdf | {"spec_trans": material.transmission, "eta": material.ior}
+    if material.normal is not None:
+        bsdf = {"type": "normalmap", "normalmap": _bitmap(mi, material.normal), "nested": bsdf}
+    bsdf = {"type": "twosided", "nested": bsdf}
+    if material.alpha is not None:
+        bsdf = {"type": "mask", "opacity": _bitmap(mi, material.alpha), "nested": bsdf}
+    return bsdf
+
+
 def _shape(mi, o: Object):
     properties = mi.Properties()
     properties["bsdf"] = _bsdf(mi, o.material)
     if o.emission is not None:
-        properties["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "rgb", "value": list(o.emission)}})
+        plain = isinstance(o.emission, tuple)
+        radiance = {"type": "rgb", "value": list(o.emission)} if plain else _bitmap(mi, o.emission)
+        properties["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
     shape = mi.Mesh(
         f"object_{o.id}", len(o.mesh.vertices), len(o.mesh.faces), properties,
         has_vertex_normals=True, has_vertex_texcoords=True,

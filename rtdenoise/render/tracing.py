@@ -4,6 +4,10 @@ Light is split by the number of surface bounces between the lamp and the camera,
 0 and 1 bounces are *direct* (lamps seen by the camera, and light that a lamp throws on the first surface hit),
 2 and more are *indirect*. A lamp seen in a mirror is direct, a lit wall seen in a mirror or through glass is indirect.
 Nothing is counted twice and nothing is lost: direct + indirect is what Mitsuba's `path` integrator computes.
+
+With `holes`, surfaces let light through where their opacity (Mitsuba's `mask`) says so: paths, shadow rays and features
+pass a hole without a bounce, and features and light of a sample pass the same holes. Mitsuba's `path` counts each hole
+as a bounce, and holes cast shadows in it.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ import mitsuba as mi
 
 
 @dr.syntax
-def trace(scene, sampler, ray, max_depth):
+def trace(scene, sampler, ray, max_depth, holes=False):
     """Path tracing with emitter and BSDF sampling (balance heuristic). `max_depth` counts edges, as Mitsuba's `path`.
 
     Returns (direct, indirect), two `Color3f` as wide as `ray`.
@@ -41,8 +45,10 @@ def trace(scene, sampler, ray, max_depth):
         shade = active & si.is_valid() & (depth + 1 < max_depth)
         bsdf = si.bsdf(ray)
         smooth = shade & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        lamp, radiance = scene.sample_emitter_direction(si, sampler.next_2d(shade), True, smooth)
+        lamp, radiance = scene.sample_emitter_direction(si, sampler.next_2d(shade), not holes, smooth)
         use_lamp = smooth & (lamp.pdf > 0)
+        if dr.hint(holes, mode="scalar"):
+            radiance *= transmittance(scene, si, lamp, use_lamp)
         value, value_pdf, sample, factor = bsdf.eval_pdf_sample(
             context, si, si.to_local(lamp.d), sampler.next_1d(shade), sampler.next_2d(shade), shade
         )
@@ -56,27 +62,64 @@ def trace(scene, sampler, ray, max_depth):
 
         throughput *= factor
         ray = si.spawn_ray(si.to_world(sample.wo))
-        previous = mi.Interaction3f(si)
-        previous_pdf = sample.pdf
-        previous_delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        depth += 1
+        bounce = mi.Bool(True)
+        if dr.hint(holes, mode="scalar"):
+            bounce = ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        previous = dr.select(bounce, mi.Interaction3f(si), previous)
+        previous_pdf = dr.select(bounce, sample.pdf, previous_pdf)
+        previous_delta = dr.select(bounce, mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta), previous_delta)
+        depth += dr.select(bounce, mi.UInt32(1), mi.UInt32(0))
         active = shade & (dr.max(throughput) > 0)
     return _finite(direct), _finite(indirect)
 
 
+@dr.syntax
+def transmittance(scene, si, lamp, active):
+    """The share of light from an emitter sample that the holes of the surfaces in between let through, as `Float`."""
+    share = mi.Float(1)
+    ray = si.spawn_ray_to(lamp.p)
+    active = mi.Bool(active)
+    while active:
+        hit = scene.ray_intersect(ray, mi.RayFlags.All, False, active)
+        active &= hit.is_valid()
+        through = dr.mean(hit.bsdf().eval_null_transmission(hit, active))
+        share = dr.select(active, share * through, share)
+        active &= share > 0
+        ray = hit.spawn_ray_to(lamp.p)
+    return share
+
+
+@dr.syntax
+def first_surface(scene, sampler, ray):
+    """The first hits of the rays behind the holes that `trace` passes with the same random numbers."""
+    ray = mi.Ray3f(ray)
+    si = scene.ray_intersect(ray)
+    passing = si.is_valid()
+    while passing:
+        bsdf = si.bsdf()
+        sampler.next_2d(passing)  # the emitter sample in `trace`
+        sample, _ = bsdf.sample(mi.BSDFContext(), si, sampler.next_1d(passing), sampler.next_2d(passing), passing)
+        passing &= mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        if passing:
+            ray = si.spawn_ray(ray.d)
+            si = scene.ray_intersect(ray, mi.RayFlags.All, False, passing)
+            passing &= si.is_valid()
+    return si
+
+
 def _finite(radiance):
-    """A path that went wrong numerically contributes nothing."""
+    """Paths with numerical errors contribute nothing."""
     return dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
 
 
-def first_hit(scene, ray, sampler, object_ids):
-    """What the primary rays see: position, shading normal, distance, albedo, object id, and the emission at the hit.
+def first_hit(scene, ray, sampler, object_ids, holes=False):
+    """Features of the primary rays' hits: position, shading normal, distance, albedo, object id, emission.
 
     `object_ids` maps Mitsuba's shape registry ids to ours. Albedo is the diffuse reflectance where there is a diffuse
     lobe, 1 for glass, and the specular reflectance for metals (where it has no name, the weight of one BSDF sample,
     which is about reflectance × Fresnel). Position, normal, distance and id are 0 where nothing was hit.
     """
-    si = scene.ray_intersect(ray)
+    si = first_surface(scene, sampler, ray) if holes else scene.ray_intersect(ray)
     hit = si.is_valid()
     bsdf = si.bsdf(ray)
     flags = bsdf.flags()
@@ -99,11 +142,9 @@ def first_hit(scene, ray, sampler, object_ids):
     }
 
 
-def primary_rays(sampler, size, spp, world_from_pixel):
-    """Rays through every pixel, `spp` neighbours in the wavefront to a pixel, uniformly over its area (box filter).
-
-    `world_from_pixel` = (origin [3], matrix [3, 3]): direction = matrix · (x, y, 1), (x, y) in pixels.
-    """
+def primary_rays(sampler, size, spp, camera):
+    """Rays through every pixel, `spp` neighbours in the wavefront to a pixel, uniformly over its area (box filter) and
+    over the camera's lens."""
     height, width = size
     index = dr.arange(mi.UInt32, height * width * spp) // dr.opaque(mi.UInt32, spp)
     columns = dr.opaque(mi.UInt32, width)
@@ -111,10 +152,22 @@ def primary_rays(sampler, size, spp, world_from_pixel):
     x = index - y * columns
     offset = sampler.next_2d()
     pixel = mi.Vector3f(mi.Float(x) + offset.x, mi.Float(y) + offset.y, 1)
-    origin, matrix = world_from_pixel
+    origin, matrix = camera.world_from_pixel(size)  # direction = matrix · (x, y, 1)
     rows = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in row)) for row in matrix]
-    direction = dr.normalize(mi.Vector3f(*(dr.dot(row, pixel) for row in rows)))
-    return mi.Ray3f(mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in origin)), direction)
+    direction = mi.Vector3f(*(dr.dot(row, pixel) for row in rows))
+    origin = _opaque(mi.Point3f, origin)
+    if camera.aperture > 0:
+        lens = mi.warp.square_to_uniform_disk(sampler.next_2d()) * dr.opaque(mi.Float, camera.aperture)
+        right, down = (_opaque(mi.Vector3f, camera.to_world[:3, k]) for k in (0, 1))
+        sharp = origin + direction * dr.opaque(mi.Float, camera.focus)
+        origin = origin + right * lens.x + down * lens.y
+        direction = sharp - origin
+    return mi.Ray3f(origin, dr.normalize(direction))
+
+
+def _opaque(kind, values):
+    """Data, not code, so that kernels are reused."""
+    return kind(*(dr.opaque(mi.Float, float(v)) for v in values))
 
 
 def make_sampler(seed: int, wavefront: int):

@@ -1,4 +1,4 @@
-"""Where in a picture, and when, something happens: windows for training clips, found from features at low cost."""
+"""Windows for training clips: where in a picture, and when, something happens, found from first hits alone."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ import numpy as np
 from .frames import features, uncovered
 from .stage import Stage
 
-COARSE = 4  # pixels of the picture to a pixel of the survey, each way
-MOTION = 0.002  # worth of a pixel a frame of motion, in shares of uncovered pixels, up to ten
-OVERLAP = 0.5  # two windows of a scene share less than this of their pixels and frames
+COARSE = 4  # pixels of the picture to a pixel of the survey, in each direction
+MOTION_WEIGHT = 0.002  # a pixel a frame of motion counts as much as this share of uncovered pixels,
+MAX_MOTION = 10  # up to so many pixels a frame
+MAX_OVERLAP = 0.5  # share of pixels and frames that two windows of a scene may have in common
 
 
 @dataclass(frozen=True)
 class Window:
-    """A part of a picture and of time."""
+    """A rectangle of a picture, from one frame on."""
 
-    first: int  # frame
-    top: int  # pixels of the whole picture
+    first: int  # first frame
+    top: int  # in pixels of the whole picture
     left: int
     uncovered: float  # share of pixels that were hidden one frame before, mean over the frames
     motion: float  # mean length in pixels a frame
@@ -28,20 +29,20 @@ class Window:
 
 @dataclass(frozen=True)
 class Survey:
-    """Facts of a clip's surroundings, at one pixel in COARSE × COARSE. T frames, the first has no `uncovered`."""
+    """Activity in a picture over T frames, one pixel for COARSE × COARSE. In the first frame nothing is uncovered."""
 
     uncovered: np.ndarray  # [T, h, w] bool
-    motion: np.ndarray  # [T, h, w] pixels of the whole picture; what was off the screen counts as still
-    sky: float  # share without a hit
+    motion: np.ndarray  # [T, h, w] pixels of the whole picture a frame; 0 for surfaces that were off the screen
+    sky: float  # share of pixels without a hit
     near: float  # distance of the nearest twentieth
 
 
 def survey(stage: Stage, frames: int, view: tuple[int, int]) -> Survey:
-    """Look at frames 0 … frames − 1 of a picture of `view` = (height, width); nothing is traced past the first hit."""
+    """Survey frames 0 … frames − 1 of a picture of `view` = (height, width)."""
     size = (view[0] // COARSE, view[1] // COARSE)
     seen = [features(stage, n, size) for n in range(frames)]
     hidden = [np.zeros(size, bool)]
-    hidden += [uncovered(b["motion"], a["motion_next"], 0.5) for a, b in pairwise(seen)]
+    hidden += [uncovered(b["motion"], a["motion_next"]) for a, b in pairwise(seen)]
     length = np.stack([np.linalg.norm(f["motion"], axis=-1) for f in seen]) * COARSE
     depth = np.concatenate([f["depth"].ravel() for f in seen])
     hit = depth > 0
@@ -54,8 +55,8 @@ def survey(stage: Stage, frames: int, view: tuple[int, int]) -> Survey:
 
 
 def candidates(found: Survey, size: tuple[int, int], frames: int) -> list[Window]:
-    """All windows of `size` = (height, width) and `frames` frames, on a grid of an eighth of the window and half the
-    time."""
+    """All windows of `size` = (height, width) and `frames` frames, in steps of an eighth of the window and of half its
+    frames."""
     h, w = size[0] // COARSE, size[1] // COARSE
     total, H, W = found.motion.shape
     windows = []
@@ -76,14 +77,12 @@ def candidates(found: Survey, size: tuple[int, int], frames: int) -> list[Window
 
 
 def choose(windows: list[Window], taken: list[Window], size, frames: int, active: bool, rng) -> Window:
-    """The window with the most activity, or any one; as long as there are, one that is new beside those `taken`.
-
-    Activity is the share of uncovered pixels, and a little for motion.
-    """
-    fresh = [w for w in windows if all(_overlap(w, t, size, frames) < OVERLAP for t in taken)] or windows
+    """The window with the most activity, or (not `active`) a random one; while there are any, one that overlaps none
+    of those `taken` by MAX_OVERLAP. Activity is the share of uncovered pixels, and a little for motion."""
+    fresh = [w for w in windows if all(_overlap(w, t, size, frames) < MAX_OVERLAP for t in taken)] or windows
     if not active:
         return fresh[rng.integers(len(fresh))]
-    return max(fresh, key=lambda w: w.uncovered + MOTION * min(w.motion, 10))
+    return max(fresh, key=lambda w: w.uncovered + MOTION_WEIGHT * min(w.motion, MAX_MOTION))
 
 
 def _overlap(a: Window, b: Window, size, frames: int) -> float:
@@ -94,7 +93,7 @@ def _overlap(a: Window, b: Window, size, frames: int) -> float:
 
 
 def look_through(stage: Stage, window: Window, view: tuple[int, int]) -> Stage:
-    """Give the stage the camera of a window of the picture that it shows now."""
+    """Narrow the stage's camera to a window of the picture that it shows now."""
     whole = stage.scene.camera
     part = (*view, window.top, window.left)
     stage.scene = replace(stage.scene, camera=lambda t: replace(whole(t), window=part))

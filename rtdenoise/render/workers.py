@@ -1,4 +1,4 @@
-"""Rendering processes: jobs in, results out as they are done, and one line when a process dies or a folder is taken."""
+"""Rendering processes: run jobs, yield results, tell in one line when a process dies or a folder is in use."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .stage import start_mitsuba
 
 
 def run_jobs(function: Callable, jobs: list[tuple], workers: int) -> Iterator:
-    """Yield `(job, function(*job))` for every job, in the order in which they are done, from `workers` processes.
+    """Yield `(job, function(*job))` for every job in the order of completion, from `workers` processes.
 
     Raises InputError where a job does, and where a process was killed.
     """
@@ -29,7 +29,7 @@ def run_jobs(function: Callable, jobs: list[tuple], workers: int) -> Iterator:
                 yield running[done], done.result()
         except BrokenProcessPool as error:
             raise InputError(
-                "a rendering process was killed (out of memory?); what is finished is kept: run the same command "
+                "a rendering process was killed (out of memory?); finished clips are kept: run the same command "
                 "again, with fewer --workers if memory is short"
             ) from error
         finally:
@@ -37,7 +37,7 @@ def run_jobs(function: Callable, jobs: list[tuple], workers: int) -> Iterator:
 
 
 def start_worker() -> None:
-    """One rendering thread, and an end when the parent ends, however it does: nobody would read what comes after."""
+    """Use one rendering thread, and exit as soon as the parent process ends."""
     parent = multiprocessing.parent_process().sentinel
     threading.Thread(target=lambda: multiprocessing.connection.wait([parent]) and os._exit(1), daemon=True).start()
     start_mitsuba(1)

@@ -18,7 +18,7 @@ def markdown(data: dict) -> str:
     run = data["runs"][-1]
     parts = [
         "# Error against run time",
-        f"{data['signal']} light, {fewest} spp, {len(data['sequences'])} sequences: "
+        f"{data['signal']} light, {fewest} spp, {_count(len(data['sequences']), 'sequence')}: "
         f"{', '.join(map(plain, data['sequences']))}. "
         f"Commit {run['commit']}, {run['date']}, {plain(', '.join(run['devices'].values()))}. "
         "`report.html` has the pictures.",
@@ -38,6 +38,10 @@ def plain(text: str) -> str:
 def write_number(metric: str, value: float | None) -> str:
     """With the digits of the metric; a dash for None."""
     return "–" if value is None else f"{value:.{METRICS[metric].digits}f}"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _in_order(groups: list[list[dict]]) -> list[list[dict]]:
@@ -106,7 +110,7 @@ def _readings(data: dict) -> str:
         return ""
     goal = f"To reach the PSNR of rtdenoise `{data['ours']}` at its fewest samples; ≈ is extrapolated."
     tables = [_reading(name, [row for row in rows if row["sequence"] == name]) for name in told]
-    return "\n\n".join(["## What it would take", goal, *tables])
+    return "\n\n".join(["## Equal error and equal time", goal, *tables])
 
 
 def _reading(sequence: str, rows: list[dict]) -> str:

@@ -1,5 +1,5 @@
 """Denoise a sequence of EXR files into a folder: `rtdenoise denoise SEQ --out DIR`. Interrupted runs go on where they
-stopped, finished ones where frames have been appended."""
+stopped, and finished runs where frames were appended."""
 
 from __future__ import annotations
 
@@ -27,50 +27,51 @@ if TYPE_CHECKING:
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
 SUMMARY = "denoise.json"
-EXAMINED = 3  # frames that the plan looks at
+EXAMINED = 3  # frames that the plan examines
 
 
 @dataclass(frozen=True)
 class Options:
-    """What a run depends on, beside its input."""
+    """The options of a run."""
 
     signal: str = "color"
-    """What is denoised: 'color' (the beauty) or 'indirect'."""
+    """The signal to denoise: 'color' (the beauty) or 'indirect'."""
     model: str = "default"
-    """Name of a shipped model, or a .safetensors file that `rtdenoise train` wrote."""
+    """The network: 'default', 'fast', 'quality', 'paper', or a .safetensors file that `rtdenoise train` wrote."""
     preset: str = "auto"
     """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
     file."""
     layout: str = "plain"
-    """Of the output: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in its place)."""
+    """Channels of the output files: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in
+    its place)."""
     recombine: bool = False
-    """Put the denoised signal back together with the rest of the light: the result is the beauty."""
+    """Add the rest of the light to the denoised signal: the result is the beauty."""
     keep: tuple[str, ...] = ()
-    """Channels of the input to pass on, by layer name ('albedo', 'depth' ...) or 'all'."""
+    """Layers of the input to copy into the output ('albedo', 'depth' ...), or 'all'."""
     float32: bool = False
     """Write 32-bit float instead of 16-bit half."""
     allow_gaps: bool = False
     """Accept missing frame numbers; history starts anew after each gap."""
     detect_cuts: bool = True
-    """Start history anew where most pixels find another surface than the motion vectors promise."""
+    """Start history anew where most pixels find another surface than their motion vectors promise."""
     plan: bool = True
-    """Leave out what a frame does not need (`rtdenoise inspect` says what); off: everything runs."""
+    """Leave out work that a frame does not need (`rtdenoise inspect` lists it); off: everything runs."""
     backend: str = "auto"
     """'torch', 'glsl' (OpenGL compute shaders, needs no PyTorch), or 'auto': torch where it is installed."""
     device: str = "auto"
-    """Of the backend torch: 'auto', 'cpu' or 'cuda'."""
+    """Device of the torch backend: 'auto', 'cpu' or 'cuda'."""
     precision: str = "auto"
-    """Of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl: of what it stores), or 'auto' (torch: bf16 where the
-    hardware is faster in it; glsl: fp32)."""
+    """Precision of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl, for stored activations), or 'auto' (torch: bf16
+    where the hardware is faster with it; glsl: fp32)."""
 
 
-DECISIVE = tuple(f.name for f in fields(Options) if f.name not in ("backend", "device"))  # that changes the files
+# Options that change the files.
+DECISIVE = tuple(f.name for f in fields(Options) if f.name not in ("backend", "device"))
 
 
 @dataclass
 class Summary:
-    """What a run did. But for `written`, `skipped` and `seconds` it counts the frames of earlier, interrupted runs
-    too."""
+    """The outcome of a run. All but `written`, `skipped` and `seconds` include earlier, interrupted runs."""
 
     written: int = 0
     skipped: int = 0

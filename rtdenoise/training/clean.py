@@ -1,8 +1,8 @@
-"""References for training made cleaner than their samples: each is denoised by Intel Open Image Denoise.
+"""Cleaner references for training: each is denoised by Intel Open Image Denoise.
 
-At dozens of samples a pixel a filter takes most of the noise that is left, in milliseconds, where a path tracer needs
-four times the samples to halve it (bench/clean.py measures both). For training alone: measured against these
-references, a method would be rewarded for being as smooth as the filter.
+At dozens of samples a pixel a filter removes most of the remaining noise in milliseconds, where a path tracer needs
+four times the samples to halve it (docs/notes/clean.md has figures). For training alone: as a measure, such references
+reward methods as smooth as the filter.
 """
 
 from __future__ import annotations

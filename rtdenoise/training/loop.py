@@ -136,7 +136,8 @@ def _steps(
             if trainer.skipped_in_turn == MAX_SKIPPED_IN_TURN:
                 raise InputError(
                     f"{config.out}: {MAX_SKIPPED_IN_TURN} steps in turn without a finite loss or gradient: the weights "
-                    "are broken; begin another run with a lower --lr, from the weights of its best validation"
+                    "are broken; begin another run with a lower --lr, from "
+                    f"--init {Path(config.out) / WEIGHTS} if that is there"
                 )
             yield row | {"seconds": time.perf_counter() - started}
 

@@ -140,3 +140,4 @@ def check(config: TrainConfig) -> None:
     if config.device not in ("cpu", "cuda"):
         raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
     choose_device(config.device)
+    model_config(config)

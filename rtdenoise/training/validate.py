@@ -10,9 +10,10 @@ import torch
 from ..color import display_exposure
 from ..data.clips import ClipDataset
 from ..errors import InputError
+from ..evaluate.sequence import outputs, uncovered
+from ..frame import Frame, History
 from ..metrics import psnr
 from ..models import Combiner, Denoiser, Window
-from ..motion import uncovered
 from .config import TrainConfig
 
 MIN_UNCOVERED = 0.005  # share of a frame; the PSNR of fewer pixels says nothing
@@ -37,15 +38,17 @@ def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[s
     """Mean display PSNR in dB over all frames but the first: of the noisy frames, the denoised ones, and their
     uncovered regions. NaN without such frames."""
     rows: dict[str, list[float]] = {"noisy": [], "denoised": [], "denoised_uncovered": []}
+
+    def step(frame: Frame, history: History | None) -> tuple[torch.Tensor, History]:
+        with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
+            return model.step(frame, history)
+
     for index in range(len(clips)):
         frames = clips.load(index, signal="color" if config.signal == "color" else "indirect")
-        history, scale = None, display_exposure(torch.cat([frame.reference for frame in frames]))
-        for i, frame in enumerate(frame.to(config.device) for frame in frames):
-            mask = uncovered(frame, history and history.motion_next)
-            with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
-                image, history = model.step(frame, history)
-            if i == 0:
-                continue
+        frames = [frame.to(config.device) for frame in frames]
+        scale, masks = display_exposure(torch.cat([frame.reference for frame in frames])), uncovered(frames)
+        for output, mask in list(zip(outputs(step, frames), masks, strict=True))[1:]:
+            frame, image = output.frame, output.image
             rows["noisy"].append(psnr(frame.radiance, frame.reference, scale))
             rows["denoised"].append(psnr(image, frame.reference, scale))
             if mask.float().mean() > MIN_UNCOVERED:

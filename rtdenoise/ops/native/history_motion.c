@@ -1,4 +1,4 @@
-// The motion that fetches history, in one pass over the motion vectors. The specification is ops/history_motion.py.
+// The motion that fetches history, in one pass over the motion vectors. The specification is splat.history_motion.
 #include "common.h"
 #include "targets.h"
 

@@ -1,13 +1,13 @@
-"""Mitsuba XML scenes, set in motion by a TOML file. docs/scenes.md explains every key.
+"""Mitsuba XML scenes, set in motion by a TOML file. docs/use/scenes.md explains every key.
 
     brightness = 0.5              # mean luminance of what is lit; without it the file's radiance is kept
 
     [camera]
-    sensor = 0                    # which of the file's sensors it starts from
+    sensor = 0                    # number of the file's sensor that it starts from
     distance = 4.0                # to the point that it looks at and orbits about
     velocity = [0.01, 0.0, 0.0]   # and pan, orbit, shake, start, seed: see `motions.CameraPath`
 
-    [[cut]]                       # at this frame the camera jumps; and everything that [camera] has
+    [[cut]]                       # at this frame the camera jumps; further keys as in [camera]
     frame = 6
     sensor = 1
 
@@ -19,7 +19,7 @@
     [[extra]]                     # an object that the file does not have
     shape = "torus"               # sphere, box, cylinder, torus, blob
     size = 0.3                    # radius of the sphere about it
-    at = [0.0, 1.0, -2.0]         # its middle at rest; without it a free place in view is looked for
+    at = [0.0, 1.0, -2.0]         # its middle at rest; without it, a free place in view
 
 Shapes that no object names stand still, each as an object of its own.
 """
@@ -45,8 +45,8 @@ MOTION_KEYS = {f.name for f in fields(Motion)} | {"hold"}
 OBJECT_KEYS = {"name", "shapes"} | MOTION_KEYS
 EXTRA_KEYS = {"name", "shape", "size", "at", "material", "colour", "roughness", "place_seed"} | MOTION_KEYS
 CAMERA_KEYS = {"sensor", "distance", "hold"} | {f.name for f in fields(CameraPath)} - {"origin", "target", "fov"}
-OBJECT_FRAME = {"offset": 3, "turn": 1}  # what a keyframe of an object has, in numbers; left out: 0
-CAMERA_FRAME = {"origin": 3, "target": 3}  # ... of a camera; both are needed
+OBJECT_FRAME = {"offset": 3, "turn": 1}  # numbers in a keyframe of an object; 0 where left out
+CAMERA_FRAME = {"origin": 3, "target": 3}  # numbers in a keyframe of a camera; both are needed
 
 
 def open_file(path: str | Path, motion: str | Path | None = None) -> Scene:
@@ -106,11 +106,11 @@ def _objects(entries: list[dict], shapes: list[str], where) -> tuple[Object, ...
 
 
 def _near(patterns: list[str], shapes: list[str]) -> str:
-    """The names that may have been meant, as the end of a message."""
+    """Similar names, as the end of a message."""
     stems = {pattern.replace("*", "") for pattern in patterns}
     near = []
     for stem in stems:
-        starts = {shape[: len(stem)]: shape for shape in reversed(shapes)}  # * mostly stands for the end
+        starts = {shape[: len(stem)]: shape for shape in reversed(shapes)}  # * mostly stands at the end
         near += get_close_matches(stem, shapes, 3, 0.5) + [starts[s] for s in get_close_matches(stem, starts, 3)]
     names = list(dict.fromkeys(near))[:4] or shapes[:4]
     return f"; {'near' if near else 'it has'}: {', '.join(names)}"
@@ -141,7 +141,7 @@ def _keyframes(entry: dict, parts: dict[str, int], where: str, default: dict) ->
 
 
 def _extra(entry: dict, id: int, loaded, path: CameraPath, where: str) -> Object:
-    """An object that is not in the file, where it touches nothing in frame 0."""
+    """An added object, placed where it touches nothing in frame 0."""
     name = entry.get("name", "extra")
     where = f"{where}: extra '{name}'"
     _check(entry, EXTRA_KEYS, where)
@@ -185,7 +185,7 @@ def _camera(entry: dict, loaded, where: str) -> CameraPath:
 
 
 def _arguments(cls, entry: dict, where: str) -> dict:
-    """The entries that are fields of `cls`, each with as many numbers as the field takes; not `keys`."""
+    """Those entries that are fields of `cls` (but `keys`), checked for their count of numbers."""
     arguments = {}
     for field in fields(cls):
         if field.name in entry and field.name != "keys":

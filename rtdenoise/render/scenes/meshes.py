@@ -1,7 +1,7 @@
-"""Triangle meshes made in numpy: the shapes that procedural scenes are built from.
+"""Triangle meshes made in numpy: the shapes of procedural scenes.
 
-Every mesh carries vertex normals and texture coordinates, also the flat ones. All objects then are of one kind, the
-renderer's kernels are the same for every scene, and they are compiled once.
+Every mesh carries vertex normals and texture coordinates, flat ones too: all objects are then of one kind, and the
+renderer compiles its kernels once for all scenes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Mesh:
     faces: np.ndarray  # [F, 3] uint32
 
     def transform(self, matrix: np.ndarray) -> Mesh:
-        """Moved by a 4×4 matrix (rotation, translation and scale; mirrored meshes are not made here)."""
+        """Moved by a 4×4 matrix of rotation, translation and scale, without reflection."""
         normals = self.normals @ np.linalg.inv(matrix[:3, :3])
         return Mesh(
             (self.vertices @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32),
@@ -34,7 +34,7 @@ class Mesh:
         return Mesh(self.vertices, self.normals, (self.uv * factor).astype(np.float32), self.faces)
 
     def flip(self) -> Mesh:
-        """Seen from the other side."""
+        """With the other side out."""
         return Mesh(self.vertices, -self.normals, self.uv, np.ascontiguousarray(self.faces[:, ::-1]))
 
     @property

@@ -1,4 +1,4 @@
-"""How objects and cameras move: time in frames → 4×4 matrices. Plain data: a motion can be written down in a file.
+"""Motions of objects and cameras: time in frames → 4×4 matrices. Plain data, so that a file can hold a motion.
 
 World space is right-handed with +y up. Angles are in degrees, speeds in units (or degrees) per frame.
 """
@@ -35,9 +35,9 @@ class Keyframes:
     """Values at given frames, straight lines between them."""
 
     frames: tuple[float, ...]  # ascending
-    values: tuple[tuple[float, ...], ...]  # one of the same length for every frame
-    hold: bool = False  # the first and last value also hold before and after; otherwise that is undefined
-    name: str = "motion"  # what is moved, for messages
+    values: tuple[tuple[float, ...], ...]  # one for every frame, all of one length
+    hold: bool = False  # hold the first and last value before and after; otherwise those frames are undefined
+    name: str = "motion"  # of the moving object, for messages
 
     def __call__(self, t: float) -> np.ndarray:
         """The value at frame t. Raises InputError where it is undefined."""
@@ -81,12 +81,14 @@ class Motion:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera at one moment."""
+    """A camera at one moment. Projections are those of a pinhole in the middle of its lens."""
 
     to_world: np.ndarray  # [4, 4]; columns: right, down, forward, origin
     fov: float  # horizontal field of view, of the whole picture
-    shot: int = 0  # between frames of different shots there is a cut: no motion leads from one to the other
+    shot: int = 0  # between frames of different shots lies a cut, which no motion crosses
     window: tuple[int, int, int, int] | None = None  # the image is a part of a picture: (its height, width, top, left)
+    aperture: float = 0.0  # radius of the lens; 0: everything is sharp
+    focus: float = 1.0  # distance along the axis of what is sharp
 
     def _pinhole(self, size: tuple[int, int]) -> tuple[float, float, float]:
         """Distance of the image plane, and the column and row of the optical axis, in pixels of an image `size`."""
@@ -107,7 +109,7 @@ class Camera:
 
 
 def look_at(origin, target, fov: float, roll: float = 0.0) -> Camera:
-    """The camera at `origin` that has `target` in the middle of the image and +y up."""
+    """The camera at `origin` with `target` in the middle of the image and +y up."""
     forward = np.asarray(target, float) - origin
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0, 1, 0))
@@ -130,9 +132,11 @@ class CameraPath:
     shake: float = 0.0  # hand-held: amplitude, in degrees, of slow and fast sines of the view's direction
     seed: int = 0  # of the shake's phases
     keys: Keyframes | None = None  # (origin, target) in six numbers, instead of `origin` and `target`
+    aperture: float = 0.0  # radius of the lens; 0: no depth of field
+    focus: float = 1.0  # distance of what is sharp
 
     def slowed(self, factor: float) -> CameraPath:
-        """The same path at `factor` times the speed; of keys that stays."""
+        """The same path at `factor` times the speed; keyframes keep theirs."""
         velocity = tuple(factor * v for v in self.velocity)
         return replace(
             self, velocity=velocity, orbit=factor * self.orbit, pan=factor * self.pan, shake=factor * self.shake
@@ -153,7 +157,8 @@ class CameraPath:
         distance = np.linalg.norm(target - origin)
         target = target + distance * np.radians(1) * np.array([yaw, pitch, 0])
         moved = np.array(self.velocity) * t
-        return look_at(origin + moved, target + moved, self.fov, roll / 2)
+        camera = look_at(origin + moved, target + moved, self.fov, roll / 2)
+        return replace(camera, aperture=self.aperture, focus=self.focus)
 
 
 @dataclass(frozen=True)

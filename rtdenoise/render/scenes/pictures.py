@@ -1,4 +1,4 @@
-"""Pictures from files as the textures of some surfaces: photographs have what generated patterns lack."""
+"""Pictures from files as textures of some surfaces: photographs have detail that generated patterns lack."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from .textures import SIZE
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 LICENCES = ("LICENSE.txt", "LICENSE", "LICENSE.md")
-SHARE = 0.4  # of the surfaces that can have a picture
-LEAST = 16  # pixels a side: smaller ones are icons
+PICTURE_SHARE = 0.4  # of the surfaces that can have a picture
+MIN_SIDE = 16  # pixels; smaller pictures are icons
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Pictures:
 
     @property
     def licence(self) -> str:
-        """What the folder says about its licences; "" where it says nothing."""
+        """Text of the folder's licence file; "" without one."""
         found = [self.folder / name for name in LICENCES if (self.folder / name).is_file()]
         return found[0].read_text(errors="replace") if found else ""
 
@@ -62,20 +62,20 @@ def find_pictures(folder: str | Path) -> Pictures:
         raise InputError(f"{folder}: no pictures found; expected {', '.join(SUFFIXES)} files")
     for name in names:
         with _opened(folder / name) as image:
-            if image.mode[0] in "IF" or min(image.size) < LEAST:
+            if image.mode[0] in "IF" or min(image.size) < MIN_SIDE:
                 raise InputError(f"{folder / name}: is {image.size[0]}×{image.size[1]} of mode {image.mode}, expected "
-                                 f"8 bits a channel and at least {LEAST} pixels a side")  # fmt: skip
+                                 f"8 bits a channel and at least {MIN_SIDE} pixels a side")  # fmt: skip
     return Pictures(folder, tuple(names))
 
 
 def hang(scene: Scene, pictures: Pictures, rng: np.random.Generator, keep: Collection[str] = ("backdrop",)) -> Scene:
-    """The scene with pictures instead of the textures of some of its surfaces, but for those named `keep`; geometry,
-    light and motion stay. Its facts say which pictures, from where, under what licence."""
+    """The scene with pictures as the textures of some surfaces, never of those named `keep`; geometry, light and motion
+    stay. Its facts name the pictures, their folder and licence."""
     used: list[str] = []
 
     def papered(o: Object) -> Object:
         can = o.mesh is not None and o.material.kind != "glass" and o.emission is None and o.name not in keep
-        if not can or rng.uniform() >= SHARE:
+        if not can or rng.uniform() >= PICTURE_SHARE:
             return o
         name = pictures.names[rng.integers(len(pictures.names))]
         used.append(name)
@@ -99,7 +99,7 @@ def _small(path: Path) -> np.ndarray:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
-    """A Pillow image; whatever is wrong with its file is an `InputError`."""
+    """A Pillow image. Raises InputError where the file cannot be read."""
     try:
         with Image.open(path) as image:
             yield image

@@ -9,7 +9,7 @@ from .meshes import Mesh
 from .motions import CameraPath, Motion
 from .scene import Material, Object, Scene
 
-VERSION = 1  # of the generator; a change to what a seed draws is a new version
+VERSION = 1  # of the generator; whoever changes the scene of a seed raises it
 CLIP_FRAMES = 10  # trajectories are centred on the middle of a clip of this length
 PIXELS = 128  # screen speeds are stated for images of this width
 
@@ -96,7 +96,7 @@ def _walls(b: Builder, size: np.ndarray, missing: set[str]) -> None:
 
 
 def _lamps(b: Builder, size: np.ndarray) -> str:
-    """Light for a closed room, mostly such that much of what is seen is lit indirectly."""
+    """Light for a closed room, mostly hidden, so that much of the room is lit indirectly."""
     w, h, d = size
     rng = b.rng
     a, c = rng.uniform(0.35, 0.8, 2)  # half sizes
@@ -244,7 +244,7 @@ def _mover(b: Builder, camera: CameraPath, size: np.ndarray, near: bool) -> None
 
 
 def procedural(seed: int, attempt: int = 0) -> Scene:
-    """The scene of an integer seed. What kind of clip it is depends on the seed alone; `attempt` draws another one."""
+    """The scene of an integer seed. The kind of clip depends on the seed alone; `attempt` draws another scene of it."""
     kind = str(np.random.default_rng([VERSION, seed]).choice(["uncovering", "free", "static"], p=[0.64, 0.3, 0.06]))
     rng = np.random.default_rng([VERSION, seed, attempt])
     b = Builder(rng)

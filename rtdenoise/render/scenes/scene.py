@@ -1,4 +1,4 @@
-"""What a renderer is given: surfaces, what they are made of, how they and the camera move. Plain data, no renderer."""
+"""A scene as plain data: surfaces, materials, lights, motions and a camera. Needs no renderer."""
 
 from __future__ import annotations
 
@@ -14,11 +14,24 @@ from .motions import Camera, Motion
 
 @dataclass(frozen=True)
 class Material:
-    """One of the few kinds that every scene uses, so that the renderer's kernels are compiled once."""
+    """One of a few kinds that all scenes share, so that the renderer's kernels are compiled once."""
 
     texture: np.ndarray  # [H, W, 3] reflectance
     kind: str = "diffuse"  # diffuse | plastic | metal | glass
     roughness: float = 0.3  # plastic, metal
+
+
+@dataclass(frozen=True)
+class Principled:
+    """A physically based material with images, as asset libraries have them; row 0 is at v = 0."""
+
+    color: np.ndarray  # [H, W, 3] reflectance
+    roughness: np.ndarray  # [H, W, 1]
+    metallic: np.ndarray  # [H, W, 1]
+    normal: np.ndarray | None = None  # [H, W, 3] tangent-space normals, halved and offset into [0, 1]
+    alpha: np.ndarray | None = None  # [H, W, 1] opacity
+    transmission: float = 0.0  # share of light that is refracted, in [0, 1]
+    ior: float = 1.5
 
 
 @dataclass(frozen=True)
@@ -28,8 +41,8 @@ class Object:
     id: int  # ≥ 1
     name: str
     mesh: Mesh | None = None  # at rest, in world space
-    material: Material | None = None
-    emission: tuple[float, float, float] | None = None  # radiance, on the side of the normals
+    material: Material | Principled | None = None
+    emission: tuple[float, float, float] | np.ndarray | None = None  # radiance on the side of the normals, or a texture
     motion: Motion | None = None  # None: does not move
     shapes: tuple[str, ...] = ()  # instead of mesh and material: ids of the shapes of a Mitsuba file
 
@@ -46,11 +59,11 @@ class Spot:
 
 @dataclass(frozen=True)
 class Sun:
-    """Parallel light from one direction, not to be seen itself."""
+    """Parallel light from one direction; the sun itself is invisible."""
 
     towards: tuple[float, float, float]  # unit vector to the sun
     irradiance: tuple[float, float, float]  # of a surface that faces it
-    weight: float = 1.0  # how often it is sampled, in times of each other light
+    weight: float = 1.0  # how often it is sampled, relative to any other light
 
 
 @dataclass(frozen=True)
@@ -62,7 +75,7 @@ class Scene:
     camera: Callable[[float], Camera]
     sky: np.ndarray | None = None  # [H, W, 3] latitude-longitude radiance; None: black
     exposure: float = 1.0  # factor on all radiance
-    file: Path | None = None  # Mitsuba XML that has surfaces and light; objects with a mesh are added to its own
+    file: Path | None = None  # Mitsuba XML with surfaces and light; objects with a mesh are added
     spots: tuple[Spot, ...] = ()
     sun: Sun | None = None
-    facts: dict = field(default_factory=dict)  # what was drawn, for the metadata
+    facts: dict = field(default_factory=dict)  # for the metadata of clips

@@ -1,9 +1,9 @@
-"""A sun for generated scenes, and windows: hard light that is hardly noisy, and edges that only light has.
+"""A sun and windows for generated scenes: sharp shadows with little noise.
 
-The generators' lamps and skies are wide, their shadows soft; a network that has seen no others takes the edge of a
-sharp one for noise and blurs it. A closed room loses a side for the sun to come in; half of the time it comes through
-something. And lamps are black here, as in most scenes that people make: they reflect nothing, so that no indirect light
-comes from them, however bright their surroundings. Some are windows in the wall that the camera looks at.
+The generators' lamps and skies are wide and their shadows soft; a network that has seen only these takes a sharp shadow
+for noise and blurs it. A closed room loses a side to let the sun in; half of the time something stands in its way.
+Lamps are black here, as in most scenes that people make: they reflect nothing, so no indirect light comes from them.
+Some are windows in the wall that the camera looks at.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from .wide import plant
 OPEN_TO = {"left": (-1, 0, 0), "right": (1, 0, 0), "front": (0, 0, 1), "ceiling": (0, 1, 0)}  # side -> where the sun is
 PANELS = {"none": 0.5, "slats": 0.25, "grid": 0.15, "leaves": 0.1}
 BLACK = Material(textures.plain(0.0))
-HALF = 3.0  # half the side of what the sun comes through; scenes are metres in size
+HALF = 3.0  # half the side of a panel in the sun's way; scenes are metres in size
 
 
 def sunlit(scene: Scene, rng: np.random.Generator) -> Scene:
-    """A procedural scene, and a sun that shines into it."""
+    """A procedural scene with a sun that shines into it."""
     names = {o.name for o in scene.objects}
     side = None
-    if "floor" in names:  # a room: through what is open, or else now is
+    if "floor" in names:  # a room: the sun comes through an open side, or one that is opened now
         side = str(rng.choice([s for s in OPEN_TO if s not in names] or list(OPEN_TO)))
         scene = replace(scene, objects=tuple(o for o in scene.objects if o.name != side))
     sun = _sun(OPEN_TO.get(side, (0, 0.6, 0)), rng)
@@ -54,12 +54,12 @@ def _sun(about: tuple[float, float, float], rng: np.random.Generator) -> Sun:
 
 
 def _unlit(o: Object) -> Object:
-    """A lamp that reflects nothing; anything else as it is."""
+    """A lamp reflects nothing; any other object stays."""
     return o if o.emission is None else replace(o, material=BLACK)
 
 
 def _windows(objects: tuple[Object, ...], rng: np.random.Generator) -> tuple[Object, ...]:
-    """None, one or two in the back wall, if there is one, some with bars before them."""
+    """The objects with up to two windows in the back wall, if there is one; some windows have bars."""
     back = next((o.mesh.vertices for o in objects if o.name == "back"), None)
     added: list[Object] = []
     for _ in range(int(rng.integers(3)) if back is not None else 0):
@@ -78,8 +78,8 @@ def _windows(objects: tuple[Object, ...], rng: np.random.Generator) -> tuple[Obj
 
 
 def _outside(mesh: Mesh, scene: Scene, towards: np.ndarray, rng: np.random.Generator) -> Mesh:
-    """What lies about the origin across the z axis, between the sun and something that the camera may see, all of it
-    outside the room."""
+    """A mesh that lies about the origin across the z axis, moved outside the room to between the sun and a place that
+    the camera sees."""
     walls = [o.mesh.vertices for o in scene.objects if o.name in ("floor", "back", *OPEN_TO)]
     corners = np.concatenate(walls) if walls else np.array([[-4.0] * 3, [4.0] * 3])
     low, high = corners.min(0), corners.max(0)
@@ -96,7 +96,7 @@ def _outside(mesh: Mesh, scene: Scene, towards: np.ndarray, rng: np.random.Gener
 
 
 def _panel(kind: str, rng: np.random.Generator) -> Mesh:
-    """Something with gaps, across the z axis."""
+    """A mesh with gaps, across the z axis."""
     if kind == "leaves":
         return plant(rng, 0.5).transform(np.diag([2 * HALF, 2 * HALF, 2 * HALF, 1]))
     period = log_uniform(rng, 0.08, 0.8)

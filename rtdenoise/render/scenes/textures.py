@@ -1,6 +1,6 @@
 """Bitmap textures and sky maps made in numpy: linear RGB reflectance or radiance, `[H, W, 3]` float32.
 
-Textures are rich in fine detail on purpose: a denoiser has to learn to keep it.
+Textures are rich in fine detail, which a denoiser has to learn to keep.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def colour(rng: np.random.Generator, low: float = 0.08, high: float = 0.9) -> np
 
 
 def plain(value) -> np.ndarray:
-    """The texture that is one colour everywhere; the same kind of object as all others."""
+    """A texture of one colour, of the same size as all others."""
     return np.ones((SIZE, SIZE, 3), np.float32) * np.asarray(value, np.float32)
 
 
@@ -97,7 +97,7 @@ def surface(rng: np.random.Generator, detail: float = 0.7) -> np.ndarray:
 
 
 def poster(rng: np.random.Generator) -> np.ndarray:
-    """A picture: a gradient, overlapping ellipses and bars of flat colour, a few lines of print. One period is all."""
+    """A picture: a gradient, overlapping ellipses and bars of flat colour, a few lines of print; not periodic."""
     y, x = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE
     image = colour(rng) * y[..., None] + colour(rng) * (1 - y[..., None])
     for _ in range(int(rng.integers(3, 12))):

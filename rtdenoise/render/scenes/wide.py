@@ -1,7 +1,7 @@
-"""The wide generator of procedural scenes, versions 2 and 3; those of `procedural`, version 1, stay as they are.
+"""The wide generator of procedural scenes, versions 2 and 3; `procedural` is version 1.
 
-On top of rooms, furniture and cameras of the first it draws spot lights, cloudy skies, pictures on walls, plants with
-thin leaves, heaps of small things, more metal and glass; and it draws clips of these kinds:
+To the rooms, furniture and cameras of version 1 it adds spot lights, cloudy skies, pictures on walls, plants with thin
+leaves, heaps of small things, more metal and glass. It draws clips of these kinds:
 
 | kind          | what happens                                                              | share |
 |---------------|---------------------------------------------------------------------------|-------|
@@ -14,8 +14,8 @@ thin leaves, heaps of small things, more metal and glass; and it draws clips of 
 | camera        | only the camera moves                                                      | 0.06  |
 | static        | nothing moves                                                              | 0.04  |
 
-In the kinds with moving objects the camera stands still in three clips of ten. One kind more is drawn where it is asked
-for: in `calm` only the camera moves, and slowly; leaves may stir.
+In the kinds with moving objects the camera stands still in three clips of ten. One more kind is drawn on request: in
+`calm` only the camera moves, slowly; leaves may stir.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Role:
-    """How a moving object moves: ranges of distance in front of the camera (share of the camera's reach), speed (pixels
-    a frame) and radius (share of half the view's width there), and whether it crosses the view from side to side."""
+    """Ranges that a moving object is drawn from: distance in front of the camera (share of the camera's reach), speed
+    (pixels a frame), radius (share of half the view's width there); and whether it crosses from side to side."""
 
     distance: tuple[float, float]
     speed: tuple[float, float]
@@ -139,8 +139,11 @@ def _backdrop(b: WideBuilder, camera: CameraPath) -> None:
 
 
 def add_mover(b: Builder, camera: CameraPath, role: Role, frames: int, width: int) -> None:
-    """One object that moves as `role` says, seen by a picture `width` pixels wide. What crosses passes the middle of
-    the view about the middle of the clip, but for ENTERING: that comes in from the border in its first half."""
+    """Add an object that moves as `role` says, in a picture `width` pixels wide.
+
+    Crossing objects pass the middle of the view about the middle of the clip; ENTERING ones come in from the border in
+    its first half.
+    """
     rng = b.rng
     view = camera(camera.start)
     right, forward, origin = view.to_world[:3, 0], view.to_world[:3, 2], view.to_world[:3, 3]
@@ -175,10 +178,10 @@ def add_mover(b: Builder, camera: CameraPath, role: Role, frames: int, width: in
 
 
 def _streams(seed: int, attempt: int, version: int) -> list[np.random.Generator]:
-    """Random numbers for the kind of clip, and for all else.
+    """Random numbers for the kind of clip, and for everything else.
 
-    Keys that differ in zeros at their end alone are one to numpy. Version 2 has such keys: at the first attempt the
-    number that draws the kind draws the place too, so that objects cross the view in closed rooms only.
+    numpy takes keys that differ only in trailing zeros for the same. Version 2 has such keys: at the first attempt one
+    number draws both kind and place, so that objects cross the view in closed rooms only.
     """
     keys = ([seed], [seed, attempt]) if version == 2 else ([seed, 1], [seed, attempt + 2])
     return [np.random.default_rng([version, *key]) for key in keys]
@@ -187,9 +190,9 @@ def _streams(seed: int, attempt: int, version: int) -> list[np.random.Generator]
 def procedural(
     seed: int, attempt: int = 0, frames: int = 20, width: int = 256, version: int = VERSION, calm: bool = False
 ) -> Scene:
-    """The scene of an integer seed for a clip of `frames` and pictures `width` pixels wide, which speeds are meant for.
+    """The scene of an integer seed, with speeds for a clip of `frames` and pictures `width` pixels wide.
 
-    What kind of clip it is depends on the seed alone, or on `calm`; `attempt` draws another one of that kind.
+    The kind of clip depends on the seed alone, or on `calm`; `attempt` draws another scene of that kind.
     """
     kind_rng, rng = _streams(seed, attempt, version)
     kind = "calm" if calm else str(kind_rng.choice(list(KINDS), p=list(KINDS.values())))

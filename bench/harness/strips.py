@@ -1,4 +1,4 @@
-"""Strips of pictures: noisy | OIDN | setting A | ours | reference, and below what was uncovered, enlarged."""
+"""Strips of pictures: noisy | OIDN | setting A | ours | reference, each above its most uncovered part, enlarged."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from rtdenoise.run.preview import strip
 
 ENLARGED = 4  # times, by repeating pixels
 GAP = 4  # rows between a frame and its detail
-MOST_BYTES = 36_000  # of a strip: they are part of the repository
-WIDEST = 1640  # pixels of a strip; wider ones are reduced
-QUALITIES = range(80, 20, -5)  # of WebP, the first that is small enough
+MAX_BYTES = 36_000  # of a strip: the repository holds them
+MAX_WIDTH = 1640  # pixels; wider strips are scaled down
+QUALITIES = range(80, 20, -5)  # of WebP, tried in this order until a strip is small enough
 
 
 def compose(still: Path, methods: dict[str, str], exposure: float) -> Image.Image:
-    """A panel a method and one of the reference, from the folder that `evaluate` keeps of a frame.
+    """One panel per method and one of the reference, from a frame's folder of pictures that `evaluate` wrote.
 
-    `methods`: label -> name; what was not measured is left out. Below each frame lies its most uncovered part,
-    `ENLARGED`; a frame on top says where that is.
+    `methods`: label -> name; methods without a picture are left out. An outline marks the most uncovered part, which
+    lies below each frame, enlarged `ENLARGED` times.
     """
     planes = read_channels(still / "reference.exr", ["uncovered.V"])
     top, left, height, width = most_uncovered(planes["uncovered.V"])
@@ -39,8 +39,8 @@ def compose(still: Path, methods: dict[str, str], exposure: float) -> Image.Imag
 
 
 def most_uncovered(mask: np.ndarray) -> tuple[int, int, int, int]:
-    """(top, left, height, width) of the part, 1 / `ENLARGED` as high and wide as `mask` [H, W], that has most of it;
-    the part in the middle of several that have as much."""
+    """(top, left, height, width) of the window, 1 / `ENLARGED` as high and wide as `mask` [H, W], that holds most of
+    it; the most central one of several that hold as much."""
     height, width = (side // ENLARGED for side in mask.shape)
     shares = F.avg_pool2d(torch.from_numpy(mask)[None, None].float(), (height, width), stride=1)[0, 0]
     best = (shares >= shares.max() - 1e-6).nonzero().float()
@@ -49,13 +49,13 @@ def most_uncovered(mask: np.ndarray) -> tuple[int, int, int, int]:
 
 
 def encode(picture: Image.Image) -> bytes:
-    """WebP of at most `MOST_BYTES`, in the best of QUALITIES that has room in it, or else in the last."""
+    """WebP of at most `MAX_BYTES`, in the best quality that fits, or else in the lowest of QUALITIES."""
     picture = picture.copy()
-    picture.thumbnail((WIDEST, picture.height))
+    picture.thumbnail((MAX_WIDTH, picture.height))
     for quality in QUALITIES:
         encoded = io.BytesIO()
         picture.save(encoded, "WEBP", quality=quality, method=6)
-        if encoded.tell() <= MOST_BYTES:
+        if encoded.tell() <= MAX_BYTES:
             break
     return encoded.getvalue()
 
@@ -66,14 +66,14 @@ def _read(path: Path) -> Tensor:
 
 
 def _panel(image: Tensor, part: tuple[int, int, int, int], white: float) -> Tensor:
-    """`[1, 3, H, W]` with the part's outline, and the part enlarged below it."""
+    """The image `[1, 3, H, W]` with the part outlined, above that part enlarged."""
     top, left, height, width = part
     detail = image[..., top : top + height, left : left + width]
     detail = detail.repeat_interleave(ENLARGED, -2).repeat_interleave(ENLARGED, -1)
     outlined = image.clone()
     outlined[..., [top, top + height - 1], left : left + width] = white
     outlined[..., top : top + height, [left, left + width - 1]] = white
-    missing = image.shape[-1] - detail.shape[-1]  # where the width is no multiple of ENLARGED
+    missing = image.shape[-1] - detail.shape[-1]  # columns, where ENLARGED does not divide the width
     detail = F.pad(detail, (0, missing), value=white)
     gap = torch.full((*image.shape[:2], GAP, image.shape[-1]), white)
     return torch.cat([outlined, gap, detail], dim=-2)

@@ -1,4 +1,4 @@
-"""Where the time and the bytes of one step go: a model's functions timed by the stage of the paper that they are."""
+"""Where the time and the bytes of one step go: a model's functions, timed by the stages that the paper reports."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STAGES = {
 
 @dataclass
 class Ledger:
-    """Of one step, by stage: seconds, and the bytes that its functions had to read and write at least."""
+    """Seconds of one step by stage, and the least bytes that the stage's functions must read and write."""
 
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
     bytes: dict[str, int] = field(default_factory=lambda: dict.fromkeys(STAGES, 0))
@@ -31,9 +31,9 @@ class Ledger:
 
 @contextmanager
 def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger]:
-    """Fill a ledger while the model's `step` runs in here. The outermost of nested calls counts.
+    """Fill a ledger while the model's `step` runs inside this context. Of nested calls only the outermost counts.
 
-    Bytes are those of the tensors that go into and come out of a stage's functions, each counted once a call.
+    Bytes are those of the tensors that a stage's functions take and return, each counted once per call.
     """
     ledger, module, running = Ledger(), sys.modules[type(model).__module__], []
 
@@ -56,11 +56,14 @@ def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger
 
     replaced = []
     for stage, names in STAGES.items():
-        for name in names:
+        found = [name for name in names if hasattr(model, name) or hasattr(module, name)]
+        if not found:
+            raise ValueError(f"{type(model).__name__} has none of the functions of stage '{stage}': {', '.join(names)}")
+        for name in found:
             owner = model if hasattr(model, name) else module
-            if function := getattr(owner, name, None):
-                replaced.append((owner, name, function))
-                setattr(owner, name, timed(stage, function))
+            function = getattr(owner, name)
+            replaced.append((owner, name, function))
+            setattr(owner, name, timed(stage, function))
     try:
         yield ledger
     finally:
@@ -72,9 +75,9 @@ def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger
 
 
 def prediction_flop(model: nn.Module, step: Callable[[], object]) -> int:
-    """Floating-point operations of a step's convolutions, a multiplication and an addition counted as two.
+    """Floating-point operations of a step's convolutions; a multiplication and an addition count as two.
 
-    `model` must run torch's own convolutions: what `nets.prepare` has fused is not counted.
+    `model` must run torch's own convolutions: those that `models.inference.prepare` fuses are not counted.
     """
     with FlopCounterMode(display=False) as counter:
         step()
@@ -82,7 +85,7 @@ def prediction_flop(model: nn.Module, step: Callable[[], object]) -> int:
 
 
 def peak_bytes(step: Callable[[], object], device: str) -> int:
-    """Most memory that tensors made by one step hold at a time. What libraries take for themselves is not in it."""
+    """Peak memory of the tensors that one step makes. Memory that libraries take for themselves is not counted."""
     if device == "cuda":
         torch.cuda.synchronize()
         torch.cuda.reset_peak_memory_stats()

@@ -1,11 +1,11 @@
-"""Cuts that no layer tells: how well `history.mismatch` finds them, by its threshold.
+"""Choose `frame.MAX_CUT_MISMATCH`, the threshold of `history.mismatch` above which a frame begins another shot.
 
-    python bench/cuts.py CLIPS [CLIPS ...]        (folders of `rtdenoise render --clips`)
+python bench/calibration/cuts.py CLIPS [CLIPS ...]    # training sets
 
-Within shots: every pair of consecutive frames. Cuts: every frame of a clip after one of the next clip, with the motion
-vectors that it has in its own shot, which is what files spliced together look like. Hard cuts: every frame after its
-own picture seen in a mirror, so that depths, materials and brightness are alike. Jumps: frames left out within a shot,
-for which starting anew is right in so far as history no longer fits; they are counted, and neither right nor wrong.
+Within shots: every pair of consecutive frames. Cuts: every frame of a clip after a frame of the next clip, keeping the
+motion vectors of its own shot, as in spliced files. Mirrored cuts, the hard ones: every frame after its own mirror
+image, so that depths, materials and brightness are alike. Jumps: pairs with frames left out within a shot; restarting
+there is right as far as history no longer fits, so they are counted but neither right nor wrong.
 """
 
 from __future__ import annotations
@@ -15,19 +15,24 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
 import torch
+import tyro
 
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.frame import MAX_CUT_MISMATCH, Frame, History
 from rtdenoise.history import mismatch
 
-RESULT = harness.ROOT / "bench" / "results" / "cuts.json"
+RESULT, PAGES = RESULTS / "cuts.json", (DOCS / "results" / "stability.md",)
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-JUMP = 5  # frames
+JUMP = 5  # frames from one frame of a pair to the next
 
 
-def main(folders: list[Path]) -> None:
+def main(folder: tyro.conf.Positional[Path], more: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:
+    folders = [folder, *more]
     clips = [data.load(i) for data in map(ClipDataset, folders) for i in range(len(data))]
     kinds: dict[str, list[float]] = {"within": [], "cut": [], "mirrored": [], "jump": []}
     for clip, other in zip(clips, clips[1:] + clips[:1], strict=True):
@@ -51,8 +56,7 @@ def main(folders: list[Path]) -> None:
     ]  # fmt: skip
     for row in rows:
         print(row)
-    document = {
-        **harness.origin({"torch": harness.cpu()}),
+    content = {
         "clips": len(clips),
         "used": MAX_CUT_MISMATCH,
         "pairs": {kind: len(values) for kind, values in found.items()},
@@ -62,12 +66,11 @@ def main(folders: list[Path]) -> None:
         },
         "rows": rows,
     }
-    harness.write(RESULT, **document)
-    harness.insert_all(tables(document))
+    harness.publish(RESULT, content, pages=PAGES, tables=tables)
 
 
 def tables(document: dict) -> dict[str, str]:
-    """What docs/stability.md has of this: precision over all cuts, recall by kind; the threshold in use is bold."""
+    """Section `cuts`: precision over all cuts, recall by kind; the threshold in use is bold."""
     pairs = document["pairs"]
     lines = [f"| threshold | false alarms in {pairs['within']} pairs | precision | recall | recall, mirrored only |",
              "|---|---|---|---|---|"]  # fmt: skip
@@ -85,7 +88,7 @@ def _mismatch(now: Frame, before: Frame) -> float:
 
 
 def _mirrored(frame: Frame) -> Frame:
-    """The scene seen in a mirror at its left border: x turned round, in the picture and in the normals."""
+    """The frame's mirror image: x reversed in the picture and in the normals."""
     mirrored = frame.map(lambda tensor: tensor.flip(3))
     return replace(mirrored, normal=mirrored.normal * torch.tensor([-1.0, 1.0, 1.0]).reshape(1, 3, 1, 1))
 
@@ -95,4 +98,4 @@ def _share(part: int, whole: int) -> float:
 
 
 if __name__ == "__main__":
-    main([Path(argument) for argument in sys.argv[1:]])
+    harness.run(main, __doc__)

@@ -1,10 +1,11 @@
-"""How far dual and traditional motion must differ for a pixel to count as uncovered.
+"""Choose `OCCLUSION_THRESHOLD` of rtdenoise/frame.py: how far must dual and traditional motion differ for a pixel to
+count as uncovered?
 
-    python bench/occlusion_threshold.py CLIPS        (clips of `rtdenoise render --clips`, which have object ids)
+python bench/calibration/occlusion_threshold.py CLIPS    # a training set, whose clips have object ids
 
-The truth is taken from the ids: a pixel was hidden if its motion leads, at the nearest pixel of the previous frame, to
-another object. Precision: how many pixels of the mask were hidden. Recall: how many hidden pixels are in the mask; an
-occluder that moves exactly as the background does is no occlusion to motion vectors, so it has a ceiling.
+The ids give the truth: a pixel was hidden if its motion leads, at the nearest pixel of the previous frame, to another
+object. Precision: the share of the mask that was hidden. Recall: the share of hidden pixels in the mask; it has a
+ceiling, because motion vectors do not show an occluder that moves exactly as the background does.
 """
 
 from __future__ import annotations
@@ -13,17 +14,21 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import RESULTS, harness
+
+# isort: split
 import torch
+import tyro
 
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.motion import dual_motion, on_screen
 from rtdenoise.ops import fetch
 
-THRESHOLDS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
+THRESHOLDS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)  # pixels
 
 
-def main(folder: Path) -> None:
+def main(folder: tyro.conf.Positional[Path]) -> None:
     clips = ClipDataset(folder)
     both, marked = torch.zeros(len(THRESHOLDS)), torch.zeros(len(THRESHOLDS))
     hidden_total = pixels = 0
@@ -44,14 +49,9 @@ def main(folder: Path) -> None:
     ]  # fmt: skip
     for row in rows:
         print(row)
-    harness.write(
-        harness.ROOT / "bench" / "results" / "occlusion_threshold.json",
-        **harness.origin({"torch": harness.cpu()}),
-        clips=len(clips),
-        hidden_share=hidden_total / pixels,
-        rows=rows,
-    )
+    content = {"clips": len(clips), "hidden_share": hidden_total / pixels, "rows": rows}
+    harness.publish(RESULTS / "occlusion_threshold.json", content)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    harness.run(main, __doc__)

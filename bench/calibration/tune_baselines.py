@@ -1,11 +1,11 @@
-"""Choose the parameters of the baselines on validation clips: what their defaults are.
+"""Choose the default parameters of the baselines on validation clips.
 
-    python bench/tune_baselines.py CLIPS        (clips of `rtdenoise render --clips` that no model was trained on)
+python bench/calibration/tune_baselines.py CLIPS    # a set that no model was trained on
 
-Every fourth clip, indirect light, a coarse grid; the greatest mean PSNR of the frame wins, one objective for all
-methods. A stage starts from the best of the stage before it: what reaches over edges and what reaches back in time are
-not multiplied out. Clamping keeps to the windows and ranges that are in use: with small k and large windows it turns
-history into a box filter of the current frame, which gains PSNR and is no longer accumulation.
+Every fourth clip, indirect light, a coarse grid. The greatest mean PSNR over the frame wins: one objective for all
+methods. Each stage starts from the best of the stage before, so that parameters for edges and for history are not
+multiplied out. Clamping keeps to the windows and ranges in use: small k with large windows turns history into a box
+filter of the current frame, which gains PSNR but is no accumulation any more.
 """
 
 from __future__ import annotations
@@ -15,14 +15,18 @@ from dataclasses import asdict, replace
 from itertools import product
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import RESULTS, harness
+
+# isort: split
+import tyro
 
 from rtdenoise.baselines import Accumulate, Svgf, Trmv
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.evaluate import METRICS, REGIONS
 from rtdenoise.frame import Frame
 
-EVERY = 4  # clips
+EVERY = 4  # one clip in so many
 EDGES = {"sigma_l": (4.0, 8.0, 16.0, 32.0), "sigma_n": (4.0, 16.0, 64.0), "sigma_z": (1.0, 3.0, 10.0)}
 HISTORY = {"alpha": (0.1, 0.2, 0.4), "clamp": (None, 1.0, 2.0)}
 GRIDS = {
@@ -32,7 +36,7 @@ GRIDS = {
 }
 
 
-def main(folder: Path) -> None:
+def main(folder: tyro.conf.Positional[Path]) -> None:
     clips = ClipDataset(folder)
     chosen = range(0, len(clips), EVERY)
     sequences = [clips.load(index, signal="indirect") for index in chosen]
@@ -47,28 +51,23 @@ def main(folder: Path) -> None:
                 errors = mean_errors(candidate, sequences)
                 stage_tried.append((candidate, errors))
                 print(name, parameters, errors["frame"], flush=True)
-            best = max(stage_tried, key=lambda pair: round(pair[1]["frame"]["psnr"], 2))[0]  # of equals the first
+            best = max(stage_tried, key=lambda pair: round(pair[1]["frame"]["psnr"], 2))[0]  # the first of equals
             tried += stage_tried
         print(name, "chosen:", best)
         results[name] = {
             "chosen": asdict(best),
             "tried": [{"parameters": asdict(candidate), "errors": errors} for candidate, errors in tried],
         }
-    harness.write(
-        harness.ROOT / "bench" / "results" / "tune_baselines.json",
-        **harness.origin({"torch": harness.cpu()}),
-        clips=list(chosen),
-        signal="indirect",
-        objective="mean PSNR of the frame, to 0.01 dB",
-        results=results,
-    )
+    objective = "mean PSNR of the frame, to 0.01 dB"
+    content = {"clips": list(chosen), "signal": "indirect", "objective": objective, "results": results}
+    harness.publish(RESULTS / "tune_baselines.json", content)
 
 
 def mean_errors(method, sequences: list[list[Frame]]) -> dict[str, dict[str, float]]:
-    """Errors as in `evaluate.Result`, mean over the sequences that have any."""
+    """region -> metric -> mean error over the sequences."""
     means = harness.mean_errors(method.step, sequences, METRICS, REGIONS)
     return {region: {metric: round(means[region][metric], 4) for metric in METRICS} for region in REGIONS}
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    harness.run(main, __doc__)

@@ -1,42 +1,45 @@
-"""Does a network do as well on clips of scenes it has not seen? Its lead over OIDN, folder by folder.
+"""Does a network do as well on scenes that it was not trained on? Its lead over OIDN, folder by folder.
 
-    python bench/generalisation.py CLIPS [CLIPS ...]
+python bench/diagnosis/generalisation.py CLIPS [CLIPS ...]
 
-What is learnt by heart shows as a lead on the training clips that is lost on others; what training clips lack, as a
-lead on them and on validation clips of their kind that is lost elsewhere. PSNR in dB of `COUNT` clips of each folder,
-evenly taken, first frames and later ones apart, for either signal. Writes bench/results/generalisation.json and the
-table of docs/training.md.
+A lead on training clips that is lost on others is overfitting. A lead on training clips and on validation clips of
+their kind that is lost elsewhere means that the training clips lack something. PSNR in dB of `COUNT` evenly spaced
+clips of each folder, first frames and later ones apart, for both signals. Writes bench/results/generalisation.json and
+the table of docs/results/training.md.
 """
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
 import numpy as np
 import torch
+import tyro
 
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.metrics import psnr
 from rtdenoise.models import load
 
-RESULT, PAGE = harness.ROOT / "bench" / "results" / "generalisation.json", harness.ROOT / "docs" / "training.md"
-COUNT = 20
+RESULT, PAGES = RESULTS / "generalisation.json", (DOCS / "results" / "training.md",)
+COUNT = 20  # clips of each folder
 MODELS = ("default", "fast", "quality")
 
 
-def main(folders: list[Path]) -> None:
+def main(folder: tyro.conf.Positional[Path], more: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:
+    folders = [folder, *more]
     steps = {name: load(name).step for name in MODELS} | {"oidn": Oidn().step}
     rows = []
     for folder in folders:
         for signal in ("indirect", "color"):
             rows.append({"clips": folder.name, "signal": signal} | lead(folder, signal, steps))
             print(rows[-1])
-    harness.write(RESULT, digits=5, **harness.origin({"torch": harness.cpu()}), count=COUNT, rows=rows)
-    harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
+    harness.publish(RESULT, {"count": COUNT, "rows": rows}, digits=5, pages=PAGES, tables=tables)
 
 
 @torch.inference_mode()
@@ -46,15 +49,13 @@ def lead(folder: Path, signal: str, steps: dict) -> dict[str, dict[str, float]]:
     for frames in harness.clips(folder, COUNT, signal):
         scale = display_exposure(torch.cat([frame.reference for frame in frames]))
         for name, step in steps.items():
-            history = None
-            for i, frame in enumerate(frames):
-                image, history = step(frame, history)
-                found[name]["later" if i else "first"].append(psnr(image, frame.reference, scale))
+            for i, image in enumerate(harness.denoise(step, frames)):
+                found[name]["later" if i else "first"].append(psnr(image, frames[i].reference, scale))
     return {name: {k: float(np.mean(v)) for k, v in frames.items()} for name, frames in found.items()}
 
 
 def tables(document: dict) -> dict[str, str]:
-    """The section of docs/training.md: by how many dB `default` is ahead."""
+    """Section `generalisation`: the lead of `default` in dB."""
     lines = [
         "| clips | indirect, first frames | indirect, later | beauty, first frames | beauty, later |",
         "|---" * 5 + "|",
@@ -68,4 +69,4 @@ def tables(document: dict) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    main([Path(a) for a in sys.argv[1:]])
+    harness.run(main, __doc__)

@@ -1,7 +1,7 @@
-"""The standard set: sequences that no model was trained on, rendered into data/standard as far as they are missing.
+"""The standard set: sequences that no model was trained on, rendered into data/standard where they are missing.
 
-Scene files are not part of the repository: sequences rendered from them are named on a bench's command line, beside
-these (docs/quality.md says how they were rendered).
+Scene files are not part of the repository. Sequences rendered from them are named on a benchmark's command line
+(docs/results/quality.md says how they were rendered).
 """
 
 from __future__ import annotations
@@ -15,16 +15,18 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import harness
 import numpy as np
 
-DATA = harness.ROOT / "data" / "standard"
-SPP = (2, 4, 8)  # inputs beside those at 1
+from .. import ROOT, SAMPLE
+from .publish import cpu
+
+DATA = ROOT / "data" / "standard"
+SPP = (2, 4, 8)  # samples per pixel of further inputs, beside those at 1
 
 
 @dataclass(frozen=True)
 class Sequence:
-    """What `rtdenoise render` is asked for."""
+    """Options of `rtdenoise render`."""
 
     scene: str
     width: int = 320
@@ -42,38 +44,37 @@ SEQUENCES = {
 
 
 def prepare() -> list[str]:
-    """Folders of all sequences, relative to where we are: no path of this machine in what is kept."""
+    """Render missing sequences; return the folders of all, relative to the current folder so that results hold no path
+    of this machine."""
     return [os.path.relpath(_base(name, wanted)) for name, wanted in SEQUENCES.items()]
 
 
 def add_samples() -> None:
-    """Render the inputs at more samples into the sequences that `prepare` made, with what a sample costs.
-
-    That is the slope of the time a frame between 2 and 8 samples on this machine (samples.json).
-    """
+    """Render inputs at more samples into the sequences that `prepare` made, and the cost of a sample into samples.json:
+    the slope of the time per frame between 2 and 8 samples on this machine."""
     for name, wanted in SEQUENCES.items():
         folder = DATA / name
         costs = folder / "samples.json"
-        for spp in () if costs.exists() else SPP:  # their times are needed: an interrupted run left none
+        for spp in () if costs.exists() else SPP:  # render again what an interrupted run did not time
             shutil.rmtree(folder / f"spp{spp}", ignore_errors=True)
         seconds = {spp: _render(wanted, folder / f"spp{spp}", spp, 0) for spp in SPP}
         if not costs.exists():
             slope = (np.median(seconds[SPP[-1]]) - np.median(seconds[SPP[0]])) / (SPP[-1] - SPP[0])
-            facts = {"spp": 1, "sample_ms": round(1000 * float(slope), 2), "device": harness.cpu()}
+            facts = {"spp": 1, "sample_ms": round(1000 * float(slope), 2), "device": cpu()}
             costs.write_text(json.dumps(facts) + "\n")
 
 
 def _base(name: str, wanted: Sequence) -> Path:
     folder = DATA / name
     if name == "mural":
-        shutil.copytree(harness.ROOT / "samples" / "mural", folder, dirs_exist_ok=True)
+        shutil.copytree(SAMPLE, folder, dirs_exist_ok=True)
     else:
         _render(wanted, folder, 1, wanted.reference_spp)
     return folder
 
 
 def _render(wanted: Sequence, out: Path, spp: int, reference_spp: int) -> list[float]:
-    """Run `rtdenoise render`; seconds from each frame to the next, empty where nothing was missing."""
+    """Run `rtdenoise render`; return the seconds between finished frames, none where all frames were there."""
     command = [
         sys.executable, "-u", "-m", "rtdenoise", "render", wanted.scene, "--out", str(out), "--spp", str(spp),
         "--width", str(wanted.width), "--height", str(wanted.height), "--frames", str(wanted.frames),

@@ -1,54 +1,50 @@
-"""Which channels of a network ever do something: those that its ReLUs let through anywhere.
+"""Which channels of a network are ever active, that is above zero after their ReLU in some pixel?
 
-    python bench/activity.py CLIPS [CLIPS ...]
+python bench/diagnosis/activity.py CLIPS [CLIPS ...]
 
-A channel that is zero everywhere is arithmetic for nothing, and gets no gradient either. But one may wait for what a
-sequence does not show: so the bundled sequence stands beside `COUNT` clips of each folder, evenly taken. Writes
-bench/results/activity.json and the table of docs/training.md.
+A channel that is zero everywhere costs arithmetic and gets no gradient. It may only wait for content that a sequence
+lacks, so the bundled sequence stands beside `COUNT` evenly spaced clips of each folder. Writes
+bench/results/activity.json and the table of docs/results/training.md.
 """
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
-import harness
-import torch
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
+import tyro
 from torch import Tensor, nn
 
-from rtdenoise import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.models import available, read
 
-RESULT, PAGE = harness.ROOT / "bench" / "results" / "activity.json", harness.ROOT / "docs" / "training.md"
+RESULT, PAGES = RESULTS / "activity.json", (DOCS / "results" / "training.md",)
 SIGNALS = ("indirect", "color")
-COUNT = 6
+COUNT = 6  # clips of each folder
 
 
-def main(folders: list[Path]) -> None:
+def main(folder: tyro.conf.Positional[Path], more: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:
+    folders = [folder, *more]
     shown = {
-        "the bundled sequence": sample,
+        "the bundled sequence": lambda signal: [harness.mural(signal)],
         "clips": lambda signal: (frames for folder in folders for frames in harness.clips(folder, COUNT, signal)),
     }
     rows = [
-        {"model": name, "shown": what, "layers": active(name, sequences)}
+        {"model": name, "shown": label, "layers": active(name, sequences)}
         for name in available()
-        for what, sequences in shown.items()
+        for label, sequences in shown.items()
     ]
-    harness.write(RESULT, digits=3, **harness.origin({"torch": harness.cpu()}), clips_a_folder=COUNT, rows=rows)
-    harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
+    harness.publish(RESULT, {"clips_a_folder": COUNT, "rows": rows}, digits=3, pages=PAGES, tables=tables)
 
 
-def sample(signal: str) -> Iterable[list[Frame]]:
-    return [list(open_sequence(harness.ROOT / "samples" / "mural", signal=signal))]
-
-
-@torch.inference_mode()
 def active(name: str, sequences: Callable[[str], Iterable[list[Frame]]]) -> dict[str, float]:
-    """Layer of the U-Net -> share of its channels that are above zero in some pixel of some frame, of either signal."""
+    """Layer of the U-Net -> share of its channels that are active in some pixel of some frame, of either signal."""
     model, found = read(name).eval(), {}
 
     def look(layer: str, module: nn.Module, inputs: tuple[Tensor, ...], output: Tensor) -> None:
@@ -59,14 +55,12 @@ def active(name: str, sequences: Callable[[str], Iterable[list[Frame]]]) -> dict
             module.register_forward_hook(partial(look, layer))
     for signal in SIGNALS:
         for frames in sequences(signal):
-            history = None
-            for frame in frames:
-                _, history = model.step(frame, history)
+            harness.denoise(model.step, frames)
     return {layer: seen.float().mean().item() for layer, seen in found.items()}
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Share of active channels by level of the U-Net, finest first, over the four (coarsest: two) layers of each."""
+    """Section `activity`: share of active channels by level of the U-Net, finest first, averaged over its layers."""
     levels = max(level(layer) for row in document["rows"] for layer in row["layers"]) + 1
     lines = ["| | in | " + " | ".join(f"level {k + 1}" for k in range(levels)) + " |", "|---" * (levels + 2) + "|"]
     for row in document["rows"]:
@@ -77,9 +71,9 @@ def tables(document: dict) -> dict[str, str]:
 
 
 def level(layer: str) -> int:
-    """Of 'encoder.2.1' or 'decoder.2.3': 2."""
+    """The level in a layer's name: 2 in 'encoder.2.1' or 'decoder.2.3'."""
     return int(layer.split(".")[1])
 
 
 if __name__ == "__main__":
-    main([Path(a) for a in sys.argv[1:]])
+    harness.run(main, __doc__)

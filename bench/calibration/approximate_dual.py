@@ -1,11 +1,12 @@
-"""Dual motion from a splat of backward motion, against the exact one from `motion_next`.
+"""Choose `DEPTH_TOLERANCE` of rtdenoise/splat.py: dual motion from a splat of backward motion, against the exact one
+from `motion_next`.
 
-    python bench/approximate_dual.py CLIPS [SEQUENCE ...]    (clips of `rtdenoise render --clips`; folders of EXR files)
+python bench/calibration/approximate_dual.py CLIPS [SEQUENCE ...]    # a training set; folders of EXR files
 
-For every pair of consecutive frames: precision and recall of the approximate occlusion mask against the exact one; the
-length of approximate minus exact dual motion inside the exact mask; and the error of the previous frame's reference,
-fetched along traditional, approximate and exact dual motion, against this frame's, on the display transform, inside the
-exact mask and in the whole frame.
+For every pair of consecutive frames: precision and recall of the approximate occlusion mask against the exact one, and
+the length of the difference between approximate and exact dual motion inside the exact mask. History error: the
+previous frame's reference, fetched along traditional, approximate or exact dual motion, against this frame's, on the
+display transform, inside the exact mask and over the frame.
 """
 
 from __future__ import annotations
@@ -14,8 +15,12 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import RESULTS, harness
+
+# isort: split
 import torch
+import tyro
 
 from rtdenoise.color import display, display_exposure
 from rtdenoise.data.clips import ClipDataset
@@ -29,7 +34,7 @@ METHODS = ("traditional", "approximate", "exact")
 
 
 def compare(sequences: list, tolerance: float) -> dict[str, float]:
-    """Sums over all pairs of all sequences, then ratios: a pixel counts as a pixel whichever frame it is in."""
+    """Sums over all pairs of all sequences, then ratios, so that every pixel counts alike."""
     exact_pixels = marked = both = pixels = inside_pixels = 0
     lengths, inside, everywhere = [], dict.fromkeys(METHODS, 0.0), dict.fromkeys(METHODS, 0.0)
     for frames in sequences:
@@ -64,15 +69,13 @@ def compare(sequences: list, tolerance: float) -> dict[str, float]:
     }
 
 
-def main(arguments: list[str]) -> None:
+def main(folder: tyro.conf.Positional[Path], sequences: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:
     torch.set_num_threads(1)
-    clips = ClipDataset(arguments[0])
+    clips = ClipDataset(folder)
     sets = {"clips": [clips.load(i, signal="color") for i in range(len(clips))]}
-    for folder in arguments[1:]:
-        sets[Path(folder).name] = [list(open_sequence(folder, signal="color", layers=("reference",)))]
-    results = {
-        name: {"sequences": len(sequences)} | compare(sequences, DEPTH_TOLERANCE) for name, sequences in sets.items()
-    }
+    for sequence in sequences:
+        sets[sequence.name] = [list(open_sequence(sequence, signal="color", layers=("reference",)))]
+    results = {name: {"sequences": len(shots)} | compare(shots, DEPTH_TOLERANCE) for name, shots in sets.items()}
     scan = [
         {"tolerance": t} | {k: v for k, v in compare(sets["clips"], t).items() if k.startswith("mask")}
         for t in TOLERANCES
@@ -81,13 +84,8 @@ def main(arguments: list[str]) -> None:
         print(name, result)
     for row in scan:
         print(row)
-    harness.write(
-        harness.ROOT / "bench" / "results" / "approximate_dual.json",
-        **harness.origin({"torch": harness.cpu()}),
-        results=results,
-        depth_tolerance=scan,
-    )
+    harness.publish(RESULTS / "approximate_dual.json", {"results": results, "depth_tolerance": scan})
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    harness.run(main, __doc__)

@@ -1,22 +1,25 @@
-"""Where is the error? Its share at edges of things, in textures and elsewhere.
+"""Where is the error? Its share at edges, in textures and elsewhere.
 
-    python bench/where.py [SEQUENCE ...]
+python bench/diagnosis/where.py [SEQUENCE ...]
 
-The corrected error (squares on the display transform, less the reference's own) of the bundled sequence, and of what
-else is given, by what a pixel's 3×3 show: an edge of geometry (depths that differ by more than a tenth, or normals by
-more than half a unit), else a texture (albedos that differ by more than a tenth), else neither. Sequences whose
-references have no halves are left out. Writes bench/results/where.json and the table of docs/quality.md.
+The corrected error (squared, on the display transform, less the reference's own) of the bundled sequence and of others,
+split by a pixel's 3×3 neighbourhood: an edge of geometry (depths differ by more than a tenth, or normals by more than
+half a unit), else a texture (albedos differ by more than a tenth), else neither. Sequences without half references are
+left out. Writes bench/results/where.json and the table of docs/results/quality.md.
 """
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, SAMPLE, harness
+
+# isort: split
 import numpy as np
 import torch
+import tyro
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -27,15 +30,18 @@ from rtdenoise.frame import Frame
 from rtdenoise.metrics.image import decibels, mse_corrected
 from rtdenoise.models import load
 
-RESULT, PAGE = harness.ROOT / "bench" / "results" / "where.json", harness.ROOT / "docs" / "quality.md"
+RESULT, PAGES = RESULTS / "where.json", (DOCS / "results" / "quality.md",)
 MODELS = ("default", "fast", "quality")
 KINDS = ("edges", "textures", "elsewhere")
+MIN_DEPTH_STEP = 0.1  # of an edge, relative to the depth
+MIN_NORMAL_STEP = 0.5  # of an edge
+MIN_ALBEDO_STEP = 0.1  # of a texture
 
 
-def main(folders: list[Path]) -> None:
+def main(sequences: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:
     steps = {"oidn": Oidn().step} | {name: load(name).step for name in MODELS}
     rows = []
-    for folder in [harness.ROOT / "samples" / "mural", *folders]:
+    for folder in [SAMPLE, *sequences]:
         for signal in ("indirect", "color"):
             source = Source.open(folder, signal, "auto", None)
             frames = source.frames(source.spp)
@@ -43,20 +49,18 @@ def main(folders: list[Path]) -> None:
                 continue
             rows.append({"sequence": source.name, "signal": signal} | errors(frames, steps))
             print(rows[-1])
-    harness.write(RESULT, digits=5, **harness.origin({"torch": harness.cpu()}), rows=rows)
-    harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
+    harness.publish(RESULT, {"rows": rows}, digits=5, pages=PAGES, tables=tables)
 
 
 @torch.inference_mode()
 def errors(frames: list[Frame], steps: dict) -> dict[str, dict]:
-    """'pixels': kind -> share of them; method -> kind -> corrected squared error, summed, in 1 / all pixels."""
+    """'pixels': kind -> share of the pixels; method -> kind -> the kind's part of the mean corrected squared error."""
     scale = display_exposure(torch.cat([frame.reference for frame in frames]))
     masks = [kinds(frame) for frame in frames]
     found: dict = {"pixels": {kind: float(np.mean([m[kind].float().mean() for m in masks])) for kind in KINDS}}
     for name, step in steps.items():
-        history, total = None, dict.fromkeys(KINDS, 0.0)
-        for frame, mask in zip(frames, masks, strict=True):
-            image, history = step(frame, history)
+        total = dict.fromkeys(KINDS, 0.0)
+        for image, frame, mask in zip(harness.denoise(step, frames), frames, masks, strict=True):
             for kind in KINDS:
                 if (share := mask[kind].float().mean().item()) > 0:
                     half = frame.reference_half
@@ -67,19 +71,20 @@ def errors(frames: list[Frame], steps: dict) -> dict[str, dict]:
 
 
 def kinds(frame: Frame) -> dict[str, Tensor]:
-    """Kind -> the pixels of it, [1, 1, H, W] bool."""
-    edges = (_range(frame.depth) > 0.1 * frame.depth) | (_range(frame.normal).amax(1, keepdim=True) > 0.5)
-    textures = ~edges & (_range(frame.albedo).amax(1, keepdim=True) > 0.1)
+    """Kind -> mask `[1, 1, H, W]` of its pixels."""
+    depth_edges = _range(frame.depth) > MIN_DEPTH_STEP * frame.depth
+    edges = depth_edges | (_range(frame.normal).amax(1, keepdim=True) > MIN_NORMAL_STEP)
+    textures = ~edges & (_range(frame.albedo).amax(1, keepdim=True) > MIN_ALBEDO_STEP)
     return dict(zip(KINDS, (edges, textures, ~edges & ~textures), strict=True))
 
 
 def _range(x: Tensor) -> Tensor:
-    """Greatest less least of each 3×3."""
+    """Maximum minus minimum of each 3×3 neighbourhood."""
     return F.max_pool2d(x, 3, 1, 1) + F.max_pool2d(-x, 3, 1, 1)
 
 
 def tables(document: dict) -> dict[str, str]:
-    """The section of docs/quality.md: of `default`, and how it compares with OIDN."""
+    """Section `where`: shares of the error of `default`, and its gain over OIDN."""
     lines = [
         "| | signal | pixels at edges | in textures | error at edges | in textures | elsewhere | against OIDN, edges | "
         "textures | elsewhere |",
@@ -95,4 +100,4 @@ def tables(document: dict) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    main([Path(a) for a in sys.argv[1:]])
+    harness.run(main, __doc__)

@@ -1,9 +1,8 @@
-"""The whole frame as compute shaders for `latency_720p.py`: one pipeline on a frame in GPU memory."""
+"""The whole frame as compute shaders: one pipeline on a frame that is on the GPU already."""
 
 from __future__ import annotations
 
 import numpy as np
-from stages import STAGES
 
 from rtdenoise import glsl
 from rtdenoise.errors import InputError
@@ -11,15 +10,17 @@ from rtdenoise.frame import Frame
 from rtdenoise.glsl import Clock, GpuArray, Pipeline
 from rtdenoise.models import Denoiser
 
+from .stages import STAGES
+
 PRECISIONS = {"glsl fp32": (False, "frame"), "glsl fp16": (True, "frame, float16 activations")}
-"""Method -> whether activations are stored as float16, row of tolerances.py against torch."""
+"""Method -> whether activations are stored as float16, row of tolerances.py for its comparison with torch."""
 
 PREDICTION, KERNELS, BLENDING, REPROJECTION = STAGES
 STAGE_OF = {"features": PREDICTION, "network": PREDICTION, "kernels": KERNELS, "blend": BLENDING,
             "reprojection": REPROJECTION}  # fmt: skip
-"""Stage of the pipeline -> stage of the paper. The last layer of the network counts as kernel application, because its
-logits are computed where they are used. The edge kernel runs, and counts, with blending; in torch's rows it counts as
-kernel application."""
+"""Stage of the pipeline -> stage of the paper. The network's last layer counts as kernel application: logits are
+computed where they are used. The edge kernel counts as blending here, because it runs in those passes; in torch's rows
+it counts as kernel application."""
 
 
 class Shaders:
@@ -43,7 +44,7 @@ class Shaders:
         return self.step().read()[None]
 
     def stages(self) -> dict[str, float]:
-        """Seconds of one step by stage of the paper: on a GPU by its own clock."""
+        """Seconds of one step by stage of the paper, on a GPU by its own clock."""
         self._pipeline.clock = Clock(self._ctx)
         self.step()
         seconds, self._pipeline.clock = self._pipeline.clock.read(), None
@@ -51,19 +52,18 @@ class Shaders:
 
     @property
     def megabytes(self) -> float:
-        """GPU memory of a step: the frame, the buffers kept between frames, and two histories."""
+        """GPU memory of a step: the frame, two histories, and the pipeline's scratch buffers."""
         arrays = [*self._layers.values(), *(2 * [a for a in vars(self._history).values() if a is not None])]
         return (sum(array.buffer.size for array in arrays) + self._pipeline.scratch.nbytes) / 1e6
 
 
 def renderer() -> str:
-    """The name of OpenGL's device. Raises InputError where there is no driver."""
+    """Name of the device that OpenGL runs on. Raises InputError where there is no OpenGL."""
     return glsl.default_context().info["GL_RENDERER"]
 
 
 def measurable(quick: bool) -> tuple[bool, str]:
-    """Whether to time the shaders here, and the device or the reason why not. Software renderers take minutes a
-    frame."""
+    """Whether to time shaders here; the device, or the reason why not. Software renderers take minutes per frame."""
     try:
         name = renderer()
     except InputError as error:

@@ -1,0 +1,76 @@
+"""What a set of training clips is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import InputError
+from .scenes import wide
+
+
+@dataclass(frozen=True)
+class ClipOptions:
+    """The clips of a set. A clip depends on these options and its number alone."""
+
+    count: int = 300  # clips
+    size: tuple[int, int] = (128, 128)  # height, width
+    frames: int = 10
+    seed: int = 0
+    spp: int = 1  # samples per pixel of the noisy frames
+    reference_error: float = 0.01  # relative squared error that a reference of beauty may have,
+    reference_range: tuple[int, int] = (32, 512)  # with at least and at most this many samples a pixel
+    reference_spp: int = 64  # generator 1: of an averagely noisy scene, from half to half as much again
+    max_depth: int = 6  # path edges
+    workers: int = 2  # processes of one thread each
+    shard: tuple[int, int] = (0, 1)  # (i, n): this run renders the scenes g with g mod n = i
+    scenes: tuple[tuple[str, str], ...] = ()  # (scene file, motion file or "") to mix in
+    generator: int = wide.VERSION  # 1: whole pictures of `procedural`; 2, 3: windows of `wide` scenes
+    sun: float = 0.0  # share of the generated scenes with a sun
+    calm: float = 0.0  # share of the scenes in which only the camera moves
+    textures: str = ""  # folder of pictures that some surfaces get; "": none
+
+    @property
+    def clips_per_scene(self) -> int:
+        """Windows are cut from a scene that is loaded, and its kernels compiled, once; whole pictures are not."""
+        return 1 if self.generator == 1 else 4
+
+    @property
+    def view(self) -> tuple[int, int]:
+        """Height and width of the picture that windows are cut from."""
+        return 2 * self.size[0], 2 * self.size[1]
+
+    def clip_seed(self, index: int) -> int:
+        """The seed in the facts of clip `index`: with generator 1 its scene's, else that of the set."""
+        return self.seed + index if self.generator == 1 else self.seed
+
+    def scenes_are_of(self) -> dict:
+        """The options that choose and light scenes, without paths of the machine.
+
+        A folder holds clips of one such choice, one seed, size, length and number of samples.
+        """
+        if self.generator == 1:
+            return {}
+        files = [[Path(file).parent.name, bool(motion)] for file, motion in self.scenes]
+        shares = {"sun": self.sun, "calm": self.calm}
+        return shares | {"files": files, "textures": bool(self.textures), "reference_error": self.reference_error}
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """(i, n) of 'i/n'. Raises InputError."""
+    i, _, n = text.partition("/")
+    if not (i.isdecimal() and n.isdecimal() and int(i) < int(n)):
+        raise InputError(f"--shard {text}: expected i/n with 0 ≤ i < n, such as 0/4")
+    return int(i), int(n)
+
+
+def find_scenes(folder: Path, motions: Path | None, exclude: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """(scene file, motion file or "") of every FOLDER/NAME/scene.xml but the excluded, with MOTIONS/NAME.toml.
+
+    Raises InputError where none is left.
+    """
+    files = [f for f in sorted(Path(folder).glob("*/scene.xml")) if f.parent.name not in exclude]
+    if not files:
+        raise InputError(f"{folder}: no scenes found; expected folders NAME/scene.xml besides {', '.join(exclude)}")
+    scripts = [Path(motions) / f"{f.parent.name}.toml" if motions else None for f in files]
+    return tuple((str(f), str(s) if s and s.is_file() else "") for f, s in zip(files, scripts, strict=True))

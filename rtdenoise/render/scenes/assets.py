@@ -1,0 +1,199 @@
+"""A library of assets by other people: a folder with models, environment maps and surface pictures.
+
+`index.json` lists them; docs/use/scenes.md explains its keys. Every asset has a licence, and cards carry its author.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from ...color import srgb_decode
+from ...errors import InputError
+from ..stage import start_mitsuba
+from .meshes import Mesh
+from .scene import Principled
+
+KINDS = {"models": ("path", "category"), "hdris": ("file", "tags"), "textures": ("file", "kind")}  # file, class
+PALETTE_SCALE = 8  # palettes are enlarged, so that the filter of all textures leaves their colours apart
+
+
+@dataclass(frozen=True)
+class Asset:
+    """One entry of the index."""
+
+    name: str
+    file: Path
+    tags: frozenset[str]  # a model's category, a picture's kind, an environment map's tags
+    licence: str  # "": unknown
+    author: str
+    source: str
+    facts: dict = field(repr=False, compare=False)  # the entry itself
+
+    @property
+    def extent(self) -> np.ndarray:
+        """A model's width, height and depth, [3], in its own unit."""
+        low, high = self.facts["bbox"]
+        return np.subtract(high, low)
+
+    @property
+    def in_metres(self) -> bool:
+        return self.facts.get("unit") == "m"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One surface of a model, in the model's space: base at y = 0, front towards +z."""
+
+    mesh: Mesh
+    material: Principled
+    emission: np.ndarray | None  # [H, W, 3] radiance
+
+
+@dataclass(frozen=True)
+class Library:
+    """The assets of a folder."""
+
+    folder: Path
+    models: tuple[Asset, ...]
+    hdris: tuple[Asset, ...]
+    textures: tuple[Asset, ...]
+
+
+@lru_cache(maxsize=4)
+def read_library(folder: str | Path, allow_unlicensed: bool = False) -> Library:
+    """Read FOLDER/index.json. Raises InputError for a bad entry: paths outside the folder, no licence, missing keys."""
+    folder = Path(folder)
+    index = _read_json(folder / "index.json")
+    assets = {}
+    for kind, (path_key, tag_key) in KINDS.items():
+        entries = index.get(kind, [])
+        assets[kind] = tuple(_asset(folder, kind, e, path_key, tag_key, allow_unlicensed) for e in entries)
+        if not assets[kind]:
+            raise InputError(f"{folder / 'index.json'}: lists no {kind}; expected one or more")
+    return Library(folder, **assets)
+
+
+def _asset(folder: Path, kind: str, entry: dict, path_key: str, tag_key: str, allow_unlicensed: bool) -> Asset:
+    where = f"{folder / 'index.json'}: {kind}: {entry.get('name', 'entry without a name')}"
+    for key in ("name", path_key, tag_key, *(("bbox",) if kind == "models" else ())):
+        if key not in entry:
+            raise InputError(f"{where}: has no '{key}'")
+    file = folder / entry[path_key]
+    if not file.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{where}: {path_key} '{entry[path_key]}' lies outside the folder; copy the asset into it")
+    if not entry.get("license") and not allow_unlicensed:
+        raise InputError(f"{where}: has no 'license'; add it, or accept unknown ones with --allow-unlicensed")
+    tags = entry[tag_key]
+    return Asset(
+        str(entry["name"]), file, frozenset([tags] if isinstance(tags, str) else tags),
+        *(str(entry.get(key) or "") for key in ("license", "author", "source")), entry,
+    )  # fmt: skip
+
+
+def attribution(asset: Asset) -> dict[str, str]:
+    """The facts about an asset that data cards carry."""
+    return {"licence": asset.licence or "unknown", "author": asset.author or "unknown", "source": asset.source}
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=64)
+def load_model(asset: Asset) -> tuple[Part, ...]:
+    """The parts of a model. Raises InputError where one of its files cannot be read."""
+    document, folder = _read_json(asset.file), asset.file.parent
+    try:
+        return tuple(_part(folder, part) for part in document["parts"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{asset.file}: a part is not as expected: {error!r}") from error
+
+
+def _part(folder: Path, part: dict) -> Part:
+    palette = bool(part.get("palette"))
+    alpha, emissive = part.get("alpha"), part.get("emissive")
+    material = Principled(
+        _texture(folder, part["base_color"], 3, palette=palette),
+        _texture(folder, part.get("roughness", 0.5), 1, raw=True, palette=palette),
+        _texture(folder, part.get("metallic", 0.0), 1, raw=True, palette=palette),
+        _texture(folder, part["normal"], 3, raw=True) if part.get("normal") else None,
+        _texture(folder, alpha["file"], 1, raw=True) if alpha else None,
+        float(part.get("transmission", 0.0)), float(part.get("ior", 1.5)),
+    )  # fmt: skip
+    emission = None
+    if emissive:
+        value = emissive.get("rgb", emissive.get("file"))
+        emission = _texture(folder, value, 3) * np.float32(emissive.get("scale", 1.0))
+    return Part(_read_ply(_inside(folder, part["ply"])), material, emission)
+
+
+def _inside(folder: Path, name: str) -> Path:
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{folder}: '{name}' lies outside the model's folder")
+    return path
+
+
+def _texture(folder: Path, value, channels: int, raw: bool = False, palette: bool = False) -> np.ndarray:
+    """[H, W, C] float32 of a number, a linear colour or an image file; images are decoded from sRGB unless `raw`."""
+    if not isinstance(value, str):
+        return np.ones((4, 4, channels), np.float32) * np.asarray(value, np.float32)
+    image = read_picture(_inside(folder, value), channels, raw)
+    return image.repeat(PALETTE_SCALE, 0).repeat(PALETTE_SCALE, 1) if palette else image
+
+
+def read_picture(path: Path, channels: int = 3, raw: bool = False) -> np.ndarray:
+    """[H, W, C] float32 in [0, 1] of an 8-bit picture, decoded from sRGB unless `raw`. Raises InputError."""
+    try:
+        with Image.open(path) as file:
+            image = np.asarray(file.convert("RGB" if channels == 3 else "L"), np.float32) / 255
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: not a readable picture: {error}") from error
+    image = image.reshape(*image.shape[:2], channels)
+    return image if raw else srgb_decode(torch.from_numpy(image)).numpy()
+
+
+@lru_cache(maxsize=8)
+def load_hdri(asset: Asset) -> np.ndarray:
+    """[H, W, 3] latitude-longitude radiance of an environment map. Raises InputError."""
+    mi = start_mitsuba()
+    try:
+        bitmap = mi.Bitmap(str(asset.file)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
+    except RuntimeError as error:
+        raise InputError(f"{asset.file}: not a readable environment map: {str(error).splitlines()[-1]}") from error
+    image = np.nan_to_num(np.array(bitmap), nan=0.0, posinf=0.0, neginf=0.0).clip(0)
+    if not image.any():
+        raise InputError(f"{asset.file}: the environment map is black")
+    return image
+
+
+def _read_ply(path: Path) -> Mesh:
+    mi = start_mitsuba()
+    try:
+        parameters = mi.traverse(mi.load_dict({"type": "ply", "filename": str(path)}))
+    except RuntimeError as error:
+        raise InputError(f"{path}: not a readable PLY mesh: {str(error).splitlines()[-1]}") from error
+    arrays = {key: np.array(parameters[key]) for key in parameters.keys() if key.startswith(("vertex", "faces"))}
+    vertices, normals = (arrays[f"vertex_{key}"].reshape(-1, 3) for key in ("positions", "normals"))
+    uv = arrays["vertex_texcoords"].reshape(-1, 2)
+    if len(normals) != len(vertices) or len(uv) != len(vertices):
+        raise InputError(f"{path}: expected normals and texture coordinates for all {len(vertices)} vertices")
+    return Mesh(vertices, normals, uv, arrays["faces"].reshape(-1, 3))
+
+
+def _read_json(path: Path) -> dict:
+    try:
+        document = json.loads(path.read_text())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not valid JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: expected a JSON object")
+    return document

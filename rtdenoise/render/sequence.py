@@ -1,0 +1,72 @@
+"""One sequence on disk: a numbered EXR file a frame, cameras and transforms in `scene.json`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from ..errors import InputError
+from ..files import write_atomically
+from .frames import LAYERS, RenderOptions, describe_frame, render_frame
+from .scenes.scene import Scene
+from .stage import Stage
+
+
+def write_scene_json(scene: Scene, path: Path, numbers: range, size: tuple[int, int]) -> None:
+    """Add cameras and transforms of these frames, and of one frame before and after them, to the file.
+
+    Raises InputError where the file describes another scene, size or motion.
+    """
+    frames = [describe_frame(scene, n, size) for n in range(numbers[0] - 1, numbers[-1] + 2)]
+    document = {
+        "format": "rtdenoise-scene-1",
+        "width": size[1],
+        "height": size[0],
+        "objects": {str(o.id): o.name for o in scene.objects},
+        "frames": [
+            {
+                "number": f["number"],
+                "world_to_pixel": f["world_to_pixel"].tolist(),
+                "camera_origin": f["camera_origin"].tolist(),
+                "shot": f["shot"],
+                "object_to_world": {str(k): m.tolist() for k, m in f["object_to_world"].items()},
+            }
+            for f in frames
+        ],
+    }
+    if path.exists():
+        document["frames"] = _joined(path, json.loads(path.read_text()), document)
+    write_atomically(path, json.dumps(document).encode())
+
+
+def _joined(path: Path, before: dict, now: dict) -> list[dict]:
+    """The frames of both documents, in order."""
+    entries = {entry["number"]: entry for entry in now["frames"]}
+    kept = {entry["number"]: entry for entry in before["frames"]}
+    same = all(before[key] == now[key] for key in now if key != "frames")
+    if not same or any(entries[number] != kept[number] for number in entries.keys() & kept.keys()):
+        raise InputError(f"{path}: is of another scene, motion or size, expected this one; choose another --out")
+    return [entry for _, entry in sorted((kept | entries).items())]
+
+
+def render_sequence(
+    scene: Scene, out: str | Path, frames: int, options: RenderOptions, first: int = 0, progress=print
+) -> list[Path]:
+    """Render frames first … first + frames − 1 to OUT/frame.NNNN.exr, with `scene.json` beside them.
+
+    Existing frames are kept, so an interrupted run continues where it stopped.
+    """
+    from ..data.exr import write_layers
+
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    numbers = range(first, first + frames)
+    write_scene_json(scene, out / "scene.json", numbers, options.size)
+    paths = {n: out / f"frame.{n:04d}.exr" for n in numbers}
+    missing = [n for n in numbers if not paths[n].exists()]
+    stage = Stage(scene) if missing else None
+    for n in missing:
+        layers = render_frame(stage, n, options)
+        write_layers(paths[n], {k: layers[k] for k in LAYERS if k in layers})
+        progress(f"{paths[n]}")
+    return list(paths.values())
