@@ -10,6 +10,7 @@ import numpy as np
 from ..data.clips import ClipDataset, read_facts
 from ..files import write_atomically
 
+COMPOSED = "composition of assets"  # source of clips of a library
 GENERATED = "program"  # source of clips without third-party data
 
 

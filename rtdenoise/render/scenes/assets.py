@@ -15,6 +15,7 @@ import torch
 from PIL import Image
 
 from ...color import srgb_decode
+from ...data.exr import read_channels
 from ...errors import InputError
 from ..stage import start_mitsuba
 from .meshes import Mesh
@@ -161,13 +162,10 @@ def read_picture(path: Path, channels: int = 3, raw: bool = False) -> np.ndarray
 
 @lru_cache(maxsize=8)
 def load_hdri(asset: Asset) -> np.ndarray:
-    """[H, W, 3] latitude-longitude radiance of an environment map. Raises InputError."""
-    mi = start_mitsuba()
-    try:
-        bitmap = mi.Bitmap(str(asset.file)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
-    except RuntimeError as error:
-        raise InputError(f"{asset.file}: not a readable environment map: {str(error).splitlines()[-1]}") from error
-    image = np.nan_to_num(np.array(bitmap), nan=0.0, posinf=0.0, neginf=0.0).clip(0)
+    """[H, W, 3] latitude-longitude radiance of an environment map, an EXR file. Raises InputError."""
+    channels = read_channels(asset.file, ["R", "G", "B"])
+    image = np.stack([channels[name].astype(np.float32) for name in "RGB"], -1)
+    image = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).clip(0)
     if not image.any():
         raise InputError(f"{asset.file}: the environment map is black")
     return image
@@ -179,7 +177,7 @@ def _read_ply(path: Path) -> Mesh:
         parameters = mi.traverse(mi.load_dict({"type": "ply", "filename": str(path)}))
     except RuntimeError as error:
         raise InputError(f"{path}: not a readable PLY mesh: {str(error).splitlines()[-1]}") from error
-    arrays = {key: np.array(parameters[key]) for key in parameters.keys() if key.startswith(("vertex", "faces"))}
+    arrays = {key: np.array(parameters[key]) for key in parameters if key.startswith(("vertex", "faces"))}
     vertices, normals = (arrays[f"vertex_{key}"].reshape(-1, 3) for key in ("positions", "normals"))
     uv = arrays["vertex_texcoords"].reshape(-1, 2)
     if len(normals) != len(vertices) or len(uv) != len(vertices):
