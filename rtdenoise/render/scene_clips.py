@@ -121,6 +121,7 @@ def _render_clip(path: Path, stage: Stage, numbers: range, facts: dict, render: 
     frames = [render_frame(stage, number, render) for number in numbers]
     facts = facts | {
         "first_frame": numbers[0], "frames": len(numbers), "size": list(render.size), "spp": render.spp,
+        "samples": render.spp,
         "reference_spp": render.reference_spp, "max_depth": render.max_depth,
         "seconds": time.process_time() - clock, "versions": versions(),
     }  # fmt: skip

@@ -112,7 +112,7 @@ def _table_top(b: Composer, name: str, kind: str) -> Composition:
     if not light.get("closed"):
         b.add("ground", _ground(8), b.surface("wood", "stone", "tile", "plaster"))
     low, high = np.array([-half[0], -1 - half[1]]) + 0.06, np.array([half[0], half[1] - 1]) - 0.06
-    b.scatter(int(rng.integers(9, 22)), low, high, *SMALL, y=0.7505, longest=(0.04, 0.5))
+    b.scatter(int(rng.integers(9, 22)), low, high, *SMALL, y=0.7505, longest=(0.04, 0.38))
     for _ in range(int(rng.integers(1, 3))):  # soft boxes
         x, y, z = rng.uniform((-1.3, 1.5, -1.6), (1.3, 2.3, -0.4))
         a = rng.uniform(0.1, 0.4)
