@@ -190,7 +190,7 @@ def test_holes_let_light_and_sight_through():
     for alpha in (0.0, 0.25, 1.0):
         beauty, indirect = radiance(Stage(card_over_floor(alpha)), 0, (16, 16), 64, 0, NOISY, 2)
         direct[alpha] = float((beauty - indirect).mean())
-    assert direct[1.0] == 0 and direct[0.25] == pytest.approx(0.75 * direct[0.0], rel=1e-3)
+    assert direct[1.0] < 1e-6 and direct[0.25] == pytest.approx(0.75 * direct[0.0], rel=1e-3)
     scene = card_over_floor(0.25)
     above = replace(scene, camera=CameraPath((0, 6, 0), (0, 0, -0.01)))
     stage = Stage(above)
