@@ -220,9 +220,7 @@ def test_a_lens_blurs_what_is_not_in_focus():
 
 def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
     (folder / "models" / "kitchen" / "0.ply").write_bytes(b"ply\nnonsense")
-    options = ClipOptions(
-        4, (32, 32), seed=1, reference_error=1.0, reference_range=(2, 2), workers=1, assets=str(folder)
-    )
+    options = ClipOptions(2, (32, 32), seed=1, reference_error=1, reference_range=(2, 2), workers=1, assets=str(folder))
     card = render_clips(tmp_path / "out", options, lambda *_: None)
     assert card["clips"] == 2 and card["sources"] == {"composition of assets": 2}
     facts = [read_facts(clip_path(tmp_path / "out", i)) for i in range(2)]
