@@ -1,26 +1,28 @@
 """The paper's experiment: traditional motion, dual motion, and the occlusion loss, on the same clips and budget.
 
-    python bench/ablation.py --data data/train-clean --val data/val --single 700 --steps 1200
+python bench/ablation.py --data data/train-clean --val data/val --single 700 --steps 1200
 
-Trains the `paper` network on single frames first, in which motion and occlusions mean nothing; goes on from there on
-clips in each setting with each seed (a run that is there is resumed, a finished one kept); then measures all of them on
-the validation clips: over the frame, and inside what was uncovered in it, one and two frames before (M⁰, M¹, M²).
-Settings A, B and C are the paper's (§5.3); C-max has max pooling as D, as the paper prints it, in single frames too,
-C-bright another domain of the loss. Writes bench/results/ablation.json and the table of docs/models/paper.md.
+Trains the `paper` network on single frames first, where motion and occlusions do not matter; then continues on clips in
+each setting with each seed (unfinished runs resume, finished ones are kept). Measures all on the validation clips: over
+the frame, and in regions uncovered in it, one and two frames before (M⁰, M¹, M²). A, B and C are the paper's settings
+(§5.3). C-max uses max pooling for D, as the paper prints it, from the single frames on; C-bright takes the loss in
+another domain. Writes bench/results/ablation.json and the table of docs/reference/models/paper.md.
 """
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, replace
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
 import numpy as np
-import tyro
 
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.models import PRESETS, load
+from rtdenoise.models import load
 from rtdenoise.training.loop import train
 from rtdenoise.training.trainer import TrainConfig
 
@@ -28,13 +30,12 @@ SETTINGS = {
     "A": {"motion": "traditional", "occlusion_loss": False},
     "B": {"motion": "dual", "occlusion_loss": False},
     "C": {"motion": "dual", "occlusion_loss": True},
-    "C-max": {"motion": "dual", "occlusion_loss": True, "preset": "paper-max"},
+    "C-max": {"motion": "dual", "occlusion_loss": True, "set": ("pool=max",)},
     "C-bright": {"motion": "dual", "occlusion_loss": True, "loss_exposure": 4.0},
 }
 METRICS = ("psnr", "psnr_corrected", "ssim", "l1", "mse", "relmse")
 REGIONS = ("frame", "uncovered", "uncovered-1", "uncovered-2")
-RESULT = harness.ROOT / "bench" / "results" / "ablation.json"
-PAGE = harness.ROOT / "docs" / "models" / "paper.md"
+RESULT, PAGES = RESULTS / "ablation.json", (DOCS / "reference" / "models" / "paper.md",)
 COLUMNS = [  # label, metric, region, digits
     *(("corrected PSNR", "psnr_corrected", region, 2) for region in REGIONS),
     *(("SSIM", "ssim", region, 3) for region in REGIONS[:2]),
@@ -51,54 +52,42 @@ class Options:
     val: Path
     """Validation clips, of other scenes."""
     single: int = 700
-    """Steps on single frames, 16 a step, that every run starts from."""
+    """Steps on single frames, 16 per step, before every run."""
     frames: int = 9
-    """Frames a clip."""
+    """Frames per clip."""
     runs: Path = Path("runs/ablation")
     """Folder of the training runs."""
     steps: int = 1200
     """Steps of each run."""
     seeds: int = 2
-    """Runs a setting."""
+    """Runs per setting."""
     settings: tuple[str, ...] = ("A", "B", "C")
-    """Of A, B, C, C-max, C-bright."""
+    """Some of A, B, C, C-max, C-bright."""
 
 
 def main(options: Options) -> None:
-    PRESETS["paper-max"] = replace(PRESETS["paper"], pool="max")
-    rows = []
+    rows: list[dict] = []
     clips = ClipDataset(options.val)
-    single = {preset: single_frames(options, preset) for preset in {preset_of(setting) for setting in options.settings}}
+    facts = {"steps": options.steps, "single": options.single, "frames": options.frames, "clips": len(clips)}
     for seed in range(options.seeds):  # seed by seed: an interrupted bench has compared all settings once
         for setting in options.settings:
             config = TrainConfig(
-                data=options.data, out=options.runs / f"{setting}-{seed}", init=single[preset_of(setting)],
+                data=options.data, out=options.runs / f"{setting}-{seed}", model="paper",
+                init=single_frames(options, setting),
                 steps=options.steps, frames=options.frames, seed=seed, **SETTINGS[setting],
             )  # fmt: skip
             row = {"setting": setting, "seed": seed, "errors": errors(train(config), clips)}
             rows.append(row)
             print(f"{setting} seed {seed}: " + ", ".join(f"{k} {v['psnr']:.2f} dB" for k, v in row["errors"].items()))
-            harness.write(
-                RESULT,
-                **harness.origin({"torch": harness.cpu()}),
-                steps=options.steps,
-                single=options.single,
-                frames=options.frames,
-                clips=len(clips),
-                rows=rows,
-            )
-    harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
+            harness.publish(RESULT, facts | {"rows": rows}, pages=PAGES, tables=tables)
 
 
-def preset_of(setting: str) -> str:
-    return SETTINGS[setting].get("preset", "paper")
-
-
-def single_frames(options: Options, preset: str) -> Path:
-    """Weights that have seen single frames only."""
-    out = options.runs / f"single-{preset}"
+def single_frames(options: Options, setting: str) -> Path:
+    """Weights trained on single frames alone, from which a setting starts; all settings of one network share them."""
+    network = {key: value for key, value in SETTINGS[setting].items() if key == "set"}
+    out = options.runs / ("single-paper-max" if network else "single-paper")
     steps = {"steps": options.single, "frames": 1, "batch": 16}
-    return train(TrainConfig(options.data, out, preset=preset, occlusion_loss=False, **steps))
+    return train(TrainConfig(options.data, out, model="paper", occlusion_loss=False, **steps, **network))
 
 
 def errors(weights: Path, clips: ClipDataset) -> dict[str, dict[str, float]]:
@@ -108,7 +97,7 @@ def errors(weights: Path, clips: ClipDataset) -> dict[str, dict[str, float]]:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """The section of docs/models/paper.md: mean over the seeds, and half their spread."""
+    """Section `ablation`: mean over the seeds ± half their range."""
     rows = document["rows"]
     lines = ["| setting | " + " | ".join(f"{label}, {region}" for label, _, region, _ in COLUMNS) + " |"]
     lines.append("|---" * (len(COLUMNS) + 1) + "|")
@@ -124,4 +113,4 @@ def spread(values: list[float], digits: int) -> str:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    harness.run(main, __doc__)

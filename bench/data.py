@@ -1,12 +1,11 @@
-"""What a folder of training clips cost, what is in it, and how fast it is read.
+"""Training clips: the cost of rendering them, their content, and the speed of the loader.
 
-    python bench/data.py CLIPS NAME
+python bench/data.py CLIPS NAME    # writes bench/results/data_NAME.json
 
-Rendered: clips per core-hour, from the processor time that every clip has in its header (`scene`: loading, surveying
-and exposing, paid once for several clips). Loaded: clips a second as random windows of consecutive frames, batches as
-`rtdenoise train` draws them, from warm files, timed in turn with a training step on the same batch: the loader must be
-the faster one by far. Error of the references: relative squared error of the stored mean of two halves a and b, mean of
-(a - b)² / 4 over the squared mean, from the halves themselves.
+Cost: clips per core-hour, from the CPU time in every clip's header. `scene` is the part paid once for several clips:
+loading, surveying and exposing. Loading: clips per second as batches that `rtdenoise train` draws, from warm files, in
+rotation with a training step on the same batch; the loader must be far faster. Error of the references: relative
+squared error of the mean of two independent halves a and b, estimated as (a - b)² / 4 over the squared mean.
 """
 
 from __future__ import annotations
@@ -15,9 +14,13 @@ import itertools
 import sys
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import RESULTS, harness
+
+# isort: split
 import numpy as np
 import torch
+import tyro
 
 from rtdenoise.color import luminance
 from rtdenoise.data.clips import ClipDataset
@@ -25,11 +28,11 @@ from rtdenoise.frame import stack
 from rtdenoise.motion import dual_motion, occlusion_mask
 from rtdenoise.training.trainer import TrainConfig, Trainer
 
-BATCH, FRAMES, SIZE = 2, 9, 96
+BATCH, FRAMES, SIZE = 2, 9, 96  # windows, frames, pixels per side
 
 
 def content(clips: ClipDataset) -> dict:
-    """Shares of uncovered pixels and errors of references, over all clips."""
+    """Shares of uncovered pixels and errors of the references, over all clips."""
     shares, errors = [], []
     for index in range(len(clips)):
         frames = clips.load(index)
@@ -54,7 +57,7 @@ def content(clips: ClipDataset) -> dict:
 
 
 def cost(clips: ClipDataset) -> dict:
-    """Of rendering, from the clips' facts."""
+    """Cost of rendering, from the facts in the clips' headers."""
     facts = [clips.facts(i) for i in range(len(clips))]
     seconds = sum(f["seconds"] for f in facts)
     opening = sum(f.get("scene_seconds", 0.0) for f in facts)
@@ -67,10 +70,10 @@ def cost(clips: ClipDataset) -> dict:
     }
 
 
-def main(folder: Path, name: str) -> None:
+def main(folder: tyro.conf.Positional[Path], name: tyro.conf.Positional[str]) -> None:
     torch.set_num_threads(1)
     clips, rng = ClipDataset(folder), np.random.default_rng(0)
-    trainer = Trainer(TrainConfig((folder,), folder, batch=BATCH, frames=FRAMES, size=SIZE))
+    trainer = Trainer(TrainConfig((folder,), folder, model="paper", batch=BATCH, frames=FRAMES, size=SIZE))
 
     def load() -> list:
         windows = [
@@ -91,15 +94,11 @@ def main(folder: Path, name: str) -> None:
             "clips_a_second": round(1000 * BATCH / loaded, 1),
             "training_step_over_load": round(step / loaded, 1),
         },
+        "timings": timings,
     }
     print(result)
-    harness.write(
-        harness.ROOT / "bench" / "results" / f"data_{name}.json",
-        **harness.origin({"torch": harness.cpu()}),
-        **result,
-        timings=timings,
-    )
+    harness.publish(RESULTS / f"data_{name}.json", result)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    harness.run(main, __doc__)

@@ -1,11 +1,11 @@
-"""Files under fire: runs killed at random moments, and long sequences at constant memory.
+"""Files under fire: runs killed at random moments, and long sequences in constant memory.
 
-    python bench/files.py [--kills 50] [--frames 2000]
+python bench/files.py [--kills 50] [--frames 2000]
 
-Kills: `rtdenoise denoise` on the bundled sample is killed (SIGKILL) after a random time, started again, killed again,
-until it has been killed so often; whenever a run gets to its end its files are compared, byte by byte, with those of an
-undisturbed run, and it starts on an empty folder. Memory: a sequence of links to the sample's frames, with consecutive
-numbers, is denoised in one process; its resident memory is read after every frame.
+Kills: `rtdenoise denoise` on the bundled sequence is killed (SIGKILL) after a random time and started again, `--kills`
+times. Whenever a run completes, its files are compared, byte by byte, with those of an undisturbed run, and the
+folder is emptied. Memory: a long sequence of links to the bundled frames is denoised in one process, whose resident
+memory is read after every frame.
 """
 
 from __future__ import annotations
@@ -18,28 +18,26 @@ import tempfile
 import time
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, ROOT, SAMPLE, harness
 
+# isort: split
+
+from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.run.denoise import Options, denoise
 
-RESULT = harness.ROOT / "bench" / "results" / "files.json"
-SAMPLE = harness.ROOT / "samples" / "mural"
-CROP = 48  # pixels a side of the frames of the long sequence
+RESULT, PAGES = RESULTS / "files.json", (DOCS / "results" / "stability.md",)
+CROP = 48  # pixels per side of the long sequence's frames
 
 
-def main(kills: int, frames: int) -> None:
-    document = {
-        **harness.origin({"torch": harness.cpu()}),
-        "kills": kill_and_resume(kills),
-        "memory": long_sequence(frames),
-    }
-    harness.write(RESULT, **document)
-    harness.insert_all(tables(document))
+def main(kills: int = 50, frames: int = 2000) -> None:
+    content = {"kills": kill_and_resume(kills), "memory": long_sequence(frames)}
+    harness.publish(RESULT, content, pages=PAGES, tables=tables)
 
 
 def tables(document: dict) -> dict[str, str]:
-    """What docs/stability.md has of this."""
+    """Section `files`."""
     kills, memory = document["kills"], document["memory"]
     at = kills["finished_frames_at_kill"]
     same = "the same files, byte by byte" if kills["identical"] else "**other files**"
@@ -47,23 +45,23 @@ def tables(document: dict) -> dict[str, str]:
     return {
         "files": f"Killed {kills['kills']} times, after {min(at)} to {max(at)} finished frames: {same}, "
         f"{kills['refused']} runs refused. A sequence of {memory['frames']} frames: {early} of memory after a tenth of "
-        f"them, {late} at the end (`python bench/files.py`, [JSON](../bench/results/files.json))."
+        f"them, {late} at the end (`python bench/files.py`, [JSON](../../bench/results/files.json))."
     }
 
 
 def kill_and_resume(kills: int) -> dict[str, object]:
-    """Kill `kills` times; how far the runs had got, and whether what they left is what an undisturbed run writes."""
+    """Kill and restart runs: the frames finished at each kill, and whether the final files are an undisturbed run's."""
     rng = random.Random(0)
     with tempfile.TemporaryDirectory() as folder:
         whole, out = Path(folder) / "whole", Path(folder) / "out"
         command = [sys.executable, "-m", "rtdenoise", "denoise", str(SAMPLE), "--out"]
         started = time.monotonic()
-        subprocess.run([*command, str(whole)], check=True, stdout=subprocess.DEVNULL, cwd=harness.ROOT)
+        subprocess.run([*command, str(whole)], check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
         length = time.monotonic() - started
         expected = _contents(whole)
         survived, finished, at, refused = 0, 0, [], 0
         while survived < kills:
-            run = subprocess.Popen([*command, str(out)], cwd=harness.ROOT, stdout=subprocess.DEVNULL,
+            run = subprocess.Popen([*command, str(out)], cwd=ROOT, stdout=subprocess.DEVNULL,
                                    stderr=subprocess.DEVNULL)  # fmt: skip
             try:
                 run.wait(rng.uniform(0.3, 1.0) * length)
@@ -79,7 +77,7 @@ def kill_and_resume(kills: int) -> dict[str, object]:
             finished += 1
             for path in out.iterdir():
                 path.unlink()
-        subprocess.run([*command, str(out)], check=True, stdout=subprocess.DEVNULL, cwd=harness.ROOT)
+        subprocess.run([*command, str(out)], check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
         identical = _contents(out) == expected
     print(f"{kills} kills after {sorted(at)} frames, {finished} runs finished in between, {refused} refused")
     return {"kills": kills, "finished_frames_at_kill": at, "runs_finished_in_between": finished, "refused": refused,
@@ -92,15 +90,12 @@ def _contents(out: Path) -> dict[str, bytes]:
 
 def long_sequence(count: int) -> dict[str, object]:
     """Resident memory in MB over a sequence of `count` frames."""
-    from rtdenoise.data.exr import write_layers
-    from rtdenoise.data.sequences import open_sequence
-
     memory: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         shot = Path(folder) / "shot"
         shot.mkdir()
         sources = []
-        for frame in open_sequence(SAMPLE):
+        for frame in harness.mural("color"):
             small = frame.crop(60, 100, CROP, CROP)
             layers = {name: tensor[0].permute(1, 2, 0).numpy() for name, tensor in small.layers()}
             layers["color"] = layers.pop("radiance")
@@ -124,9 +119,5 @@ def _resident() -> float:
     return round(pages * 4096 / 1e6, 1)
 
 
-def _argument(name: str, default: int) -> int:
-    return int(sys.argv[sys.argv.index(name) + 1]) if name in sys.argv else default
-
-
 if __name__ == "__main__":
-    main(_argument("--kills", 50), _argument("--frames", 2000))
+    harness.run(main, __doc__)

@@ -1,25 +1,31 @@
-"""What the plan saves: each omission on frames that qualify for it and on frames that do not.
+"""Savings of the plan: each omission on frames that qualify for it and on frames that do not.
 
-    python bench/plan.py
+python bench/plan.py
 
-The scenes are made from the bundled sample, for torch twice as high by repetition (320×360), for the shaders a quarter
-of it (160×90): a single picture; `still` does not move, `pan` moves as a whole, `objects` is the sample's own motion,
-each also without motion_next; `night` and `sky`, twice as high again, have black and evenly lit upper three quarters.
-For each, one step of the model with everything and one with the plan, in CPU time, in turn; the outputs are compared
-first, to the bit or within float32's tolerance, and a difference ends the run. Layers: the time to read a multi-part
-file, one part a layer, with and without the layers that a single frame does not need. Direct light without noise: the
-beauty denoised as a whole, and its indirect part alone. Also measured: what a convolution's share of constant channels
-could save at most, and how many pixels have a coarse scale with no weight at all: why those two are not left out.
+The scenes are made from the bundled sequence: for torch repeated to twice its height (320×360), for the shaders a
+quarter of it (160×90). One is a single picture; `still` does not move, `pan` moves as a whole, `objects` keeps its own
+motion, each also without motion_next; `night` and `sky`, twice as high again, have black or evenly lit upper three
+quarters. For each, one step that runs everything and one with the plan, in CPU time, in rotation. Their outputs are
+compared first, to the bit or within float32's tolerance; a difference ends the run.
+
+Layers: time to read a multi-part file, one part per layer, with and without the layers that a single frame does not
+need. Direct light without noise: the beauty denoised as a whole, against its indirect part alone. Two omissions that
+the plan does not make: folding constant input channels (the most it could save), and coarse scales without weight
+(their number).
 """
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
 import numpy as np
 import OpenEXR
 import torch
@@ -34,48 +40,47 @@ from rtdenoise.models import available, load
 from rtdenoise.run.backends import open_backend
 from rtdenoise.run.plan import make_plan
 
-RESULT = harness.ROOT / "bench" / "results" / "plan.json"
-SAMPLE = harness.ROOT / "samples" / "mural"
+RESULT, PAGES = RESULTS / "plan.json", (DOCS / "results" / "stability.md",)
 CALLS = {"torch": 5, "glsl": 5}
-TORCH_ALONE = ("night", "sky")  # scenes for an omission that the shaders do not have
+TORCH_ONLY = ("night", "sky")  # scenes for an omission that the shaders lack
+SPEED = 3.25  # pixels per frame of `pan`
 
 
 @torch.inference_mode()
 def main() -> None:
-    sample = [frame for _, frame in zip(range(3), open_sequence(SAMPLE), strict=False)]
+    sample = harness.mural("color")[:3]
     shots = {
         "torch": scenes([_repeat(frame, 2) for frame in sample]),
         "glsl": scenes([frame.crop(0, 0, 90, 160) for frame in sample]),
     }
     models = {
         name: {
-            scene: {b: measure(b, name, shots[b][scene]) for b in shots if b == "torch" or scene not in TORCH_ALONE}
+            scene: {b: measure(b, name, shots[b][scene]) for b in shots if b == "torch" or scene not in TORCH_ONLY}
             for scene in shots["torch"]
         }
         for name in available()
     }
-    document = {
-        **harness.origin({"torch": harness.cpu(), "glsl": default_context().info["GL_RENDERER"]}),
+    content = {
         "sizes": {backend: made["objects"][0].size for backend, made in shots.items()},
         "models": models,
         "layers": read_layers(shots["torch"]["objects"][0]),
         "direct": direct_light("paper"),
         "not_left_out": {name: not_left_out(load(name, precision="fp32"), sample) for name in available()},
     }
-    harness.write(RESULT, **document)
-    harness.insert_all(tables(document))
+    devices = {"torch": harness.cpu(), "glsl": default_context().info["GL_RENDERER"]}
+    harness.publish(RESULT, content, devices=devices, pages=PAGES, tables=tables)
 
 
 def scenes(frames: list[Frame]) -> dict[str, list[Frame]]:
-    """Name -> frames, of which the last is measured."""
-    moving = {"still": _moved(frames, 0.0), "pan": _moved(frames, 3.25), "objects": frames}
+    """Name -> frames; the last one is measured."""
+    moving = {"still": _moved(frames, 0.0), "pan": _moved(frames, SPEED), "objects": frames}
     without = {f"{name}, no motion_next": [replace(f, motion_next=None) for f in shot] for name, shot in moving.items()}
     high = [_repeat(frame, 2) for frame in frames]
     return {"single picture": frames[:1], **moving, **without, "night": _upper(high, 0.0), "sky": _upper(high, 1.0)}
 
 
 def measure(backend: str, model: str, frames: list[Frame]) -> dict[str, object]:
-    """One step, with history where there are frames before it: everything against the plan."""
+    """One step of the last frame, with the history of those before: everything against the plan."""
     everything, planned = (open_backend(backend, model, "cpu" if backend == "torch" else "auto", "fp32") for _ in "ab")
     left_out: dict[str, int] = {}
     arrays = [frame.map(lambda tensor: np.ascontiguousarray(tensor)) for frame in frames]
@@ -88,7 +93,7 @@ def measure(backend: str, model: str, frames: list[Frame]) -> dict[str, object]:
     expected, found = everything.step(last, history)[0], planned.step(last, history)[0]
     exact = np.array_equal(expected, found)
     error = harness.check("plan", found, expected, "exact" if exact else "float32 tiles")
-    named = [what for what, count in left_out.items() if count]
+    named = [omission for omission, count in left_out.items() if count]
     timings = harness.measure(
         {"everything": lambda: everything.step(last, history), "plan": lambda: planned.step(last, history)},
         calls=CALLS[backend], warmup=1, clock=time.process_time,
@@ -98,22 +103,25 @@ def measure(backend: str, model: str, frames: list[Frame]) -> dict[str, object]:
 
 
 def direct_light(model: str) -> dict[str, float]:
-    """PSNR of the beauty, where direct light has no noise: denoised as a whole, and with its indirect part denoised and
-    the rest passed through."""
-    denoiser, errors, histories = load(model, precision="fp32"), {"whole": [], "indirect": []}, {}
-    pairs = zip(*(open_sequence(SAMPLE, signal=s, layers=("reference",)) for s in ("color", "indirect")), strict=True)
-    for beauty, indirect in pairs:
-        direct = (beauty.reference - indirect.reference).clamp(min=0)
-        shot = {"whole": replace(beauty, radiance=direct + indirect.radiance), "indirect": indirect}
-        for name, frame in shot.items():
-            image, histories[name] = denoiser.step(frame, histories.get(name))
-            image = image + direct if name == "indirect" else image
-            errors[name].append(psnr(image, beauty.reference, display_exposure(beauty.reference)))
+    """PSNR of the beauty where direct light has no noise: `whole`, denoised as one picture, and `indirect`, with its
+    indirect light denoised and the rest passed through."""
+    step = load(model, precision="fp32").step
+    beauty, indirect = (harness.mural(signal, layers=("reference",)) for signal in ("color", "indirect"))
+    direct = [(b.reference - i.reference).clamp(min=0) for b, i in zip(beauty, indirect, strict=True)]
+    whole = [replace(b, radiance=d + i.radiance) for b, d, i in zip(beauty, direct, indirect, strict=True)]
+    images = {
+        "whole": harness.denoise(step, whole),
+        "indirect": [d + image for d, image in zip(direct, harness.denoise(step, indirect), strict=True)],
+    }
+    references = [frame.reference for frame in beauty]
+    errors = {name: [psnr(image, reference, display_exposure(reference))
+                     for image, reference in zip(found, references, strict=True)]
+              for name, found in images.items()}  # fmt: skip
     return {name: round(float(np.mean(values)), 2) for name, values in errors.items()}
 
 
 def read_layers(frame: Frame) -> dict[str, object]:
-    """A single frame in a multi-part file: all default layers, and without the motion that it does not need."""
+    """Time to read a single frame of a multi-part file: with all default layers, and without its needless motion."""
     parts = [
         OpenEXR.Part({"compression": OpenEXR.ZIP_COMPRESSION}, channels, name)
         for name, channels in {
@@ -138,8 +146,8 @@ def read_layers(frame: Frame) -> dict[str, object]:
 
 
 def not_left_out(denoiser: nn.Module, frames: list[Frame]) -> dict[str, float]:
-    """Share of the network's multiplications that one constant input channel causes, the least weight of a coarse scale
-    anywhere, and how many of those weights are zero."""
+    """Share of the network's multiplications that one constant input channel causes; the least weight of a coarse scale
+    anywhere, and the number of those weights that are zero."""
     counts: list[int] = []
     alphas: list[Tensor] = []
     hooks = [module.register_forward_hook(lambda m, i, o: counts.append(o[0].numel() * m.weight[0].numel()))
@@ -152,11 +160,11 @@ def not_left_out(denoiser: nn.Module, frames: list[Frame]) -> dict[str, float]:
         return heads
 
     denoiser.predict = watched
-    _, history = denoiser.step(frames[0])
+    denoiser.step(frames[0])
     for hook in hooks:
         hook.remove()
-    for frame in frames[1:]:
-        _, history = denoiser.step(frame, history)
+    alphas.clear()
+    harness.denoise(denoiser.step, frames)
     inputs = next(m for m in denoiser.modules() if isinstance(m, nn.Conv2d)).in_channels
     weights = torch.cat(alphas)
     return {"multiplications_of_one_channel": counts[0] / inputs / sum(counts), "least_alpha": weights.min().item(),
@@ -164,7 +172,7 @@ def not_left_out(denoiser: nn.Module, frames: list[Frame]) -> dict[str, float]:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """What docs/stability.md has of this, by section."""
+    """Sections `plan` and `not left out`."""
     models = "\n\n".join(f"Model `{name}`:\n\n{table(rows)}" for name, rows in document["models"].items())
     layers, direct = document["layers"]["ratio"], document["direct"]
     models += (
@@ -189,7 +197,7 @@ def table(rows: dict) -> str:
         "|---|---|---|---|---|",
     ]
     for scene, backends in rows.items():
-        left_out = dict.fromkeys(what for row in backends.values() for what in row["left_out"])
+        left_out = dict.fromkeys(omission for row in backends.values() for omission in row["left_out"])
         error = max(row["greatest_error"] for row in backends.values())
         output = "same to the bit" if all(row["exact"] for row in backends.values()) else f"within {error:.1g}"
         ratios = [f"{backends[b]['ratio']:.2f}" if b in backends else "–" for b in CALLS]
@@ -219,4 +227,4 @@ def _upper(frames: list[Frame], light: float) -> list[Frame]:
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

@@ -1,30 +1,34 @@
-"""What bfloat16 costs in the picture: the shipped models on the bundled sequence.   python bench/precision.py"""
+"""The error that bfloat16 adds: the shipped models on the bundled sequence in both precisions.
+
+python bench/precision.py
+"""
 
 from __future__ import annotations
 
-from harness import ROOT, cpu, origin, write  # first: it settles how torch waits
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import RESULTS, harness
 
 # isort: split
 import numpy as np
 import torch
 
-import rtdenoise
 from rtdenoise import models
 from rtdenoise.color import display_exposure
 from rtdenoise.metrics import psnr, relmse
 
-RESULT = ROOT / "bench" / "results" / "precision.json"
-SKIP = 1  # the first frame has no history
+RESULT = RESULTS / "precision.json"
+SKIP = 1  # frames: the first has no history
 
 
-@torch.inference_mode()
 def main() -> None:
-    layers = ("reference", "reference_half")
-    frames = list(rtdenoise.open_sequence(ROOT / "samples" / "mural", signal="indirect", layers=layers))
+    frames = harness.mural("indirect", layers=("reference", "reference_half"))
     scale = display_exposure(torch.cat([frame.reference for frame in frames]))
     rows = []
     for name in models.available():
-        images = {precision: denoise(name, precision, frames) for precision in ("fp32", "bf16")}
+        images = {p: harness.denoise(models.load(name, precision=p).step, frames) for p in ("fp32", "bf16")}
         for precision, results in images.items():
             pairs = list(zip(results, frames, strict=True))[SKIP:]
             rows.append({
@@ -37,16 +41,8 @@ def main() -> None:
                 ])) if precision != "fp32" else None,
             })  # fmt: skip
             print(rows[-1])
-    write(RESULT, **origin({"torch": cpu()}), rows=rows)
-
-
-def denoise(name: str, precision: str, frames: list[rtdenoise.Frame]) -> list[torch.Tensor]:
-    denoiser, history, images = models.load(name, precision=precision), None, []
-    for frame in frames:
-        image, history = denoiser.step(frame, history)
-        images.append(image)
-    return images
+    harness.publish(RESULT, {"rows": rows})
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

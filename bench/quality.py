@@ -1,37 +1,37 @@
-"""Quality of every denoiser on sequences that no model was trained on: both signals, over the frame and where something
-was uncovered, with a strip of pictures of each.
+"""Quality of every denoiser on sequences that no model was trained on: both signals, over the whole frame and in
+uncovered regions, with a strip of pictures of each.
 
-    python bench/quality.py [SEQ ...]   renders what is missing of the standard set, measures it, and sequences of one's
-                                        own, into out/quality, and writes bench/results/quality.json, the tables of
-                                        docs/quality.md and docs/images/quality/SEQ-SIGNAL.webp; before it,
-                                        `sh tools/train_weights.sh settings` trains the paper's settings
-    python bench/quality.py --tables    the tables anew from the JSON
+python bench/quality.py [SEQ ...]    # the standard set, and sequences of your own
 
-What was measured already is kept, unless its input or its weights have changed. FovVideoVDP is among the metrics where
-pyfvvdp is installed.
+Renders what is missing of the standard set, measures into out/quality, and writes bench/results/quality.json, the
+tables of docs/results/quality.md and docs/images/quality/SEQ-SIGNAL.webp. Results are reused unless their input or
+weights have changed. The paper's settings A, B and C must be trained first: `sh tools/train_weights.sh settings`.
+FovVideoVDP is measured where pyfvvdp is installed.
 """
 
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import harness
-import standard
-import strips
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, ROOT, harness
+from bench.harness import standard, strips
+
+# isort: split
+import tyro
 
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.run import Options, run
 from rtdenoise.report.markdown import write_number
 from rtdenoise.report.readings import METRICS, cost
 
-OUT, RESULT = harness.ROOT / "out" / "quality", harness.ROOT / "bench" / "results" / "quality.json"
-PAGE, PICTURES = harness.ROOT / "docs" / "quality.md", harness.ROOT / "docs" / "images" / "quality"
+OUT, PICTURES = ROOT / "out" / "quality", DOCS / "images" / "quality"
+RESULT, PAGES = RESULTS / "quality.json", (DOCS / "results" / "quality.md",)
 SIGNALS = ("indirect", "color")
 LABELS = {
     "noisy": "noisy, 1 spp",
@@ -47,34 +47,33 @@ LABELS = {
     "default": "**`default`**",
     "quality": "`quality`",
 }
-# Weights of the paper's settings, which do not ship. Relative to where we are: legends show the path.
-SETTINGS = {n: os.path.relpath(harness.ROOT / f"runs/paper-{n}/weights.safetensors") for n in "ABC"}
+# Weights of the paper's settings, which do not ship. Relative to the current folder, because legends show the path.
+SETTINGS = {n: os.path.relpath(ROOT / f"runs/paper-{n}/weights.safetensors") for n in "ABC"}
 OF_FRAME = ("psnr", "psnr_corrected", "ssim", "relmse", "flip", "tpsnr", "fovvideovdp")
 OF_UNCOVERED = OF_FRAME[:-1]
 REGIONS = ("frame", "uncovered")
 MEASURED = (*OF_FRAME[:-1], "mse", "mse_corrected")
 
 
-def main(more: list[str]) -> None:
+def main(sequences: tyro.conf.Positional[tuple[str, ...]] = ()) -> None:
     started = time.perf_counter()
     if missing := [file for file in SETTINGS.values() if not Path(file).is_file()]:
-        sys.exit(f"{missing[0]} is not there: sh tools/train_weights.sh settings")
-    folders = standard.prepare() + more
+        sys.exit(f"{missing[0]}: no such weights; train them with: sh tools/train_weights.sh settings")
+    folders = [*standard.prepare(), *sequences]
     measured = (*MEASURED, "fovvideovdp") if importlib.util.find_spec("pyfvvdp") else MEASURED
     chosen = tuple(f"{name}={SETTINGS[name]}" if name in SETTINGS else name for name in LABELS)
     documents = {}
     for signal in SIGNALS:
         documents[signal] = run(folders, OUT / signal, Options(chosen, metrics=measured, signal=signal))
-    keep(documents)
     draw(documents)
-    harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
-    print(f"{PAGE}: {time.perf_counter() - started:.0f} s")
+    harness.publish(RESULT, summary(documents), digits=5, pages=PAGES, tables=tables)
+    print(f"{time.perf_counter() - started:.0f} s")
 
 
-def keep(documents: dict[str, Document]) -> None:
-    """What the tables are made from, in five digits, into bench/results."""
+def summary(documents: dict[str, Document]) -> dict:
+    """The numbers behind the tables: signal -> facts of each sequence, and a row per signal, sequence and method."""
     facts = ("size", "frames", "uncovered_share", "exposure", "reference_psnr", "reference_relmse")
-    content = {
+    return {
         "runs": {signal: document.runs for signal, document in documents.items()},
         "sequences": {
             signal: {
@@ -93,11 +92,10 @@ def keep(documents: dict[str, Document]) -> None:
             for row in document.results
         ],
     }  # fmt: skip
-    harness.write(RESULT, digits=5, **harness.origin({"torch": harness.cpu()}), **content)
 
 
 def draw(documents: dict[str, Document]) -> None:
-    """The strips, into docs/images."""
+    """Write the strips into docs/images."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     for signal, document in documents.items():
         for name, sequence in document.sequences.items():
@@ -111,7 +109,7 @@ def draw(documents: dict[str, Document]) -> None:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """The sections of docs/quality.md: `against` peers, `aims`, and `scenes` with a table a sequence and signal."""
+    """Sections `against` peers, `settings` of the paper, `aims`, and `scenes`: a table per sequence and signal."""
     ahead = {
         "against": _against(document, "default", "oidn"),
         "against-prefiltered": _against(document, "default", "oidn-prefiltered"),
@@ -127,7 +125,7 @@ def _against(document: dict, model: str, peer: str) -> str:
 
 
 def _settings(document: dict) -> str:
-    """What each setting of the paper adds to the one before, and `default` to them."""
+    """Gain of each setting of the paper over the one before, and of `default` over C."""
     pairs = [
         ("B over A", "B", "A"), ("C over B", "C", "B"), ("C over `paper` as it ships", "C", "paper"),
         ("`default` over C", "default", "C"),
@@ -159,7 +157,7 @@ def _gain(document: dict, model: str, peer: str, region: str, metric: str) -> tu
 
 
 def _aims(document: dict) -> str:
-    """What `default` gains over OIDN and over setting A, on every sequence."""
+    """Gains of `default` over OIDN and over setting A on every sequence."""
     lines = [
         "| | signal | PSNR over OIDN's | corrected PSNR over OIDN's | PSNR over A's | corrected PSNR over A's | FLIP / "
         "OIDN's | MSE / A's, uncovered | corrected MSE / A's, uncovered |",
@@ -179,7 +177,7 @@ def _aims(document: dict) -> str:
 
 
 def _difference(ours: dict | None, peer: dict | None, metric: str) -> str:
-    """In dB, over the frame."""
+    """Gain in dB over the whole frame."""
     values = [row and row["frame"].get(metric) for row in (ours, peer)]
     return "–" if None in values else f"{values[0] - values[1]:+.2f} dB"
 
@@ -199,7 +197,7 @@ def _scenes(document: dict) -> list[str]:
                 f"### {name}, {signal}",
                 f"{facts['frames']} frames of {width}×{height}, {100 * facts['uncovered_share']:.1f} % uncovered; the "
                 f"references' own error: {own[0]} dB PSNR, relMSE {own[1]}.",
-                f"![noisy, OIDN, A, default, reference](images/quality/{name}-{signal}.webp)",
+                f"![noisy, OIDN, A, default, reference](../images/quality/{name}-{signal}.webp)",
                 _table(_rows(document, signal, name)),
             ]
     return parts
@@ -226,7 +224,4 @@ def _rows(document: dict, signal: str, sequence: str) -> dict[str, dict]:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["--tables"]:
-        harness.insert_all(tables(json.loads(RESULT.read_text())), PAGE)
-    else:
-        main(sys.argv[1:])
+    harness.run(main, __doc__)

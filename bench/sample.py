@@ -1,15 +1,24 @@
-"""Error and time on the bundled sample: the table of the README.   python bench/sample.py"""
+"""Error and time of every method on the bundled sequence: the table of the README.
+
+python bench/sample.py
+"""
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, ROOT, harness
+
+# isort: split
 
 from rtdenoise.evaluate.demo import METHODS, demo
 
-RESULT = harness.ROOT / "bench" / "results" / "sample.json"
+RESULT = RESULTS / "sample.json"
+PAGES = (ROOT / "README.md", DOCS / "reference" / "models" / "default.md")
+SIGNALS = ("indirect", "color")
 LABELS = {
     "noisy": "noisy, 1 spp",
     "accumulate": "plain accumulation",
@@ -24,19 +33,23 @@ LABELS = {
 
 def main() -> None:
     results = {}
-    for signal in ("indirect", "color"):
+    for signal in SIGNALS:
         with tempfile.TemporaryDirectory() as folder:
             results[signal] = [
                 {"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)}
                 for r in demo(Path(folder), signal=signal, methods=(*METHODS, "fast", "quality", "oidn"))
             ]
-    document = {**harness.origin({"torch": harness.cpu()}), "results": results}
-    harness.write(RESULT, **document)
-    print(table(document, "indirect"))
+    harness.publish(RESULT, {"results": results}, pages=PAGES, tables=tables)
+
+
+def tables(document: dict) -> dict[str, str]:
+    """Sections `sample-indirect` and `sample-color`: errors, and times relative to `default` (milliseconds of a shared
+    CPU mean nothing)."""
+    return {f"sample-{signal}": table(document, signal) for signal in SIGNALS}
 
 
 def table(document: dict, signal: str) -> str:
-    """The rows of one signal as Markdown; time relative to ours: milliseconds of a shared CPU mean nothing."""
+    """All methods on one signal."""
     rows = {row["method"]: row for row in document["results"][signal]}
     ours = rows["default"]["median_step_ms"]
     lines = [
@@ -52,4 +65,4 @@ def table(document: dict, signal: str) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    harness.run(main, __doc__)

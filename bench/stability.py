@@ -1,33 +1,34 @@
-"""What is promised for stiff and broken input, and what was measured: the tables of docs/stability.md.
+"""Promises for stiff and broken input, beside the measured values: the tables of docs/results/stability.md.
 
-    python bench/stability.py [--frames 10000]
+python bench/stability.py [--frames 10000]
 
 The cases are those of the tests (tests/stability_cases.py, tests/stability_ops.py), for every shipped model in float32,
-bfloat16, float16 and in training, and for every backend of the operations; static input runs for --frames frames in
-float32, and a tenth of that in the other modes. On the bundled sample, with a path tracer's noise: how much light the
-limit on fireflies takes away, and how much the exposure changes from frame to frame though the reference does not.
+bfloat16, float16 and in training, and for every backend of the operations. Static input runs for `--frames` frames in
+float32 and a tenth of that in the other modes. On the bundled sequence, whose noise is a path tracer's: the light that
+the firefly limit removes, and how much the exposure flickers beyond the reference's.
 """
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
-import harness
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
 import torch
-
-sys.path.append(str(harness.ROOT / "tests"))
 from stability_cases import CASES, FIREFLY, MODES, Subject
 from stability_ops import BACKENDS, OP_CASES, backend
 
-from rtdenoise.data.sequences import open_sequence
 from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.glsl import default_context
 from rtdenoise.models import available
 
-RESULT = harness.ROOT / "bench" / "results" / "stability.json"
+RESULT, PAGES = RESULTS / "stability.json", (DOCS / "results" / "stability.md",)
 
 
-def main(frames: int) -> None:
+def main(frames: int = 10_000) -> None:
     rows = [
         {"case": case.name, "promise": case.promise, "unit": case.unit,
          "models": {name: {mode: _run(case, name, mode, frames) for mode in MODES} for name in available()}}
@@ -39,12 +40,9 @@ def main(frames: int) -> None:
         for case in OP_CASES
     ]  # fmt: skip
     devices = {"torch": harness.cpu(), "GLSL": default_context().info["GL_RENDERER"]}
-    document = {
-        **harness.origin(devices), "frames": frames, "denoisers": rows, "operations": ops,
-        "sample": {signal: sample(signal) for signal in ("indirect", "color")},
-    }  # fmt: skip
-    harness.write(RESULT, **document)
-    harness.insert_all(tables(document))
+    signals = {signal: sample(signal) for signal in ("indirect", "color")}
+    content = {"frames": frames, "denoisers": rows, "operations": ops, "sample": signals}
+    harness.publish(RESULT, content, devices=devices, pages=PAGES, tables=tables)
     broken = [row["case"] for row in ops for v in row["backends"].values() if v > row["bound"]]
     broken += [
         r["case"] for r in rows for m in r["models"].values() for v in m.values() if v["non_finite"] or not v["kept"]
@@ -61,9 +59,9 @@ def _run(case, model: str, mode: str, frames: int) -> dict[str, float | int | bo
 
 
 def sample(signal: str) -> dict[str, float]:
-    """Firefly limit and exposure on 1-spp noise. Flicker: mean |log| of what an exposure changes by from one frame to
-    the next, beyond what the reference's does."""
-    frames = list(open_sequence(harness.ROOT / "samples" / "mural", signal=signal, layers=("reference",)))
+    """Firefly limit and exposure on 1-spp noise. Flicker: mean |log| of the exposure's change from one frame to the
+    next, relative to the change of the reference's exposure."""
+    frames = harness.mural(signal, layers=("reference",))
     light = sum(f.radiance.sum().item() for f in frames)
     kept = sum(limit_fireflies(f.radiance).sum().item() for f in frames)
     ratio = torch.stack([exposure(f.radiance).log() - exposure(f.reference).log() for f in frames]).flatten()
@@ -75,7 +73,7 @@ def sample(signal: str) -> dict[str, float]:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """What docs/stability.md has of this, by section."""
+    """Sections `sample`, `denoiser` and `operations`."""
     models = document["denoisers"][0]["models"]
     frames = document["frames"]
     length = f"Long sequences: {frames} frames in float32, {max(100, frames // 10)} in half precision.\n\n"
@@ -105,7 +103,7 @@ def table(document: dict, model: str) -> str:
 
 
 def operations_table(document: dict) -> str:
-    """The cases of the operations as Markdown: greatest differences from what is promised."""
+    """The cases of the operations as Markdown: greatest differences from the promised values."""
     lines = [f"| case | promised | at most | {' | '.join(BACKENDS)} |", "|---" * (3 + len(BACKENDS)) + "|"]
     for row in document["operations"]:
         cells = [_cell(row["backends"][label], row["backends"][label] <= row["bound"]) for label in BACKENDS]
@@ -119,4 +117,4 @@ def _cell(value: float, kept: bool) -> str:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[sys.argv.index("--frames") + 1]) if "--frames" in sys.argv else 10_000)
+    harness.run(main, __doc__)

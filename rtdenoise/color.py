@@ -5,9 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from .constants import LUMINANCE_WEIGHTS, MIN_ALBEDO, MIN_ALBEDO_SHARE
+
 
 def compress(radiance: Tensor) -> Tensor:
-    """`log(1 + x)`: what the network sees and the loss is taken in, so that fireflies do not rule. Inverse:
+    """`log(1 + x)`: the domain of the network's input and of the loss, where fireflies do not dominate. Inverse:
     `expand`."""
     return torch.log1p(radiance)
 
@@ -29,19 +31,19 @@ def srgb_decode(encoded: Tensor) -> Tensor:
 
 def luminance(rgb: Tensor) -> Tensor:
     """Rec. 709 luminance, `[B, 3, H, W] -> [B, 1, H, W]`."""
-    r, g, b = rgb.unbind(1)
-    return (0.2126 * r + 0.7152 * g + 0.0722 * b).unsqueeze(1)
+    (red, green, blue), (r, g, b) = LUMINANCE_WEIGHTS, rgb.unbind(1)
+    return (red * r + green * g + blue * b).unsqueeze(1)
 
 
-def albedo_divisor(albedo: Tensor, depth: Tensor, least: float = 0.1, share: float = 0.25) -> Tensor:
-    """What radiance is divided by to take textures out of it, `[B, 3, H, W]`, and multiplied by in the end.
+def albedo_divisor(albedo: Tensor, depth: Tensor) -> Tensor:
+    """The divisor that takes textures out of radiance, and the factor that gives them back, `[B, 3, H, W]`.
 
-    The albedo, but never below `least`, nor below `share` of its brightest channel; 1 where nothing was hit (`depth` is
-    0). Not all light takes the albedo's colour: what mirrors or gloss send back, divided by a deep red, would be a
-    glaring cyan, which a filter would spread beyond the red. Continuous in the albedo: dark textures that dither around
-    a threshold stay smooth.
+    The albedo, but at least `MIN_ALBEDO` and at least `MIN_ALBEDO_SHARE` of its brightest channel; 1 where nothing was
+    hit (`depth` is 0). The reason for the share: mirrors and gloss reflect light that does not take the albedo's
+    colour. Divided by a deep red it would be a glaring cyan, which a filter would spread beyond the red. Continuous in
+    the albedo: dark textures that dither around a threshold stay smooth.
     """
-    floor = (share * albedo.amax(dim=1, keepdim=True)).clamp(min=least)
+    floor = (MIN_ALBEDO_SHARE * albedo.amax(dim=1, keepdim=True)).clamp(min=MIN_ALBEDO)
     return torch.where(depth > 0, torch.maximum(albedo, floor), 1.0)
 
 
@@ -52,5 +54,5 @@ def display_exposure(reference: Tensor) -> Tensor:
 
 
 def display(radiance: Tensor, scale: Tensor | float = 1.0) -> Tensor:
-    """What a screen shows: exposed by `scale`, clipped to [0, 1], sRGB-encoded."""
+    """The picture on a screen: exposed by `scale`, clipped to [0, 1], sRGB-encoded."""
     return srgb_encode((radiance * scale).clamp(0, 1))

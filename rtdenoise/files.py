@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and JSON that every reader takes."""
+"""Files that are complete or absent, locks, and JSON that every reader accepts."""
 
 from __future__ import annotations
 
@@ -6,30 +6,148 @@ import contextlib
 import json
 import math
 import os
-from collections.abc import Mapping
+import re
+import secrets
+import stat
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 from .errors import InputError
 
+try:
+    import fcntl
+except ImportError:  # Windows: two runs on one folder are not kept apart
+    fcntl = None
 
-def write_atomically(path: Path, content: bytes | memoryview) -> None:
-    """The file appears under its name only when it is complete: it is renamed, in its folder, once it is written.
+UNFINISHED = re.compile(r"\.rtdenoise-(\d+)-[0-9a-f]{16}\.tmp")  # the process that writes it, and a random number
+NO_LINKS = getattr(os, "O_NOFOLLOW", 0)  # flags that Windows lacks
+NO_WAITING = getattr(os, "O_NONBLOCK", 0)
 
-    Raises InputError where it cannot be written, as on a full disk; nothing is left behind then.
+
+@contextlib.contextmanager
+def replacing(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
+    """A fresh file name in the folder of `path`: what the block has written there becomes `path` when it ends.
+
+    A link at `path` is replaced, never followed. Nothing is left behind where the block raises.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".rtdenoise-{os.getpid()}-{secrets.token_hex(8)}{suffix}")
     try:
-        temporary.write_bytes(content)
+        yield temporary
         temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; run again when that is solved") from None
     finally:
-        with contextlib.suppress(OSError):  # it is gone after the renaming
+        with contextlib.suppress(OSError):  # after the renaming there is none
             temporary.unlink()
 
 
+def write_atomically(path: Path, content: bytes | memoryview) -> None:
+    """Write a file that appears under its name only when it is complete.
+
+    Raises InputError where it cannot be written, as on a full disk.
+    """
+    try:
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; run again when that is solved") from None
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove the files that killed processes of this program were writing. Call it while holding the folder's lock."""
+    for path in folder.iterdir():
+        match = UNFINISHED.fullmatch(path.name)
+        if match and stat.S_ISREG(path.lstat().st_mode) and not _runs(int(match[1])):
+            path.unlink(missing_ok=True)
+
+
+def _runs(process: int) -> bool:
+    """Whether another process has this number. If it is ours, a killed process had it before, as in a container."""
+    if process == os.getpid():
+        return False
+    if os.name == "nt":  # there os.kill ends the process
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # it belongs to somebody else
+        return True
+    return True
+
+
+@contextlib.contextmanager
+def lock(folder: Path, name: str = ".rtdenoise-lock") -> Iterator[None]:
+    """Hold a lock on a folder; the system releases it however the process ends.
+
+    Raises InputError where another process holds it, and where the file `name` in the folder cannot be opened or is a
+    link. Where the system has no file locks nothing is held.
+    """
+    path = folder / name
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | NO_LINKS | NO_WAITING, 0o666)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be opened: {error.strerror}; remove it or choose another --out") from None
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise InputError(f"{path}: not a regular file; remove it or choose another --out")
+        if fcntl is not None:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise InputError(
+                    f"{folder}: another run is writing there; wait for it, or choose another --out"
+                ) from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file for reading. Raises InputError for what is missing, unreadable, a folder, a FIFO or a device:
+    reading one of the latter could wait for ever."""
+    try:
+        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | NO_WAITING))  # noqa: SIM115
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from None
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise InputError(f"{path}: cannot be read: not a regular file")
+    return file
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a regular file. Raises InputError where it cannot be read."""
+    with open_regular(path) as file:
+        try:
+            return file.read()
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def read_text(path: Path) -> str:
+    """The content of a regular UTF-8 file. Raises InputError where it cannot be read."""
+    try:
+        return read_bytes(path).decode()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: cannot be read: not a text file") from None
+
+
+def read_json(path: Path) -> object:
+    """The value in a JSON file. Raises InputError where it cannot be read or is not JSON; NaN and Infinity are not."""
+    try:
+        return json.loads(read_text(path), parse_constant=_refuse_constant)
+    except RecursionError:
+        raise InputError(f"{path}: not valid JSON: nested too deeply") from None
+    except ValueError as error:
+        raise error if isinstance(error, InputError) else InputError(f"{path}: not valid JSON: {error}") from None
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a JSON number")
+
+
 def dumps(value: object, digits: int | None = None, **options) -> str:
-    """`json.dumps`, with null for numbers that are not finite, and the others rounded to so many significant digits."""
+    """`json.dumps`, with null for numbers that are not finite, and the others rounded to `digits` significant ones."""
     return json.dumps(_plain(value, digits), allow_nan=False, **options)
 
 

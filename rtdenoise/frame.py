@@ -1,4 +1,4 @@
-"""The named buffers of one frame, what is carried to the next, and the conventions that all of it obeys.
+"""The named buffers of a frame, the state between frames, and their conventions.
 
 Conventions (stated here once; every other module refers to this page)
 ----------------------------------------------------------------------
@@ -11,41 +11,45 @@ motion      `[B, 2, H, W]` = (x, y) in pixels, previous minus current: the surfa
 motion_next next minus current: the surface that is at p now will be at `p + motion_next(p)` in the next frame.
 id          integer per object; 0 where nothing was hit. Stable over a sequence.
 
-A *signal* is what is denoised: `color` (the beauty) or `indirect` (light that bounced at least once on its way).
+A *signal* is the light to denoise: `color` (the beauty) or `indirect` (light that bounced at least once on its way).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
+from .constants import MIN_DISTANCE
 from .errors import InputError
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-OFF_SCREEN = 1e4  # pixels: the motion of what was nowhere on the other frame, in any direction; half floats hold it
-# Share of mismatched pixels above which a frame belongs to another shot. Measured by bench/cuts.py: the least threshold
-# without a false alarm, and so the one that misses the fewest cuts.
-CUT = 0.3
-# Pixels by which dual and traditional motion must differ before a pixel counts as uncovered. Where nothing was
-# uncovered they differ only because motion_next is fetched at the nearest pixel: by the motion's gradient times half a
-# pixel at most. Measured by bench/occlusion_threshold.py: at 0.5, 98 % of what is marked was hidden; less soon marks
-# more noise than occlusions, more gains little.
+OFF_SCREEN = 1e4  # pixels: the motion of a point that is not on the other frame; half floats can hold it
+# A frame belongs to another shot where a larger share of its pixels finds another surface in history. Measured
+# (bench/calibration/cuts.py): the smallest share without a false alarm, so it misses the fewest cuts.
+MAX_CUT_MISMATCH = 0.3
+# Pixels. A pixel counts as uncovered where dual and traditional motion differ by more. Elsewhere they differ because
+# motion_next is fetched at the nearest pixel: by half a pixel times the motion's gradient at most. Measured
+# (bench/calibration/occlusion_threshold.py): at 0.5, 98 % of the marked pixels were hidden before; a lower threshold
+# soon marks more noise than occlusions, a higher one gains little.
 OCCLUSION_THRESHOLD = 0.5
+HIDDEN = "hidden."  # begins the names of hidden features in `History.layers`
 CHANNELS = {
     "radiance": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
-    "position": 3, "id": 1, "reference": 3, "reference_half": 3,
+    "position": 3, "id": 1, "samples": 1, "components": None, "reference": 3, "reference_half": 3,
 }  # fmt: skip
+"""Layer -> channels; None: any multiple of three."""
 
 
 @dataclass(frozen=True)
 class Frame:
     """The buffers of one frame. `None` where the sequence does not have the layer.
 
-    Tensors, or numpy arrays of the same shapes for `rtdenoise.glsl`, which does without torch.
+    Tensors, or numpy arrays of the same shapes for `rtdenoise.glsl`, which needs no torch.
 
-    Only `radiance` is always there. What a denoiser needs and does not find it asks for with `require`.
+    Only `radiance` is always there. A denoiser asks for the other layers that it needs with `require`.
     """
 
     radiance: Tensor  # [B, 3, H, W] the noisy signal
@@ -56,6 +60,8 @@ class Frame:
     motion_next: Tensor | None = None  # [B, 2, H, W] next - current, pixels
     position: Tensor | None = None  # [B, 3, H, W] world space
     id: Tensor | None = None  # [B, 1, H, W]
+    samples: Tensor | None = None  # [B, 1, H, W] samples a pixel of the noisy signal
+    components: Tensor | None = None  # [B, 3K, H, W] the noisy signal split into K parts that add up to it
     reference: Tensor | None = None  # [B, 3, H, W] the converged signal, for training and evaluation only
     reference_half: Tensor | None = None  # [B, 3, H, W] the mean of one half of the reference's samples
     number: int = 0  # frame number, as in the file name
@@ -64,9 +70,12 @@ class Frame:
     def __post_init__(self) -> None:
         size = (self.radiance.shape[0], *self.radiance.shape[2:])
         for layer, tensor in self.layers():
-            expected = (size[0], CHANNELS[layer], *size[1:])
-            if tuple(tensor.shape) != expected:
-                raise ValueError(f"{self.name or 'frame'}: expected {layer} {expected}, got {tuple(tensor.shape)}")
+            channels, found = CHANNELS[layer], tuple(tensor.shape)
+            if channels is None and len(found) == 4 and found[1] % 3 == 0:
+                channels = found[1]
+            if found != (size[0], channels, *size[1:]):
+                expected = (size[0], channels or "3K", *size[1:])
+                raise ValueError(f"{self.name or 'frame'}: expected {layer} {expected}, got {found}")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -103,33 +112,48 @@ class Frame:
 
 @dataclass(frozen=True)
 class History:
-    """What one step hands to the next. Passed in and returned, never hidden. Some of it may be the frame's own tensors:
-    write into none of them."""
+    """The state that one step hands to the next, passed in and returned. Some tensors may be the frame's own: never
+    write into them."""
 
     radiance: Tensor  # [B, 3, H, W] the denoised previous frame
     motion_next: Tensor | None  # [B, 2, H, W] of the previous frame; None: dual motion next time is approximate
     depth: Tensor | None  # [B, 1, H, W] of the previous frame
     normal: Tensor | None  # [B, 3, H, W] of the previous frame
-    length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None where nobody counts
-    mean: Tensor | None = None  # [B, 3, H, W] running mean of irradiance; None where nobody keeps one
-    mean_albedo: Tensor | None = None  # [B, 3, H, W] and that of albedo
+    length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None for models that do not count
+    mean: Tensor | None = None  # [B, 3, H, W] running mean of irradiance; None for models that keep none
+    mean_albedo: Tensor | None = None  # [B, 3, H, W] running mean of albedo, likewise
+    hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features that the model hands itself, at any scale
 
     def layers(self) -> dict[str, Tensor]:
-        """name -> tensor of what there is."""
-        return {f.name: tensor for f in fields(self) if (tensor := getattr(self, f.name)) is not None}
+        """name -> tensor of every field that is there; hidden features are `hidden.0`, `hidden.1` ..."""
+        named = {f.name: tensor for f in fields(self) if (tensor := getattr(self, f.name)) is not None}
+        hidden = named.pop("hidden")
+        return named | {f"{HIDDEN}{i}": tensor for i, tensor in enumerate(hidden)}
+
+    @classmethod
+    def from_layers(cls, layers: Mapping[str, Tensor | None]) -> History:
+        """The inverse of `layers`; fields that are missing or None are left out. Raises ValueError for unknown names or
+        gaps in the hidden features."""
+        plain = {name: tensor for name, tensor in layers.items() if not name.startswith(HIDDEN) and tensor is not None}
+        hidden = {name: tensor for name, tensor in layers.items() if name.startswith(HIDDEN)}
+        expected = {f.name for f in fields(cls)} - {"hidden"}, [f"{HIDDEN}{i}" for i in range(len(hidden))]
+        if plain.keys() - expected[0] or hidden.keys() - set(expected[1]):
+            raise ValueError(f"not the fields of a history: {', '.join(sorted(layers))}")
+        always = dict.fromkeys(("motion_next", "depth", "normal"))
+        return cls(**always | plain, hidden=tuple(hidden[name] for name in expected[1]))
 
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a frame beside its buffers, so that a step need not find it out or may leave work out. It must
-    be true: nothing checks it. `plan` and `tiles` fill it in."""
+    """Facts about a frame that spare a step the work of finding them out. They are trusted, never checked; `run.plan`
+    and `run.tiles` fill them in."""
 
     first: bool = False  # there is no history
     still: bool = False  # motion, and motion_next of the frame before, are zero everywhere
-    covered: bool = False  # no pixel has been uncovered: `motion.occlusion_mask` is empty
+    covered: bool = False  # no pixel was just uncovered: `motion.occlusion_mask` is empty
     sanitised: bool = False  # the frame has been through `sanitise`
-    exposure: Tensor | None = None  # [B, 1, 1, 1] and
-    distance: Tensor | None = None  # [B, 1, 1, 1] of the whole frame that this is a window of: `model.statistics`
+    exposure: Tensor | None = None  # [B, 1, 1, 1] of the whole picture, where the frame is a window of one
+    distance: Tensor | None = None  # [B, 1, 1, 1] likewise: the mean distance of its surfaces (`Denoiser.statistics`)
 
 
 NOTHING_KNOWN = Known()
@@ -144,6 +168,6 @@ def stack(frames: list[Frame]) -> Frame:
 
 
 def mean_distance(depth: Tensor) -> Tensor:
-    """Of what was hit, `[B, 1, 1, 1]`; never zero."""
+    """Mean of the depths that are not 0, `[B, 1, 1, 1]`; never zero."""
     hits = (depth > 0).sum((1, 2, 3), keepdim=True).clamp(min=1)
-    return (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=1e-12)
+    return (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=MIN_DISTANCE)

@@ -1,9 +1,8 @@
-"""The life of a history: where it can be used, when it must end, kept on disk, carried to another picture size."""
+"""The life of a history: where it can be used, when it ends, saving and loading, another picture size."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +15,12 @@ from .errors import InputError
 from .frame import Frame, History
 from .motion import on_screen, same_surface
 
-NEAREST = ("depth", "normal", "motion_next", "length")  # what must not be mixed across silhouettes
+NEAREST = ("depth", "normal", "motion_next", "length")  # fields that must not be mixed across silhouettes
 
 
 def usable(frame: Frame, history: History) -> Tensor:
-    """Per-pixel confidence in history, `[B, 1, H, W]` bool: the surface was on the screen, and what was seen there is
-    one like it (`motion.same_surface`). All of it counts as alike where history or frame has no depth or normal.
+    """Pixels whose history can be used, `[B, 1, H, W]` bool: the surface was on the screen, and the surface seen there
+    is alike (`motion.same_surface`). Every pixel counts as alike where history or frame has no depth or normal.
 
     `frame` needs `motion` and is expected to be sanitised.
     """
@@ -29,8 +28,9 @@ def usable(frame: Frame, history: History) -> Tensor:
 
 
 def mismatch(frame: Frame, history: History) -> Tensor:
-    """Share of the pixels with history on the screen that find another surface there, `[B]`; above `CUT` it is another
-    shot, whatever its motion vectors say. 0 where nothing was on the screen: then history leaves no trace anyway."""
+    """Share of the pixels with history on the screen that find another surface there, `[B]`. Above
+    `frame.MAX_CUT_MISMATCH` the frame belongs to another shot, whatever its motion vectors say. 0 where nothing was on
+    the screen: such a history leaves no trace anyway."""
     seen = on_screen(frame.motion)
     wrong = seen & ~_alike(frame, history)
     return wrong.sum((1, 2, 3)) / seen.sum((1, 2, 3)).clamp(min=1)
@@ -55,12 +55,12 @@ def resize(history: History, size: tuple[int, int]) -> History:
             return tensor * scale if name == "motion_next" else tensor
         return F.interpolate(tensor, (h, w), mode="bilinear", align_corners=False, antialias=h < tensor.shape[2])
 
-    return replace(history, **{name: resized(name, tensor) for name, tensor in history.layers().items()})
+    return History.from_layers({name: resized(name, tensor) for name, tensor in history.layers().items()})
 
 
 def save_history(path: Path, history: History | None, **metadata: str) -> None:
-    """Write a history, or that there is none yet, to a .safetensors file: a sequence that is denoised in two sittings
-    comes out as in one, to the bit. Raises InputError where it cannot be written."""
+    """Write a history, or None for the start of a sequence, to a .safetensors file. A sequence denoised in two sittings
+    then equals one denoised in one, to the bit. Raises InputError where the file cannot be written."""
     tensors = history.layers() if history else {}
     write_history(
         path, {name: tensor.detach().cpu().contiguous().numpy() for name, tensor in tensors.items()}, metadata
@@ -68,8 +68,8 @@ def save_history(path: Path, history: History | None, **metadata: str) -> None:
 
 
 def load_history(path: Path, device: str | torch.device = "cpu") -> tuple[History | None, dict[str, str]]:
-    """What `save_history` wrote: the history and its metadata. Raises InputError where the file cannot be read or holds
-    something else."""
+    """Read a file of `save_history`: the history and its metadata. Raises InputError where the file cannot be read or
+    holds something else."""
     stored, metadata = read_history(path)
     if not stored:
         return None, metadata
@@ -80,8 +80,10 @@ def load_history(path: Path, device: str | torch.device = "cpu") -> tuple[Histor
 
 
 def from_arrays(stored: Mapping[str, np.ndarray], device: str | torch.device) -> History:
-    """The fields of a history as `read_history` gives them, as tensors. Raises InputError where they are none."""
-    names = {f.name for f in fields(History)}
-    if "radiance" not in stored or stored.keys() - names:
+    """A history from its arrays (`data.stored.read_history`). Raises InputError where they are not those of one."""
+    if "radiance" not in stored:
         raise InputError(f"not a history of this version: it holds {', '.join(sorted(stored))}")
-    return History(**{name: torch.from_numpy(stored[name]).to(device) if name in stored else None for name in names})
+    try:
+        return History.from_layers({name: torch.from_numpy(array).to(device) for name, array in stored.items()})
+    except ValueError as error:
+        raise InputError(f"{error}; it is of another version") from None

@@ -1,4 +1,4 @@
-"""What a frame may hold, and what is made of what it may not: before any filter sees it, once."""
+"""Valid frames: values that no filter can use are replaced once, before any filter sees them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from .frame import NOTHING_KNOWN, OFF_SCREEN, Frame, Known
 if TYPE_CHECKING:
     from torch import Tensor
 
-FAR = 1e9  # depth from which on nothing was hit: renderers write inf, FLT_MAX or 1e10 there
+FAR = 1e9  # depth of a miss: renderers write inf, FLT_MAX or 1e10 there
 BRIGHTEST = 1e15  # radiance; its square is finite in float32
-GREATEST_ALBEDO, LONGEST_NORMAL = 16.0, 2.0  # far outside of what is meant, small enough for half precision
+GREATEST_ALBEDO, LONGEST_NORMAL = 16.0, 2.0  # far beyond valid values, small enough for half precision
 FINITE = (-3.4028234663852886e38, 3.4028234663852886e38)
-VALID = {  # the least and the greatest value that a layer may hold; `sanitise` mends what lies outside
+VALID = {  # smallest and largest value of a layer; `sanitise` replaces the others
     "radiance": (0.0, BRIGHTEST), "albedo": (0.0, GREATEST_ALBEDO), "normal": (-LONGEST_NORMAL, LONGEST_NORMAL),
     "depth": (0.0, 999999936.0), "motion": FINITE, "motion_next": FINITE,  # depth: the float32 before FAR
 }  # fmt: skip
 
 
 def admit(frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN) -> Frame:
-    """The frame as a step that filters along surfaces works on it: sanitised, and with all that is needed.
+    """Check and sanitise a frame for a step that filters along surfaces.
 
     `previous` is the image in the history, None without one. Raises InputError where albedo, normal, depth or (with
     history) motion is missing, or the history is of another size.
@@ -35,23 +35,23 @@ def admit(frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN) -
 
 
 def sanitise(frame: Frame) -> Frame:
-    """Replace what no filter can use, once, before anything else sees it. Valid frames come back unchanged to the bit,
-    on a CPU as the tensors that they were.
+    """Replace values that no filter can use. Valid frames come back unchanged to the bit, on a CPU as the same tensors.
 
     | layer               | found                 | becomes |
     |---------------------|-----------------------|---------|
     | radiance            | NaN, ±Inf, negative   | 0       |
-    | radiance            | above 1e15            | 1e15 (what follows must stay finite in float32) |
-    | radiance            | a firefly             | what `brightness.limit_fireflies` leaves of it |
+    | radiance            | above 1e15            | 1e15 (its square is finite in float32) |
+    | radiance            | a firefly             | `exposure.limit_fireflies` dims it |
     | albedo              | NaN, ±Inf, negative   | 0       |
     | albedo              | above 16              | 16      |
     | normal              | NaN, ±Inf             | 0       |
     | normal              | beyond ±2             | ±2      |
     | depth               | NaN, negative         | 0 (nothing hit) |
-    | depth               | above 1e9, Inf        | 0: that is how renderers write a miss, and no fault |
+    | depth               | above 1e9, Inf        | 0: a miss, and no fault |
     | motion, motion_next | NaN, ±Inf             | `OFF_SCREEN`, so no history is taken |
 
-    `faults` counts what this will replace. Reference, position and id are left as they are.
+    `faults` counts these pixels. References, position, id, samples and components are left as they are: a bright pixel
+    of a Metropolis component is a long-stuck chain and carries real energy.
     """
     import torch
 
@@ -62,7 +62,7 @@ def sanitise(frame: Frame) -> Frame:
     for layer, tensor in clean.items():
         low, high = VALID[layer]
         if tensor.device.type == "cpu" and within(tensor, low, high):
-            continue  # looking is cheaper than writing; a GPU would have to be waited for
+            continue  # looking is cheaper than writing; on a GPU it would mean waiting
         if layer == "depth":
             clean[layer] = torch.where((tensor > 0) & (tensor < FAR), tensor, 0.0)
         elif layer in ("motion", "motion_next"):
@@ -74,8 +74,8 @@ def sanitise(frame: Frame) -> Frame:
 
 
 def faults(frame: Frame) -> dict[str, int]:
-    """Pixels that `sanitise` will replace, as "layer: what is wrong with it" -> count; what is not there is left out.
-    Tensors on the CPU or numpy arrays; fireflies are counted where torch is installed."""
+    """Count the pixels that `sanitise` will replace: "layer: fault" -> count, without the zeros. For tensors on the CPU
+    or numpy arrays; fireflies are counted where torch is installed."""
     found: dict[str, np.ndarray] = {}
     for layer, tensor in frame.layers():
         array = np.asarray(tensor)
@@ -98,7 +98,7 @@ def faults(frame: Frame) -> dict[str, int]:
 
 
 def _fireflies(radiance: np.ndarray) -> np.ndarray:
-    """Where `brightness.limit_fireflies` changes it."""
+    """The pixels that `exposure.limit_fireflies` changes."""
     if find_spec("torch") is None:
         return np.zeros(radiance.shape, bool)
     import torch

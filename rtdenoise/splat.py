@@ -1,8 +1,8 @@
 """`motion_next` of the previous frame, approximated where a file has backward motion only.
 
-The current frame knows where everything that it shows was: the surface at p was at p + motion(p). Read backwards, the
-surface that was at y = p + motion(p) moves by -motion(p). Several pixels may point at one y, a moving object and the
-background that it has just uncovered; y showed only one of them, and the depth of the previous frame tells which.
+The current frame knows where its surfaces were: the surface at p was at p + motion(p). Read backwards, the surface
+that was at y = p + motion(p) moves by -motion(p). Several pixels may point at one y: a moving object, and the
+background that it has just uncovered. y showed one of them, and the depth of the previous frame tells which.
 """
 
 from __future__ import annotations
@@ -10,29 +10,29 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from .constants import DEPTH_TOLERANCE, MAX_CRACK_DISTANCE
 from .frame import OFF_SCREEN, Frame, History
 from .motion import OCCLUSION_THRESHOLD, dual_motion, occlusion_mask, on_screen
 from .ops import fetch
-from .ops.path import fused
+from .ops.dispatch import Fused, Support
 
-DEPTH_TOLERANCE = 0.1  # relative; what differs by more is another surface
-REACH = 2  # pixels from which a crack in a surface is closed
+FUSED = Fused("history_motion", native=Support())
 NOTHING = torch.iinfo(torch.int64).max  # key of a pixel that nothing lands on
 
 
 def history_motion(frame: Frame, history: History, kind: str = "dual") -> tuple[Tensor, Tensor, Tensor]:
-    """Where a frame's pixels find history: the motion that fetches it, `[B, 2, H, W]`, dual inside uncovered regions,
-    traditional elsewhere; and `[B, 1, H, W]` bool each, whether it leads onto the screen and whether the pixel is in
-    such a region.
+    """The motion that fetches a frame's history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere.
+    And two masks, `[B, 1, H, W]` bool: whether it leads onto the screen, and whether the pixel is uncovered.
 
-    `kind` is 'dual', or 'traditional' to go without. A history without `motion_next` gets it by `splat_motion_next`.
+    With the `kind` 'traditional' no pixel counts as uncovered. A history without `motion_next` gets it by
+    `splat_motion_next`.
     """
     if kind == "traditional":
         return traditional(frame)
     motion_next = history.motion_next
     if motion_next is None:
         motion_next = splat_motion_next(frame.motion, frame.depth, history.depth)
-    if run := fused("history_motion", frame.motion, motion_next):
+    if run := FUSED(motion=frame.motion, motion_next=motion_next):
         return run(frame.motion, motion_next, OCCLUSION_THRESHOLD)
     dual = dual_motion(frame.motion, motion_next)
     uncovered = occlusion_mask(dual, frame.motion)
@@ -55,12 +55,12 @@ def splat_motion_next(
 
         out(y) = -motion(p*),    p* = argmin { |depth(p) - depth_previous(y)| / max : p + motion(p) rounds to y }
 
-    A surface that has grown on the screen covers all its old pixels; one that has shrunk, or turned, leaves cracks, in
-    which only what was hidden behind it lands. Where the best p is deeper or nearer than `depth_previous` by more than
-    `tolerance`, out(y) is taken from the closest pixel, at most `REACH` away, that belongs to the same old surface and
-    did receive its own. If there is none (the surface has left the screen or is covered entirely) out(y) = -motion(p*),
-    with which `dual_motion` is traditional motion. Pixels that nothing lands on were covered: they get `OFF_SCREEN`,
-    and `dual_motion` never looks there.
+    A surface that grows on the screen covers all its old pixels. One that shrinks or turns leaves cracks, where only
+    the surface behind it lands. So where the best p is deeper or nearer than `depth_previous` by more than `tolerance`,
+    out(y) is taken from the closest pixel of the same old surface, at most `MAX_CRACK_DISTANCE` away, that received its
+    own motion. Without such a pixel (the surface has left the screen or is covered) out(y) = -motion(p*), which makes
+    dual motion traditional. A pixel on which nothing lands is now covered: it gets `OFF_SCREEN`, and `dual_motion`
+    never looks there.
 
     Rounds as `ops.fetch` does; the same on every run and device. Not differentiable. Raises ValueError where the shapes
     do not fit.
@@ -93,12 +93,14 @@ def splat_motion_next(
 def _close_cracks(out: Tensor, before: Tensor, fits: Tensor, crack: Tensor, tolerance: float) -> Tensor:
     """Give pixels of `crack` the value of the closest pixel of the same surface that `fits`."""
     H, W = before.shape[2:]
-    offsets = [(dy, dx) for dy in range(-REACH, REACH + 1) for dx in range(-REACH, REACH + 1) if dy or dx]
-    pad = [REACH] * 4
+    far = MAX_CRACK_DISTANCE
+    steps = range(-far, far + 1)
+    offsets = [(dy, dx) for dy in steps for dx in steps if dy or dx]
+    pad = [far] * 4
     values = torch.nn.functional.pad(out, pad)
     surface = torch.nn.functional.pad(torch.where(fits, before, torch.nan), pad, value=torch.nan)  # NaN fits nothing
     for dy, dx in sorted(offsets, key=lambda o: o[0] ** 2 + o[1] ** 2):
-        window = (..., slice(REACH + dy, REACH + dy + H), slice(REACH + dx, REACH + dx + W))
+        window = (..., slice(far + dy, far + dy + H), slice(far + dx, far + dx + W))
         take = crack & (_mismatch(surface[window], before) <= tolerance)
         out = torch.where(take, values[window], out)
         crack = crack & ~take

@@ -1,5 +1,6 @@
-"""What all tests share: the same random numbers in every run, no silent skips, a GL context, evidence of failures."""
+"""Shared by all tests: the same random numbers in every run, no silent skips, a GL context, pictures of failures."""
 
+import contextlib
 import os
 import random
 import re
@@ -10,6 +11,9 @@ import pytest
 import torch
 from PIL import Image
 from tolerances import TOLERANCES
+
+with contextlib.suppress(ImportError):
+    import triton  # noqa: F401  (its LLVM must be loaded before that of Mesa's OpenGL, or the process crashes)
 
 FAILURES = Path(__file__).parent / "failures"
 

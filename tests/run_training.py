@@ -15,5 +15,5 @@ from rtdenoise.training.trainer import TrainConfig
 
 PRESETS["tiny"] = TINY
 clips, other_clips, out = map(Path, sys.argv[1:])
-train(TrainConfig((clips,), out, val=other_clips, preset="tiny", steps=6, batch=4, frames=3, size=16, amp=False,
+train(TrainConfig((clips,), out, val=other_clips, model="tiny", steps=6, batch=4, frames=3, size=16, amp=False,
                   validate_every=3))  # fmt: skip

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import torch
 from synthetic import make_frames
@@ -20,7 +20,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.models import load, read
-from rtdenoise.training.losses import temporal_kpn_loss
+from rtdenoise.models.losses import temporal_kpn_loss
 
 MODES = ("float32", "bfloat16", "float16", "training")
 AUTOCAST = {"float16": torch.float16, "training": torch.bfloat16}  # the other two are precisions of a loaded model
@@ -54,7 +54,7 @@ class Subject:
                 parameters = [p for p in self.denoiser.parameters() if p.requires_grad]
                 gradients = torch.autograd.grad(loss.total, parameters, allow_unused=True)
                 self.count(loss.total, *(g for g in gradients if g is not None))
-        tensors = {f.name: t.detach() for f in fields(history) if (t := getattr(history, f.name)) is not None}
+        tensors = {name: tensor.detach() for name, tensor in history.layers().items()}
         self.count(image, *tensors.values())
         return image.detach(), replace(history, **tensors)
 

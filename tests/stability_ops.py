@@ -1,7 +1,7 @@
-"""What the kernel-apply operations promise for stiff input, the same on every backend: the second table of cases.
+"""Promises of the kernel-apply operations for extreme input, the same on every backend: the second table of cases.
 
-A case takes a backend's operation by its name, numpy in and out, and returns the greatest difference from what is
-promised. Values that are not finite count as an infinite difference.
+A case gets a backend's operations by name, numpy in and out, and returns the greatest difference from its promise.
+Values that are not finite count as an infinite difference.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import torch
 from rtdenoise import ops
 
 BACKENDS = ("torch float32", "torch bfloat16 logits", "torch float16 logits", "GLSL float32", "GLSL float16 logits")
-LOGITS = {"apply_kernel": 1, "pick": 2}  # which of an operation's arguments they are
+LOGITS = {"apply_kernel": 1, "pick": 2}  # position among the arguments
 Operation = Callable[..., np.ndarray]
 
 
 def backend(label: str) -> Callable[[str], Operation]:
-    """Operation by name, for one of `BACKENDS`. Logits are stored as the backend says."""
+    """The operations of one of `BACKENDS`, by name; logits have the dtype that the label names."""
     if label.startswith("torch"):
         dtype = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[label.split()[1]]
 
@@ -93,7 +93,7 @@ def _even(op: Callable[[str], Operation], level: float) -> float:
 
 
 def _bounded(op: Callable[[str], Operation], scale: float) -> float:
-    """Over the greatest tap: the output is an average."""
+    """Excess over the brightest tap: the output is an average."""
     image, logits = _random(1, 3, H, W) * np.float32(scale), _random(1, 25, H, W, seed=1) * 2e4 - 1e4
     out = _kernel(op, image, logits.astype(np.float32))
     return max(0.0, float(out.max() / image.max()) - 1) if np.isfinite(out).all() else math.inf
@@ -131,7 +131,7 @@ def _warp(op: Callable[[str], Operation], name: str, motion: float, expected: st
 
 
 def _between(op: Callable[[str], Operation], scale: float) -> float:
-    """How far out of the range of its image."""
+    """Distance from the range of the image."""
     image = (_random(1, 3, H, W) > 0.9) * np.float32(scale)
     out = op("cubic warp")(image, 8 * _random(1, 2, H, W, seed=1) - 4)
     return max(0.0, -float(out.min()), float(out.max()) - scale) if np.isfinite(out).all() else math.inf
@@ -149,7 +149,7 @@ def _one_pixel(op: Callable[[str], Operation]) -> float:
 
 
 def _bright(op: Callable[[str], Operation]) -> float:
-    """1e15, the most that `sanitise` lets in, comes out of every operation; relative."""
+    """Relative error of 1e15, the brightest value that `sanitise` admits, through every operation."""
     image = np.full((1, 3, H, W), 1e15, np.float32)
     half = np.full((1, 1, H, W), 0.5, np.float32)
     motion = np.full((1, 2, H, W), 0.3, np.float32)

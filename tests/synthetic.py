@@ -9,9 +9,9 @@ import torch
 from rtdenoise.data.clips import clip_path, write_clip
 from rtdenoise.data.exr import write_layers
 from rtdenoise.frame import Frame
-from rtdenoise.models.temporal_kpn import Config
+from rtdenoise.models.config import TemporalKPNConfig
 
-TINY = Config(widths=(4, 4, 4, 4))  # a network that runs in no time
+TINY = TemporalKPNConfig(widths=(4, 4, 4, 4))  # a network that runs in no time
 
 
 def make_frames(count=4, H=24, W=32, seed=0, noise=1.0):
@@ -52,7 +52,7 @@ def write_sequence(folder, frames, without=()):
         if "reference" in layers:
             layers["indirect_reference"] = layers["reference"]
         if "reference_half" in layers:
-            layers["half_reference"] = layers["half_indirect_reference"] = layers.pop("reference_half")
+            layers["indirect_reference_half"] = layers["reference_half"]
         write_layers(folder / f"frame.{frame.number:04d}.exr", layers, dtypes={"color": "float"})
     return folder
 

@@ -1,4 +1,4 @@
-"""What defines each baseline; SVGF and TRMV have test_svgf.py."""
+"""The baselines by their definitions; SVGF and TRMV are in test_svgf.py."""
 
 import math
 from dataclasses import replace

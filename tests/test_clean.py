@@ -6,10 +6,10 @@ import sys
 import numpy as np
 import pytest
 import torch
-from rtdenoise.cli.main.main import main
 from synthetic import make_frames, write_clips
 
 from rtdenoise.baselines.oidn import _device
+from rtdenoise.cli.main import main
 from rtdenoise.data.clips import ClipDataset, clip_path
 from rtdenoise.training.loop import train
 from rtdenoise.training.trainer import TrainConfig

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from rtdenoise.cli.main.main import main
 from synthetic import TINY
 
 import rtdenoise
+from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers, write_like
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.models import TemporalKPN, save

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from rtdenoise.cli.main.main import main
 from synthetic import TINY, make_frames, with_bad_pixels, write_sequence
 
 import rtdenoise
+from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
@@ -280,6 +280,13 @@ def test_a_mended_preset_is_another_run(shot, tmp_path, model, capsys):
     main([str(a) for a in command])
     preset.write_text(text + "signs = [-1, 1]\n")
     assert "other options" in refused(capsys, *command)
+
+
+def test_another_option_is_named(shot, tmp_path, model, capsys):
+    command = ("denoise", shot, "--out", tmp_path / "out", "--model", model)
+    main([str(a) for a in command])
+    line = refused(capsys, *command, "--signal", "indirect", "--keep", "albedo")
+    assert "other options: signal color, now indirect, keep [], now ['albedo'];" in line
 
 
 def test_unknown_device(shot, tmp_path, model, capsys):

@@ -1,4 +1,4 @@
-"""Methods, errors and times of one run, and what `rtdenoise evaluate` writes of them."""
+"""Methods, errors and times of one run, and the files that `rtdenoise evaluate` writes."""
 
 import json
 import math
@@ -7,17 +7,19 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rtdenoise.cli.main.main import main
 from synthetic import make_frames, write_sequence
 
 from rtdenoise import metrics
+from rtdenoise.cli.main import main
 from rtdenoise.color import display_exposure
 from rtdenoise.errors import InputError
-from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, evaluate, methods, uncovered
+from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, choose, evaluate, methods, uncovered
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.inputs import reference_errors
+from rtdenoise.evaluate.registry import DEFAULTS
 from rtdenoise.evaluate.run import NEEDS, Options, run
 from rtdenoise.models import available, find, load
+from rtdenoise.report import report
 
 PLAIN = ("noisy", "accumulate")
 
@@ -289,3 +291,115 @@ def test_the_file_is_json_without_nan(shot, tmp_path):
     (tmp_path / "evaluation.json").write_text('{"format": "other"}')
     with pytest.raises(InputError, match="expected the format"):
         Document.read(tmp_path)
+
+
+def test_a_single_frame_is_measured_and_drawn(tmp_path):
+    still = write_sequence(tmp_path / "still", make_frames(1), without=("motion", "motion_next"))
+    document = run([str(still)], tmp_path / "out", Options(PLAIN, metrics=("psnr", "tpsnr")))
+    (row, _) = document.results
+    assert row["errors"]["frame"]["psnr"] > 0 and row["ms"]["steps"] == 1
+    assert math.isnan(row["errors"]["frame"]["tpsnr"]) and math.isnan(row["ghost_length"])
+    assert {path.name for path in report(tmp_path / "out")} == {"report.html", "report.md", "report.png"}
+
+
+@pytest.mark.parametrize("layer", ["reference", "reference_half"])
+def test_references_that_are_not_finite_are_refused(layer, tmp_path, capsys):
+    frames = make_frames(3)
+    bad = getattr(frames[1], layer).clone()
+    bad[..., 2, 3], bad[:, 0, 4, 5] = math.nan, math.nan
+    frames[1] = replace(frames[1], **{layer: bad})
+    shot = write_sequence(tmp_path / "shot", frames)
+    with pytest.raises(SystemExit, match="2"):
+        main(["evaluate", str(shot), "--out", str(tmp_path / "out"), "--methods", "noisy"])
+    message = capsys.readouterr().err
+    assert "frame.0001.exr" in message and f"layer {layer}: NaN or Inf in 2 pixels" in message
+    assert message.count("\n") == 1
+
+
+HOSTILE = "a $x$ <script>alert(1)</script> | ${y} `z`"
+
+
+def test_names_of_folders_mean_nothing_to_the_report(tmp_path):
+    name = HOSTILE.replace("/", "")
+    shot = write_sequence(tmp_path / name, make_frames(3))
+    run([str(shot)], tmp_path / "out", Options((*PLAIN, "svgf", "paper"), metrics=("psnr", "ssim")))
+    report(tmp_path / "out")
+    text = (tmp_path / "out" / "report.md").read_text()
+    assert "<script>" not in text and "&lt;script&gt;" in text and r"\$x\$" in text and r"\|" in text
+    assert "alert(1)" not in (tmp_path / "out" / "report.html").read_text().replace("&lt;script&gt;alert(1)", "")
+    assert (tmp_path / "out" / "report.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(scope="module")
+def content(tmp_path_factory):
+    """An evaluation.json as JSON."""
+    folder = tmp_path_factory.mktemp("content")
+    shot = write_sequence(folder / "shot", make_frames(2))
+    run([str(shot)], folder / "out", Options(("noisy",), metrics=("psnr",)))
+    return json.loads((folder / "out" / "evaluation.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.update(extra=1), "unknown key 'extra'; expected signal, runs"),
+        (lambda c: c.pop("signal"), "key 'signal' is missing"),
+        (lambda c: c.update(results={}), "key 'results': expected a JSON array"),
+        (lambda c: c["results"][0].pop("ms"), "results, 0: key 'ms' is missing"),
+        (lambda c: c["results"].append(3), "results, 1: expected a JSON object, found 3"),
+        (lambda c: c["sequences"]["shot"].pop("stills"), "sequences, shot: key 'stills' is missing"),
+        (lambda c: c["methods"].clear(), "results, 0: method 'noisy' is not among 'methods'"),
+        (
+            lambda c: c["methods"]["noisy"].update(family="magic"),
+            "methods, noisy: family 'magic'; expected",
+        ),
+        (lambda c: c["runs"].clear(), "results, 0: run 0 is not among 'runs'"),
+        (lambda c: c["results"][0].update(errors={}), "expected errors of the region 'frame'"),
+    ],
+)
+def test_a_document_with_missing_or_foreign_keys_is_one_line(change, message, content, tmp_path, capsys):
+    changed = json.loads(json.dumps(content))
+    change(changed)
+    (tmp_path / "evaluation.json").write_text(json.dumps(changed))
+    with pytest.raises(SystemExit, match="2"):
+        main(["report", str(tmp_path)])
+    error = capsys.readouterr().err
+    assert message in error and str(tmp_path / "evaluation.json") in error and error.count("\n") == 1
+
+
+def test_eight_methods_unless_asked_for():
+    assert [method.name for method in choose(())] == list(DEFAULTS) and len(DEFAULTS) == 8
+    assert [method.name for method in choose(("all",))] == list(methods())
+
+
+def test_references_in_other_files(tmp_path, capsys):
+    frames, out = make_frames(3), tmp_path / "out"
+    shot = write_sequence(tmp_path / "shot", frames, without=("reference", "reference_half"))
+    converged = [replace(frame, radiance=frame.reference, reference=None, reference_half=None) for frame in frames]
+    truth = write_sequence(tmp_path / "truth", converged)
+    command = ["evaluate", str(shot), "--out", str(out), "--methods", "noisy,accumulate", "--metrics", "psnr"]
+    main([*command, "--reference", str(truth)])
+    expected = evaluate(frames, PLAIN, metrics=("psnr",))
+    found = {row["method"]: row["errors"]["frame"]["psnr"] for row in Document.read(out).results}
+    for result in expected:
+        assert found[result.method] == pytest.approx(result.errors["frame"]["psnr"], abs=0.02)  # half floats
+    fewer = write_sequence(tmp_path / "fewer", converged[:2])
+    for wrong, message in (
+        ([], "reference"), (["--reference", str(fewer)], "expected 3 frames 0 to 2 of 32×24 as in"),
+        (["--reference", str(truth), str(truth)], "expected a folder for each of the 1 sequences, got 2"),
+    ):  # fmt: skip
+        with pytest.raises(SystemExit, match="2"):
+            main([*command, *wrong])
+        assert message in (error := capsys.readouterr().err) and error.count("\n") == 1
+
+
+def test_the_report_opens_in_a_browser(shot, tmp_path, monkeypatch, capsys):
+    out, opened = tmp_path / "out", []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    run([str(shot)], out, Options(PLAIN, metrics=("psnr",)))
+    for _ in range(2):
+        main(["view", str(out)])
+    assert opened == [(out / "report.html").resolve().as_uri()] * 2 and (out / "report.html").is_file()
+    with pytest.raises(SystemExit, match="2"):
+        main(["view", str(tmp_path / "nowhere")])
+    assert "rtdenoise evaluate SEQ --out" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Compute shaders against their torch twins, on whatever OpenGL there is (in CI Mesa's llvmpipe)."""
+"""Compute shaders against their torch twins, on any OpenGL 4.3 (in CI Mesa's llvmpipe)."""
 
 import math
 import os
@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from rtdenoise import glsl, ops
+from rtdenoise import constants, glsl, ops
 from rtdenoise.errors import InputError
 from rtdenoise.glsl import GpuArray, ShaderError
-from rtdenoise.glsl.program import expand, locate, program
+from rtdenoise.glsl.dispatch import dispatch
+from rtdenoise.glsl.program import program
+from rtdenoise.glsl.source import expand, locate
 
 SIZES = [(1, 1), (1, 9), (17, 5), (48, 64)]  # (H, W)
 
@@ -24,7 +26,7 @@ def no_gl_error(gl):
 
 
 def on_gpu(gl, function, *arrays, shape, **options):
-    """The resident form, writing into a buffer that is full of NaN."""
+    """The form for `GpuArray`s, writing into a buffer full of NaN."""
     out = GpuArray.upload(gl, np.full(shape, np.nan))
     result = function(*(GpuArray.upload(gl, a, a.dtype) for a in arrays), **options, out=out)
     assert result is out
@@ -243,16 +245,81 @@ def folder(tmp_path):
 
 
 def test_programs_are_compiled_once(gl):
-    first = program(gl, "blend", CHANNELS=3, GROUP_X=8, GROUP_Y=8)
-    assert program(gl, "blend", GROUP_Y=8, GROUP_X=8, CHANNELS=3) is first
-    assert program(gl, "blend", CHANNELS=1, GROUP_X=8, GROUP_Y=8) is not first
+    first = program(gl, "ops/blend", CHANNELS=3, GROUP_X=8, GROUP_Y=8)
+    assert program(gl, "ops/blend", GROUP_Y=8, GROUP_X=8, CHANNELS=3) is first
+    assert program(gl, "ops/blend", CHANNELS=1, GROUP_X=8, GROUP_Y=8) is not first
 
 
 def test_constants_are_strict():
     with pytest.raises(ShaderError, match=r"apply_kernel\.comp\.glsl: missing constants GROUP_X, GROUP_Y, LOGITS_HALF"):
-        expand("apply_kernel", KERNEL=5, CHANNELS=3)
+        expand("ops/apply_kernel", KERNEL=5, CHANNELS=3)
     with pytest.raises(ShaderError, match=r"unknown constants KERNEL; it takes CHANNELS, GROUP_X, GROUP_Y"):
-        expand("blend", CHANNELS=3, GROUP_X=8, GROUP_Y=8, KERNEL=5)
+        expand("ops/blend", CHANNELS=3, GROUP_X=8, GROUP_Y=8, KERNEL=5)
+
+
+def test_shared_constants_have_the_values_of_python():
+    text = expand("frame/light", GROUP_X=8, GROUP_Y=8).text
+    assert f"#define MIN_ALBEDO {constants.MIN_ALBEDO}\n" in text
+    assert f"#define LUMINANCE_WEIGHTS vec3{constants.LUMINANCE_WEIGHTS}\n" in text
+    assert "MIN_HISTORY_WEIGHT" not in text  # the shader does not ask for it
+
+
+def test_buffers_are_bound_by_name(gl):
+    spatial, temporal, alpha = (GpuArray.upload(gl, np.full((1, 1, 2, 2), value)) for value in (8.0, 4.0, 0.25))
+    result = GpuArray.empty(gl, spatial.shape)
+    named = {"alpha": alpha, "result": result, "temporal": temporal, "spatial": spatial}  # not the declared order
+    dispatch("ops/blend", (2, 2), named, CHANNELS=1)
+    assert (result.read() == 5).all()
+
+
+def test_buffers_and_parameters_are_strict(gl):
+    array = GpuArray.upload(gl, np.zeros((1, 1, 2, 2)))
+    named = dict.fromkeys(("spatial", "temporal", "alpha", "result"), array)
+
+    def refused(buffers, parameters=None):
+        with pytest.raises(ShaderError) as error:
+            dispatch("ops/blend", (2, 2), buffers, parameters, CHANNELS=1)
+        return str(error.value)
+
+    assert refused({"spatial": array, "result": array}) == "ops/blend.comp.glsl: missing buffers alpha, temporal"
+    assert refused(named | {"beta": array}).endswith("unknown buffers beta; it takes alpha, result, spatial, temporal")
+    assert refused(named, {"groups": 3}).endswith("unknown parameters groups; it takes size")
+    with pytest.raises(ShaderError, match=r"frame/fill\.comp\.glsl: missing parameters value"):
+        dispatch("frame/fill", (1, 1), {"values": array}, {"count": 1}, (32,), ROW=32)
+
+
+def test_declarations_become_bindings_and_uniforms(folder):
+    shaders = folder(
+        main="#version 430\n#pragma parameters ivec2 size, int n  // (W, H)\n#pragma reads vec4 a_b\n#if N\n"
+        "#pragma reads uint c\n#else\n#pragma reads float c\n#endif\n#pragma changes uint d\n#pragma constants N\n",
+    )
+    source = expand("main", folder=shaders, N=1)
+    assert (source.buffers, source.parameters) == (("a_b", "c", "d"), ("size", "n"))
+    assert "layout(push_constant) uniform Parameters { ivec2 size; int n; };" in source.text
+    assert "uniform ivec2 size;\nuniform int n;\n" in source.text
+    for line in (
+        "layout(std430, binding = 0) readonly restrict buffer AB { vec4 a_b[]; };",
+        "layout(std430, binding = 1) readonly restrict buffer C { uint c[]; };",
+        "layout(std430, binding = 1) readonly restrict buffer C { float c[]; };",
+        "layout(std430, binding = 2) restrict buffer D { uint d[]; };",
+    ):
+        assert line in source.text.splitlines()
+
+
+@pytest.mark.parametrize(
+    "lines, message",
+    [
+        ("#pragma reads image", r"main\.comp\.glsl:2: expected `#pragma reads TYPE NAME, TYPE NAME …`"),
+        (
+            "#pragma parameters int n\n#pragma parameters vec2 n",
+            r"main\.comp\.glsl:3: parameter n is int elsewhere",
+        ),
+        ("\n".join(f"#pragma reads float b{i}" for i in range(9)), r"main\.comp\.glsl: 9 buffers, expected at most 8"),
+    ],
+)
+def test_declarations_that_cannot_be_are_named(folder, lines, message):
+    with pytest.raises(ShaderError, match=message):
+        expand("main", folder=folder(main=f"#version 430\n{lines}\n"))
 
 
 def test_includes_are_recursive_and_taken_once(folder):
@@ -261,9 +328,9 @@ def test_includes_are_recursive_and_taken_once(folder):
         include__a='#include "b.glsl"\na\n',
         include__b="#pragma constants N\nb\n",
     )
-    source, origin = expand("main", folder=shaders, N=2)
-    assert source.splitlines() == ["#version 430", "#define N 2", "b", "a", "main"]
-    assert origin[2:] == ["include/b.glsl:2", "include/a.glsl:2", "main.comp.glsl:4"]
+    source = expand("main", folder=shaders, N=2)
+    assert source.text.splitlines() == ["#version 430", "#define N 2", "", "b", "a", "main"]
+    assert source.origin[2:] == ["include/b.glsl:1", "include/b.glsl:2", "include/a.glsl:2", "main.comp.glsl:4"]
 
 
 def test_include_loops_and_missing_files_are_named(folder):

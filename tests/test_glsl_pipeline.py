@@ -1,8 +1,7 @@
-"""Whole frames as compute shaders against the torch models, whose steps are their specification."""
+"""Whole frames as compute shaders against the torch models, whose `step` is the specification."""
 
 import json
 import os
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -21,16 +20,16 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.frame import Known, mean_distance
-from rtdenoise.glsl import GpuArray, Pipeline
-from rtdenoise.glsl.program import shaders
+from rtdenoise.glsl import GpuArray, Pipeline, ShaderError, expand
+from rtdenoise.glsl.source import shaders
 from rtdenoise.history import mismatch
-from rtdenoise.models import PRESETS, accumulated_kpn
+from rtdenoise.models import PRESETS, AccumulatedKPNConfig
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.plan import look
 from rtdenoise.sanitise import sanitise
 
-# By the preset of the same architecture.
-SMALL = {"paper": TINY, "default": accumulated_kpn.Config(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3)}
+# Small models, by the preset of the same architecture.
+SMALL = {"paper": TINY, "default": AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3)}
 
 
 @pytest.fixture(autouse=True)
@@ -50,10 +49,10 @@ def weights(tmp_path_factory):
             denoiser = models.create(config)
             for name, parameter in denoiser.named_parameters():
                 if name.startswith("full_head"):
-                    parameter.data.normal_()  # an edge kernel is the same everywhere until it is trained
+                    parameter.data.normal_()  # a fresh edge kernel is the same everywhere
                 elif "head" in name:
                     parameter.data.mul_(3)
-                    parameter.data[config.kernel**2 + 1 :].normal_()  # and so are pick kernels
+                    parameter.data[config.kernel**2 + 1 :].normal_()  # and so is a pick kernel
             written[config] = folder / f"{len(written)}.safetensors"
             models.save(denoiser, written[config])
         return str(written[config])
@@ -90,7 +89,7 @@ def test_twelve_frames_are_those_of_torch(weights, assert_images_close, model):
 
 
 def test_weights_from_before_there_were_edge_and_pick_kernels(weights, assert_images_close, tmp_path):
-    """They have no such keys in their configuration."""
+    """Their configuration lacks these keys."""
     with safe_open(weights(replace(SMALL["default"], edge_kernel=1, pick_kernel=1)), framework="np") as file:
         metadata = file.metadata()
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
@@ -122,7 +121,7 @@ def test_without_motion_next_dual_motion_is_approximated(weights, assert_images_
     expected, found, _, _ = both(weights(SMALL[preset]), frames)
     assert_images_close(found, expected, "frame")
     with_layer, _, _, _ = both(weights(SMALL[preset]), make_frames(4, H=24, W=40))
-    assert not np.allclose(with_layer, expected, rtol=1e-3)  # else this has shown nothing
+    assert not np.allclose(with_layer, expected, rtol=1e-3)  # else the test shows nothing
 
 
 @pytest.mark.parametrize("preset", SMALL)
@@ -138,7 +137,7 @@ def test_max_pooling(weights, assert_images_close):
 
 
 def with_faults(frame, faults):
-    """Every layer with each of `faults` in a pixel of its own, and a firefly."""
+    """The frame with a firefly, and in every layer one pixel for each of `faults`."""
     frame.radiance[0, :, 15, 25] = torch.tensor([900.0, 500.0, 100.0])
     for row, (_, tensor) in enumerate(frame.layers()):
         tensor[:, :, row + 3, 1 : 1 + len(faults)] = torch.tensor(faults)
@@ -205,13 +204,18 @@ def test_it_runs_on_opengl_43(weights):
     assert run.stdout == "430 True GL_NO_ERROR\n" * len(SMALL), run.stderr
 
 
-def test_no_pass_has_more_buffers_than_opengl_43_guarantees():
+def test_every_shader_expands():
+    """With any constants: no shader has more buffers than OpenGL 4.3 guarantees, or includes a missing file."""
     folder = Path(str(shaders()))
-    bindings = {path: re.findall(r"binding = (\d+)", path.read_text()) for path in folder.rglob("*.glsl")}
-    assert {int(n) for found in bindings.values() for n in found} == set(range(8))
+    for path in folder.rglob("*.comp.glsl"):
+        name = path.relative_to(folder).as_posix().removesuffix(".comp.glsl")
+        with pytest.raises(ShaderError, match="missing constants") as error:
+            expand(name)
+        constants = str(error.value).partition("missing constants ")[2].split(", ")
+        assert expand(name, **dict.fromkeys(constants, 1)).buffers
 
 
-# What is left out
+# Passes that are left out
 
 
 def moved(frames, speed):
@@ -261,7 +265,7 @@ def test_history_is_that_of_torch_and_comes_back(gl, weights, assert_images_clos
     model, frames = weights(SMALL[preset]), make_frames(4)
     _, _, history, resident = both(model, frames[:3])
     fields = resident.read()
-    assert set(fields) == {name for name, tensor in vars(history).items() if tensor is not None}
+    assert set(fields) == set(history.layers())
     for name, values in fields.items():
         assert_images_close(values, getattr(history, name), "frame")
     pipeline = Pipeline.load(model)
@@ -306,7 +310,7 @@ def test_mismatch_is_that_of_torch(weights, shift):
     assert (expected > 0.1) == bool(shift)
 
 
-# What is refused
+# Refusals
 
 
 def test_what_is_missing_or_does_not_fit_is_named(weights):
@@ -349,9 +353,9 @@ def test_weights_that_do_not_fit_are_named(weights, tmp_path):
 
     assert "heads.0.bias is (51,), expected (19,)" in refused(kernel=3)
     assert "expected an architecture of temporal_kpn, accumulated_kpn, got 'mltd'" in refused("mltd")
-    assert "'scales'" in refused("accumulated_kpn")
+    assert "unknown field 'pool'" in refused("accumulated_kpn")
     assert "expected motion 'dual' or 'traditional', got 'none'" in refused(motion="none")
-    with pytest.raises(InputError, match=r"sales: not an override of model 'paper'; its configuration has widths"):
+    with pytest.raises(InputError, match=r"sales: not an override of model 'paper'.*its configuration has widths"):
         Pipeline.load("paper", sales=3)
     with pytest.raises(InputError, match="no model 'nosuch'"):
         Pipeline.load("nosuch")
@@ -443,7 +447,7 @@ def test_a_sequence_is_denoised_without_torch(weights, tmp_path, assert_images_c
 
 
 def test_the_pipeline_is_imported_without_torch(weights):
-    code = "from rtdenoise.glsl import Pipeline; print(Pipeline.load(sys.argv[1]).design.architecture)"
+    code = "from rtdenoise.glsl import Pipeline; print(Pipeline.load(sys.argv[1]).config.architecture)"
     run = without_torch(code, weights(SMALL["default"]))
     assert run.stdout == "accumulated_kpn\n", run.stderr
 

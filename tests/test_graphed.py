@@ -9,10 +9,8 @@ import importlib
 import inspect
 import logging
 import math
-import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -26,10 +24,9 @@ from rtdenoise import models, ops
 from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, Known
-from rtdenoise.models import accumulated_kpn, temporal_kpn
-from rtdenoise.models.create import architecture
+from rtdenoise.models import AccumulatedKPNConfig, TemporalKPNConfig
 from rtdenoise.models.inference import prepare
-from rtdenoise.ops import path
+from rtdenoise.ops import dispatch
 from rtdenoise.run import graphs as graphed
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.graphs import Capture, Graphed
@@ -37,8 +34,8 @@ from rtdenoise.run.tiles import step_in_windows
 from rtdenoise.sanitise import sanitise
 
 SMALL = [
-    temporal_kpn.Config(widths=(4, 4, 4, 4)),
-    accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3),
+    TemporalKPNConfig(widths=(4, 4, 4, 4)),
+    AccumulatedKPNConfig(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3),
 ]
 DEVICES = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
 
@@ -73,7 +70,7 @@ class Rehearsal:
         return [image, *history.layers().values()]
 
 
-@pytest.fixture(params=SMALL, ids=architecture)
+@pytest.fixture(params=SMALL, ids=lambda config: config.architecture)
 def denoiser(request):
     torch.manual_seed(1)
     return models.create(request.param).eval().requires_grad_(False)
@@ -170,13 +167,15 @@ def test_what_is_passed_on_is_not_copied_and_nothing_waits(denoiser, device):
     assert len(graph.recordings) == 1
 
 
-def test_statistics_of_a_whole_frame_are_passed_to_its_windows(denoiser, device, assert_images_close):
+def test_statistics_of_a_whole_frame_are_passed_to_its_windows(denoiser, device, assert_images_close, monkeypatch):
     graph, frame = recorded(denoiser, device), make_frames(1, H=64, W=96)[0].to(device)
-    graph.statistics, cores = denoiser.statistics, [(0, 0, 32, 96), (32, 0, 64, 96)]
+    graph.statistics, graph.config = denoiser.statistics, denoiser.config
+    cores = [(0, 0, 32, 96), (32, 0, 64, 96)]
+    monkeypatch.setattr(type(denoiser.config), "network_reach", 0)  # so that windows are smaller than the frame
     for light in (1.0, 2.0, 0.5, 3.0):
         lit = replace(frame, radiance=frame.radiance * light)
-        expected, _ = step_in_windows(denoiser, lit, None, Known(), cores, 32)
-        image, _ = step_in_windows(graph, lit, None, Known(), cores, 32)
+        expected, _ = step_in_windows(denoiser, lit, None, Known(), cores)
+        image, _ = step_in_windows(graph, lit, None, Known(), cores)
         assert_images_close(image.cpu(), expected.cpu(), tolerance(device))
     assert len(graph.recordings) == 1
 
@@ -196,8 +195,8 @@ def test_recordings_can_be_played_in_any_mode_of_autograd(denoiser, device, infe
 
 
 def test_a_kind_is_recorded_when_it_comes_again_and_the_idle_make_room(denoiser, monkeypatch):
-    monkeypatch.setattr(graphed, "KEPT", 2)
-    monkeypatch.setattr(graphed, "IDLE", 5)
+    monkeypatch.setattr(graphed, "MAX_RECORDINGS", 2)
+    monkeypatch.setattr(graphed, "IDLE_STEPS", 5)
     graph = Graphed(denoiser, Rehearsal())
     sizes = [make_frames(1, H=8, W=width)[0] for width in (8, 16, 24)]
 
@@ -306,8 +305,7 @@ def test_the_backend_records_beneath_the_plan(denoiser, plan, tmp_path, monkeypa
 
 
 def test_the_benchmark_times_what_was_recorded(denoiser, monkeypatch):
-    monkeypatch.setattr(sys, "path", [*sys.path, str(Path(__file__).parent.parent / "bench")])
-    latency, (frame, *_) = importlib.import_module("latency_720p"), make_frames(1)
+    latency, (frame, *_) = importlib.import_module("bench.latency.methods"), make_frames(1)
     image, history = denoiser.step(frame)
     expected = denoiser.step(frame, history)[0]
     method = latency.Method("tiny", partial(denoiser.step, frame, history), denoiser, "plain")
@@ -374,9 +372,10 @@ def test_no_step_waits_for_the_gpu_or_copies_from_the_host(name):
 
 def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeypatch):
     """The Python around Triton's kernels, which are not launched."""
-    module, launched = importlib.import_module("rtdenoise.ops.triton"), set()
-    files = {
-        "apply_kernel": ("_forward",), "look_up": ("_warp", "_reproject"), "pyramid": ("_downsample", "_compose"),
+    launched = set()
+    kernels = {
+        "apply_kernel": "_forward", "compose": "_compose", "downsample": "_downsample", "fetch": "_fetch",
+        "reproject": "_reproject", "warp": "_warp",
     }  # fmt: skip
 
     class Kernel:
@@ -386,14 +385,13 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeyp
         def __getitem__(self, grid):
             return lambda *arguments, **named: launched.add(self.name)
 
-    for file, names in files.items():
-        for name in names:
-            monkeypatch.setattr(importlib.import_module(f"rtdenoise.ops.triton.{file}"), name, Kernel(name))
-    monkeypatch.setattr(path, "implementation", lambda _: (module, None))
+    for file, name in kernels.items():
+        monkeypatch.setattr(importlib.import_module(f"rtdenoise.ops.triton.{file}"), name, Kernel(name))
+    monkeypatch.setattr(dispatch, "backend", lambda _: ("triton", None))
     model = denoiser.to("meta")
     with capturable(), ops.use("auto"):
         every_kind_of_step(model)
-    expected = {"_forward", "_warp", "_downsample", "_compose"}
+    expected = {"_forward", "_warp", "_fetch", "_downsample", "_compose"}
     assert launched == expected | ({"_reproject"} if isinstance(denoiser, models.AccumulatedKPN) else set())
 
 

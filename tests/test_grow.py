@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from rtdenoise.models import PRESETS, create, grow, read
-from rtdenoise.models.accumulated_kpn import FEATURES
 
+FEATURES = PRESETS["fast"].features
 WIDE = replace(PRESETS["fast"], widths=(20, 24, 40, 50, 70))
 
 
@@ -87,13 +87,13 @@ def test_the_same_widths_are_a_copy(small):
     assert all(torch.equal(a, b) for a, b in zip(again.parameters(), small.parameters(), strict=True))
 
 
-NARROWER, DEEPER = (12, 24, 40, 50, 70), (*WIDE.widths, 80)
+NARROWER, SHALLOWER = (12, 24, 40, 50, 70), (20, 24, 40, 50)
 
 
 @pytest.mark.parametrize(
     "wanted",
     [
-        PRESETS["paper"], PRESETS["default"], replace(WIDE, widths=NARROWER), replace(WIDE, widths=DEEPER),
+        PRESETS["paper"], PRESETS["default"], replace(WIDE, widths=NARROWER), replace(WIDE, widths=SHALLOWER, scales=4),
         replace(WIDE, edge_kernel=5), replace(WIDE, edge_kernel=1, pick_kernel=3),
     ],
 )  # fmt: skip

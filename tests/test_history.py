@@ -8,8 +8,8 @@ from safetensors.torch import save_file
 from synthetic import TINY, make_frames
 
 from rtdenoise.errors import InputError
-from rtdenoise.frame import History
-from rtdenoise.history import CUT, load_history, mismatch, resize, save_history, usable
+from rtdenoise.frame import MAX_CUT_MISMATCH, History
+from rtdenoise.history import load_history, mismatch, resize, save_history, usable
 from rtdenoise.models import TemporalKPN
 
 
@@ -36,10 +36,10 @@ def test_a_cut_is_seen_whatever_the_motion_says():
     before, now = make_frames(2)
     assert mismatch(now, history_of(before)) < 0.1
     elsewhere = replace(before, depth=before.depth * 3)
-    assert mismatch(now, history_of(elsewhere)) > CUT
+    assert mismatch(now, history_of(elsewhere)) > MAX_CUT_MISMATCH
     turned = replace(now, normal=torch.tensor([0.0, 1.0, 0.0]).reshape(1, 3, 1, 1).expand_as(now.normal))
     looking_up = replace(before, normal=-turned.normal)
-    assert mismatch(turned, history_of(looking_up)) > CUT
+    assert mismatch(turned, history_of(looking_up)) > MAX_CUT_MISMATCH
     nothing = replace(now, motion=torch.full_like(now.motion, 1e3))
     assert mismatch(nothing, history_of(elsewhere)) == 0
 

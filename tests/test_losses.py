@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from rtdenoise.training.losses import temporal_kpn_loss
+from rtdenoise.models.losses import temporal_kpn_loss
 
 
 def flat(value):

@@ -83,7 +83,7 @@ def test_half_references_take_the_references_noise_out_of_relmse():
 
 @pytest.fixture
 def noisy_reference():
-    """(image, truth, reference, half): an image that is wrong by less than the noise of its reference."""
+    """(image, truth, reference, half): an image whose error is smaller than the noise of its reference."""
     g = torch.Generator().manual_seed(7)
     truth = torch.rand(1, 3, 256, 256, generator=g) * 0.6 + 0.2
     image = truth + 0.01 * torch.randn(truth.shape, generator=g)

@@ -81,7 +81,7 @@ def test_ghost_length_counts_frames_until_the_error_has_settled():
 
 
 class StandIn:
-    """pyfvvdp's interface, which keeps what it is given. Its licence keeps the real one out of the tests."""
+    """Stands in for pyfvvdp and records its arguments: the licence of the real one keeps it out of the tests."""
 
     def fvvdp(self, **options):
         self.options = options

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from rtdenoise.data.scene_motion import complete, motion_between
 from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.motion import (
     dual_motion,
-    motion_between,
-    motion_from_scene,
     occlusion_mask,
     occlusion_weights,
     on_screen,
@@ -45,7 +44,7 @@ class Analytic:
         }
 
     def scene(self, numbers):
-        return {"frames": [self.entry(n) for n in numbers]}
+        return {"frames": [self.entry(n) for n in numbers], "objects": {str(SPHERE): "sphere"}}
 
     def frame(self, number):
         """Position, id, and both motions in closed form."""
@@ -72,6 +71,16 @@ class Analytic:
             depth=layer(z[None]),
             number=number,
         )
+
+
+def between(position, ids, here, there):
+    """`motion_between` for tensors."""
+    return torch.from_numpy(motion_between(position[0].numpy(), ids[0].numpy(), here, there))[None]
+
+
+def completed(frame, scene):
+    """`complete` for tensors."""
+    return complete(frame.map(torch.Tensor.numpy), scene).map(torch.from_numpy)
 
 
 def test_dual_motion_is_equation_2_where_the_sphere_uncovered_the_plane():
@@ -101,7 +110,7 @@ def test_motion_from_positions_is_the_closed_form(pan):
     world = Analytic(pan)
     now = world.frame(3)
     for layer, number in (("motion", 2), ("motion_next", 4)):
-        computed = motion_between(now.position, now.id, world.entry(3), world.entry(number))
+        computed = between(now.position, now.id, world.entry(3), world.entry(number))
         torch.testing.assert_close(computed, getattr(now, layer), atol=1e-4, rtol=1e-5)
 
 
@@ -110,7 +119,7 @@ def test_both_sources_of_dual_motion_agree():
     before, now = world.frame(0), world.frame(1)
     scene = world.scene(range(-1, 3))
     bare = [Frame(f.radiance, position=f.position, id=f.id, number=f.number) for f in (before, now)]
-    computed = [motion_from_scene(frame, scene) for frame in bare]
+    computed = [completed(frame, scene) for frame in bare]
     from_layers = dual_motion(now.motion, before.motion_next)
     from_positions = dual_motion(computed[1].motion, computed[0].motion_next)
     torch.testing.assert_close(from_positions, from_layers, atol=1e-4, rtol=1e-5)
@@ -119,11 +128,11 @@ def test_both_sources_of_dual_motion_agree():
 def test_motion_from_scene_fills_only_what_is_missing_and_known():
     world = Analytic()
     frame = Frame(torch.ones(1, 3, H, W), position=world.frame(1).position, id=world.frame(1).id, number=1)
-    filled = motion_from_scene(frame, world.scene([0, 1]))
+    filled = completed(frame, world.scene([0, 1]))
     assert filled.motion is not None and filled.motion_next is None
-    assert motion_from_scene(frame, world.scene([0])).motion is None
+    assert completed(frame, world.scene([0])).motion is None
     given = Frame(torch.ones(1, 3, H, W), motion=torch.ones(1, 2, H, W), position=frame.position, id=frame.id, number=1)
-    assert torch.equal(motion_from_scene(given, world.scene([0, 1])).motion, given.motion)
+    assert torch.equal(completed(given, world.scene([0, 1])).motion, given.motion)
 
 
 def test_sky_moves_with_the_rotation_of_the_camera_only():
@@ -135,9 +144,9 @@ def test_sky_moves_with_the_rotation_of_the_camera_only():
     moved = {**here, "world_to_pixel": (np.array(here["world_to_pixel"]) @ translation(-3)).tolist()}
     turned = {**here, "world_to_pixel": (np.array(here["world_to_pixel"]) @ turn).tolist()}
     position, miss = torch.zeros(1, 3, H, W), torch.zeros(1, 1, H, W)
-    assert motion_between(position, miss, here, moved).abs().max() < 1e-5
+    assert between(position, miss, here, moved).abs().max() < 1e-5
     # The pixel in the middle looks along +z, which the turn takes to an angle of -0.1 about y.
-    centre = motion_between(position, miss, here, turned)[0, :, H // 2, W // 2]
+    centre = between(position, miss, here, turned)[0, :, H // 2, W // 2]
     ray = turn[:3, :3] @ np.array([0.5 / FOCAL, 0.5 / FOCAL, 1])
     assert centre[0].item() == pytest.approx(FOCAL * ray[0] / ray[2] - 0.5, abs=1e-4)
 
@@ -148,7 +157,7 @@ def test_points_behind_the_other_camera_leave_the_screen():
     back[2, 3] = -20
     there = {**here, "world_to_pixel": (np.array(here["world_to_pixel"]) @ back).tolist()}
     frame = Analytic().frame(0)
-    assert not on_screen(motion_between(frame.position, frame.id, here, there)).any()
+    assert not on_screen(between(frame.position, frame.id, here, there)).any()
 
 
 def test_on_screen_at_the_borders():

@@ -61,7 +61,7 @@ def test_values_are_those_of_noisebase(kind, source, rows):
 
 def test_frames_of_a_folder(shot):
     sequence = open_sequence(shot)
-    assert (sequence.preset.name, sequence.numbers, sequence.size) == ("noisebase", (0, 1, 2, 3), SIZE)
+    assert (sequence.layout.name, sequence.numbers, sequence.size) == ("noisebase", (0, 1, 2, 3), SIZE)
     assert sequence.names[3] == "frame0003.exr" and not sequence.demodulated
     frame = sequence[2]
     sky = frame.depth == 0

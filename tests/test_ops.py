@@ -7,13 +7,13 @@ import torch
 from torch.nn import functional as F
 
 from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, pick, reproject, upsample, use, warp
-from rtdenoise.ops.layout import cells as cells_of
-from rtdenoise.ops.layout import whole
+from rtdenoise.ops.logits import cells as cells_of
+from rtdenoise.ops.logits import whole
 
 
 @pytest.fixture(autouse=True, params=["plain", "auto"])
 def choice(request):
-    """All of it holds for the plain ops and for whatever runs here."""
+    """Every test runs with the plain ops and with the fused ones of this machine."""
     with use(request.param):
         yield
 
@@ -90,9 +90,10 @@ def test_warp_between_pixels_is_bilinear():
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_warp_agrees_with_grid_sample(size):
+@pytest.mark.parametrize("channels", [3, 12])
+def test_warp_agrees_with_grid_sample(size, channels):
     H, W = size
-    image, motion = torch.randn(2, 3, H, W), 4 * torch.randn(2, 2, H, W)
+    image, motion = torch.randn(2, channels, H, W), 4 * torch.randn(2, 2, H, W)
     y, x = torch.meshgrid(torch.arange(H) + 0.5, torch.arange(W) + 0.5, indexing="ij")
     grid = torch.stack([(x + motion[:, 0]) / W * 2 - 1, (y + motion[:, 1]) / H * 2 - 1], dim=-1)
     expected = F.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
@@ -129,8 +130,9 @@ def test_cubic_warp_is_exact_for_parabolas_and_overshoots_nowhere():
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16])
-def test_warp_keeps_the_dtype_of_the_image(dtype):
-    image, motion = torch.rand(1, 3, 6, 5), torch.randn(1, 2, 6, 5)
+@pytest.mark.parametrize("channels", [3, 12])
+def test_warp_keeps_the_dtype_of_the_image(dtype, channels):
+    image, motion = torch.rand(1, channels, 6, 5), torch.randn(1, 2, 6, 5)
     for cubic in (False, True):
         out = warp(image.to(dtype), motion, cubic=cubic)
         assert out.dtype == dtype
@@ -189,7 +191,7 @@ def test_pick_is_its_equation(size, kernel):
 
 
 def test_pick_crosses_no_edge():
-    """A step in the middle of a cell: each pixel takes the pure cell on its own side, and none of the mixed one."""
+    """A step in the middle of a cell: each pixel takes the pure cell on its own side, not the mixed one."""
     fine = torch.tensor([0.0, 0, 0, 1, 1, 1]).reshape(1, 1, 1, 6)
     coarse = downsample(fine)  # 0, ½, 1
     logits = torch.zeros(1, 9, 1, 6)
@@ -198,7 +200,7 @@ def test_pick_crosses_no_edge():
     assert torch.equal(pick(torch.full_like(fine, 9.0), coarse, logits, torch.ones(1, 1, 1, 6)), fine)
 
 
-def test_pick_refuses_what_does_not_fit():
+def test_pick_refuses_shapes_that_do_not_fit():
     shapes = (3, 5, 4), (3, 3, 2), (9, 5, 4), (1, 5, 4)
     fine, coarse, logits, share = (torch.zeros(1, *shape) for shape in shapes)
     for bad in (

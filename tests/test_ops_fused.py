@@ -1,13 +1,14 @@
 """The fused ops against the plain ones, which are the specification: every size, dtype and layout, extreme logits,
-gradients; and what happens where they cannot be had. CUDA's run on the GPU where there is one, else in Triton's
-interpreter."""
+gradients; and the fallback to plain ops. The CUDA ops run on a GPU if there is one, else in Triton's interpreter."""
 
 import importlib
 import logging
 import math
 import os
+import pkgutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -17,11 +18,12 @@ if not torch.cuda.is_available():
 
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
-from rtdenoise.ops import native, path, pixels
-from rtdenoise.ops.blocks import block_luminance
+from rtdenoise.ops import dispatch, pixels
+from rtdenoise.ops.blend_history import blend_history
+from rtdenoise.ops.block_luminance import block_luminance
 from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
-from rtdenoise.ops.temporal import blend_history
+from rtdenoise.ops.shares import shares
 from rtdenoise.splat import history_motion
 
 SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
@@ -33,18 +35,16 @@ KERNELS = [(*case, K, dtype) for case in CASES for K in (3, 5) for dtype in DTYP
 
 @pytest.fixture
 def backend(request):
-    """The fused module of a device, and where its tensors live. `native` unless the test says otherwise."""
-    if getattr(request, "param", "native") == "native":
-        return native, "cpu"
-    module = importlib.import_module("rtdenoise.ops.triton")
-    return module, "cuda" if torch.cuda.is_available() else "cpu"
+    """A folder of fused ops, `native` unless the test names another, and the device of its tensors."""
+    folder = getattr(request, "param", "native")
+    return folder, "cuda" if folder == "triton" and torch.cuda.is_available() else "cpu"
 
 
 @pytest.fixture
 def both(backend, monkeypatch):
     """`both(op, *arguments)`: the results of the plain op and of the fused one."""
-    module, device = backend
-    monkeypatch.setattr(path, "implementation", lambda _: (module, None))
+    folder, device = backend
+    monkeypatch.setattr(dispatch, "backend", lambda _: (folder, None))
 
     def run(op, *arguments):
         with ops.use("plain"):
@@ -86,7 +86,7 @@ def test_apply_kernel_by_cells(both, assert_images_close, size, K, dtype):
 
 
 @pytest.mark.parametrize("far", [-120.0, -1e3, -1e30, -math.inf])
-def test_a_tap_whose_weight_is_too_small_for_a_float_is_not_seen(both, far):
+def test_a_tap_whose_weight_underflows_is_ignored(both, far):
     image, logits = torch.full((1, 3, 9, 70), 1e37), torch.full((1, 25, 9, 70), far)
     image[:, :, 4, 35], logits[:, 12] = 1.0, 0.0
     for result in both(ops.apply_kernel, image, logits):
@@ -96,7 +96,7 @@ def test_a_tap_whose_weight_is_too_small_for_a_float_is_not_seen(both, far):
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
 def test_blend_history(both, assert_images_close, size, dtype):
-    """Gaps alone, in rows, everywhere and nowhere."""
+    """Single gaps and gaps in rows, then none, then nothing but gaps."""
     spatial, past, alpha = torch.rand(2, 3, *size), torch.rand(2, 3, *size), torch.rand(2, 1, *size)
     seen = torch.rand(2, 1, *size) < 0.8
     seen[:, :, ::3] = True
@@ -140,16 +140,34 @@ def test_reprojection(both, assert_images_close, op, size):
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
 def test_reprojection_with_a_choice(both, assert_images_close, op, size):
     seen = torch.rand(2, 1, *size) < 0.9
-    seen[:, :, ::2] = True  # whole rows of it
+    seen[:, :, ::2] = True  # whole rows
     image, motion, otherwise = (torch.randn(2, c, *size) for c in (3, 2, 3))
     plain, fused = both(op, image, 4 * motion, seen, otherwise)
     assert_images_close(fused, plain, "float32")
 
 
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_reprojection_of_many_channels(both, assert_images_close, size):
+    """Hidden states of a network: values, gradients in image and motion, and the choice of other pixels."""
+    motion = torch.randn(2, 2, *size).mul(4).floor() + 0.1 + 0.8 * torch.rand(2, 2, *size)  # never next to a kink
+    motion[0, :, 0, 0], motion[1, :, -1, -1] = math.nan, 1e6
+    grad = torch.randn(2, 12, *size)
+    seen, otherwise = torch.rand(2, 1, *size) < 0.9, torch.randn(2, 12, *size)
+
+    def gradients(image, motion):
+        image, motion = image.requires_grad_(), motion.requires_grad_()
+        found = ops.warp(image, motion, seen, otherwise)
+        return found.detach(), *torch.autograd.grad(found, (image, motion), grad)
+
+    plain, fused = both(gradients, torch.randn(2, 12, *size), motion)
+    for a, b, terms in zip(fused, plain, (1, 1, 12), strict=True):  # a motion's gradient sums over the channels
+        assert_images_close(a / terms, b / terms, "grid_sample")
+
+
 @pytest.mark.parametrize("op", [ops.warp, cubic])
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_reprojection_gradients(both, assert_images_close, op, size):
-    """In what is looked up; where the choice was another picture there is none."""
+    """Gradients in the image; pixels that take `otherwise` contribute none."""
     motion, otherwise, seen = 4 * torch.randn(2, 2, *size), torch.randn(2, 3, *size), torch.rand(2, 1, *size) < 0.9
 
     def gradient(grad, image):
@@ -161,9 +179,9 @@ def test_reprojection_gradients(both, assert_images_close, op, size):
         assert_images_close(fused, plain, "float32 gradients")
 
 
-def test_pixels_that_hold_a_cubic_lookup_share_its_gradient(both, assert_images_close):
-    """Black and lit pixels side by side: what would overshoot is held by several that are equal."""
-    grad = torch.nn.functional.pad(torch.randn(2, 3, 15, 18), (1, 2, 1, 2))  # between pixels of the screen everywhere
+def test_equal_pixels_that_clamp_a_cubic_lookup_share_its_gradient(both, assert_images_close):
+    """Few distinct values: an overshooting lookup is clamped to several equal pixels at once."""
+    grad = torch.nn.functional.pad(torch.randn(2, 3, 15, 18), (1, 2, 1, 2))  # all lookups lie between pixels
 
     def gradient(image):
         image = image.requires_grad_()
@@ -175,7 +193,7 @@ def test_pixels_that_hold_a_cubic_lookup_share_its_gradient(both, assert_images_
 
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
 def test_tested_reprojection_of_several(both, size):
-    """Several images are looked up as the one that they make together, whatever their layout."""
+    """Several images give the same as their concatenation, whatever their layout."""
     images = tuple(torch.randn(2, c, *size).contiguous(memory_format=torch.channels_last) for c in (3, 1, 3))
     surface = 1 + 0.1 * torch.rand(2, 1, *size), torch.ones(2, 3, *size)
     motion = 4 * torch.randn(2, 2, *size)
@@ -206,11 +224,11 @@ def test_values_within_limits(both, size):
 
 
 @pytest.mark.parametrize("shift", [(3.3, -2.6), (-40.25, 1.0), (0.0, 0.0), (0.5, 17.5)])
-def test_tested_reprojection_of_what_moves_together(both, assert_images_close, shift):
-    """Where neighbours stay neighbours they are loaded as such, but not beyond the screen."""
+def test_tested_reprojection_of_pixels_that_move_together(both, assert_images_close, shift):
+    """Neighbours that stay neighbours are loaded in a row, but not beyond the screen."""
     size = 40, 161
     motion = torch.tensor(shift).reshape(1, 2, 1, 1).expand(2, 2, *size).contiguous()
-    motion[:, :, 20:] += torch.rand(20, 161).round()  # ... and here they do not
+    motion[:, :, 20:] += torch.rand(20, 161).round()  # here neighbours part
     normal, depth = torch.randn(2, 3, *size), 1 + 0.3 * torch.rand(2, 1, *size)
     surface = depth, normal
     plain, fused = both(ops.reproject, torch.randn(2, 7, *size), motion, surface, surface)
@@ -252,13 +270,13 @@ def test_shares(both, assert_images_close, size, dtype):
     cells = [-(-n // 2) for n in size]
     for spread, layout in ((1, torch.channels_last), (200, torch.channels_last), (1, torch.contiguous_format)):
         head = (spread * torch.randn(2, 12, *cells)).to(dtype).contiguous(memory_format=layout)
-        plain, fused = both(lambda logits: pixels.shares(logits, size), head.unflatten(1, (2, 2, 3)))
+        plain, fused = both(lambda logits: shares(logits, size), head.unflatten(1, (2, 2, 3)))
         assert plain.shape == (2, 3, *size) and plain.dtype == torch.float32
         assert_images_close(fused, plain, "float32")
 
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_what_is_done_to_each_pixel(both, assert_images_close, size):
+def test_pixelwise_ops(both, assert_images_close, size):
     def image(C: int = 3) -> torch.Tensor:
         return torch.rand(2, C, *size)
 
@@ -269,7 +287,7 @@ def test_what_is_done_to_each_pixel(both, assert_images_close, size):
         both(pixels.nearness, hit, torch.tensor([2.0, 1e-12]).reshape(2, 1, 1, 1)),
     ):
         assert_images_close(fused, plain, "float32")
-    reset = image(1).round()  # given up entirely: nothing is left of the mean, however bright it was
+    reset = image(1).round()  # a restart leaves no trace of the mean, however bright it was
     results = both(pixels.accumulate, image(), 1e15 * image(), (9 * image(1)).floor() * (1 - reset), reset, 15.0)
     for plain, fused in zip(*results, strict=True):
         assert_images_close(fused, plain, "float32")
@@ -288,7 +306,7 @@ def test_tested_reprojection(both, assert_images_close, size):
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_tested_reprojection_gradients(both, assert_images_close, size):
-    """Pictures of several channel counts, one of them without a gradient; taps on other surfaces get none of it."""
+    """Images of several channel counts, one without a gradient; taps on other surfaces get no gradient."""
     normal, depth, motion = torch.randn(2, 3, *size), 1 + 0.3 * torch.rand(2, 1, *size), 3 * torch.randn(2, 2, *size)
     motion[1, :, -1, -1] = math.nan
 
@@ -343,7 +361,7 @@ def test_pick_where_only_apply_kernel_is_fused(both, assert_images_close):
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("by_cells", [False, True])
 def test_pick_gradients(assert_images_close, size, by_cells):
-    """As training takes them: through the fused `apply_kernel`."""
+    """Gradients pass through the fused `apply_kernel`, as in training."""
     cells = [-(-n // 2) for n in size]
     fine, coarse, share = torch.randn(2, 3, *size), torch.randn(2, 3, *cells), torch.rand(2, 1, *size)
     logits, grad = torch.randn(*((2, 2, 2, 9, *cells) if by_cells else (2, 9, *size))), torch.randn(2, 3, *size)
@@ -380,14 +398,17 @@ def test_an_odd_picture_of_full_size(assert_images_close):
 
 
 def test_the_triton_kernels_compile_for_a_gpu():
-    """Which the interpreter does not say; needs no GPU."""
+    """The interpreter does not show this. Needs no GPU."""
     code = """
 import torch, triton, triton.language as tl
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 from rtdenoise.ops.triton.apply_kernel import _backward, _forward
-from rtdenoise.ops.triton.look_up import _reproject, _warp
-from rtdenoise.ops.triton.pyramid import _compose, _downsample
+from rtdenoise.ops.triton.compose import _compose
+from rtdenoise.ops.triton.downsample import _downsample
+from rtdenoise.ops.triton.fetch import _fetch
+from rtdenoise.ops.triton.reproject import _reproject
+from rtdenoise.ops.triton.warp import _warp
 
 def build(kernel, constants, **types):
     names = kernel.arg_names
@@ -401,35 +422,90 @@ strides = dict(batch="i64", stride="i64", cell_row="i64", row="i64", cell="i32",
 C = dict(C=3, CP=4, BLOCK=128)
 build(_forward, dict(K=3, KEEP=True, **C), logits="*bf16", **sizes, **strides)
 build(_backward, dict(K=3, **C), **sizes, **strides)
-for mode in ("nearest", "bilinear", "cubic"):
-    build(_warp, dict(MODE=mode, **C), **sizes)
+build(_fetch, C, **sizes)
+for cubic in (False, True):
+    build(_warp, dict(CUBIC=cubic, **C), **sizes)
 build(_downsample, dict(MAXIMUM=False, BLOCK=128), **sizes)
 build(_compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
-build(_reproject, dict(C=7, CP=8, BLOCK=128), valid="*u8", depth_tolerance="fp32", normal_tolerance="fp32",
-      least="fp32", **sizes)
+build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1e6), valid="*u8",
+      depth_tolerance="fp32", normal_tolerance="fp32", **sizes)
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert result.returncode == 0, result.stderr
 
 
+def declarations():
+    """(module, `Fused`) for every op with a fused implementation."""
+    for name in ["splat", *(f"ops.{module.name}" for module in pkgutil.iter_modules(ops.__path__))]:
+        module = importlib.import_module(f"rtdenoise.{name}")
+        yield from ((module, value) for value in vars(module).values() if isinstance(value, dispatch.Fused))
+
+
+def test_every_fused_op_has_the_name_of_its_plain_one():
+    """Declared implementations exist; every file of a folder belongs to an op or is shared."""
+    files = {"native": {"__init__", "compiler", "logits"}, "triton": {"__init__", "common", "pool", "targets", "alike"}}
+    for module, fused in declarations():
+        assert callable(getattr(module, fused.name))
+        assert module.__name__ in (f"rtdenoise.ops.{fused.file}", "rtdenoise.splat")
+        for folder in fused.support:
+            assert callable(dispatch._function(folder, fused.file, fused.name))
+            files[folder].add(fused.file)
+    for folder, expected in files.items():
+        assert {file.stem for file in (Path(*ops.__path__) / folder).glob("*.py")} == expected
+    sources = {file.stem for file in (Path(*ops.__path__) / "native").glob("*.c")}
+    assert sources == files["native"] - {"__init__", "compiler", "logits", "blend_history"}  # apply_kernel.c blends
+
+
+@pytest.mark.parametrize(
+    "arguments, problem",
+    [
+        (lambda: (torch.rand(1, 9, 8, 9), torch.randn(1, 9, 8, 9)), "at most 8 channels, not 9"),
+        (lambda: (torch.rand(1, 3, 8, 9), torch.randn(1, 81, 8, 9)), "at most 7², not 81 taps"),
+        (lambda: (torch.rand(0, 3, 8, 9), torch.randn(0, 9, 8, 9)), r"no images of \(0, 3, 8, 9\)"),
+    ],
+)
+def test_the_reason_for_running_plain_is_given(arguments, problem):
+    image, logits = arguments()
+    with ops.use("auto"):
+        assert ops.apply_kernel(image, logits).shape == image.shape
+    with pytest.raises(RuntimeError, match=problem), ops.use("fused"):
+        ops.apply_kernel(image, logits)
+
+
+def test_a_fused_op_without_the_gradient_that_is_asked_for_says_so():
+    image = torch.rand(1, 3, 8, 9, requires_grad=True)
+    with pytest.raises(RuntimeError, match="no gradient in image"), ops.use("fused"):
+        ops.downsample(image)
+    with torch.no_grad(), ops.use("fused"):
+        ops.downsample(image)
+
+
+def test_luminance_of_very_wide_blocks(assert_images_close):
+    """Wider than the fused op takes."""
+    with ops.use("auto"):
+        means, maxima = block_luminance(torch.ones(1, 3, 2, 3000), 2000)
+    assert_images_close(means[..., None, None], torch.ones(1, 2, 1, 1), "float32")
+    assert_images_close(maxima[..., None, None], torch.ones(1, 2, 1, 1), "float32")
+
+
 def test_the_choice_can_be_forced_and_is_taken_back():
     image, logits = torch.rand(1, 3, 8, 9).double(), torch.randn(1, 25, 8, 9)
     with ops.use("auto"):
         assert ops.apply_kernel(image, logits).dtype == torch.float64  # plain: there is no fused one for doubles
-    with pytest.raises(RuntimeError, match="float32 images, not float64"), ops.use("fused"):
+    with pytest.raises(RuntimeError, match="image is float64"), ops.use("fused"):
         ops.apply_kernel(image, logits)
     with pytest.raises(ValueError, match="'quick'"), ops.use("quick"):
         pass
-    assert path._choice == os.environ.get("RTDENOISE_OPS", "auto")
+    assert dispatch._choice == os.environ.get("RTDENOISE_OPS", "auto")
 
 
 @pytest.mark.parametrize("compiler_is", ["absent", "failing"])
-def test_without_a_compiler_the_plain_ops_run_and_it_is_said_once(compiler_is, monkeypatch, tmp_path, caplog):
+def test_without_a_compiler_the_plain_ops_run_and_one_warning_says_so(compiler_is, monkeypatch, tmp_path, caplog):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("CC", "false" if compiler_is == "failing" else "")
     monkeypatch.setattr(compiler, "COMPILERS", ())
-    compiler.library.cache_clear(), path.implementation.cache_clear()
+    compiler.library.cache_clear(), dispatch.backend.cache_clear()
     image, logits = torch.rand(1, 3, 8, 9), torch.randn(1, 25, 8, 9)
     try:
         with caplog.at_level(logging.WARNING):
@@ -439,7 +515,7 @@ def test_without_a_compiler_the_plain_ops_run_and_it_is_said_once(compiler_is, m
         with pytest.raises(RuntimeError, match=r"no C compiler|failed"), ops.use("fused"):
             ops.apply_kernel(image, logits)
     finally:
-        compiler.library.cache_clear(), path.implementation.cache_clear()
+        compiler.library.cache_clear(), dispatch.backend.cache_clear()
     (record,) = caplog.records
     assert "slower without fused ops on cpu" in record.getMessage()
     assert not list(tmp_path.rglob("*.so"))

@@ -9,13 +9,12 @@ from synthetic import TINY, make_frames, write_sequence
 
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import OFF_SCREEN, Known
-from rtdenoise.models import TemporalKPN, accumulated_kpn, available, create, load, save
-from rtdenoise.models.create import architecture
+from rtdenoise.models import AccumulatedKPNConfig, TemporalKPN, available, create, load, save
 from rtdenoise.motion import dual_motion, occlusion_mask
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.plan import look, make_plan
 from rtdenoise.run.planned import Planned
-from rtdenoise.run.tiles import Tiled, light_reach, network_reach
+from rtdenoise.run.tiles import Tiled
 from rtdenoise.splat import splat_motion_next
 
 
@@ -25,10 +24,10 @@ def denoiser():
     return TemporalKPN(TINY).eval().requires_grad_(False)
 
 
-SMALL = [TINY, accumulated_kpn.Config(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3)]
+SMALL = [TINY, AccumulatedKPNConfig(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3)]
 
 
-@pytest.fixture(scope="module", params=SMALL, ids=architecture)
+@pytest.fixture(scope="module", params=SMALL, ids=lambda config: config.architecture)
 def either(request):
     """Of each architecture, one that runs in no time."""
     torch.manual_seed(0)
@@ -202,7 +201,7 @@ def test_no_tile_of_the_sky_is_filtered(denoiser, monkeypatch):
     monkeypatch.setattr("rtdenoise.run.plan.TILED_FROM", 1)
     plan, sizes, step = planned(denoiser, frames), [], denoiser.step
     plan._tiled.tile = 64
-    expected, _ = play(denoiser, frames), plan._reaches()  # which take a step too
+    expected = play(denoiser, frames)
     monkeypatch.setattr(denoiser, "step", lambda frame, *rest: sizes.append(frame.size) or step(frame, *rest))
     assert_same(play(plan, frames), expected, close)
     assert plan.left_out["network in plain rows"] == 3
@@ -258,12 +257,6 @@ def test_tiles_are_the_whole_picture(either):
     assert_same(play(Tiled(either, 32), frames), play(either, frames), close)
     without = [replace(f, motion_next=None) for f in frames]
     assert_same(play(Tiled(either, 32), without), play(either, without), close)
-
-
-def test_reach_is_what_the_layers_say():
-    """Four levels of two 3×3 convolutions each way: 2·(1 + 2 + 4)·2 + 2·8 pixels, and what pooling and kernels add."""
-    assert 44 + 32 <= network_reach(TemporalKPN(TINY)) <= 128
-    assert light_reach(TemporalKPN(TINY)) == 32
 
 
 @pytest.mark.parametrize("name", available())

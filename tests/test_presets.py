@@ -99,7 +99,7 @@ CAPTURED = ("PathTracer.color", "PathTracer.albedo", "GBufferRT.normW", "GBuffer
 )
 def test_falcor(tmp_path, pattern, names):
     sequence = open_sequence(write_falcor(tmp_path, pattern, names))
-    assert (sequence.preset.name, sequence.numbers, sequence.size) == ("falcor", (0, 1, 2, 3), (H, W))
+    assert (sequence.layout.name, sequence.numbers, sequence.size) == ("falcor", (0, 1, 2, 3), (H, W))
     frame, b = sequence[2], buffers(2)
     b["linear_z"][0, 0] = 0
     for layer, image in {"radiance": b["color"], "albedo": b["albedo"], "normal": b["normal"],
@@ -135,7 +135,7 @@ def test_a_glob_picks_frames_by_any_file(tmp_path):
     sequence = open_sequence(str(folder / "color_000[12].exr"))
     assert sequence.numbers == (1, 2) and sequence[0].albedo is not None
     write_layers(folder / "frame.0007.exr", {"color": np.ones((H, W, 3))})
-    assert open_sequence(folder / "frame.0007.exr").preset.name == "native"
+    assert open_sequence(folder / "frame.0007.exr").layout.name == "native"
     write(folder / "sub" / "Other.color.3.exr", np.ones((H, W, 3)))
     write(folder / "sub" / "Mogwai.color.3.exr", np.ones((H, W, 3)))
     assert message(open_sequence, folder / "sub", preset="falcor").startswith(
@@ -152,7 +152,7 @@ def test_a_glob_picks_frames_by_any_file(tmp_path):
 
 def test_bmfr(tmp_path):
     sequence = open_sequence(write_bmfr(tmp_path))
-    assert sequence.preset.name == "bmfr" and sequence.demodulated
+    assert sequence.layout.name == "bmfr" and sequence.demodulated
     assert sequence.require("depth", "motion", "motion_next") is sequence
     frame, b = sequence[1], buffers(1)
     assert is_close(frame.radiance, np.full((H, W, 3), 2.0), 1e-5) and is_close(frame.albedo, b["albedo"])
@@ -193,7 +193,7 @@ def test_bmfr_cameras_that_do_not_fit(tmp_path):
 
 def test_oidn_takes_the_lowest_number_of_samples(tmp_path):
     sequence = open_sequence(write_oidn(tmp_path), layers=["reference"])
-    assert (sequence.preset.name, sequence.numbers) == ("oidn", (0, 1, 2, 3))
+    assert (sequence.layout.name, sequence.numbers) == ("oidn", (0, 1, 2, 3))
     frame, b = sequence[3], buffers(3)
     for layer, image in {"radiance": b["color"], "albedo": b["albedo"], "normal": b["normal"],
                          "reference": b["color"] * 100}.items():  # fmt: skip
@@ -257,7 +257,7 @@ def write_tracer(folder):
 def test_a_preset_file(tmp_path):
     write_tracer(tmp_path)
     sequence = open_sequence(tmp_path, preset=str(tmp_path / "tracer.toml"))
-    assert (sequence.preset.name, sequence.numbers, sequence.demodulated) == ("tracer", (0, 1, 2, 3), False)
+    assert (sequence.layout.name, sequence.numbers, sequence.demodulated) == ("tracer", (0, 1, 2, 3), False)
     frame, b = sequence[2], buffers(2)
     b["depth"][:2] = 0
     for layer, image in {"radiance": b["color"], "albedo": b["albedo"], "normal": b["normal"], "depth": b["depth"],
@@ -293,6 +293,22 @@ def test_recombined_into_the_files_of_both_signals(tmp_path, model):
     [
         ("[color", "not valid TOML"),
         ("name = 3", "name is 3, expected a string"),
+        ("demodulated = [3, {}]", "demodulated is [3, {}], expected a list of color, indirect"),
+        ("demodulated = [[]]", "demodulated is [[]], expected a list of color, indirect"),
+        ("name = [" + "3, " * 1000 + "]", "name is [3, 3, 3, 3, 3, 3, ...], expected a string"),
+        ("x = " + "[" * 5000, "not valid TOML: "),
+        ('[depth]\nchannels = ["Z"]\nmiss = ' + "9" * 400, "[depth] miss is 999999999"),
+        ('[depth]\nchannels = ["Z"]\nmiss = ' + "9" * 5000, "not valid TOML: "),
+        ('[depth]\nchannels = ["Z"]\nmiss = nan', "[depth] miss is nan, expected a number above 0, for depth only"),
+        ('[depth]\nchannels = ["Z"]\nmiss = true', "[depth] miss is True, expected a number above 0, for depth only"),
+        ('[depth]\nchannels = ["Z"]\nmiss = -1', "[depth] miss is -1, expected a number above 0, for depth only"),
+        ('[motion]\nchannels = ["X", "Y"]\nsigns = [true, 1]', "[motion] signs is [True, 1], expected 2 times 1 or -1"),
+        ('[motion]\nchannels = ["X", "Y"]\nscale = ["uv"]', "[motion] scale is ['uv'], expected 'pixels' or 'uv'"),
+        ('[depth]\nchannels = ["Z"]\nfile = "{frame}/{frame}.exr"', "[depth] file is '{frame}/{frame}.exr', expected"),
+        ('[depth]\nchannels = ["Z"]\nfile = "{spp}{spp}.{frame}.exr"', "[depth] file is '{spp}{spp}.{frame}.exr', exp"),
+        ('[depth]\nchannels = ["Z"]\nfile = "../{frame}.exr"', "[depth] file is '../{frame}.exr', expected a pattern"),
+        ('[depth]\nchannels = ["Z"]\nfile = "{take}.{frame}.exr"', "[depth] file is '{take}.{frame}.exr', expected a"),
+        ("[half_reference]\nchannels = []\n[reference_half]\nchannels = []", "[reference_half] and [half_reference] "),
         ('demodulated = "indirect"', "demodulated is 'indirect', expected a list of color, indirect"),
         ("[colour]\nchannels = []", "unknown layer 'colour' (did you mean 'color'?); known are color, "),
         ("color = 3", "color is 3, expected a table [color]"),
@@ -303,7 +319,7 @@ def test_recombined_into_the_files_of_both_signals(tmp_path, model):
         ('[motion]\nchannels = ["X", "Y"]\nsigns = [1, 2]', "[motion] signs is [1, 2], expected 2 times 1 or -1"),
         ('[motion]\nchannels = ["X", "Y"]\nscale = "px"', "[motion] scale is 'px', expected 'pixels' or 'uv', for mot"),
         ('[depth]\nchannels = ["Z"]\nscale = "uv"', "[depth] scale is 'uv', expected"),
-        ('[depth]\nchannels = ["Z"]\nmiss = "far"', "[depth] miss is 'far', expected a number, for depth only"),
+        ('[depth]\nchannels = ["Z"]\nmiss = "far"', "[depth] miss is 'far', expected a number above 0, for depth only"),
         ('[depth]\nchannels = ["Z"]\nfile = "z.exr"', "[depth] file is 'z.exr', expected a pattern in the sequence's"),
         (
             '[color]\nchannels = ["R", "G", "B"]\nfile = "c{frame}.exr"\n[depth]\nchannels = ["Z"]',

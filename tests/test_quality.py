@@ -1,9 +1,8 @@
-"""The tables and strips of docs/quality.md, on numbers and pictures of which they are known."""
+"""The tables and strips of docs/results/quality.md, on numbers and pictures whose results are known."""
 
 import copy
 import importlib
 import io
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +17,12 @@ EXPOSURE = 0.5
 
 @pytest.fixture(scope="module")
 def quality():
-    sys.path.append(str(ROOT / "bench"))
-    yield importlib.import_module("quality")
-    sys.path.remove(str(ROOT / "bench"))
+    return importlib.import_module("bench.quality")
 
 
 @pytest.fixture
 def strips(quality):
-    return importlib.import_module("strips")
+    return importlib.import_module("bench.harness.strips")
 
 
 def row(method, psnr, corrected):
@@ -62,7 +59,7 @@ def test_the_settings_are_compared_one_by_one(quality):
     assert found[3] == "| `default` over C | – | – | – | – |"
 
 
-def test_what_was_not_measured_is_a_dash(quality):
+def test_missing_measurements_are_dashes(quality):
     rows = [row("oidn", 22.0, None), row("default", 25.0, None)]
     found = quality.tables(document(*rows))
     assert found["aims"].splitlines()[-1] == "| hall | indirect | +3.00 dB | – | – | – | 0.62 | – | – |"
@@ -80,7 +77,7 @@ def test_a_scene_says_how_good_its_references_are(quality):
 
 @pytest.fixture
 def still(tmp_path):
-    """A folder as `evaluate` keeps it: a gradient, black where nothing was denoised, uncovered in one place."""
+    """A folder as `evaluate` writes it: a gradient as reference, a black picture, one uncovered region."""
     height, width = 72, 128
     gradient = np.linspace(0, 2, width, dtype=np.float32)[None, :, None].repeat(height, 0).repeat(3, 2)
     uncovered = np.zeros((height, width, 1), np.float32)
@@ -90,7 +87,7 @@ def still(tmp_path):
     return tmp_path
 
 
-def test_a_strip_enlarges_what_was_uncovered_most(strips, still):
+def test_a_strip_enlarges_the_most_uncovered_part(strips, still):
     picture = np.asarray(strips.compose(still, {"noisy": "noisy", "left out": "magic"}, EXPOSURE)).astype(int)
     assert picture.shape == (72 + strips.GAP + 72, 128 + 4 + 128, 3)
     frame, detail = picture[:72, 132:], picture[72 + strips.GAP :, 132:]
@@ -102,10 +99,10 @@ def test_a_strip_enlarges_what_was_uncovered_most(strips, still):
     rows = inside.shape[0] - 6  # and above the label
     np.testing.assert_array_equal(enlarged[:rows], inside[:rows])
     assert (frame[top, left : left + width] == 255).all()
-    assert (picture[4:8, 4:100] == 0).all()  # what is black stays so
+    assert (picture[4:8, 4:100] == 0).all()  # black stays black
 
 
 def test_strips_are_small(strips):
     noise = Image.fromarray(np.random.default_rng(0).integers(0, 255, (100, 200, 3), np.uint8))
     encoded = strips.encode(noise)
-    assert Image.open(io.BytesIO(encoded)).size == (200, 100) and len(encoded) <= strips.MOST_BYTES
+    assert Image.open(io.BytesIO(encoded)).size == (200, 100) and len(encoded) <= strips.MAX_BYTES

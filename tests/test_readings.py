@@ -1,4 +1,4 @@
-"""What the report concludes from the numbers, on numbers of which the conclusions are known."""
+"""The readings of the report, on numbers with known conclusions."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""`tools/train_weights.sh`: commands that there are, and those by which the weights that ship were trained."""
+"""`tools/train_weights.sh`: its commands exist, and they are those that trained the shipped weights."""
 
 import json
 import os
@@ -8,26 +8,25 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-import tyro
-from rtdenoise.cli.main.main import Command
 from safetensors import safe_open
 
-from rtdenoise.training.loop import _plain
+from rtdenoise.cli.commands import parse
+from rtdenoise.training.loop import _compared as compared
 
 ROOT = Path(__file__).parent.parent
 RECIPE = ROOT / "tools" / "train_weights.sh"
 
 
 def printed(model, **environment):
-    """The commands as lists of words."""
+    """The commands that the script would run, as lists of words."""
     environment = {"PATH": os.environ["PATH"], "DRY": "1"} | environment
     result = subprocess.run(["sh", RECIPE, model], env=environment, capture_output=True, text=True, check=True)
     return [shlex.split(line) for line in result.stdout.splitlines()]
 
 
 def parsed(commands):
-    """The options of the training runs among them, every clip of which has its command."""
-    commands = [tyro.cli(Command, args=words[1:]) for words in commands]  # exits where an option is none
+    """The options of the training runs among the commands; others must make the clips of these runs."""
+    commands = [parse(words[1:]) for words in commands]  # exits at an unknown option
     trained = [command.config for command in commands if hasattr(command, "config")]
     rendered = {str(command.out) for command in commands if not hasattr(command, "config")}
     assert {str(folder) for config in trained for folder in (*config.data, config.val)} <= rendered
@@ -43,14 +42,15 @@ def test_the_recipe_is_that_of_the_weights(model):
         assert config.init == before.out / "weights.safetensors"
     with safe_open(ROOT / "rtdenoise" / "weights" / f"{model}.safetensors", framework="np") as file:
         options = json.loads(file.metadata()["training"])
-    plain = _plain(trained[-1])
-    shared = options.keys() & plain.keys()  # older runs do not know of newer options
-    assert {"preset", "steps", "lr", "cuts", "frames"} <= shared
+    options.setdefault("model", options.pop("preset", None))  # the option's name when the shipped weights were trained
+    plain = compared(trained[-1])
+    shared = options.keys() & plain.keys()  # options that are newer than the weights are not in their file
+    assert {"model", "steps", "lr", "cuts", "frames"} <= shared
     assert {key: options[key] for key in shared} == {key: plain[key] for key in shared}
 
 
 def test_the_settings_differ_in_nothing_else():
-    a, b, c = (_plain(config) for config in parsed(printed("settings", SCENES="scenes")))
+    a, b, c = (compared(config) for config in parsed(printed("settings", SCENES="scenes")))
     assert (a["motion"], a["occlusion_loss"]) == ("traditional", False)
     assert (b["motion"], b["occlusion_loss"]) == ("dual", False)
     assert (c["motion"], c["occlusion_loss"]) == ("dual", True)
@@ -58,15 +58,46 @@ def test_the_settings_differ_in_nothing_else():
     assert len({str({k: v for k, v in setting.items() if k not in differing}) for setting in (a, b, c)}) == 1
 
 
-def test_several_processes_are_torchruns():
+def test_several_processes_run_under_torchrun():
     train = [words for words in printed("fast", PROCESSES="2") if "--steps" in words]
     assert all(words[: words.index("train")][-3:] == ["-m", "--", "rtdenoise"] for words in train)
 
 
-def test_scene_files_are_left_out_where_there_are_none():
+def test_scene_files_are_used_only_where_a_folder_is_named():
     assert [sum("--scenes" in words for words in printed("fast", **given)) for given in ({}, {"SCENES": "x"})] == [0, 4]
 
 
 def test_a_model_without_a_recipe_is_refused():
     result = subprocess.run(["sh", RECIPE, "paper"], capture_output=True, text=True)
     assert result.returncode == 2 and result.stderr == "expected default, fast, quality or settings, got 'paper'\n"
+
+
+def test_the_gpu_check_needs_a_gpu(tmp_path):
+    (tmp_path / "nvidia-smi").write_text("#!/bin/sh\nexit 9\n")
+    (tmp_path / "nvidia-smi").chmod(0o755)
+    result = subprocess.run(
+        ["/bin/sh", ROOT / "tools" / "gpu_check.sh"],
+        env={"PATH": f"{tmp_path}:/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 2 and "expected an NVIDIA GPU and its driver, found none" in result.stderr
+
+
+def test_the_gpu_check_takes_a_torch_that_is_there_and_wheels_from_a_folder(tmp_path):
+    """Programs that only log their arguments stand in for the driver and for Python, whose torch sees a GPU."""
+    log = tmp_path / "log"
+    programs = {
+        "nvidia-smi": "echo GPU",
+        "python3": f'echo "$*" >> {log}; case "$*" in *find_spec*hypothesis) exit 1 ;; *venv*) exit 1 ;; esac',
+    }
+    for name, body in programs.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{body}\n")
+        (tmp_path / name).chmod(0o755)
+    environment = {"PATH": f"{tmp_path}:/usr/bin:/bin", "WHEELS": "wheels"}
+    result = subprocess.run(
+        ["/bin/sh", ROOT / "tools" / "gpu_check.sh"], env=environment, capture_output=True, text=True
+    )
+    assert "gpu_check: installing hypothesis\n" in result.stdout
+    assert result.returncode == 2 and "python3 comes without venv; install hypothesis" in result.stderr
+    assert "pip" not in log.read_text()

@@ -1,4 +1,4 @@
-"""The report in a real browser: it opens, says what was measured, and its pictures are the pictures."""
+"""The report in a real browser: it opens, shows the measured numbers, and its pictures equal the EXR files."""
 
 import base64
 import json
@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 from browser import Browser
-from rtdenoise.cli.main.main import main
 from synthetic import make_frames, write_sequence
 
+from rtdenoise.cli.main import main
 from rtdenoise.color import display
 from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
@@ -27,7 +27,7 @@ METHODS = ("noisy", "accumulate", "oidn", "paper")
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):
-    """A folder with the results of the sample and of a sequence that has an input at 4 spp too, and their reports."""
+    """A folder with results and reports of the sample and of a sequence with a second input at 4 spp."""
     folder = tmp_path_factory.mktemp("report")
     square = write_sequence(folder / "square", make_frames(3, H=36, W=64))
     write_sequence(square / "spp4", make_frames(3, H=36, W=64, noise=0.5), without=("reference", "reference_half"))

@@ -1,12 +1,12 @@
-"""The bundled sequence and the shipped weights: what `make demo` shows, asserted."""
+"""The bundled sequence and the shipped weights: the claims of `make demo`."""
 
 import json
 from pathlib import Path
 
 import pytest
-from rtdenoise.cli.main.main import main
 from synthetic import make_frames, write_sequence
 
+from rtdenoise.cli.main import main
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.evaluate import uncovered
 from rtdenoise.evaluate.demo import SAMPLE, demo
@@ -84,4 +84,4 @@ def test_denoise_from_the_command_line(tmp_path, capsys):
 def test_shipped_weights_are_small_and_have_a_card():
     for name in available():
         assert (ROOT / "rtdenoise" / "weights" / f"{name}.safetensors").stat().st_size < 4e6
-        assert (ROOT / "docs" / "models" / f"{name}.md").is_file()
+        assert (ROOT / "docs" / "reference" / "models" / f"{name}.md").is_file()

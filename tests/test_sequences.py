@@ -10,14 +10,14 @@ import OpenEXR
 import pytest
 import torch
 
-from rtdenoise.data import layouts as presets
+from rtdenoise.data import layouts
 from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 
 H, W = 12, 16
 NATIVE = {"color": 3, "indirect": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
-          "reference": 3, "indirect_reference": 3, "half_reference": 3, "half_indirect_reference": 3}  # fmt: skip
+          "reference": 3, "indirect_reference": 3, "reference_half": 3, "indirect_reference_half": 3}  # fmt: skip
 FLOAT = dict.fromkeys(NATIVE, "float")
 CYCLES = {  # pass -> components, as Blender 5 names them
     "Combined": "RGBA", "Noisy Image": "RGB", "Denoising Albedo": "RGB", "Denoising Normal": "XYZ", "Normal": "XYZ",
@@ -76,9 +76,9 @@ def test_a_native_sequence(tmp_path, signal):
         write_native(tmp_path / "s", range(3)), signal=signal, layers=["reference", "reference_half"]
     )
     assert (len(sequence), sequence.numbers, sequence.size, sequence.gaps) == (3, (0, 1, 2), (H, W), ())
-    assert sequence.preset.name == "native" and not sequence.demodulated and sequence.scene is None
+    assert sequence.layout.name == "native" and not sequence.demodulated and sequence.scene is None
     suffix = {"color": "", "indirect": "indirect_"}[signal]
-    sources = {"radiance": signal, "reference": f"{suffix}reference", "reference_half": f"half_{suffix}reference"}
+    sources = {"radiance": signal, "reference": f"{suffix}reference", "reference_half": f"{suffix}reference_half"}
     for number, frame in enumerate(sequence):
         assert (frame.number, frame.name) == (number, str(tmp_path / "s" / f"frame.{number:04d}.exr"))
         written = native_layers(number)
@@ -117,7 +117,7 @@ def test_non_finite_pixels_are_passed_on_except_infinite_depth(tmp_path):
 def test_cycles_passes_become_the_canon(tmp_path):
     planes = {k.removeprefix("ViewLayer."): v for k, v in write_cycles(tmp_path / "render_0001.exr").items()}
     color = open_sequence(tmp_path, layers=["position", "id"])
-    assert color.preset.name == "cycles" and not color.demodulated
+    assert color.layout.name == "cycles" and not color.demodulated
     frame = color[0]
     assert torch.equal(frame.radiance, stacked(planes, "Noisy Image.R", "Noisy Image.G", "Noisy Image.B"))
     assert torch.equal(frame.albedo, stacked(planes, *(f"Denoising Albedo.{c}" for c in "RGB")))
@@ -167,7 +167,7 @@ def test_mitsuba_aovs_become_the_canon(tmp_path):
     planes = {name: np.full((H, W), i, np.float32) for i, name in enumerate(MITSUBA)}
     write_layers(tmp_path / "1.exr", planes)
     sequence = open_sequence(tmp_path, layers=["position", "id"])
-    assert sequence.preset.name == "mitsuba"
+    assert sequence.layout.name == "mitsuba"
     frame = sequence[0]
     for layer, names in {"radiance": "R G B", "albedo": "albedo.R albedo.G albedo.B", "normal": "nn.X nn.Y nn.Z",
                          "depth": "dd.y.T", "position": "pos.X pos.Y pos.Z", "id": "id.I"}.items():  # fmt: skip
@@ -178,7 +178,7 @@ def test_mitsuba_aovs_become_the_canon(tmp_path):
 
 def test_plain_pictures_are_native(tmp_path):
     write_layers(tmp_path / "1.exr", {"color": np.ones((H, W, 3)), "albedo": np.ones((H, W, 3))})
-    assert open_sequence(tmp_path).preset is presets.NATIVE
+    assert open_sequence(tmp_path).layout is layouts.NATIVE
 
 
 def test_presets_that_do_not_fit(tmp_path):
@@ -192,7 +192,7 @@ def test_presets_that_do_not_fit(tmp_path):
         open_sequence, folder, preset="cycles"
     )
     write_layers(tmp_path / "1.exr", {"foo": np.ones((H, W, 3)), "bar": np.ones((H, W, 1))})
-    found = message(presets.detect, read_header(tmp_path / "1.exr"))
+    found = message(layouts.detect, read_header(tmp_path / "1.exr"))
     assert "no known layout (presets: native, cycles, mitsuba, falcor, bmfr, oidn, noisebase)" in found
     assert found.endswith("among bar.V, foo.{R,G,B}")
 

@@ -1,4 +1,4 @@
-"""What defines SVGF and TRMV: variance, edges, what becomes of history, and that they beat plain accumulation."""
+"""SVGF and TRMV: variance, edges, history, and a lower error than plain accumulation."""
 
 import math
 from dataclasses import replace
@@ -36,7 +36,7 @@ def flat(radiance, depth=5.0):
 
 
 def moving_square(count, noise=0.0):
-    """`make_frames` with a wall that has a normal, and another light on the square than on the wall."""
+    """`make_frames` with a normal on the wall and different light on the square."""
     frames = []
     for frame in make_frames(count, noise=noise):
         light = torch.where(frame.depth < 5, SQUARE, WALL)

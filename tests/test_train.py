@@ -22,8 +22,9 @@ from rtdenoise.errors import InputError
 from rtdenoise.files import dumps
 from rtdenoise.models import PRESETS, load, read
 from rtdenoise.ops import warp
-from rtdenoise.training.augment import RELIT, augment, relight
-from rtdenoise.training.loop import _batch, train
+from rtdenoise.training.augment import MAX_RELIGHT, augment, relight
+from rtdenoise.training.batches import batch
+from rtdenoise.training.loop import train
 from rtdenoise.training.trainer import TrainConfig, Trainer
 
 
@@ -59,7 +60,7 @@ def test_relighting_multiplies_noise_and_reference_alike():
         least, most = min(least, *(r.min().item() for r in ratios)), max(most, *(r.max().item() for r in ratios))
         untouched.add(sum((ratio == 1).all().item() for ratio in ratios))  # frames before it begins
         assert any(not torch.allclose(a, b) for a, b in pairwise(ratios))  # it changes
-    assert 2**-RELIT <= least < 0.5 and 2 < most <= 2**RELIT
+    assert 2**-MAX_RELIGHT <= least < 0.5 and 2 < most <= 2**MAX_RELIGHT
     assert 0 in untouched and len(untouched) > 2
 
 
@@ -80,7 +81,7 @@ def config(clips, other_clips, tmp_path, monkeypatch):
         data=(clips,),
         out=tmp_path / "run",
         val=other_clips,
-        preset="tiny",
+        model="tiny",
         steps=6,
         batch=2,
         frames=3,
@@ -186,17 +187,17 @@ def test_a_killed_run_resumes_to_the_same_weights(config, tmp_path, monkeypatch,
 def test_occlusion_loss_comes_in_the_second_half(config):
     trainer = Trainer(config)
     data = ClipDataset(*config.data)
-    rows = [trainer.train_step(_batch(data, config, step)) for step in range(6)]
+    rows = [trainer.train_step(batch(data, config, step)) for step in range(6)]
     assert all(row["occlusion"] == 0 for row in rows[:3])
     assert all(row["occlusion"] > 0 for row in rows[3:])
     off = Trainer(replace(config, occlusion_loss=False))
-    assert all(off.train_step(_batch(data, config, step))["occlusion"] == 0 for step in range(6))
+    assert all(off.train_step(batch(data, config, step))["occlusion"] == 0 for step in range(6))
 
 
 @pytest.mark.parametrize("optimiser", ["adam", "muon"])
 def test_it_learns(config, optimiser):
     trainer = Trainer(replace(config, optimiser=optimiser, steps=10_000, lr=0.05))  # warming up: 0.02 in the last step
-    clip = _batch(ClipDataset(*config.data), config, 0)
+    clip = batch(ClipDataset(*config.data), config, 0)
     losses = [trainer.train_step(clip)["loss"] for _ in range(80)]
     assert np.mean(losses[-5:]) < 0.85 * losses[0]
 
@@ -235,7 +236,7 @@ def test_every_clip_is_seen_once_an_epoch(config):
     data = ClipDataset(*config.data)
     one = replace(config, batch=1, size=24, frames=4)
     # Tints cancel in this ratio, and the sum over a whole clip is the same backwards.
-    noise = [sum((f.radiance / f.reference).mean().item() for f in _batch(data, one, step)) for step in range(10)]
+    noise = [sum((f.radiance / f.reference).mean().item() for f in batch(data, one, step)) for step in range(10)]
     means = [round(mean, 5) for mean in noise]
     assert len(set(means[:5])) == 5 and set(means[:5]) == set(means[5:])
 
@@ -253,7 +254,7 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
     assert train(config).is_file()
     with pytest.raises(InputError, match="started with optimiser = adam, not muon"):
         train(replace(config, optimiser="muon"))
-    for wrong in ("preset", "motion", "device", "signal", "optimiser"):
+    for wrong in ("model", "motion", "device", "signal", "optimiser"):
         with pytest.raises(InputError, match=f"unknown {wrong} 'x'"):
             train(replace(config, **{wrong: "x"}))
     with pytest.raises(InputError, match="steps: expected 1 or more, got 0"):
@@ -283,13 +284,13 @@ def test_training_starts_from_weights(config, tmp_path):
     again = Trainer(replace(config, init=first))
     assert all(torch.equal(a, b) for a, b in zip(again.model.parameters(), read(first).parameters(), strict=True))
     assert all(p.requires_grad for p in again.model.parameters())
-    with pytest.raises(InputError, match="does not grow into preset paper"):
-        Trainer(replace(config, init=first, preset="paper"))
+    with pytest.raises(InputError, match="does not grow into paper"):
+        Trainer(replace(config, init=first, model="paper"))
 
 
 def test_a_cut_starts_anew(config):
     """With history dropped at the last frame, the loss there is that of a first frame."""
-    clip = _batch(ClipDataset(*config.data), replace(config, frames=2), 0)
+    clip = batch(ClipDataset(*config.data), replace(config, frames=2), 0)
     always = Trainer(replace(config, frames=2, cuts=1.0)).train_step(clip)
     singles = [Trainer(replace(config, frames=1)).train_step([frame]) for frame in clip]
     assert always["temporal"] == 0

@@ -1,11 +1,11 @@
 """Training sets, the second generator of scenes, extra objects, keyframes, cuts, and what can go wrong on the way."""
 
 import errno
+import importlib
 import json
 import multiprocessing
 import os
 import re
-import runpy
 import signal
 import threading
 import time
@@ -125,15 +125,11 @@ def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
 
     assert not {scene_seed(Fixed(seed)) for seed in HELD_OUT} & set(HELD_OUT)
     assert scene_seed(Fixed(7)) == 7
-    for folder in (ROOT, ROOT / "bench"):
-        monkeypatch.syspath_prepend(str(folder))
-    sequences = runpy.run_path(str(ROOT / "bench" / "standard.py"))["SEQUENCES"]
-    kinds = [s.scene.partition(":") for s in sequences.values()]
+    kinds = [s.scene.partition(":") for s in importlib.import_module("bench.harness.standard").SEQUENCES.values()]
     assert {kind for kind, _, _ in kinds} == {"sample", "wide"}  # the sample's is drawn by no generator
     assert all(int(seed) in HELD_OUT for kind, _, seed in kinds if kind == "wide")
-    # The page on quality measures on scene files; these are left out unless asked for.
-    pages = "".join(page.read_text() for page in (ROOT / "docs").rglob("quality.md"))
-    files = re.search(r"data/standard/{(.*?)}", pages)[1].split(",")
+    # Scene files that docs/results/quality.md is measured on are left out unless asked for.
+    files = re.search(r"data/standard/{(.*?)}", (ROOT / "docs" / "results" / "quality.md").read_text())[1].split(",")
     for name in (*files, "hall"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "scene.xml").write_text(ROOM)
@@ -410,7 +406,7 @@ def test_two_runs_into_one_folder(tmp_path, capsys):
     with only_run(tmp_path, "0-of-1"), pytest.raises(SystemExit) as stop:
         main(["clips", "--count", "1", "--size", "32", "--out", str(tmp_path)])
     assert stop.value.code == 2
-    assert "another run is rendering into this folder" in capsys.readouterr().err
+    assert "another run is writing there" in capsys.readouterr().err
     with only_run(tmp_path, "0-of-1"):
         pass
 

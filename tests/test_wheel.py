@@ -60,7 +60,7 @@ def test_shaders_run_from_the_wheel(wheel):
     code = """
 import numpy as np
 from rtdenoise import glsl
-from rtdenoise.glsl.program import shaders
+from rtdenoise.glsl.source import shaders
 print(shaders())
 assert glsl.apply_kernel(np.ones((1, 3, 4, 5)), np.zeros((1, 25, 4, 5))).shape == (1, 3, 4, 5)
 """

@@ -1,12 +1,12 @@
 #!/bin/sh
-# Set up what `make demo`, `make test` or tools/gpu_check.sh needs, and nothing twice:  sh tools/setup.sh demo|test|gpu
+# Set up .venv for `make demo`, `make test` or tools/gpu_check.sh; skips what is there:  sh tools/setup.sh demo|test|gpu
 #
 #   demo   .venv with PyTorch and the package
-#   gpu    ... and what tests and benchmarks of the GPU need, Mesa's OpenGL only where the driver brings none
-#   test   ... and its extras, Mesa's OpenGL for the shaders, LLVM for rendering with Mitsuba, a browser for the report
+#   gpu    and the extras of GPU tests and benchmarks; Mesa's OpenGL where the driver brings none
+#   test   and all extras; Mesa's OpenGL for the shaders, LLVM for rendering with Mitsuba, a browser for the report
 #
-# PYTHON and TORCH in the environment override what is chosen here. System packages are installed with apt where this runs
-# as root; elsewhere a line says what to type.
+# PYTHON and TORCH in the environment name another interpreter and another build of PyTorch. System packages are installed
+# with apt where this runs as root; elsewhere a line says what to type.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -30,7 +30,7 @@ main() {
         has_gl || install "OpenGL (Mesa)" $GL_PACKAGES
     fi
     if [ "$1" = test ]; then
-        has_mitsuba || install "a library of Mitsuba's" libatomic1
+        has_mitsuba || install "a library for Mitsuba" libatomic1
         has_llvm || install_llvm
         has_browser || install "a browser" chromium
     fi
@@ -40,7 +40,7 @@ say() { echo "setup: $*"; }
 fail() { echo "setup: $*" >&2; exit 1; }
 pip() { .venv/bin/python -m pip --quiet --disable-pip-version-check "$@"; }
 
-# A virtual environment, with the first Python that is recent enough and has what venv needs.
+# A virtual environment, with the first Python that is recent enough and can make one.
 make_venv() {
     if .venv/bin/python -m pip --version >/dev/null 2>&1; then return; fi
     recent=""
@@ -61,7 +61,7 @@ make_venv() {
     "$found" -m venv --clear .venv
 }
 
-# PyTorch before the rest, which would bring its default build: several GB of CUDA, useless without an NVIDIA GPU.
+# PyTorch first: as a dependency pip would install its default build, several GB of CUDA that need an NVIDIA GPU.
 install_torch() {
     wanted=$(sed -n 's/^ *"\(torch>=[^"]*\)".*/\1/p' pyproject.toml)
     if [ -n "${TORCH-}" ]; then
@@ -94,7 +94,7 @@ reachable() {
     .venv/bin/python -c 'import sys, urllib.request as u; u.urlopen(sys.argv[1], timeout=5)' "$1" 2>/dev/null
 }
 
-# Asked of what needs them, not of the package list: a vendor's own OpenGL serves as well as Mesa's.
+# These try the software itself instead of looking for packages: a vendor's OpenGL serves as well as Mesa's.
 has_gl() { .venv/bin/python -c 'from rtdenoise.glsl import create_context; create_context()' >/dev/null 2>&1; }
 
 has_mitsuba() { .venv/bin/python -c 'import mitsuba' 2>/dev/null; }
@@ -122,7 +122,7 @@ install_llvm() {
     say "no LLVM of version 16 or later among the system's packages; rendering with Mitsuba needs one (DRJIT_LIBLLVM_PATH)"
 }
 
-# Install system packages, or say how. Whether that was enough is found out by what needs them.
+# Install system packages, or say how.
 install() {
     what=$1; shift
     if ! command -v apt-get >/dev/null; then
@@ -139,10 +139,10 @@ install() {
 
 can_install() { [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; }
 
-# The list of packages, once: in a container it is often empty.
+# Update the list of packages, once: in a container it is often empty.
 refresh() {
     if can_install && [ -z "${refreshed-}" ]; then
-        apt-get update -qq >/dev/null || say "apt-get update failed; going on with the list of packages there is"
+        apt-get update -qq >/dev/null || say "apt-get update failed; using the list of packages as it is"
         refreshed=yes
     fi
 }

@@ -1,6 +1,6 @@
 """Put the weights of a training run into the package, in half precision.   python tools/ship_weights.py WEIGHTS NAME
 
-Half precision rounds each weight by 0.05 % at most, a tenth of what bfloat16 inference does, and halves the wheel.
+Half precision rounds each weight by 0.05 % at most, a tenth of the error of bfloat16 inference, and halves the wheel.
 """
 
 from __future__ import annotations

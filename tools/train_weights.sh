@@ -1,18 +1,22 @@
 #!/bin/sh
-# The weights that ship, from the first clip on:  sh tools/train_weights.sh default|fast|quality [cpu|cuda]
-# and, as `settings`, those of the paper's settings A, B and C, which docs/quality.md measures, into runs/paper-A, -B, -C.
+# Make the weights that ship, from the first clip on:  sh tools/train_weights.sh default|fast|quality [cpu|cuda]
+# `settings` instead of a model trains the paper's settings A, B and C, which docs/results/quality.md compares, into
+# runs/paper-A, -B and -C.
 #
-# Renders clips, cleans their references and trains, by the commands below, with what `sh tools/setup.sh demo` sets up. Each
-# goes on where it was stopped, and passes over what is finished in seconds, so that it may run in pieces of ten minutes:
+# Renders clips, cleans their references and trains. Needs .venv with the extras `render` and `bench`, as
+# `sh tools/setup.sh test` sets it up. Every command resumes where it was stopped and skips finished work in seconds, so the
+# script may run in pieces of ten minutes:
 #
 #     while timeout 600 sh tools/train_weights.sh default cuda; [ $? = 124 ]; do :; done
 #
-# Rendering finds a GPU by itself. PROCESSES=2 trains in two processes. SCENES=FOLDER is where the scene files lie
-# (FOLDER/NAME/scene.xml; docs/models/default.md names them); without it generated scenes take their place. DRY=1 prints the
-# commands and runs none.
+# Rendering finds a GPU by itself. In the environment:
+#   PROCESSES=2     trains in two processes
+#   SCENES=FOLDER   scene files, FOLDER/NAME/scene.xml (docs/reference/models/default.md names them); without them generated
+#                   scenes take their place
+#   DRY=1           prints the commands and runs none
 set -eu
 cd "$(dirname "$0")/.."
-trap 'exit 143' TERM # after the command that runs has written its checkpoint
+trap 'exit 143' TERM # after the running command has written its checkpoint
 model=${1:-} device=${2:-cpu}
 case $model in
     default | fast | quality | settings) ;;
@@ -26,50 +30,50 @@ run() {
 
 # --- the clips --------------------------------------------------------------------------------------------------------
 
-clips() { # NAME OPTIONS...: into data/NAME, with cleaned references into data/NAME-clean
+clips() { # NAME OPTIONS...: clips into data/NAME, and with cleaned references into data/NAME-clean
     name=$1; shift
-    run rtdenoise render --out "data/$name" "$@"
+    run rtdenoise clips --out "data/$name" "$@"
     run rtdenoise clean "data/$name" --out "data/$name-clean"
 }
 
-wide="--preset train --generator 2"
+wide="--generator 2"
 noisy="--reference-error 0.2"
 files=${SCENES:+--scenes $SCENES --motions examples/motions}
-two=${SCENES:+--exclude street dining-room} # of the others this set happens to show three, none that is measured on
-run rtdenoise render --out data/val --clips 24 --seed 1000000 --reference-spp 128
+two=${SCENES:+--exclude street dining-room} # of the other scenes this set shows three, none of the measured ones
+run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128
 if [ "$model" = settings ]; then
-    clips some-scenes $wide --clips 56 --seed 9000 $noisy $files
-    clips some-sun --preset train --clips 52 --seed 31000 $noisy --sun 0.6
+    clips some-scenes $wide --count 56 --seed 9000 $noisy $files
+    clips some-sun --count 52 --seed 31000 $noisy --sun 0.6
 else
-    clips train --clips 200
-    clips wide $wide --clips 12
-    clips mixed $wide --clips 12 --seed 7000 --reference-error 0.02 $files $two
-    clips scenes $wide --clips 80 --seed 9000 $noisy $files
-    clips sun $wide --clips 240 --seed 21000 $noisy --sun 1
-    clips sun3 --preset train --clips 120 --seed 31000 $noisy --sun 0.6
-    clips wide3 --preset train --clips 189 --seed 41000 $noisy --sun 0.5 $files
+    clips train --generator 1 --count 200
+    clips wide $wide --count 12
+    clips mixed $wide --count 12 --seed 7000 --reference-error 0.02 $files $two
+    clips scenes $wide --count 80 --seed 9000 $noisy $files
+    clips sun $wide --count 240 --seed 21000 $noisy --sun 1
+    clips sun3 --count 120 --seed 31000 $noisy --sun 0.6
+    clips wide3 --count 189 --seed 41000 $noisy --sun 0.5 $files
 fi
-[ "$model" != fast ] || clips calm --preset train --clips 136 --seed 51000 $noisy --sun 0.4 --calm 1 $files
+[ "$model" != fast ] || clips calm --count 136 --seed 51000 $noisy --sun 0.4 --calm 1 $files
 
 # --- the weights ------------------------------------------------------------------------------------------------------
 
-loss="--loss-exposure 4 --huber 0.2" # ours
-train() { # RUN OPTIONS...: a run of the preset
-    out=runs/$preset-$1; shift
+loss="--loss-exposure 4 --huber 0.2" # of our own networks; the paper's takes the defaults
+train() { # RUN OPTIONS...: train $network into runs/NETWORK-RUN
+    out=runs/$network-$1; shift
     several=
     [ "${PROCESSES:-1}" = 1 ] || several="torchrun --standalone --nproc-per-node $PROCESSES -m --"
-    run $several rtdenoise train --out "$out" --preset "$preset" --device "$device" --val data/val --signal both \
+    run $several rtdenoise train --out "$out" --model "$network" --device "$device" --val data/val --signal both \
         $loss --optimiser muon "$@"
 }
-after() { # RUN: from the weights that it left
-    echo "--init runs/$preset-$1/weights.safetensors"
+after() { # RUN: start from its weights
+    echo "--init runs/$network-$1/weights.safetensors"
 }
 
 first="--data data/train-clean data/wide-clean data/mixed-clean data/scenes-clean"
 sunny="$first data/sun-clean data/sun3-clean"
 all="$sunny data/wide3-clean"
 if [ "$model" = settings ]; then
-    preset=paper loss=
+    network=paper loss=
     on="--data data/some-scenes-clean data/some-sun-clean --init rtdenoise/weights/paper.safetensors"
     on="$on --steps 600 --lr 4e-4 --validate-every 300"
     train A $on --motion traditional --no-occlusion-loss
@@ -78,14 +82,14 @@ if [ "$model" = settings ]; then
     exit
 fi
 if [ "$model" = fast ]; then
-    preset=fast
+    network=fast
     train single $first --frames 1 --batch 16 --steps 1200 --lr 8e-4 --no-occlusion-loss
     train clips $first $(after single) --frames 6 --steps 1200 --lr 6e-4 --cuts 0.4 --validate-every 300
     train sun $first data/sun-clean $(after clips) --frames 6 --steps 900 --lr 4e-4 --cuts 0.4 --validate-every 450
     train edges $all $(after sun) --frames 6 --steps 2000 --lr 6e-4 --cuts 0.5 --relight 0.05 --validate-every 500
     train last $all data/calm-clean $(after edges) --steps 1500 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 500
 else
-    preset=default
+    network=default
     train single $first --frames 1 --batch 16 --steps 1500 --lr 5e-4 --no-occlusion-loss
     train clips $first $(after single) --steps 4800 --lr 4e-4 --cuts 0.5 --validate-every 400
     train sun $sunny $(after clips) --steps 6000 --lr 4e-4 --cuts 0.5 --validate-every 800
@@ -94,8 +98,8 @@ if [ "$model" = default ]; then
     train edges $all $(after sun) --steps 2400 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 400
     train last $sunny $(after edges) --steps 1000 --lr 3e-4 --cuts 0.5 --validate-every 500
 fi
-if [ "$model" = quality ]; then # grows from what default was then
-    start=$(after sun) preset=quality
+if [ "$model" = quality ]; then # grows from default as it is after its run `sun`
+    start=$(after sun) network=quality
     train relit $all $start --steps 3200 --lr 4e-4 --cuts 0.5 --relight 0.33 --validate-every 800
     train less $all $(after relit) --steps 950 --lr 3e-4 --cuts 0.5 --relight 0.1 --validate-every 950
     train little $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900

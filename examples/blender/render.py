@@ -4,9 +4,9 @@
     bpyenv/bin/python examples/blender/render.py shot/ --frames 12
     bpyenv/bin/python examples/blender/render.py shot/ --scene my.blend          # its own camera, frames and size
 
-Without --scene it is made of primitives: a room with textured walls and floor, still objects, a post that slides past
-the back wall and uncovers it, a ball that jumps, and a camera that moves along both axes of the picture. `configure`
-and `add_passes` are what to copy into a script of one's own.
+Without --scene it builds a room from primitives: textured walls and floor, still objects, a post that slides past the
+back wall and uncovers it, a ball that jumps, and a camera that moves along both axes of the picture. Copy `configure`
+and `add_passes` into a script of your own.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LIGHT_PASSES = ("diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_d
 
 
 def add_passes(scene: bpy.types.Scene) -> None:
-    """Switch on what `rtdenoise` reads, in one multilayer EXR a frame."""
+    """Switch on the passes that `rtdenoise` reads, in one multilayer EXR a frame."""
     layer = scene.view_layers[0]
     layer.cycles.denoising_store_passes = True  # Denoising Albedo, Normal, Depth
     for name in ("combined", "z", "normal", "vector", *LIGHT_PASSES):
@@ -38,7 +38,7 @@ def add_passes(scene: bpy.types.Scene) -> None:
 
 
 def configure(scene: bpy.types.Scene, width: int, height: int, samples: int) -> None:
-    """Cycles on the CPU, with new noise in every frame and nothing that would filter it."""
+    """Cycles on the CPU, with new noise in every frame and no filter on it."""
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
     scene.cycles.samples = samples
@@ -50,13 +50,13 @@ def configure(scene: bpy.types.Scene, width: int, height: int, samples: int) -> 
 
 
 def own_size(scene: bpy.types.Scene) -> tuple[int, int]:
-    """Width and height that a file's scene is rendered at."""
+    """Width and height set in the file, in pixels."""
     render = scene.render
     return tuple(n * render.resolution_percentage // 100 for n in (render.resolution_x, render.resolution_y))
 
 
 def material(name: str, dark: tuple, light: tuple, scale: float, roughness: float = 0.9) -> bpy.types.Material:
-    """Two colours in a pattern that sticks to the object."""
+    """Two colours in a Voronoi pattern, in object space."""
     made = bpy.data.materials.new(name)
     made.use_nodes = True
     nodes, links = made.node_tree.nodes, made.node_tree.links
@@ -72,7 +72,7 @@ def material(name: str, dark: tuple, light: tuple, scale: float, roughness: floa
 
 
 def box(name: str, location: tuple, size: tuple, look: bpy.types.Material) -> bpy.types.Object:
-    """A box with its pattern in metres, whatever its size."""
+    """A box of `size` metres; the pattern keeps its scale."""
     bpy.ops.mesh.primitive_cube_add(size=1, location=location)
     made = bpy.context.object
     made.name, made.scale = name, size
@@ -91,7 +91,7 @@ def ball(name: str, location: tuple, radius: float, look: bpy.types.Material) ->
 
 
 def keyframe(item: bpy.types.Object, first: int, last: int, start: tuple, end: tuple) -> None:
-    """Straight from `start` to `end` at constant speed, and on in both directions: vectors need the frames beyond."""
+    """Move at constant speed from `start` to `end`, and one frame beyond either: motion vectors need these frames."""
     beyond = [(number, (number - first) / max(last - first, 1)) for number in (first - 1, last + 1)]
     for number, t in beyond:
         item.location = [a + t * (b - a) for a, b in zip(start, end, strict=True)]
@@ -99,7 +99,7 @@ def keyframe(item: bpy.types.Object, first: int, last: int, start: tuple, end: t
 
 
 def build(scene: bpy.types.Scene, frames: int) -> None:
-    """A room of 6 × 5 × 3 m, lit by a small lamp and a little sky that comes in behind the camera."""
+    """A room of 6 × 5 × 3 m, lit by a small lamp, and by the sky through the open side behind the camera."""
     plaster = material("plaster", (0.75, 0.68, 0.55), (0.25, 0.30, 0.45), 2.5)
     tiles = material("tiles", (0.15, 0.12, 0.10), (0.70, 0.60, 0.50), 2.0, roughness=0.4)
     red = material("red", (0.80, 0.12, 0.08), (0.60, 0.30, 0.10), 3.0)
@@ -139,9 +139,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path, help="folder for frame.0001.exr …")
     parser.add_argument("--scene", type=Path, help="a .blend file to render instead of the room")
-    parser.add_argument("--frames", type=int, help="default: 12, or what the file says")
-    parser.add_argument("--width", type=int, help="default: 320, or what the file says")
-    parser.add_argument("--height", type=int, help="default: 180, or what the file says")
+    parser.add_argument("--frames", type=int, help="default: 12, or as in the file")
+    parser.add_argument("--width", type=int, help="default: 320, or as in the file")
+    parser.add_argument("--height", type=int, help="default: 180, or as in the file")
     parser.add_argument("--samples", type=int, default=1, help="per pixel")
     options = parser.parse_args()
 

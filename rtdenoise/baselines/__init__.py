@@ -1,4 +1,4 @@
-"""What the denoiser is measured against, with the same `step()`."""
+"""Denoisers to compare with, with the same `step()`."""
 
 from .accumulate import Accumulate
 from .oidn import Oidn

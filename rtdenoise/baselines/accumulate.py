@@ -16,12 +16,12 @@ from .clamp import clamp_to_neighbourhood
 
 @dataclass(frozen=True)
 class Accumulate:
-    """`out = a · noisy + (1 - a) · history`, a = max(1 / n, α) in the n-th frame of a pixel; off-screen history starts
-    anew."""
+    """`out = a · noisy + (1 - a) · history`, a = max(1 / n, α) in the n-th frame of a pixel; pixels from off the screen
+    start anew."""
 
     alpha: float = 0.1
-    clamp: float | None = None  # k: history is clamped to the window's mean ± k·σ of the noisy frame; None: it is not
-    window: int = 5  # side of that window, odd
+    clamp: float | None = None  # k: history is clamped to mean ± k·σ of the noisy window; None: not clamped
+    window: int = 5  # its side in pixels, odd
 
     def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
         """As `TemporalKPN.step`."""

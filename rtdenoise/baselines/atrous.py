@@ -17,23 +17,23 @@ from ..color import luminance
 
 SPLINE = (1 / 16, 1 / 4, 3 / 8, 1 / 4, 1 / 16)  # B3, h of the à-trous filter
 MISS = 1.0  # the kind of a pixel where nothing was hit
-TINY = 1e-20  # below every difference that matters at any exposure: keeps 0 / 0 at weight 1
+TINY = 1e-20  # smaller than every difference that matters: turns 0 / 0 into weight 1
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What the edge-stopping functions of depth and normal look at."""
+    """The geometry that the edge-stopping functions compare."""
 
     depth: Tensor  # [B, 1, H, W], 0: nothing hit
     normal: Tensor  # [B, 3, H, W]
-    kind: Tensor  # [B, 1, H, W] `MISS`, or what was hit, as the caller tells apart: never mixed, > 0
+    kind: Tensor  # [B, 1, H, W] `MISS`, or a number > 0 for each kind of surface; kinds are never mixed
     slope: Tensor  # [B, 2, H, W] change of depth a pixel along x and y
     sigma_z: float
     sigma_n: float
 
     @classmethod
     def of(cls, depth: Tensor, normal: Tensor, kind: Tensor, sigma_z: float, sigma_n: float) -> Surface:
-        """With the slope from the smaller of forward and backward difference, so that a silhouette is not a slope."""
+        """The slope is the smaller of forward and backward difference, so that a silhouette does not count as slope."""
         return cls(depth, normal, kind, torch.cat([_slope(depth, 3), _slope(depth, 2)], dim=1), sigma_z, sigma_n)
 
     def weights(self, radius: int, spacing: int) -> Iterator[tuple[int, int, Tensor]]:
@@ -41,9 +41,8 @@ class Surface:
 
             w_z = exp(-|z(p) - z(q)| / (σ_z · |∇z(p) · d| + 10⁻³ z(p)))        w_n = max(0, n(p) · n(q))^σ_n
 
-        d is `spacing` · (dx, dy) pixels. Between two misses w = 1; between different kinds, and to what lies outside
-        the image, 0; the pixel itself has 1 whatever its normal. The share of z(p) is what rounding and curvature may
-        do to the depth of one surface.
+        d is `spacing` · (dx, dy) pixels. w = 1 between two misses and at the pixel itself, 0 between different kinds
+        and outside the image. The term 10⁻³ z(p) allows for rounding and curvature within one surface.
         """
         miss = self.kind == MISS
         guides = torch.cat([self.depth, self.normal, self.kind], dim=1)
@@ -71,7 +70,7 @@ def atrous(
         image'    = Σ_q w · image(q) / Σ_q w
         Var'      = Σ_q w² · Var(q) / (Σ_q w)²
 
-    with G a 3×3 Gaussian. Weights sum to 1, so a constant stays as it is.
+    with G a 3×3 Gaussian. A constant image does not change.
     """
     light = luminance(image)
     tolerance = sigma_l * gaussian(variance).sqrt() + TINY
@@ -122,7 +121,7 @@ def taps(image: Tensor, radius: int, spacing: int) -> Iterator[tuple[int, int, T
 
 
 def _slope(depth: Tensor, axis: int) -> Tensor:
-    """The smaller in magnitude of forward and backward difference along `axis`; at the border, of the one there is."""
+    """The smaller in magnitude of forward and backward difference along `axis`; at the border, the only one."""
     if depth.shape[axis] == 1:
         return torch.zeros_like(depth)
     difference = depth.diff(dim=axis)

@@ -1,4 +1,4 @@
-"""Neighbourhood colour clamping: history is pulled into the range that the current frame shows around the pixel."""
+"""Neighbourhood colour clamping: history is clamped to the range of the current frame around the pixel."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ def clamp_to_neighbourhood(
     sigmas: float,  # k, > 0
     window: int = 5,  # side of the square neighbourhood, odd
 ) -> Tensor:  # [B, C, H, W]
-    """`clamp(history, μ - k·σ, μ + k·σ)` a channel (the paper, §3.1, after Salvi's variance clipping).
+    """`clamp(history, μ - k·σ, μ + k·σ)` in each channel (the paper, §3.1, after Salvi's variance clipping).
 
-    μ and σ are mean and standard deviation of `current` in the window around each pixel, as far as it lies inside the
-    image. The noisier the frame, the wider the range: with k·σ greater than the difference between occluder and
-    background a ghost passes unharmed.
+    μ and σ are mean and standard deviation of `current` over the part of the window around each pixel that lies inside
+    the image. Noise widens the range: where k·σ exceeds the difference between occluder and background, a ghost stays.
     """
     pool = {"kernel_size": window, "stride": 1, "padding": window // 2, "count_include_pad": False}
     mean = F.avg_pool2d(current, **pool)

@@ -1,7 +1,11 @@
-"""Intel Open Image Denoise: the peer that a user would pick instead."""
+"""Intel Open Image Denoise (OIDN): the frame-by-frame denoiser that renderers ship.
+
+`Oidn` is the method, `OidnFilter` one committed filter, for whoever times the filter alone.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -19,16 +23,16 @@ class Oidn:
     """OIDN's RT filter on HDR radiance with the frame's albedo and normal, frame by frame."""
 
     quality: str = "high"  # high | balanced | fast
-    prefilter: bool = False  # albedo and normal are denoised first, as OIDN's manual advises, and then taken as clean
-    accumulate: str = "none"  # input: the accumulated signal is filtered; output: what was filtered is accumulated
+    prefilter: bool = False  # denoise albedo and normal first, as OIDN's manual advises, and declare them clean
+    accumulate: str = "none"  # input: filter the accumulated signal; output: accumulate the filtered signal
     alpha: float = 0.5  # of that accumulation
-    _filters: dict[tuple[str, ...], _Filter] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _filters: dict[tuple[str, ...], OidnFilter] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History | None]:
-        """As `TemporalKPN.step`, for batches of one. Unless something is accumulated there is no history.
+        """As `TemporalKPN.step`, for batches of one. There is a history only where something is accumulated.
 
-        Filters are set up with the first frame and kept: what is timed after it is the filtering. Raises InputError
-        where `pyoidn` is not installed, and where albedo or normal is missing.
+        The first frame sets the filters up; later ones take the time of filtering alone. Raises InputError where
+        `pyoidn` is not installed, and where albedo or normal is missing.
         """
         frame = sanitise(frame)
         frame.require("albedo", "normal")
@@ -42,33 +46,46 @@ class Oidn:
         return image, None
 
     def _filter(self, frame: Frame) -> Tensor:
-        guides = {"albedo": frame.albedo.clamp(0, 1), "normal": frame.normal.clamp(-1, 1)}
+        images = filter_inputs(frame)
         if self.prefilter:
-            guides = {name: self._run(**{name: guide}) for name, guide in guides.items()}
-        return self._run(color=frame.radiance, **guides)
+            images |= {name: self._run({name: images[name]}) for name in ("albedo", "normal")}
+        return self._run(images)
 
-    def _run(self, **images: Tensor) -> Tensor:
-        """One filter on these inputs, set up anew where the size or the device is another than before."""
+    def _run(self, images: dict[str, Tensor]) -> Tensor:
+        """The filter of these inputs, set up again where size or device have changed."""
         kept = self._filters.get(tuple(images))
         if kept is None or not kept.fits(images):
             if kept is not None:
                 kept.release()
             clean = self.prefilter and "color" in images
-            kept = self._filters[tuple(images)] = _Filter(images, self.quality, clean)
+            kept = self._filters[tuple(images)] = OidnFilter(images, self.quality, clean)
         return kept(images)
 
 
-class _Filter:
-    """One committed filter with images of its own, `[H, W, 3]`, which frames are copied into."""
+def filter_inputs(frame: Frame) -> dict[str, Tensor]:
+    """The images that OIDN filters a (sanitised) frame from, in OIDN's ranges and under its names."""
+    return {"color": frame.radiance, "albedo": frame.albedo.clamp(0, 1), "normal": frame.normal.clamp(-1, 1)}
 
-    def __init__(self, images: dict[str, Tensor], quality: str, clean: bool) -> None:
+
+class OidnFilter:
+    """One committed RT filter with images of its own, `[H, W, 3]`, on the device of `images`.
+
+    `load` copies inputs, `execute` filters and returns when that is done, `result` is the output; a call does all
+    three. Raises InputError for OIDN's errors, and where `pyoidn` is not installed.
+    """
+
+    def __init__(self, images: Mapping[str, Tensor], quality: str = "high", clean: bool = False) -> None:
+        """`images`: OIDN's name ("color", "albedo", "normal") -> `[1, 3, H, W]`. `quality`: high | balanced | fast.
+        `clean`: albedo and normal are free of noise."""
         first = next(iter(images.values()))
         self.device = _device(first.device)
         import pyoidn
 
+        self.images = {
+            name: torch.empty(*first.shape[2:], 3, device=first.device, dtype=torch.float32)
+            for name in (*images, "output")
+        }
         self.filter = pyoidn.Filter(self.device, pyoidn.OIDN_FILTER_TYPE_RT)
-        _, channels, height, width = first.shape
-        self.images = {name: first.new_empty(height, width, channels) for name in (*images, "output")}
         for name, image in self.images.items():
             self.filter.set_image(name, image, pyoidn.OIDN_FORMAT_FLOAT3)
         if "color" in images:
@@ -77,16 +94,28 @@ class _Filter:
         self.filter.set_quality(getattr(pyoidn, f"OIDN_QUALITY_{quality.upper()}"))
         self.filter.commit()
         self._check()
+        self.load(images)
 
-    def __call__(self, images: dict[str, Tensor]) -> Tensor:
+    def __call__(self, images: Mapping[str, Tensor]) -> Tensor:
+        self.load(images)
+        self.execute()
+        return self.result
+
+    def load(self, images: Mapping[str, Tensor]) -> None:
         for name, image in images.items():
             self.images[name].copy_(image[0].permute(1, 2, 0))
+
+    def execute(self) -> None:
         self.filter.execute()
         self._check()
+
+    @property
+    def result(self) -> Tensor:
+        """`[1, 3, H, W]`."""
         return self.images["output"].permute(2, 0, 1)[None].contiguous()
 
-    def fits(self, images: dict[str, Tensor]) -> bool:
-        """Whether it was made for images of this size on this device."""
+    def fits(self, images: Mapping[str, Tensor]) -> bool:
+        """Whether these have its size and device."""
         image, own = next(iter(images.values())), self.images["output"]
         return image.shape[2:] == own.shape[:2] and image.device == own.device
 
@@ -100,7 +129,7 @@ class _Filter:
 
 @cache
 def _device(device: torch.device):
-    """OIDN's device beside torch's: one for all filters."""
+    """OIDN's device for a torch device: one for all filters."""
     try:
         import pyoidn
     except ImportError:

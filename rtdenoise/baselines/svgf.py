@@ -16,23 +16,23 @@ from ..sanitise import admit
 from .atrous import MISS, Surface, atrous, spatial_variance
 from .clamp import clamp_to_neighbourhood
 
-LEVELS = 5
-LONGEST = 32  # frames: the history length is not counted further
-TEMPORAL_FROM = 4  # frames of history from which on variance is estimated over time (SVGF)
-LEAST = 1e-3  # sum of bilinear weights that makes a history
-DARK = 0.01  # albedo below which a surface has no texture worth dividing by
+LEVELS = 5  # of the wavelet
+MAX_LENGTH = 32  # frames of history that are counted
+MIN_TEMPORAL_LENGTH = 4  # frames of history for an estimate of variance over time (SVGF)
+MIN_WEIGHT = 1e-3  # sum of bilinear weights below which a pixel has no history
+MIN_ALBEDO = 0.01  # darker surfaces are not demodulated
 BARE, TEXTURED = 2.0, 3.0  # kinds of surfaces beside MISS: filtered as radiance, filtered as irradiance
-BRIGHTEST = 1e18  # of irradiance: its square is still a float32
+MAX_IRRADIANCE = 1e18  # its square is still a float32
 
 
 @dataclass(frozen=True)
 class SvgfState:
-    """What one step of SVGF hands to the next."""
+    """The state that one step of SVGF passes to the next."""
 
     irradiance: Tensor  # [B, 3, H, W] demodulated, after the first level of the filter
     moments: Tensor  # [B, 2, H, W] running mean of luminance and of its square
-    length: Tensor  # [B, 1, H, W] frames in the history, 1 to LONGEST
-    spread: Tensor  # [B, 1, H, W] Σ w² of the weights of these frames: 1 / n for a plain mean
+    length: Tensor  # [B, 1, H, W] frames in the history, 1 to MAX_LENGTH
+    spread: Tensor  # [B, 1, H, W] Σ w² over the weights of these frames: 1 / n for a plain mean
     depth: Tensor  # [B, 1, H, W]
     normal: Tensor  # [B, 3, H, W]
     kind: Tensor  # [B, 1, H, W] MISS, BARE or TEXTURED
@@ -43,14 +43,14 @@ class SvgfState:
 class Svgf:
     """The filter and its parameters; the defaults are what bench/tune_baselines.py chose."""
 
-    alpha: float = 0.2  # least weight of the current frame
+    alpha: float = 0.2  # minimum weight of the current frame
     sigma_z: float = 3.0  # tolerance of depth, in slopes of the surface
     sigma_n: float = 16.0  # exponent of the cosine between normals
     sigma_l: float = 8.0  # tolerance of luminance, in standard deviations
     depth_tolerance: float = 0.1  # of reprojection, relative
-    normal_tolerance: float = 0.5  # of reprojection, least cosine
-    clamp: float | None = None  # k: history clamped to mean ± k·σ of 5×5 noisy pixels; None: it is not
-    motion: str = "traditional"  # or 'dual': what history is fetched with
+    normal_tolerance: float = 0.5  # of reprojection, minimum cosine
+    clamp: float | None = None  # k: history clamped to mean ± k·σ of 5×5 noisy pixels; None: not clamped
+    motion: str = "traditional"  # or 'dual': the motion that fetches history
 
     def step(self, frame: Frame, history: SvgfState | None = None) -> tuple[Tensor, SvgfState]:
         """As `TemporalKPN.step`.
@@ -60,8 +60,8 @@ class Svgf:
         """
         frame = admit(frame, history and history.irradiance)
         kind = kind_of(frame)
-        albedo = torch.where(kind == TEXTURED, frame.albedo.clamp(min=DARK), 1.0)
-        irradiance = (frame.radiance / albedo).clamp(max=BRIGHTEST)
+        albedo = torch.where(kind == TEXTURED, frame.albedo.clamp(min=MIN_ALBEDO), 1.0)
+        irradiance = (frame.radiance / albedo).clamp(max=MAX_IRRADIANCE)
         surface = Surface.of(frame.depth, frame.normal, kind, self.sigma_z, self.sigma_n)
 
         # Accumulate irradiance and the moments of its luminance over time.
@@ -70,7 +70,7 @@ class Svgf:
         spread = torch.ones_like(light)
         if history is not None:
             old = self.reproject(frame, history, irradiance, kind)
-            length = (old.length + 1).clamp(max=LONGEST)
+            length = (old.length + 1).clamp(max=MAX_LENGTH)
             weight = (1 / length).clamp(min=self.alpha)
             irradiance = blend(irradiance, old.irradiance, weight)
             moments = blend(moments, old.moments, weight)
@@ -86,10 +86,10 @@ class Svgf:
         return filtered * albedo, state
 
     def reproject(self, frame: Frame, history: SvgfState, irradiance: Tensor, kind: Tensor) -> SvgfState:
-        """The history of each pixel's surface, of length 0 where there is none.
+        """The history of each pixel's surface; its length is 0 where there is none.
 
-        Each of the four bilinear taps counts if it is on the screen and on the same surface (`motion.same_surface`) of
-        the same kind; where none does, the mean of those among the 3×3 pixels around the target that are.
+        A bilinear tap counts if it is on the screen, of the same kind and on the same surface (`motion.same_surface`).
+        Where none of the four counts, the mean of the valid pixels among the 3×3 around the target is taken.
         """
         motion = self.reprojection(frame, history)
         stored = torch.cat([history.irradiance, history.moments, history.length, history.spread], dim=1)
@@ -99,18 +99,18 @@ class Svgf:
         total, found = self._gather(frame, kind, history, stored, start, bilinear)
         box = dict.fromkeys(product((-1, 0, 1), repeat=2), torch.ones_like(total))
         box_total, box_found = self._gather(frame, kind, history, stored, (motion + 0.5).floor(), box)
-        # A tap that hardly counts is none: dividing by its weight would only bring out what was rounded.
-        lost = total < LEAST
+        # Dividing by a tiny weight would amplify rounding errors.
+        lost = total < MIN_WEIGHT
         total, found = torch.where(lost, box_total, total), torch.where(lost, box_found, found)
-        valid = total >= LEAST
-        old = torch.where(valid, found / total.clamp(min=LEAST), 0.0)
+        valid = total >= MIN_WEIGHT
+        old = torch.where(valid, found / total.clamp(min=MIN_WEIGHT), 0.0)
         color = old[:, :3]
         if self.clamp is not None:
             color = torch.where(valid, clamp_to_neighbourhood(color, irradiance, self.clamp), 0.0)
         return replace(history, irradiance=color, moments=old[:, 3:5], length=old[:, 5:6], spread=old[:, 6:])
 
     def reprojection(self, frame: Frame, history: SvgfState) -> Tensor:
-        """The motion that fetches history, `[B, 2, H, W]`: with 'dual', the dual one inside uncovered regions."""
+        """The motion that fetches history, `[B, 2, H, W]`: for 'dual', dual motion inside uncovered regions."""
         if self.motion == "traditional" or history.motion_next is None:
             return frame.motion
         dual = dual_motion(frame.motion, history.motion_next)
@@ -140,12 +140,13 @@ class Svgf:
 
 
 def kind_of(frame: Frame) -> Tensor:
-    """What a pixel shows, `[B, 1, H, W]`: MISS, BARE where no channel of the albedo reaches `DARK`, else TEXTURED.
+    """The kind of each pixel, `[B, 1, H, W]`: MISS, BARE where all of the albedo is below `MIN_ALBEDO`, else TEXTURED.
 
-    Radiance is divided by albedo (at least `DARK`) where TEXTURED and passed on as it is elsewhere. What means
-    different things is not averaged, hence the kinds.
+    Only TEXTURED pixels are demodulated (radiance divided by albedo). Kinds keep radiance and irradiance from being
+    averaged.
     """
-    return torch.where(frame.depth > 0, torch.where(frame.albedo.amax(1, keepdim=True) < DARK, BARE, TEXTURED), MISS)
+    surface = torch.where(frame.albedo.amax(1, keepdim=True) < MIN_ALBEDO, BARE, TEXTURED)
+    return torch.where(frame.depth > 0, surface, MISS)
 
 
 def estimate_variance(moments: Tensor, length: Tensor, spread: Tensor, surface: Surface) -> Tensor:
@@ -155,9 +156,9 @@ def estimate_variance(moments: Tensor, length: Tensor, spread: Tensor, surface: 
     E[μ₂ - μ₁²] = (1 - s) v, and their weighted mean has variance s · v, which is v / n for a plain mean of n. So
 
         Var = s · (μ₂ - μ₁²) / (1 - s)        where n ≥ 4
-        Var = s · v                           before, v from the neighbourhood (`spatial_variance`)
+        Var = s · v                           else, v from the neighbourhood (`spatial_variance`)
 
-    SVGF prints μ₂ - μ₁² itself, which stays at v however long the history gets.
+    SVGF prints μ₂ - μ₁² itself, which remains v for any length of history.
     """
     over_time = (moments[:, 1:] - moments[:, :1].square()).clamp(min=0) / (1 - spread).clamp(min=0.01)
-    return spread * torch.where(length >= TEMPORAL_FROM, over_time, spatial_variance(moments, surface))
+    return spread * torch.where(length >= MIN_TEMPORAL_LENGTH, over_time, spatial_variance(moments, surface))

@@ -10,11 +10,11 @@ from .svgf import Svgf
 
 @dataclass(frozen=True)
 class Trmv(Svgf):
-    """Uncovered pixels take the history of background beside the occluder, where `Svgf` finds none and starts anew.
+    """Uncovered pixels take the history of the background beside the occluder; `Svgf` finds none there and starts anew.
 
-    What is reused is demodulated irradiance, so that the background's texture does not come along with it: for diffuse
-    surfaces that is what the publication's reuse of incident radiance amounts to; its lobes for glossy ones, and its
-    motion vectors for shadows and reflections, are not here.
+    The reused signal is demodulated irradiance, without the texture of the background. On diffuse surfaces this equals
+    the publication's reuse of incident radiance; its lobes for glossy surfaces and its motion vectors for shadows and
+    reflections are not implemented.
     """
 
     motion: str = "dual"

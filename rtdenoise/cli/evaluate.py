@@ -1,74 +1,73 @@
-"""The commands `evaluate` and `report`; what they need is imported when they run."""
+"""`rtdenoise evaluate`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from ..errors import InputError
+from .lists import split_names
+from .progress import progress_bar
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure error and time of many methods on sequences with references, in one run; what is there is kept."""
+    """Measure error and time of several methods on sequences with references, in one run. Results that --out holds
+    already are kept."""
 
-    sources: Positional[tuple[str, ...]]
-    """Folders of EXR files with references; docs/report.md says how inputs at more samples are laid out."""
+    sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SEQ ...", help_behavior_hint="(one or more)")]
+    """Folders of EXR files with references; inputs at n samples per pixel lie in the folder spp<n> of each."""
     out: Path
     """Folder for evaluation.json and the pictures."""
-    methods: tuple[str, ...] = ()
-    """Names as in docs/report.md (default: all), or NAME=FILE: the network of your own weights, under that name."""
+    methods: Annotated[tuple[str, ...], arg(help_behavior_hint="(default: eight)")] = ()
+    """Method names, with spaces or commas between them, or 'all'. NAME=FILE measures the network of a weights file
+    under that name."""
     precision: tuple[str, ...] = ("fp32",)
     """'fp32', 'bf16'."""
-    metrics: tuple[str, ...] = ()
-    """Names as in docs/report.md (default: all but 'fovvideovdp')."""
+    metrics: Annotated[tuple[str, ...], arg(help_behavior_hint="(default: all but fovvideovdp)")] = ()
+    """Metric names."""
     spp: tuple[int, ...] = (1,)
-    """Samples per pixel of the inputs; n other than the sequence's own are read from its folder spp<n>."""
+    """Samples per pixel of the inputs."""
+    reference: Annotated[tuple[Path, ...], arg(help_behavior_hint="(default: the layers of SEQ)")] = ()
+    """Folders of converged renders of the same frames, one a sequence, where the references are in other files."""
     signal: str = "color"
     """'color', 'indirect', or 'both' into OUT/color and OUT/indirect."""
     preset: str = "auto"
     """Layout of the files, as for inspect."""
-    frames: int | None = None
-    """At most so many of each sequence."""
+    frames: Annotated[int | None, arg(help_behavior_hint="(default: all)")] = None
+    """At most this many frames of each sequence."""
     device: str = "auto"
     """'auto' (CUDA where there is a GPU), 'cpu' or 'cuda'."""
 
     def run(self) -> None:
-        from ..evaluate.run import Options as EvaluateOptions
-        from ..evaluate.run import run
-        from ..models.inference import choose_device
-
         if not self.sources:
-            raise InputError("no sequence: name one folder or more")
+            raise InputError("no sequence: name at least one folder")
         if low := [n for n in (*self.spp, *([] if self.frames is None else [self.frames])) if n < 1]:
             raise InputError(f"--spp and --frames: expected 1 or more, got {low[0]}")
-        device = choose_device(self.device)
         for signal in ("color", "indirect") if self.signal == "both" else (self.signal,):
-            options = EvaluateOptions(
-                self.methods, self.precision, self.metrics, self.spp, signal, self.preset, self.frames, device
-            )
-            out = self.out / signal if self.signal == "both" else self.out
-            document = run(list(self.sources), out, options)
-            print(f"{out}: {len(document.results)} results; `rtdenoise report {out}` draws them")
+            self._measure(signal, self.out / signal if self.signal == "both" else self.out)
 
+    def _measure(self, signal: str, out: Path) -> None:
+        from rich.progress import TextColumn
 
-@dataclass(frozen=True)
-class Report:
-    """Turn what `evaluate` measured into report.html (one file, no network), report.md and report.png."""
+        from ..evaluate.run import Options, run
+        from ..models.inference import choose_device
 
-    folder: Positional[Path]
-    """Where evaluate wrote."""
-    pictures: tuple[str, ...] = ()
-    """Methods whose pictures the page holds (default: all)."""
-    sequences: tuple[str, ...] = ()
-    """Sequences whose pictures it holds (default: all)."""
+        options = Options(
+            split_names(self.methods), split_names(self.precision), split_names(self.metrics), self.spp, signal,
+            self.preset, self.frames, choose_device(self.device), self.reference,
+        )  # fmt: skip
+        with progress_bar("evaluating", TextColumn("{task.description}")) as bar:
+            task = bar.add_task("", total=None)
 
-    def run(self) -> None:
-        from ..report import report
+            def on_step(label: str, done: int, total: int) -> None:
+                bar.update(task, description=label, completed=done, total=total)
 
-        written = report(self.folder, self.pictures, self.sequences)
-        print("report:", ", ".join(str(path) for path in written))
-        if "report.png" not in [path.name for path in written]:
-            print("report.png needs matplotlib: pip install 'rtdenoise[bench]'")
+            def say(line: str) -> None:
+                bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+            document = run(self.sources, out, options, say, on_step)
+        print(f"{out}: {len(document.results)} results; `rtdenoise report {out}` draws them")

@@ -5,6 +5,21 @@ from __future__ import annotations
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 
-def progress_bar(label: str, *more: ProgressColumn) -> Progress:
-    """A bar that says `label`; `more` columns follow after the time that remains."""
-    return Progress(TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), *more)
+class Bar(Progress):
+    """A progress bar that appears with the first `update`: nothing of it is seen where a command fails before."""
+
+    def __enter__(self) -> Bar:
+        return self
+
+    def update(self, *arguments, **fields) -> None:
+        super().update(*arguments, **fields)
+        self.start()  # again: does nothing
+
+    def stop(self) -> None:
+        if self.live.is_started:
+            super().stop()
+
+
+def progress_bar(label: str, *more: ProgressColumn) -> Bar:
+    """A bar that says `label`; `more` columns follow after the remaining time."""
+    return Bar(TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), *more)

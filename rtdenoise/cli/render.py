@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,20 +50,6 @@ class Render:
         size = (self.height or self.size or 180, self.width or self.size or 320)
         options = RenderOptions(size, self.spp, self.reference_spp, self.max_depth, self.seed)
         render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames, options)
-
-
-def refuse_old_spelling(arguments: list[str]) -> None:
-    """Raise InputError with the new command where `render` is asked for training clips, as older versions were."""
-    command, *options = [part for argument in arguments for part in argument.split("=", 1)] or [""]
-    if command != "render" or not {"--clips", "--preset"} & set(options):
-        return
-    if "--preset" in options:
-        at = options.index("--preset")
-        del options[at : at + 2]
-    else:
-        options += ["--generator", "1"]
-    options = ["--count" if option == "--clips" else option for option in options]
-    raise InputError(f"training clips have a command of their own: rtdenoise clips {shlex.join(options)}")
 
 
 def at_least_one(command: object, *names: str) -> None:

@@ -1,15 +1,17 @@
-"""Training clips on disk: one safetensors file a clip, written atomically, read in slices. Needs no renderer.
+"""Training clips on disk: one safetensors file for each clip, written atomically, read in slices. Needs no renderer.
 
-`clip_000123.safetensors` holds tensors `[T, C, H, W]`: float16 radiance, albedo and normal; float32 depth and motions
-(half precision would cost subpixels); uint16 id (uint8 in older ones). Its header carries the clip's facts as JSON
-under "clip".
+`clip_000123.safetensors` holds tensors `[T, C, H, W]` under the names and in the types of `layers.py` (id is uint8 in
+older clips). Every clip has the layers of `RADIANCE` and `FEATURES`, some have more. The header carries the clip's
+facts as JSON under "clip", and under "scales" the factors of the float16 layers that were divided to stay below 65504.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -18,51 +20,70 @@ from safetensors.numpy import save
 from ..errors import InputError
 from ..files import write_atomically
 from ..frame import Frame
+from .layers import COMPONENTS, LAYERS, SIGNALS
 
-RADIANCE = ("color", "indirect", "reference", "indirect_reference", "reference_half", "indirect_reference_half")
-DTYPES = {"depth": np.float32, "motion": np.float32, "motion_next": np.float32, "id": np.uint16}
-SIGNALS = {
-    "color": {"radiance": "color", "reference": "reference", "reference_half": "reference_half"},
-    "indirect": {
-        "radiance": "indirect", "reference": "indirect_reference", "reference_half": "indirect_reference_half",
-    },
-}  # fmt: skip
-FEATURES = ("albedo", "normal", "depth", "motion", "motion_next", "id")
+if TYPE_CHECKING:
+    from torch import Tensor
+
+RADIANCE = tuple(layer for names in zip(*(SIGNALS[s].values() for s in SIGNALS), strict=True) for layer in names)
+FEATURES = tuple(name for name, layer in LAYERS.items() if layer.in_every_clip and name not in RADIANCE)
+OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_clip)
+HALF_MAX = float(np.finfo(np.float16).max)
+MAX_SCALE = 1024.0  # more would leave half precision no digits for dark pixels; beyond it values are clamped
 
 
 def clip_path(folder: Path, index: int) -> Path:
     return Path(folder) / f"clip_{index:06d}.safetensors"
 
 
-def write_clip(path: Path, frames: list[Mapping[str, np.ndarray]], facts: Mapping) -> None:
-    """Write consecutive frames, layers [H, W, C] each, under the names that `RADIANCE` and `FEATURES` list."""
-    tensors = {}
-    for name in (*RADIANCE, *FEATURES):
-        stacked = np.stack([frame[name] for frame in frames]).transpose(0, 3, 1, 2)
-        dtype = DTYPES.get(name, np.float16)
-        if name == "id" and stacked.max() > np.iinfo(dtype).max:
-            raise InputError(f"{path}: object {stacked.max():.0f}: clips number at most {np.iinfo(dtype).max} objects; "
+def write_clip(
+    path: Path,
+    frames: list[Mapping[str, np.ndarray]],  # consecutive frames: layer -> [H, W, C]; all of `RADIANCE` and `FEATURES`
+    facts: Mapping,  # JSON
+    layers: Collection[str] = (),  # those of `OPTIONAL` to write too
+) -> None:
+    """Write a clip. Float16 layers of every clip are clamped to ±65504; optional ones are scaled instead.
+
+    Raises ValueError for an unknown layer and for values that are not finite, InputError for more object ids than
+    clips can number.
+    """
+    if unknown := set(layers) - set(OPTIONAL):
+        raise ValueError(f"{path}: unknown layer {unknown.pop()}; optional layers are {', '.join(OPTIONAL)}")
+    tensors, scales = {}, {}
+    for name in (*RADIANCE, *FEATURES, *layers):
+        values = np.stack([frame[name] for frame in frames]).transpose(0, 3, 1, 2)
+        dtype = LAYERS[name].clip_type
+        if name == "id" and values.max() > np.iinfo(dtype).max:
+            raise InputError(f"{path}: object {values.max():.0f}: clips number at most {np.iinfo(dtype).max} objects; "
                              "merge some of the scene's")  # fmt: skip
         if dtype is np.float16:
-            limit = float(np.finfo(np.float16).max)
-            stacked = np.clip(stacked, -limit, limit)
-        tensors[name] = np.ascontiguousarray(stacked, dtype)
+            if name in layers and (scale := _scale(values)) > 1:
+                values, scales[name] = values / scale, scale
+            values = np.clip(values, -HALF_MAX, HALF_MAX)
+        tensors[name] = np.ascontiguousarray(values, dtype)
         if not np.isfinite(tensors[name]).all():
             raise ValueError(f"{path}: {name} is not finite")
-    write_atomically(path, save(tensors, metadata={"clip": json.dumps(dict(facts))}))
+    metadata = {"clip": json.dumps(dict(facts))} | ({"scales": json.dumps(scales)} if scales else {})
+    write_atomically(path, save(tensors, metadata=metadata))
 
 
-def bytes_per_clip(size: tuple[int, int], frames: int) -> int:
-    """Size of a clip's file, but for its header; size = (height, width)."""
-    widths = {name: np.dtype(DTYPES.get(name, np.float16)).itemsize for name in (*RADIANCE, *FEATURES)}
-    components = {"depth": 1, "motion": 2, "motion_next": 2, "id": 1}
-    return frames * size[0] * size[1] * sum(width * components.get(name, 3) for name, width in widths.items())
+def bytes_per_clip(size: tuple[int, int], frames: int, layers: Collection[str] = ()) -> int:
+    """Size of a clip's file without its header; size = (height, width), `layers` the optional ones."""
+    stored = [LAYERS[name] for name in (*RADIANCE, *FEATURES, *layers)]
+    return frames * size[0] * size[1] * sum(np.dtype(layer.clip_type).itemsize * layer.channels for layer in stored)
 
 
 def read_facts(path: Path) -> dict:
     """The facts of a clip: seed, samples, uncovered share and so on."""
     with _opened(path) as clip:
         return json.loads(clip.metadata()["clip"])
+
+
+def read_layers(path: Path) -> dict[str, np.ndarray]:
+    """Every layer of a clip, `[T, C, H, W]` float32."""
+    with _opened(path) as clip:
+        scales, names = _scales(clip), clip.keys()
+        return {n: _unscaled(clip.get_tensor(n), scales.get(n)).numpy() for n in names}
 
 
 class ClipDataset:
@@ -83,8 +104,8 @@ class ClipDataset:
         return read_facts(self.paths[index])
 
     def scenes(self) -> set[str]:
-        """The scenes that the clips show: a scene file's name, or a generator's version and seed. Textures and objects
-        of a generated scene are drawn from its seed, so other seeds share nothing with it."""
+        """The scenes that the clips show: the name of a scene file, or the version and seed of a generator. A generator
+        draws textures and objects from its seed, so scenes of different seeds share nothing."""
         return {_scene(self.facts(index)) for index in range(len(self))}
 
     def load(
@@ -95,8 +116,13 @@ class ClipDataset:
         size: int | tuple[int, int] | None = None,  # of the window, (height, width); None: the whole image
         frames: int | None = None,  # how many consecutive ones; None: all
         rng: np.random.Generator | None = None,  # draws window and first frame; None: centre and first
+        layers: Collection[str] = (),  # layers of `Frame` to load too: "position"
     ) -> list[Frame]:
-        """Consecutive frames of clip `index`, tensors [1, C, H, W] float32, of one random window; no more is read."""
+        """Consecutive frames of clip `index`, tensors [1, C, H, W] float32, of one random window; no more is read.
+
+        `Frame.samples`, and for the signal `color` `Frame.components`, are loaded from the clips that have them. Raises
+        InputError for an unknown signal, a clip that is too small, and a layer that the clip lacks.
+        """
         path = self.paths[index]
         if signal not in SIGNALS:
             raise InputError(f"unknown signal '{signal}'; expected {' or '.join(SIGNALS)}")
@@ -109,15 +135,55 @@ class ClipDataset:
                                  f"found {length} of {width}×{height}")  # fmt: skip
             room = (length - count, height - window[0], width - window[1])
             first, top, left = rng.integers(0, room, endpoint=True) if rng else (0, room[1] // 2, room[2] // 2)
-            layers = SIGNALS[signal] | {name: name for name in FEATURES}
             time, rows, columns = (
                 slice(start, start + length) for start, length in zip((first, top, left), (count, *window), strict=True)
             )
-            tensors = {field: clip.get_slice(layer)[time, :, rows, columns].float() for field, layer in layers.items()}
+            scales = _scales(clip)
+            tensors = {
+                field: _stacked([_unscaled(clip.get_slice(n)[time, :, rows, columns], scales.get(n)) for n in names])
+                for field, names in _sources(path, set(clip.keys()), signal, layers).items()
+            }
         return [
             Frame(**{field: t[i : i + 1] for field, t in tensors.items()}, number=int(first) + i, name=path.name)
             for i in range(count)
         ]
+
+
+def _sources(path: Path, stored: set[str], signal: str, asked: Collection[str]) -> dict[str, tuple[str, ...]]:
+    """Layer of `Frame` -> the layers of the clip that make it."""
+    optional = {"position": ("position",), "samples": ("samples",)}
+    if signal == "color":
+        optional["components"] = COMPONENTS
+    found = {field: (name,) for field, name in SIGNALS[signal].items()} | {name: (name,) for name in FEATURES}
+    for field in asked:
+        if missing := [name for name in optional.get(field, (field,)) if name not in stored]:
+            raise InputError(f"{path}: has no layer '{missing[0]}'; it has {', '.join(sorted(stored))}")
+    return found | {
+        field: names
+        for field, names in optional.items()
+        if stored.issuperset(names) and (field != "position" or field in asked)
+    }
+
+
+def _unscaled(stored: Tensor, scale: float | None) -> Tensor:
+    return stored.float() if scale is None else stored.float() * scale
+
+
+def _stacked(tensors: list[Tensor]) -> Tensor:
+    """Along the channels; one tensor is not copied."""
+    import torch
+
+    return tensors[0] if len(tensors) == 1 else torch.cat(tensors, 1)
+
+
+def _scale(values: np.ndarray) -> float:
+    """The least power of two that brings the values within float16, at most `MAX_SCALE`."""
+    largest = float(np.abs(values[np.isfinite(values)]).max(initial=0))
+    return min(2.0 ** max(math.ceil(math.log2(largest / HALF_MAX)), 0), MAX_SCALE) if largest > HALF_MAX else 1.0
+
+
+def _scales(clip) -> dict[str, float]:
+    return json.loads(clip.metadata().get("scales", "{}"))
 
 
 def _scene(facts: dict) -> str:

@@ -1,15 +1,15 @@
-"""OpenEXR files as named channels: read the header, read the channels that are wanted, write layers.
+"""OpenEXR files as named channels: read the header, read the wanted channels, write layers.
 
-Decoding and encoding are OpenEXR's (3.5 or later: streams). The header is parsed in `exr_format.py`, for three reasons
-seen with the Python API of OpenEXR 3.5.3:
+OpenEXR decodes and encodes (3.5 or later: streams). `exr_format.py` parses the header, for three reasons seen with the
+Python API of OpenEXR 3.5.3:
 
-- `OpenEXR.File(path, header_only=True)` gives the channels' names but not their pixel types.
-- `OpenEXR.File(path)` of a truncated or damaged file prints a warning, drops the part that broke and succeeds. Here the
-  chunk table is checked against the file's size first, and a part that does not come back is an `InputError`.
-- It decodes every part. Cycles writes one part a pass, of which a denoiser wants few: here the wanted parts alone are
-  read from the disk and handed over, each as a single-part file in memory (1 of 13 parts of a 960×540 file: 15 ms
-  against 270 ms). Inside one part all channels share the compressed blocks, so that selecting there saves next to
-  nothing (7 ms for 1 of 29 channels, 8 ms for all): they are decoded together and the rest is dropped.
+- `OpenEXR.File(path, header_only=True)` gives the names of the channels but not their pixel types.
+- `OpenEXR.File(path)` of a truncated or damaged file prints a warning, drops the broken part and succeeds. Here the
+  chunk table is checked against the file's size first, and a part that cannot be decoded is an `InputError`.
+- It decodes every part. Cycles writes one part for each pass, and a denoiser wants few of them: here only the wanted
+  parts are read from the disk and handed over, each as a single-part file in memory (1 of 13 parts of a 960×540 file:
+  15 ms against 270 ms). The channels of one part share the compressed blocks, so that selecting among them saves next
+  to nothing (7 ms for 1 of 29 channels, 8 ms for all): all are decoded and the rest is dropped.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ import numpy as np
 import OpenEXR
 
 from ..errors import InputError
-from ..files import write_atomically
+from ..files import open_regular, read_bytes, write_atomically
 from .exr_format import ExrHeader, parse_file, single_part
+from .layers import LAYERS
 
 NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}
 HALF_MAX = 65504.0
 
-COMPONENTS = {"normal": "XYZ", "position": "XYZ", "motion": "XY", "motion_next": "XY", "depth": "Z", "id": "I"}
+GEOMETRY = {name: layer.components for name, layer in LAYERS.items() if layer.components != "RGB"}
 STRUCTURE = {"channels", "chunkCount", "name", "tiles", "type", "version"}  # attributes that the encoder makes itself
-FULL_PRECISION = {"depth", "motion", "motion_next", "position"}  # half would cost subpixels of motion, or overflow
 
 
 def read_header(path: str | os.PathLike) -> ExrHeader:
-    """Parse the header and check that the file is all there. No pixel is read.
+    """Parse the header and check that the file is complete. No pixel is read.
 
     Raises `InputError` where the file cannot be opened, is no OpenEXR file, is truncated, was never finished, or holds
     deep pixels.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
+    with open_regular(path) as file:
+        try:
             return parse_file(path, file)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def read_channels(path: str | os.PathLike, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -84,13 +84,11 @@ def write_layers(
     compression: str = "zip",
     attributes: Mapping[str, object] | None = None,  # further header attributes
 ) -> None:
-    """Write layers under their native names, as one part.
+    """Write layers under their native names and types (`layers.py`), as one part.
 
-    `color` becomes `R,G,B`; `normal` and `position` `name.{X,Y,Z}`; `motion` and `motion_next` `name.{X,Y}`;
-    `depth.Z`; `id.I`; any other layer `name.{R,G,B}` (4 channels: and `A`; 2: `X,Y`; 1: `V`). A key with an array of
-    two axes is a complete channel name and is kept as it is.
-    Stored as half, except depth, motion, motion_next and position (float) and id (uint), unless `dtypes` says
-    otherwise. What half cannot hold (beyond ±65504, infinity too) is clamped; NaN stays NaN.
+    `color` becomes `R,G,B`, `normal` `normal.{X,Y,Z}`; layers that the table lacks become `name.{R,G,B}` (4 channels:
+    and `A`; 2: `X,Y`; 1: `V`), stored as half. `dtypes` overrides the types. A key with an array of two axes is a
+    complete channel name and is kept. Half clamps values beyond ±65504, infinity too; NaN stays NaN.
 
     The file appears under its name only when it is complete: an interrupted run leaves no half file. Raises
     `InputError` where it cannot be written.
@@ -114,10 +112,13 @@ def write_like(
     source: str | os.PathLike,
     changed: Mapping[str, np.ndarray],  # full channel name -> [H, W]
     *,
-    dtype: str | None = None,  # of what is changed: "half" or "float"; None: as in the source
+    dtype: str | None = None,  # of the changed channels: "half" or "float"; None: as in the source
 ) -> None:
-    """Write a copy of `source` with other pixels in some of its channels: the same parts, channel names, pixel types
-    and attributes, as scan lines with ZIP compression. Raises `InputError` as `read_channels` and `write_layers` do."""
+    """Write a copy of `source` with other pixels in some of its channels.
+
+    Parts, channel names, pixel types and attributes stay; pixels are stored as scan lines with ZIP compression. Raises
+    `InputError` as `read_channels` and `write_layers` do.
+    """
     header = read_header(source)
     parts = []
     for index, part in enumerate(header.parts):
@@ -135,7 +136,8 @@ def write_like(
 
 
 def _default_dtype(key: str) -> str:
-    return "uint" if key.split(".")[0] == "id" else "float" if key.split(".")[0] in FULL_PRECISION else "half"
+    layer = LAYERS.get(key.split(".")[0])
+    return layer.exr_type if layer else "half"
 
 
 def _planes(key: str, array: np.ndarray) -> list[tuple[str, np.ndarray]]:
@@ -143,7 +145,7 @@ def _planes(key: str, array: np.ndarray) -> list[tuple[str, np.ndarray]]:
     if array.ndim == 2:
         return [(key, array)]
     count = array.shape[2] if array.ndim == 3 else 0
-    components = COMPONENTS.get(key) or {1: "V", 2: "XY", 3: "RGB", 4: "RGBA"}.get(count, "")
+    components = GEOMETRY.get(key) or {1: "V", 2: "XY", 3: "RGB", 4: "RGBA"}.get(count, "")
     if len(components) != count or not count:
         raise ValueError(f"layer '{key}': expected [H, W, {len(components) or '1..4'}], got {array.shape}")
     prefix = "" if key == "color" else f"{key}."
@@ -174,10 +176,13 @@ def _decode(path: Path, header: ExrHeader, index: int) -> dict[str, np.ndarray]:
 def _open(path: Path, header: ExrHeader, index: int) -> OpenEXR.File:
     """One part of a file, decoded, as a file of its own."""
     try:
-        data = path.read_bytes() if len(header.parts) == 1 else single_part(header, index)
+        data = read_bytes(path) if len(header.parts) == 1 else single_part(header, index)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
         decoded = OpenEXR.File(io.BytesIO(data), separate_channels=True)
         decoded.channels()
-    except (RuntimeError, ValueError, OSError):
-        # OpenEXR drops a part that it cannot decode, and then says that there is no part: no reason to pass on.
+    except (RuntimeError, ValueError, OSError, MemoryError):
+        # OpenEXR drops a part that it cannot decode, then complains that there is no part: not worth passing on.
         raise InputError(f"{path}: damaged: the pixels cannot be decoded") from None
     return decoded

@@ -1,29 +1,34 @@
-"""The layout of OpenEXR files: parse the header, check that the file is complete, take one part out of many.
+"""The format of OpenEXR files: parse the header, check that the file is complete, take one part out of many.
 
 Nothing is decoded here. `exr.py` says why OpenEXR's own header reader does not serve.
 
-A file is: magic, version and flags, one header (a list of named attributes) a part, one table of chunk offsets a part,
-chunks. A chunk is some scanlines or one tile of one part: a leader (part number in multi-part files, coordinates,
-number of bytes), then the compressed pixels of all channels of the part.
+A file is: magic, version and flags, one header (a list of named attributes) for each part, one table of chunk offsets
+for each part, chunks. A chunk is some scanlines or one tile of one part: a leader (part number in multi-part files,
+coordinates, number of bytes), then the compressed pixels of all channels of the part. No number in the file is trusted:
+the work and the memory are bounded by the file's size.
 """
 
 from __future__ import annotations
 
-import io
 import os
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from ..errors import InputError
+from ..files import open_regular
 
 MAGIC = b"\x76\x2f\x31\x01"
 TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000  # flags beside the version number
 PIXEL_TYPES = ("uint", "half", "float")  # in the order of the format's codes
-MAX_SIDE = 1 << 16  # pixels; more is taken for a damaged header before OpenEXR allocates it
+MAX_SIDE = 1 << 16  # pixels; a larger picture is taken for a damaged header before OpenEXR allocates it
+MAX_NAME = 255  # bytes, as the format has it
+FIRST_READ = 1 << 16  # bytes; most headers are smaller
+TABLE_BLOCK = 4096  # chunk offsets that are looked at together
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ class Part:
     channels: dict[str, str]  # name as stored -> pixel type
     full_names: dict[str, str]  # name qualified with the part's -> name as stored
     tiled: bool
-    offsets: tuple[int, ...]  # where in the file each chunk starts
+    offsets: np.ndarray = field(repr=False, compare=False)  # uint64: where in the file each chunk starts
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ def group_channels(names: Iterable[str]) -> str:
 
 
 class _EndOfData(Exception):
-    """The parser asked for bytes beyond those that it was given."""
+    """The parser needs more bytes than it was given."""
 
 
 class _Cursor:
@@ -95,10 +100,11 @@ class _Cursor:
         return text.decode("utf-8", "replace")
 
 
-def parse_file(path: Path, file: io.BufferedReader) -> ExrHeader:
-    """Parse from as much of the beginning as it takes: headers are small, but may carry previews or manifests."""
+def parse_file(path: Path, file: BinaryIO) -> ExrHeader:
+    """Parse the header and check the chunk tables. Reads more of the file while the header has not ended: it may carry
+    previews or manifests."""
     size = os.fstat(file.fileno()).st_size
-    window = 1 << 16
+    window = FIRST_READ
     while True:
         file.seek(0)
         head = file.read(min(window, size))
@@ -133,6 +139,7 @@ def _parse(path: Path, head: bytes) -> ExrHeader:
         descriptions.append(_parse_attributes(path, cursor))
     cursor.position += bool(version & MULTI_PART)
     parts = tuple(_parse_part(path, cursor, raw, found, version) for raw, found in descriptions)
+    _refuse_repeated(path, [full for part in parts for full in part.full_names])
     channels = {full: part.channels[stored] for part in parts for full, stored in part.full_names.items()}
     width, height = parts[0].size
     return ExrHeader(path, width, height, channels, parts, version)
@@ -165,36 +172,67 @@ def _parse_part(path: Path, cursor: _Cursor, raw: bytes, attributes: dict[str, b
         channels = _parse_channels(attributes["channels"])
     except (_EndOfData, IndexError):
         raise InputError(f"{path}: damaged: the channel list cannot be read") from None
+    if long := [text for text in (name, *(stored for stored, _ in channels)) if len(text) > MAX_NAME]:
+        raise InputError(f"{path}: damaged: a name of {len(long[0])} characters, at most {MAX_NAME} are allowed")
+    full_names = [_full_name(name, stored) for stored, _ in channels]
+    _refuse_repeated(path, full_names)
     return Part(
         name=name,
         attributes=raw,
         size=(right - left + 1, bottom - top + 1),
-        channels=channels,
-        full_names={_full_name(name, channel): channel for channel in channels},
+        channels=dict(channels),
+        full_names=dict(zip(full_names, (stored for stored, _ in channels), strict=True)),
         tiled=storage == "tiledimage" or bool(flags & TILED),
         offsets=_parse_chunk_table(path, cursor, attributes),
     )
 
 
-def _parse_channels(value: bytes) -> dict[str, str]:
-    cursor, channels = _Cursor(value), {}
+def _parse_channels(value: bytes) -> list[tuple[str, str]]:
+    """(name, pixel type) of every channel."""
+    cursor, channels = _Cursor(value), []
     while name := cursor.string():
-        code, _, _, _ = cursor.unpack("iIii")
-        channels[name] = PIXEL_TYPES[code]
+        code, *_ = cursor.unpack("IIii")
+        channels.append((name, PIXEL_TYPES[code]))
     return channels
 
 
-def _parse_chunk_table(path: Path, cursor: _Cursor, attributes: dict[str, bytes]) -> tuple[int, ...]:
+def _refuse_repeated(path: Path, names: list[str]) -> None:
+    seen = set()
+    for name in names:
+        if name in seen:
+            raise InputError(f"{path}: two channels are called '{name}'; rename one")
+        seen.add(name)
+
+
+def _parse_chunk_table(path: Path, cursor: _Cursor, attributes: dict[str, bytes]) -> np.ndarray:
     if "chunkCount" in attributes:
         (count,) = struct.unpack("<i", attributes["chunkCount"].ljust(4, b"\0")[:4])
-        return cursor.unpack(f"{max(count, 0)}Q")
+        return np.frombuffer(cursor.take(8 * max(count, 0)), "<u8")
     # Single-part files do not say how many chunks they have, but the table ends where the first of them starts.
-    offsets: list[int] = []
-    while not offsets or cursor.position < min(offsets):
-        offsets += cursor.unpack("Q")
-        if offsets[-1] < cursor.position:
-            raise InputError(f"{path}: truncated: chunk {len(offsets) - 1} was never written (an interrupted render?)")
-    return tuple(offsets)
+    blocks, least, count = [], 2**64 - 1, None
+    while count is None:
+        start = cursor.position
+        block = np.frombuffer(cursor.take(min(8 * TABLE_BLOCK, max(len(cursor.data) - start & ~7, 8))), "<u8")
+        count, least = find_table_end(block, start, least)
+        block = block[:count]
+        blocks.append(block)
+        cursor.position = start + 8 * len(block)
+        if block[-1] < cursor.position:
+            number = sum(map(len, blocks)) - 1
+            raise InputError(f"{path}: truncated: chunk {number} was never written (an interrupted render?)")
+    return np.concatenate(blocks)
+
+
+def find_table_end(
+    offsets: np.ndarray,  # uint64, a stretch of a chunk table and perhaps more behind it
+    position: int,  # of the stretch in the file
+    least: int,  # the least offset in front of the stretch
+) -> tuple[int | None, int]:
+    """(how many of the offsets belong to the table, the least offset so far); None: all, and the table goes on."""
+    running = np.minimum.accumulate(np.minimum(offsets, np.uint64(least)))
+    ends = position + 8 * np.arange(1, len(offsets) + 1, dtype=np.uint64)
+    last = np.flatnonzero(ends >= running)
+    return (int(last[0]) + 1 if last.size else None), int(running[-1])
 
 
 def _full_name(part: str, channel: str) -> str:
@@ -211,33 +249,52 @@ def _chunk_layout(part: Part, flags: int) -> str:
     return "<" + "i" * bool(flags & MULTI_PART) + ("iiiii" if part.tiled else "ii")
 
 
-def _check_complete(path: Path, file: io.BufferedReader, size: int, part: Part, flags: int) -> None:
-    """The chunk that lies last must end inside the file, and none may be missing."""
-    if not part.offsets or min(part.offsets) <= 0:
-        raise InputError(f"{path}: truncated: {part.offsets.count(0)} of {len(part.offsets)} chunks were never written "
+def _check_complete(path: Path, file: BinaryIO, size: int, part: Part, flags: int) -> None:
+    """No chunk may be missing, and the chunk that lies last must end inside the file."""
+    if not len(part.offsets) or not part.offsets.all():
+        missing = int((part.offsets == 0).sum())
+        raise InputError(f"{path}: truncated: {missing} of {len(part.offsets)} chunks were never written "
                          "(an interrupted render?)")  # fmt: skip
     layout = _chunk_layout(part, flags)
-    start = max(part.offsets)
+    start = int(part.offsets.max())
     end = start + struct.calcsize(layout)
     if end <= size:
         file.seek(start)
-        end += struct.unpack(layout, file.read(struct.calcsize(layout)))[-1]
+        length = struct.unpack(layout, file.read(struct.calcsize(layout)))[-1]
+        if length < 0:
+            raise InputError(f"{path}: damaged: {_of(part)} has {length} bytes")
+        end += length
     if end > size:
         raise InputError(f"{path}: truncated: has {size} bytes, the last chunk ends at {end}")
 
 
 def single_part(header: ExrHeader, index: int) -> bytes:
-    """One part of a multi-part file as a file of its own: the same header and chunks, without the part numbers."""
+    """One part of a multi-part file as a file of its own: the same header and chunks, without the part numbers. Raises
+    InputError for chunks that cannot be right."""
     part = header.parts[index]
     layout = _chunk_layout(part, header.flags)
-    chunks = []
-    with header.path.open("rb") as file:
-        for offset in part.offsets:
+    chunks, total = [], 0
+    with open_regular(header.path) as file:
+        size = os.fstat(file.fileno()).st_size
+        for offset in part.offsets.tolist():
             file.seek(offset)
             leader = file.read(struct.calcsize(layout))
-            chunks.append(leader[4:] + file.read(struct.unpack(layout, leader)[-1]))
+            number, *_, length = struct.unpack(layout, leader)
+            if number != index:
+                raise InputError(f"{header.path}: damaged: {_of(part)} says that it belongs to part {number}")
+            if not 0 <= length <= size - offset - len(leader):
+                raise InputError(f"{header.path}: damaged: {_of(part)} has {length} bytes")
+            total += len(leader) + length
+            if total > size:
+                raise InputError(f"{header.path}: damaged: the chunks of part '{part.name}' hold more bytes than the "
+                                 "file")  # fmt: skip
+            chunks.append(leader[4:] + file.read(length))
     version = 2 | (header.flags & LONG_NAMES) | (TILED if part.tiled else 0)
     start = MAGIC + struct.pack("<I", version) + part.attributes + b"\0"
     first = len(start) + 8 * len(chunks)
     lengths = np.array([0] + [len(chunk) for chunk in chunks[:-1]])
     return start + (first + np.cumsum(lengths)).astype("<u8").tobytes() + b"".join(chunks)
+
+
+def _of(part: Part) -> str:
+    return f"a chunk of part '{part.name}'" if part.name else "a chunk"

@@ -1,4 +1,4 @@
-"""Presets of one's own, from a TOML file: which channels, of which files, make each layer.
+"""Layouts of one's own, from a TOML file: the channels, and files, that make each layer.
 
     name = "tracer"
     demodulated = ["indirect"]           # signals that are already divided by the albedo
@@ -15,7 +15,7 @@
 
     [depth]
     channels = ["Z"]
-    miss = 1e9                           # from this distance on, nothing was hit
+    miss = 1e9                           # nothing was hit from this distance on
     file = "depth/{frame}.exr"
 
 Layers are those of the native layout. There is no `radiance`: a file has `color`, `indirect` or both.
@@ -24,40 +24,48 @@ Layers are those of the native layout. There is no `radiance`: a file has `color
 from __future__ import annotations
 
 import difflib
+import re
+import sys
 import tomllib
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from reprlib import repr
 
 from ..errors import InputError
-from ..frame import CHANNELS
-from .rules import SCALES, SIGNALS, Preset, Rule
+from ..files import read_text
+from .layers import LAYERS, OLD_NAMES, SIGNALS
+from .layout import SCALES, Layout, Rule
 
-COUNTS = {name: CHANNELS[layer] for signal in SIGNALS.values() for layer, names in signal.items() for name in names}
-COUNTS |= {layer: count for layer, count in CHANNELS.items() if layer not in ("radiance", "reference_half")}
+COUNTS = {name: layer.channels for name, layer in LAYERS.items()} | {"indirect_albedo": 3}
 KEYS = ("channels", "signs", "scale", "miss", "file")
 
 
-def read_preset(path: Path) -> Preset:
-    """Read and check a preset. Raises `InputError`, on one line, for whatever does not fit."""
+def read_layout(path: Path) -> Layout:
+    """Read and check a layout file. Raises `InputError`, on one line, for whatever does not fit."""
+    text = read_text(path)
     try:
-        document = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        document = tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"{path}: not valid TOML: nested too deeply") from None
+    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
         raise InputError(f"{path}: not valid TOML: {error}") from None
     name = document.pop("name", path.stem)
     demodulated = document.pop("demodulated", [])
     if not isinstance(name, str):
-        raise InputError(f"{path}: name is {name!r}, expected a string")
-    if not isinstance(demodulated, list) or not all(signal in SIGNALS for signal in demodulated):
-        raise InputError(f"{path}: demodulated is {demodulated!r}, expected a list of {', '.join(SIGNALS)}")
-    layers = {layer: _layer(path, layer, table) for layer, table in document.items()}
+        raise InputError(f"{path}: name is {repr(name)}, expected a string")
+    if not isinstance(demodulated, list) or not all(signal in list(SIGNALS) for signal in demodulated):
+        raise InputError(f"{path}: demodulated is {repr(demodulated)}, expected a list of {', '.join(SIGNALS)}")
+    for old in document.keys() & OLD_NAMES.keys():
+        if OLD_NAMES[old] in document:
+            raise InputError(f"{path}: [{OLD_NAMES[old]}] and [{old}] are the same layer; leave the second out")
+    tables = {OLD_NAMES.get(layer, layer): table for layer, table in document.items()}
+    layers = {layer: _rule(path, layer, table) for layer, table in tables.items()}
     if not layers.keys() & SIGNALS.keys():
         raise InputError(f"{path}: describes no signal; expected a table [color] or [indirect]")
-    files = {layer: table["file"] for layer, table in document.items() if "file" in table}
+    files = {layer: table["file"] for layer, table in tables.items() if "file" in table}
     if files and (without := [layer for layer in layers if layer not in files]):
         raise InputError(f"{path}: [{without[0]}] has no 'file', [{next(iter(files))}] has one; give all layers a "
                          "file, or none where one file holds all of them")  # fmt: skip
-    return Preset(
+    return Layout(
         name,
         {layer: (_prefixed(rule, layer) if files else rule,) for layer, rule in layers.items()},
         demodulated=frozenset(demodulated),
@@ -65,32 +73,54 @@ def read_preset(path: Path) -> Preset:
     )
 
 
-def _layer(path: Path, layer: str, table: object) -> Rule:
+def _rule(path: Path, layer: str, table: object) -> Rule:
     label = f"{path}: [{layer}]"
     if layer not in COUNTS:
         raise InputError(f"{path}: unknown layer '{layer}'{_near(layer, COUNTS)}; known are {', '.join(COUNTS)}")
     if not isinstance(table, dict):
-        raise InputError(f"{path}: {layer} is {table!r}, expected a table [{layer}]")
+        raise InputError(f"{path}: {layer} is {repr(table)}, expected a table [{layer}]")
     for key in table:
         if key not in KEYS:
             raise InputError(f"{label} unknown key '{key}'{_near(key, KEYS)}; known are {', '.join(KEYS)}")
     count = COUNTS[layer]
     channels = table.get("channels")
     if not isinstance(channels, list) or len(channels) != count or not all(isinstance(c, str) for c in channels):
-        raise InputError(f"{label} channels is {channels!r}, expected {count} channel name{'s' if count > 1 else ''}")
+        raise InputError(f"{label} channels is {repr(channels)}, expected {count} channel name{'s' * (count > 1)}")
     signs = table.get("signs", [1] * count)
-    if not isinstance(signs, list) or len(signs) != count or not all(s in (1, -1) for s in signs):
-        raise InputError(f"{label} signs is {signs!r}, expected {count} times 1 or -1")
+    if not isinstance(signs, list) or len(signs) != count or not all(_is_number(s) and s in (1, -1) for s in signs):
+        raise InputError(f"{label} signs is {repr(signs)}, expected {count} times 1 or -1")
     scale = table.get("scale", "pixels")
     if scale not in SCALES or (scale != "pixels" and not layer.startswith("motion")):
-        raise InputError(f"{label} scale is {scale!r}, expected {' or '.join(map(repr, SCALES))}, for motion only")
+        raise InputError(f"{label} scale is {repr(scale)}, expected {' or '.join(map(repr, SCALES))}, for motion only")
     miss = table.get("miss", float("inf"))
-    if not isinstance(miss, int | float) or ("miss" in table and layer != "depth"):
-        raise InputError(f"{label} miss is {miss!r}, expected a number, for depth only")
+    if not _is_number(miss) or not miss > 0 or ("miss" in table and layer != "depth"):
+        raise InputError(f"{label} miss is {repr(miss)}, expected a number above 0, for depth only")
     file = table.get("file", "{frame}")
-    if not isinstance(file, str) or "{frame}" not in file or Path(file).is_absolute():
-        raise InputError(f"{label} file is {file!r}, expected a pattern in the sequence's folder with {{frame}} in it")
+    if not isinstance(file, str) or not _is_pattern(file):
+        raise InputError(f"{label} file is {repr(file)}, expected a pattern in the sequence's folder with one "
+                         "{frame}, at most one {spp}, and * for anything")  # fmt: skip
     return Rule(tuple(channels), tuple(int(s) for s in signs), float(miss), scale)
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is a number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isinstance(value, float) or abs(value) < sys.float_info.max
+
+
+def _is_pattern(file: str) -> bool:
+    """Whether it is a relative path with one {frame} and at most one {spp}."""
+    placeholders = re.findall(r"\{\w*\}", file)
+    path = PurePosixPath(file)
+    return (
+        placeholders.count("{frame}") == 1
+        and set(placeholders) <= {"{frame}", "{spp}"}
+        and len(placeholders) == len(set(placeholders))
+        and not path.is_absolute()
+        and ".." not in path.parts
+        and file.isprintable()
+    )
 
 
 def _prefixed(rule: Rule, buffer: str) -> Rule:

@@ -1,20 +1,21 @@
-"""How renderers name and scale their channels, and how each is brought to the conventions of `frame.py`.
+"""The layouts that are known: how renderers name and scale their channels, converted to the conventions of `frame.py`.
 
-native   what this project writes: `R,G,B` (or `color.{R,G,B}`, as in a part named color), `indirect.{R,G,B}`,
-         `albedo.{R,G,B}`, `normal.{X,Y,Z}`, `depth.Z`, …
+native   This project's: `R,G,B` (or `color.{R,G,B}`, as in a part named color), and `layers.py` for the others:
+         `indirect.{R,G,B}`, `albedo.{R,G,B}`, `normal.{X,Y,Z}`, `depth.Z`, …
 cycles   Blender/Cycles 3.x-5.x, multilayer EXR: `<ViewLayer>.<Pass>.<Channel>`. `Vector` holds previous − current in
          X,Y and current − next in Z,W, in pixels with y up. `Diffuse Indirect` is already divided by `Diffuse Color`.
          `Denoising Normal` is in camera space and `Normal` in world space, so `Normal` is preferred.
 mitsuba  Mitsuba 3's `aov` integrator: `R,G,B` is the picture of the inner integrator, an AOV `name:type` becomes
          `name.{R,G,B}` (albedo), `name.{X,Y,Z}`, `name.T` (depth) or `name.I` (index). Names that are usual are found.
-falcor   A file a buffer, as Falcor's frame capture names them (`*.GBufferRT.mvec.12.exr`) or renamed (`mvec_0012.exr`).
+falcor   One file for each buffer, named by Falcor's frame capture (`*.GBufferRT.mvec.12.exr`) or renamed
+         (`mvec_0012.exr`).
          `mvec` is previous − current in fractions of the picture, y down; `linearZ` is FLT_MAX or 0 for misses.
-bmfr     The data set of Koskela et al. 2019, a file a buffer: `color12.exr` (already divided by the albedo),
+bmfr     The data set of Koskela et al. 2019, one file for each buffer: `color12.exr` (already divided by the albedo),
          `albedo12.exr`, `shading_normal12.exr`, `world_position12.exr`. The scenes do not move: depth and motion come
          from `world_position` and the cameras in `camera_matrices.h`.
-oidn     The names of Open Image Denoise's training: `name_0001spp.{hdr,alb,nrm}.exr`, `name_ref.hdr.exr`, the frame
-         number at the end of `name`. They have neither depth nor motion.
-noisebase  Zarr arrays in zip files: see `noisebase.py`, which turns them into channels.
+oidn     The names of Open Image Denoise's training: `name_0001spp.{hdr,alb,nrm}.exr`, `name_ref.hdr.exr`; the frame
+         number stands at the end of `name`. There is neither depth nor motion.
+noisebase  Zarr arrays in zip files: `noisebase.py` turns them into channels.
 """
 
 from __future__ import annotations
@@ -27,30 +28,22 @@ from pathlib import Path
 from ..errors import InputError
 from .exr_format import ExrHeader
 from .files import fits
-from .layout_file import read_preset
+from .layers import COMPONENTS, LAYERS, OLD_NAMES, SIGNALS
+from .layout import Layout, Rule, rules
+from .layout_file import read_layout
 from .noisebase import NOISEBASE
-from .rules import SIGNALS, Preset, rules
 
-NATIVE = Preset(
+_ALIASES = {new: f"{new}|{old}" for old, new in OLD_NAMES.items()}
+NATIVE = Layout(
     "native",
     {
+        **{name: rules(_ALIASES.get(name, name), layer.components) for name, layer in LAYERS.items()},
         "color": rules("|color", "RGB"),
-        "indirect": rules("indirect", "RGB"),
-        "albedo": rules("albedo", "RGB"),
-        "normal": rules("normal", "XYZ"),
-        "depth": rules("depth", "Z"),
-        "motion": rules("motion", "XY"),
-        "motion_next": rules("motion_next", "XY"),
-        "position": rules("position", "XYZ"),
-        "id": rules("id", "I"),
-        "reference": rules("reference", "RGB"),
-        "indirect_reference": rules("indirect_reference", "RGB"),
-        "half_reference": rules("half_reference", "RGB"),
-        "half_indirect_reference": rules("half_indirect_reference", "RGB"),
+        "components": (Rule(tuple(f"{name}.{c}" for name in COMPONENTS for c in "RGB"), (1,) * 3 * len(COMPONENTS)),),
     },
 )
 
-MITSUBA = Preset(
+MITSUBA = Layout(
     "mitsuba",
     {
         **NATIVE.layers,
@@ -88,16 +81,16 @@ _CYCLES_HINTS = {
 }
 
 
-def cycles(view_layer: str) -> Preset:
+def cycles(view_layer: str) -> Layout:
     """The passes of one view layer ("": channels without a view layer in front)."""
     p = f"{view_layer}." if view_layer else ""
     layers = {
         "color": rules(f"{p}Noisy Image|{p}Combined", "RGB"),
         "indirect": rules(f"{p}Diffuse Indirect|{p}DiffInd", "RGB"),
         "albedo": rules(f"{p}Denoising Albedo|{p}Diffuse Color|{p}DiffCol", "RGB"),
-        "indirect_albedo": rules(f"{p}Diffuse Color|{p}DiffCol", "RGB"),  # what Diffuse Indirect was divided by
+        "indirect_albedo": rules(f"{p}Diffuse Color|{p}DiffCol", "RGB"),  # divides Diffuse Indirect
         "normal": rules(f"{p}Normal|{p}Denoising Normal", "XYZ"),
-        # Cycles stores 1e10 as the depth of what missed.
+        # Cycles stores 1e10 as the depth of misses.
         "depth": rules(f"{p}Depth|{p}Denoising Depth", "Z", miss=1e9),
         "motion": rules(f"{p}Vector", "XY", signs=(1, -1)),
         "motion_next": rules(f"{p}Vector", "ZW", signs=(-1, 1)),
@@ -105,7 +98,7 @@ def cycles(view_layer: str) -> Preset:
         "id": rules(f"{p}Object Index|{p}IndexOB", "X"),
     }
     references = {layer: rule for layer, rule in NATIVE.layers.items() if "reference" in layer}  # added by other tools
-    return Preset(
+    return Layout(
         "cycles",
         {**references, **layers},
         _CYCLES_HINTS,
@@ -114,7 +107,7 @@ def cycles(view_layer: str) -> Preset:
     )
 
 
-FALCOR = Preset(
+FALCOR = Layout(
     "falcor",
     {
         "color": rules("color", "RGB"),
@@ -138,7 +131,7 @@ FALCOR = Preset(
     },
 )
 
-BMFR = Preset(
+BMFR = Layout(
     "bmfr",
     {
         "color": rules("color", "RGB"),
@@ -155,8 +148,8 @@ BMFR = Preset(
     cameras="camera_matrices.h",
 )
 
-_NOT_OIDN = "OIDN's names have no file for it: write native layers, or describe your files in a preset of your own"
-OIDN = Preset(
+_NOT_OIDN = "OIDN's names have no file for it: write native layers, or describe your files in a layout of your own"
+OIDN = Layout(
     "oidn",
     {
         "color": rules("hdr", "RGB"),
@@ -173,24 +166,24 @@ OIDN = Preset(
     },
 )
 
-PRESETS = {preset.name: preset for preset in (NATIVE, MITSUBA, FALCOR, BMFR, OIDN)}
+LAYOUTS = {layout.name: layout for layout in (NATIVE, MITSUBA, FALCOR, BMFR, OIDN)}
 NAMES = ("native", "cycles", "mitsuba", "falcor", "bmfr", "oidn", "noisebase")
 
 
-def choose(name: str, source: str | os.PathLike) -> Preset | None:
-    """The preset as far as its name and the names of the files in `source` (folder or glob) decide it; None: the first
-    header will, see `find`. A name that ends in .toml is a file that describes a preset.
+def choose(name: str, source: str | os.PathLike) -> Layout | None:
+    """The layout, as far as its name and the names of the files in `source` (folder or glob) decide it; None: the first
+    header will, see `find`. A name that ends in .toml is a file that describes a layout.
 
-    Raises `InputError` for a name that is not known, and as `read_preset` does.
+    Raises `InputError` for an unknown name, and as `read_layout` does.
     """
     if name.endswith(".toml"):
-        return read_preset(Path(name))
+        return read_layout(Path(name))
     if name.partition(":")[0] == NOISEBASE.name or (name == "auto" and _holds_archives(Path(source))):
         return NOISEBASE
     if name == "auto":
-        return next((preset for preset in (FALCOR, BMFR, OIDN) if fits(source, preset.buffers)), None)
-    if name in PRESETS:
-        return PRESETS[name]
+        return next((layout for layout in (FALCOR, BMFR, OIDN) if fits(source, layout.buffers)), None)
+    if name in LAYOUTS:
+        return LAYOUTS[name]
     if name.partition(":")[0] == "cycles":
         return None
     near = difflib.get_close_matches(name.lower(), NAMES, n=1)
@@ -199,37 +192,37 @@ def choose(name: str, source: str | os.PathLike) -> Preset | None:
 
 
 def _holds_archives(source: Path) -> bool:
-    """Whether these are zip files, and no EXR files are among them."""
+    """Whether `source` holds zip files and no EXR files."""
     suffixes = {path.suffix.lower() for path in source.iterdir()} if source.is_dir() else {source.suffix.lower()}
     return ".zip" in suffixes and ".exr" not in suffixes
 
 
 def samples(name: str) -> int:
-    """N of the preset "noisebase:N", how many samples a pixel are read; 1 without. Raises `InputError`."""
+    """The number of samples a pixel to read: N of "noisebase:N", 1 for "noisebase". Raises `InputError`."""
     count = name.partition(":")[2] or "1"
     if not count.isdecimal() or count == "0":
         raise InputError(f"preset '{name}': expected noisebase:N with N samples a pixel, 1 or more")
     return int(count)
 
 
-def find(name: str, header: ExrHeader) -> Preset:
-    """The preset for a file: "auto" detects it, "cycles:NAME" picks one of several view layers. Raises `InputError`
-    where there is none."""
+def find(name: str, header: ExrHeader) -> Layout:
+    """The layout of a file: "auto" detects it, "cycles:NAME" picks one of several view layers. Raises `InputError`
+    where none fits."""
     return detect(header) if name == "auto" else cycles(_choose_view_layer(header, name.partition(":")[2]))
 
 
-def detect(header: ExrHeader) -> Preset:
-    """The preset whose names this file uses.
+def detect(header: ExrHeader) -> Layout:
+    """The layout whose names this file uses.
 
-    Raises `InputError` where there is none, or where a Cycles file has several view layers and no way to choose.
+    Raises `InputError` where none fits, or where a Cycles file has several view layers.
     """
     if view_layers(header):
         return cycles(_choose_view_layer(header, ""))
     found = {
-        preset.name: set().union(*(preset.resolve(header, signal) for signal in SIGNALS))
-        for preset in (NATIVE, MITSUBA)
+        layout.name: set().union(*(layout.resolve(header, signal) for signal in SIGNALS))
+        for layout in (NATIVE, MITSUBA)
     }
-    best = max((NATIVE, MITSUBA), key=lambda preset: len(found[preset.name]))  # native where both find as much
+    best = max((NATIVE, MITSUBA), key=lambda layout: len(found[layout.name]))  # native where both find as much
     if "radiance" not in found[best.name]:
         raise InputError(f"{header.path}: no known layout (presets: {', '.join(NAMES)}): no R,G,B, no indirect.R,G,B, "
                          f"no <ViewLayer>.Combined.R,G,B among {header.summary}")  # fmt: skip

@@ -28,7 +28,8 @@ from ..errors import InputError
 from ..frame import OFF_SCREEN
 from .exr_format import ExrHeader
 from .files import FrameFiles, check_gaps, find_files, number_files
-from .rules import Preset, rules
+from .layout import Layout, rules
+from .scene_motion import homogeneous, pixel_motion
 
 CAMERA = (1080, 1920)  # height and width of SampleSet v1's camera: the files of crops do not say it
 COMPONENTS = {
@@ -40,7 +41,7 @@ ARRAYS = {  # name -> number of axes in a file of one frame
     "view_proj_mat": 2, "camera_position": 1, "crop_offset": 1,
 }  # fmt: skip
 
-NOISEBASE = Preset(
+NOISEBASE = Layout(
     "noisebase",
     {
         "color": rules("color", "RGB"),
@@ -119,15 +120,10 @@ class ArchiveFrame(FrameFiles):
         here = self._to_pixel(group, (H, W))
         with _opened(self.before.path) as previous:
             there = self.before._to_pixel(previous, (H, W))
-        rows, columns = np.mgrid[:H, :W] + 0.5
-        ray = np.tensordot(np.linalg.inv(here[:, :3]), np.stack([columns, rows, np.ones_like(rows)]), 1)
         hit = self._hit(group, position)
-        point = np.concatenate([np.where(hit, position, ray), hit])
+        point = homogeneous(position, hit, here)
         moved = point + np.concatenate([np.where(hit, change, 0), np.zeros((1, H, W))])
-        now, then = np.tensordot(here, point, 1), np.tensordot(there, moved, 1)
-        seen = then[2:] > 1e-6
-        motion = np.divide(then[:2], then[2:], where=seen, out=np.zeros_like(then[:2])) - now[:2] / now[2:]
-        return np.where(seen, motion, OFF_SCREEN)
+        return pixel_motion(here, there, point, moved)
 
     def _hit(self, group, position: np.ndarray) -> np.ndarray:
         """Whether there is a surface, `[1, H, W]`: what has no normal, or is nowhere, is sky."""

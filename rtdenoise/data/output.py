@@ -24,7 +24,7 @@ from ..errors import InputError
 from ..frame import Frame
 from ..sanitise import sanitise
 from .exr import read_channels, write_layers, write_like
-from .rules import Rule
+from .layout import Rule
 from .sequences import Sequence, convert
 
 if TYPE_CHECKING:
@@ -44,12 +44,12 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
         raise InputError("layout 'source' passes every channel on: leave --keep out")
     if recombine and find_spec("torch") is None:
         raise InputError("--recombine needs PyTorch, which is not installed; leave it out")
-    if recombine and sequence.signal != "color" and "radiance" not in sequence.preset.resolve(sequence.header, "color"):
+    if recombine and sequence.signal != "color" and "radiance" not in sequence.layout.resolve(sequence.header, "color"):
         raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has {sequence.header.summary}; "
-                         f"{sequence.preset.hint('radiance', 'color')}")  # fmt: skip
+                         f"{sequence.layout.hint('radiance', 'color')}")  # fmt: skip
     if recombine and sequence.demodulated and "albedo" not in sequence.rules:
         raise InputError(f"{sequence.paths[0]}: --recombine needs the albedo that the signal was divided by; "
-                         f"{sequence.preset.hint('albedo', sequence.signal)}")  # fmt: skip
+                         f"{sequence.layout.hint('albedo', sequence.signal)}")  # fmt: skip
 
 
 def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> Tensor:
@@ -60,7 +60,7 @@ def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> T
     albedo = sanitise(frame).albedo if sequence.demodulated else torch.ones_like(image)
     if sequence.signal == "color":
         return image * albedo
-    rule = sequence.preset.resolve(sequence.header, "color")["radiance"]
+    rule = sequence.layout.resolve(sequence.header, "color")["radiance"]
     color = torch.from_numpy(convert(rule, sequence.files[index].read(rule.channels), "radiance"))
     rest = torch.nan_to_num(color - frame.radiance * albedo, nan=0.0, posinf=0.0, neginf=0.0)
     return (rest + image * albedo).clamp(min=0)
@@ -76,7 +76,7 @@ def read_result(
     if layout == "plain":
         plain = read_channels(out / sequence.names[index], PLAIN.channels)
         return torch.from_numpy(convert(PLAIN, plain, "radiance"))
-    beauty = sequence.preset.beauty_rule(sequence.header) if recombine else None
+    beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
     rule = beauty or _place(sequence)
     ((file, names),) = sequence.files[index].locate(rule.channels).items()
     stored = read_channels(out / _name(file, path), tuple(names))
@@ -112,7 +112,7 @@ def write_frame(
         _write_plain(out / sequence.names[index], sequence, index, image if beauty is None else beauty, keep, float32)
         return
     planes = _planes(_place(sequence), image)
-    if beauty is not None and (rule := sequence.preset.beauty_rule(sequence.header)):
+    if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
         planes |= _planes(rule, beauty)
     for file, names in sequence.files[index].locate(planes).items():
         changed = {stored: planes[full] for stored, full in names.items()}
@@ -121,7 +121,7 @@ def write_frame(
 
 def _place(sequence: Sequence) -> Rule:
     """The channels of the input that the denoised signal replaces."""
-    beauty = sequence.preset.beauty_rule(sequence.header) if sequence.signal == "color" else None
+    beauty = sequence.layout.beauty_rule(sequence.header) if sequence.signal == "color" else None
     return beauty or sequence.rules["radiance"]
 
 

@@ -1,111 +1,93 @@
-"""Cameras and transforms beside the frames: `scene.json`, or `camera_matrices.h` as BMFR's data set has it."""
+"""Motion and depth from positions, object ids, and the cameras and transforms of `scene.json`. numpy only.
+
+A camera is a matrix `[3, 4]` with rows x·w, y·w and w: the homogeneous point P is at pixel (x·w / w, y·w / w).
+"""
 
 from __future__ import annotations
 
-import json
-import re
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..frame import Frame
-from .exr_format import ExrHeader
+from ..frame import OFF_SCREEN, Frame
+
+NEAREST = 1e-6  # the least w of points in front of a camera
 
 
-def complete(frame: Frame, scene: dict) -> Frame:
-    """The frame with what it lacks and `scene` allows: depth from positions, motion from positions and ids.
+def motion_between(
+    position: np.ndarray,  # [3, H, W] world space, at the time of `here`
+    ids: np.ndarray,  # [1, H, W] object ids, 0: nothing hit
+    here: Mapping,  # scene.json's entry of the frame that `position` belongs to
+    there: Mapping,  # the entry of the frame before or after it
+) -> np.ndarray:  # [2, H, W] pixels, `there` minus `here`
+    """Exact screen motion of rigidly moving objects under a moving camera.
 
-    Where nothing has an id and nothing moves, whatever was hit (position ≠ 0) is one still object. The frame's tensors
-    are torch's.
+        p' = W_there W_here⁻¹ p,    motion = project_there(p') - project_here(p)
+
+    with W an object's object-to-world matrix (absent: it does not move) and project the frame's world-to-pixel matrix.
+    Where nothing was hit the point is at infinity along the pixel's ray: only the rotation of the camera counts.
+    `OFF_SCREEN` stands for points behind the other frame's camera, and everywhere where the two frames belong to
+    different shots (entry "shot", 0 if absent): no history survives a cut. Computed in float64, returned in the dtype
+    of `position`.
     """
-    import torch
+    size = position.shape[1:]
+    if here.get("shot", 0) != there.get("shot", 0):
+        return np.full((2, *size), OFF_SCREEN, position.dtype)
+    # Of the four rows of world-to-pixel the one for depth plays no part.
+    to_here, to_there = (np.asarray(entry["world_to_pixel"], np.float64)[[0, 1, 3]] for entry in (here, there))
+    point = homogeneous(position, ids != 0, to_here)
+    moved = point
+    for key in here["object_to_world"].keys() & there["object_to_world"].keys():
+        before, after = (np.asarray(entry["object_to_world"][key], np.float64) for entry in (here, there))
+        moved = np.where(ids == int(key), np.tensordot(after @ np.linalg.inv(before), point, 1), moved)
+    return pixel_motion(to_here, to_there, point, moved).astype(position.dtype)
 
-    from ..motion import motion_from_scene
 
+def homogeneous(
+    position: np.ndarray,  # [3, H, W] world space
+    hit: np.ndarray,  # [1, H, W] bool
+    camera: np.ndarray,  # [3, 4]
+) -> np.ndarray:  # [4, H, W] float64
+    """Surfaces (w = 1) where something was hit, else the point at infinity along the pixel's ray (w = 0)."""
+    rows, columns = np.mgrid[: position.shape[1], : position.shape[2]] + 0.5
+    ray = np.tensordot(np.linalg.inv(camera[:, :3]), np.stack([columns, rows, np.ones_like(rows)]), 1)
+    return np.concatenate([np.where(hit, position, ray), hit])
+
+
+def pixel_motion(
+    here: np.ndarray,  # [3, 4] camera
+    there: np.ndarray,  # [3, 4] camera
+    point: np.ndarray,  # [4, H, W] as `here` sees it
+    moved: np.ndarray,  # [4, H, W] the same point at the time of `there`
+) -> np.ndarray:  # [2, H, W] pixels
+    """Where `there` sees the moved point minus where `here` sees the point; `OFF_SCREEN` where it is behind `there`."""
+    now, then = np.tensordot(here, point, 1), np.tensordot(there, moved, 1)
+    with np.errstate(all="ignore"):
+        return np.where(then[2:] > NEAREST, then[:2] / then[2:] - now[:2] / now[2:], OFF_SCREEN)
+
+
+def complete(frame: Frame, scene: Mapping) -> Frame:
+    """The frame (numpy arrays, B = 1) with the depth, motion and motion_next that it lacks and `scene` gives.
+
+    `scene` is the checked content of scene.json (`scene_file.read_scene`). Motion needs the entry of the frame before,
+    motion_next that of the frame after. Where a scene has no objects and a frame no ids, all that was hit (position
+    ≠ 0) is one object that does not move.
+    """
     entries = {entry["number"]: entry for entry in scene["frames"]}
-    if frame.position is None or frame.number not in entries:
+    here = entries.get(frame.number)
+    if frame.position is None or here is None:
         return frame
     if frame.id is None and not scene["objects"]:
-        frame = replace(frame, id=(frame.position != 0).any(1, keepdim=True).to(frame.position))
-    if frame.depth is None and frame.id is not None:
-        origin = torch.tensor(entries[frame.number]["camera_origin"]).reshape(1, 3, 1, 1).to(frame.position)
-        distance = torch.linalg.vector_norm(frame.position - origin, dim=1, keepdim=True)
-        frame = replace(frame, depth=torch.where(frame.id != 0, distance, 0.0))
-    return motion_from_scene(frame, scene)
-
-
-def read_cameras(path: Path, header: ExrHeader) -> dict | None:
-    """The scene, checked, in the form of scene.json; None where there is no such file. Raises `InputError`."""
-    try:
-        text = path.read_text()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: cannot be read: not a text file") from None
-    return _parse_matrices(path, text, header) if path.suffix == ".h" else _parse_scene(path, text, header)
-
-
-def _parse_matrices(path: Path, text: str, header: ExrHeader) -> dict:
-    """BMFR's C header. With M the matrix of a frame, (x, y, z, w) = (X, Y, Z, 1) M, and the point is at
-    ((x/w + 1)/2 · W, (y/w + 1)/2 · H), y down. Frames count from 0."""
-    match = re.search(r"camera_matrices\s*\[\w*\]\s*\[4\]\s*\[4\]\s*=\s*\{(.*?)\}\s*;", text, re.DOTALL)
-    if not match:
-        raise InputError(f"{path}: expected an array 'camera_matrices[…][4][4] = {{…}};', found none")
-    values = [float(v) for v in re.findall(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", match[1])]
-    if not values or len(values) % 16:
-        raise InputError(f"{path}: camera_matrices holds {len(values)} numbers, expected 16 for each frame")
-    W, H = header.width, header.height
-    to_pixel = np.array([[W / 2, 0, 0, W / 2], [0, H / 2, 0, H / 2], [0, 0, 1, 0], [0, 0, 0, 1]])
-    frames = []
-    for number, matrix in enumerate(np.reshape(values, (-1, 4, 4))):
-        world_to_pixel = to_pixel @ matrix.T
-        projection = world_to_pixel[[0, 1, 3]]
-        if np.linalg.matrix_rank(projection[:, :3]) < 3:
-            raise InputError(f"{path}: the matrix of frame {number} is not that of a perspective camera")
-        origin = -np.linalg.solve(projection[:, :3], projection[:, 3])  # the one point that x, y and w are all 0 for
-        frames.append({"number": number, "world_to_pixel": world_to_pixel.tolist(), "camera_origin": origin.tolist(),
-                       "object_to_world": {}})  # fmt: skip
-    return {"width": W, "height": H, "objects": {}, "frames": frames}
-
-
-def _parse_scene(path: Path, text: str, header: ExrHeader) -> dict:
-    try:
-        scene = json.loads(text)
-    except ValueError as error:
-        raise InputError(f"{path}: not valid JSON: {error}") from None
-    if (found := scene.get("format") if isinstance(scene, dict) else None) != "rtdenoise-scene-1":
-        raise InputError(f"{path}: format is {found!r}, expected 'rtdenoise-scene-1'")
-    if (scene.get("width"), scene.get("height")) != (header.width, header.height):
-        raise InputError(f"{path}: is for {scene.get('width')}×{scene.get('height')} pixels, "
-                         f"{header.path.name} has {header.width}×{header.height}")  # fmt: skip
-    if not isinstance(scene.get("objects"), dict) or not isinstance(scene.get("frames"), list):
-        raise InputError(f"{path}: expected 'objects' (id -> name) and 'frames' (a list)")
-    for index, entry in enumerate(scene["frames"]):
-        _check_scene_frame(path, index, entry)
-    return scene
-
-
-def _check_scene_frame(path: Path, index: int, entry: dict) -> None:
-    label = f"{path}: frames[{index}]"
-    if not isinstance(entry, dict) or not isinstance(entry.get("number"), int):
-        raise InputError(f"{label}: expected an object with an integer 'number'")
-    transforms = entry.get("object_to_world")
-    if not isinstance(transforms, dict) or not all(key.isdecimal() for key in transforms):
-        raise InputError(f"{label}: expected 'object_to_world' to map object ids to 4×4 matrices")
-    arrays = {"world_to_pixel": (4, 4), "camera_origin": (3,)}
-    values = [(name, entry.get(name), shape) for name, shape in arrays.items()]
-    for name, value, shape in values + [(f"object_to_world[{key}]", m, (4, 4)) for key, m in transforms.items()]:
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            array = np.empty(0)
-        if array.shape != shape or not np.isfinite(array).all():
-            raise InputError(f"{label}: expected '{name}' as {'×'.join(map(str, shape))} finite numbers")
-        # A picture is made by the rows x, y and w; the one for depth plays no part.
-        square = array[[0, 1, 3], :3] if name == "world_to_pixel" else array
-        if len(shape) == 2 and np.linalg.matrix_rank(square) < len(square):
-            raise InputError(f"{label}: '{name}' cannot be inverted; expected a perspective camera and solid objects")
+        frame = replace(frame, id=(frame.position != 0).any(1, keepdims=True).astype(np.float32))
+    if frame.id is None:
+        return frame
+    if frame.depth is None:
+        origin = np.asarray(here["camera_origin"], np.float32).reshape(1, 3, 1, 1)
+        distance = np.linalg.norm(frame.position - origin, axis=1, keepdims=True)
+        frame = replace(frame, depth=np.where(frame.id != 0, distance, np.float32(0)))
+    others = {"motion": frame.number - 1, "motion_next": frame.number + 1}
+    missing = [layer for layer in others if getattr(frame, layer) is None and others[layer] in entries]
+    return replace(frame, **{
+        layer: motion_between(frame.position[0], frame.id[0], here, entries[others[layer]])[None] for layer in missing
+    })  # fmt: skip

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,10 +14,12 @@ from ..errors import InputError
 from ..frame import CHANNELS, Frame
 from .exr_format import ExrHeader
 from .files import FrameFiles, find_frames
+from .layers import SIGNALS
+from .layout import Layout, Rule
 from .layouts import choose, find, samples
 from .noisebase import NOISEBASE, find_archives
-from .rules import SIGNALS, Preset, Rule
-from .scene_motion import complete, read_cameras
+from .scene_file import read_scene
+from .scene_motion import complete
 
 DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 
@@ -34,7 +35,7 @@ class Sequence:
     files: tuple[FrameFiles, ...]  # of each frame, their numbers ascending
     size: tuple[int, int]  # (H, W)
     signal: str
-    preset: Preset
+    layout: Layout  # of the files
     header: ExrHeader = field(repr=False)  # of the first file
     rules: dict[str, Rule]  # layer of `Frame` -> the channels that it is read from; only those that are read
     available: dict[str, Rule] = field(repr=False)  # as `rules`, for everything that could be read
@@ -60,7 +61,7 @@ class Sequence:
     @property
     def demodulated(self) -> bool:
         """Whether the renderer has already divided the signal by the albedo."""
-        return self.signal in self.preset.demodulated
+        return self.signal in self.layout.demodulated
 
     def __len__(self) -> int:
         return len(self.files)
@@ -78,22 +79,13 @@ class Sequence:
         return self.read(i).map(torch.from_numpy)
 
     def read(self, i: int) -> Frame:
-        """`self[i]` with numpy arrays; it needs torch only where a layer is computed from positions and `scene`.
-
-        Raises InputError where it does and there is none.
-        """
+        """`self[i]` with numpy arrays, without torch."""
         files = self.files[i]
         channels = files.read({name for rule in self.rules.values() for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in self.rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
-        if not missing or not self.scene or frame.position is None:
-            return frame
-        if find_spec("torch") is None:
-            raise InputError(f"{frame.name}: has no {missing[0]}; computing it from positions needs PyTorch")
-        import torch
-
-        return complete(frame.map(torch.from_numpy), self.scene).map(lambda tensor: tensor.numpy())
+        return complete(frame, self.scene) if missing and self.scene else frame
 
     def only(self, layers: Collection[str]) -> Sequence:
         """The sequence without the layers of `Frame` that are not among `layers`, and what they are computed from.
@@ -111,7 +103,7 @@ class Sequence:
         """
         missing = [layer for layer in layers if layer not in self.available and not self._derivable(layer)]
         if missing:
-            raise InputError(_missing(self.header, self.preset, self.signal, missing[0]))
+            raise InputError(_missing(self.header, self.layout, self.signal, missing[0]))
         return self
 
     def _derivable(self, layer: str) -> bool:
@@ -124,13 +116,13 @@ def open_sequence(
     path_or_glob: str | os.PathLike,  # a folder, a glob, or one file
     *,
     signal: str = "color",  # "color" or "indirect"
-    preset: str = "auto",  # a name of `presets.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", or a .toml file
+    preset: str = "auto",  # a name of `layouts.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", or a .toml file
     layers: Collection[str] | None = None,  # layers of `Frame` to read beside DEFAULT_LAYERS, where the files have them
     allow_gaps: bool = False,  # accept missing frame numbers; they are listed in `Sequence.gaps`
 ) -> Sequence:
     """Find the files and check all their headers: one size, one set of layers, complete files, consecutive numbers.
 
-    The frame number is the last run of digits in a file's name, or where a preset's pattern has it. Raises `InputError`
+    The frame number is the last run of digits in a file's name, or where a layout's pattern has it. Raises `InputError`
     for whatever does not fit.
     """
     if signal not in SIGNALS:
@@ -147,7 +139,7 @@ def open_sequence(
     available = found.resolve(header, signal)
     if "radiance" not in available:
         raise InputError(_missing(header, found, signal, "radiance"))
-    scene = read_cameras(files[0].path.parent / found.cameras, header)
+    scene = read_scene(files[0].path.parent / found.cameras, header)
     wanted = {*DEFAULT_LAYERS, *(layers or ())}
     if scene and not {"depth", "motion", "motion_next"} <= available.keys():
         wanted |= {"position", "id"}
@@ -179,9 +171,9 @@ def _check_like_first(header: ExrHeader, first: ExrHeader, rules: dict[str, Rule
                              f"the file has {header.summary}")  # fmt: skip
 
 
-def _missing(header: ExrHeader, preset: Preset, signal: str, layer: str) -> str:
+def _missing(header: ExrHeader, layout: Layout, signal: str, layer: str) -> str:
     label = f"signal '{signal}'" if layer == "radiance" else f"layer '{layer}'"
-    others = [s for s in SIGNALS if layer == "radiance" and "radiance" in preset.resolve(header, s)]
+    others = [s for s in SIGNALS if layer == "radiance" and "radiance" in layout.resolve(header, s)]
     advice = f"choose the signal '{others[0]}', which is there, or " if others else ""
-    found = f"no {label} ({preset.name} layout); the file has {header.summary}"
-    return f"{header.path}: {found}; {advice}{preset.hint(layer, signal)}"
+    found = f"no {label} ({layout.name} layout); the file has {header.summary}"
+    return f"{header.path}: {found}; {advice}{layout.hint(layer, signal)}"

@@ -1,9 +1,11 @@
-"""Error and time: `registry` lists methods, `measure` measures them on frames, `run` on sequences on disk."""
+"""Error and time: `registry` lists methods, `sequence` runs one, `measure` measures several on frames, `run` on
+sequences on disk."""
 
-from .measure import ALL_METRICS, ALL_REGIONS, METRICS, REGIONS, WHOLE_METRICS, Result, evaluate, uncovered
+from .measure import ALL_METRICS, ALL_REGIONS, METRICS, REGIONS, WHOLE_METRICS, Result, evaluate
 from .registry import Method, choose, methods
+from .sequence import Output, Step, outputs, uncovered
 
 __all__ = [
-    "ALL_METRICS", "ALL_REGIONS", "METRICS", "REGIONS", "WHOLE_METRICS", "Method", "Result", "choose", "evaluate",
-    "methods", "uncovered",
+    "ALL_METRICS", "ALL_REGIONS", "METRICS", "REGIONS", "WHOLE_METRICS", "Method", "Output", "Result", "Step", "choose",
+    "evaluate", "methods", "outputs", "uncovered",
 ]  # fmt: skip

@@ -12,20 +12,22 @@ from ..color import display_exposure
 from ..data.sequences import open_sequence
 from ..errors import InputError
 from ..files import dumps
+from ..frame import Frame
 from ..run.preview import animate, strip
 from . import METRICS, REGIONS, Result, evaluate, uncovered
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "mural"
 METHODS = ("noisy", "accumulate", "paper-traditional", "paper", "default")
+HEADINGS = {"psnr": "PSNR", "ssim": "SSIM", "relmse": "relMSE"}
 
 
 def demo(
     out: Path, source: Path = SAMPLE, signal: str = "indirect", methods: tuple[str, ...] = METHODS
 ) -> list[Result]:
-    """Run the demo on `source` and write `strip.png`, an animation and `demo.json` into `out`; prints the table. The
-    pictures show the last of `methods`.
+    """Run the demo on `source` and write `strip.png`, an animation and `demo.json` into `out`; prints the table.
 
-    Raises InputError where the sample is not there: it comes with the repository, not with the wheel.
+    `methods` must include "accumulate"; the pictures show it and the last one. Raises InputError where the sample is
+    missing: it comes with the repository, not with the wheel.
     """
     if not source.is_dir():
         raise InputError(
@@ -34,23 +36,7 @@ def demo(
     frames = list(open_sequence(source, signal=signal, layers=("reference", "reference_half")))
     results = evaluate(frames, methods)
     out.mkdir(parents=True, exist_ok=True)
-
-    scale = display_exposure(frames[0].reference)
-    images = {result.method: result.images for result in results}
-    strips = [
-        strip(
-            {
-                "1 spp": f.radiance,
-                "accumulate": images["accumulate"][i],
-                "rtdenoise": images[methods[-1]][i],
-                "reference": f.reference,
-            },
-            scale,
-        )
-        for i, f in enumerate(frames)
-    ]
-    strips[-1].save(out / "strip.png")
-    animation = animate(strips, out / "demo")
+    animation = _draw(out, frames, {result.method: result for result in results}, methods[-1])
     masks = uncovered(frames)[1:]
     share = sum(mask.float().mean().item() for mask in masks) / max(len(masks), 1)
     rows = [{"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)} for r in results]
@@ -66,13 +52,31 @@ def demo(
     return results
 
 
+def _draw(out: Path, frames: list[Frame], results: dict[str, Result], ours: str) -> Path:
+    """Write strip.png and the animation; returns the latter."""
+    scale = display_exposure(frames[0].reference)
+    strips = [
+        strip(
+            {
+                "1 spp": frame.radiance,
+                "accumulate": results["accumulate"].images[i],
+                "rtdenoise": results[ours].images[i],
+                "reference": frame.reference,
+            },
+            scale,
+        )
+        for i, frame in enumerate(frames)
+    ]
+    strips[-1].save(out / "strip.png")
+    return animate(strips, out / "demo")
+
+
 def _table(results: list[Result], title: str) -> Table:
-    names = {"psnr": "PSNR", "ssim": "SSIM", "relmse": "relMSE"}
     table = Table(title=title, box=box.SIMPLE)
     table.add_column("method", no_wrap=True)
     for region in REGIONS:
         for metric in METRICS:
-            table.add_column(f"{names[metric]}\n{region[:5]}", justify="right", no_wrap=True)
+            table.add_column(f"{HEADINGS[metric]}\n{region[:5]}", justify="right", no_wrap=True)
     table.add_column("ms", justify="right", no_wrap=True)
     for r in results:
         values = [(metric, r.errors[region][metric]) for region in REGIONS for metric in METRICS]

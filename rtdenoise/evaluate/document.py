@@ -1,9 +1,9 @@
-"""evaluation.json: everything that was measured into one folder, and what was not and why."""
+"""evaluation.json: every result in one folder, and the methods that were left out with the reason."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from ..errors import InputError
@@ -12,19 +12,25 @@ from ..files import dumps, write_atomically
 NAME = "evaluation.json"
 FORMAT = "rtdenoise-evaluation-1"
 KEY = ("sequence", "spp", "method", "precision", "device")
+# What each part must hold for a report; older files lack the other keys.
+RESULT = {*KEY, "run", "fingerprint", "ms", "errors", "ghost_length", "frames"}
+SKIPPED = {*KEY, "reason"}
+SEQUENCE = {"size", "frames", "sample_ms", "exposure", "uncovered_share", "stills"}
+METHOD = {"what", "family"}
+FAMILIES = ("input", "accumulation", "filter", "oidn", "network", "ablation")
+RUN = {"command", "date", "commit", "devices", "versions"}
 
 
 @dataclass
 class Document:
-    """The file as an object. Lists and dictionaries hold what JSON does; errors that do not exist are null.
+    """The file as an object. Lists and dictionaries hold JSON values; errors that do not exist are null.
 
-    runs        where the numbers are from (`origin.origin`); a result names the run by its number
-    sequences   name -> size [H, W], frames, exposure, share of uncovered pixels, the reference's own relMSE and PSNR,
-                cost of a sample, stills; where there is one, the "plan", of whose "decisions" each has what, left_out
-                and why
+    runs        origin of the numbers (`origin.origin`); a result names its run by the index
+    sequences   name -> size [H, W], frames, exposure, share of uncovered pixels, relMSE and PSNR of the reference
+                itself, time of a sample, stills; with a "plan", its "decisions" have what, left_out and why
     methods     name -> what it is, family
-    results     one row a sequence, spp, method, precision and device
-    skipped     rows of the same key with a reason instead
+    results     one row for each sequence, spp, method, precision and device
+    skipped     rows with the same key and a reason
     """
 
     signal: str
@@ -36,7 +42,7 @@ class Document:
 
     @classmethod
     def read(cls, folder: Path) -> Document:
-        """Raises InputError where the file is missing, or is none of ours."""
+        """Raises InputError where the file is missing, or is not one that `write` wrote."""
         path = Path(folder) / NAME
         try:
             content = json.loads(path.read_text())
@@ -47,6 +53,8 @@ class Document:
         found = content.pop("format", None) if isinstance(content, dict) else None
         if found != FORMAT:
             raise InputError(f"{path}: expected the format {FORMAT!r}, found {found!r}")
+        if wrong := _fault(content):
+            raise InputError(f"{path}: {wrong}; evaluate into another --out, or delete that file")
         return cls(**content)
 
     def write(self, folder: Path) -> None:
@@ -59,8 +67,49 @@ class Document:
         return next((row for row in self.results if all(row[name] == key[name] for name in KEY)), None)
 
     def put(self, row: dict) -> None:
-        """Add a result, or a row with a `reason` why there is none, in the place of what was known of its key."""
+        """Add a result, or a row with a `reason` why there is none, in the place of the row with the same key."""
         same = [row[name] for name in KEY]
         self.results = [r for r in self.results if [r[name] for name in KEY] != same]
         self.skipped = [r for r in self.skipped if [r[name] for name in KEY] != same]
         (self.skipped if "reason" in row else self.results).append(row)
+
+
+def _fault(content: dict) -> str:
+    """The first thing that a document cannot have or lacks, in words; empty if there is none."""
+    known = [f.name for f in fields(Document)]
+    if foreign := sorted(content.keys() - set(known)):
+        return f"unknown key {foreign[0]!r}; expected {', '.join(known)}"
+    if not isinstance(content.get("signal"), str):
+        return "key 'signal' is missing"
+    for part, kind in (("runs", list), ("sequences", dict), ("methods", dict), ("results", list), ("skipped", list)):
+        if not isinstance(content.get(part, kind()), kind):
+            return f"key {part!r}: expected a JSON {'array' if kind is list else 'object'}"
+    return next(filter(None, (_missing(content, *part) for part in (
+        ("runs", RUN), ("sequences", SEQUENCE), ("methods", METHOD), ("results", RESULT), ("skipped", SKIPPED),
+    ))), "") or _stray(content)  # fmt: skip
+
+
+def _missing(content: dict, part: str, keys: set[str]) -> str:
+    rows = content.get(part, [])
+    for name, row in rows.items() if isinstance(rows, dict) else enumerate(rows):
+        if not isinstance(row, dict):
+            return f"{part}, {name}: expected a JSON object, found {row!r}"
+        if lacking := sorted(keys - row.keys()):
+            return f"{part}, {name}: key {lacking[0]!r} is missing"
+    return ""
+
+
+def _stray(content: dict) -> str:
+    """A method of no known family, or a result whose sequence, method or run the document does not describe."""
+    for name, method in content.get("methods", {}).items():
+        if method["family"] not in FAMILIES:
+            return f"methods, {name}: family {method['family']!r}; expected one of {', '.join(FAMILIES)}"
+    for i, row in enumerate(content.get("results", [])):
+        for key, part in (("sequence", "sequences"), ("method", "methods")):
+            if row[key] not in content.get(part, {}):
+                return f"results, {i}: {key} {row[key]!r} is not among {part!r}"
+        if row["run"] not in range(len(content.get("runs", []))):
+            return f"results, {i}: run {row['run']!r} is not among 'runs'"
+        if not isinstance(row["errors"], dict) or "frame" not in row["errors"] or "median" not in dict(row["ms"]):
+            return f"results, {i}: expected errors of the region 'frame' and a median of 'ms'"
+    return ""

@@ -1,33 +1,36 @@
-"""What is measured on: sequences with references, at one and at more samples per pixel.
+"""The sequences that methods are measured on: with references, at one or more samples per pixel.
 
 shot/               frames with references: the input at the base spp
-shot/spp4/          the same frames at 4 spp, with features but without references: those of shot/ are taken
-shot/samples.json   {"spp": 1, "sample_ms": 38.5}: the base spp (1 where there is no such file), and what one more
-                    sample a pixel costs the renderer, which turns samples into time; both optional
+shot/spp4/          the same frames at 4 spp with features; references are read from shot/
+shot/samples.json   {"spp": 1, "sample_ms": 38.5}: the base spp (default 1), and the time in ms that one more sample per
+                    pixel takes to render, by which samples count as time; both are optional
+converged/          with `reference`: the same frames, converged, where shot/ holds no references
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from ..color import display_exposure
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..frame import Frame
 from ..metrics.image import decibels, masked_mean, reference_mse
+from .measure import check_references
 
 LAYERS = ("reference", "reference_half")
 
 
 @dataclass(frozen=True)
 class Source:
-    """A sequence with references, and where its inputs at other sample counts are."""
+    """A sequence with references, and its inputs at other sample counts."""
 
     name: str
     folder: Path
@@ -36,32 +39,36 @@ class Source:
     sample_ms: float | None  # render time of one sample per pixel a frame; None: not known
     limit: int | None  # frames; None: all
     options: dict  # for `open_sequence`
+    converged: Sequence | None = field(default=None, repr=False)  # the references, if they are in files of their own
 
     @classmethod
-    def open(cls, folder: str | Path, signal: str, preset: str, limit: int | None) -> Source:
-        """Raises InputError where frames, references or motion are missing, or samples.json is not what it should
-        be."""
-        if not Path(folder).is_dir():
+    def open(
+        cls, folder: str | Path, signal: str, preset: str, limit: int | None, reference: str | Path | None = None
+    ) -> Source:
+        """`reference`: a folder with the same frames, converged; None: `folder` has the references as layers.
+
+        Raises InputError where frames, references or (between frames) motion are missing, the frames of `reference` are
+        others, or samples.json is not as above.
+        """
+        folder = Path(folder)
+        if not folder.is_dir():
             raise InputError(f"{folder}: expected a folder of EXR files: results go by its name")
         options = {"signal": signal, "preset": preset, "layers": LAYERS}
-        base = open_sequence(folder, **options).require("reference", "motion")
-        facts = _facts(Path(folder) / "samples.json")
-        return cls(
-            Path(folder).resolve().name, Path(folder), base, facts.get("spp", 1), facts.get("sample_ms"), limit, options
-        )
+        base = open_sequence(folder, **options)
+        converged = None if reference is None else _same_frames(open_sequence(reference, **options), base, limit)
+        base.require(*(["motion"] if len(base) > 1 else []), *([] if converged else ["reference"]))
+        facts = _facts(folder / "samples.json")
+        spp, sample_ms = facts.get("spp", 1), facts.get("sample_ms")
+        return cls(folder.resolve().name, folder, base, spp, sample_ms, limit, options, converged)
 
     def at(self, spp: int) -> Sequence:
-        """The sequence at that many samples per pixel. Raises InputError where there is none, or it does not fit."""
+        """The sequence at that many samples per pixel. Raises InputError where there is none, or its frames differ."""
         if spp == self.spp:
             return self.base
         folder = self.folder / f"spp{spp}"
         if not folder.is_dir():
             raise InputError(f"{folder}: no input at {spp} spp; render the same frames into it (--spp {spp})")
-        sequence = open_sequence(folder, **self.options)
-        if sequence.size != self.base.size or sequence.numbers[: self.length] != self.base.numbers[: self.length]:
-            raise InputError(f"{folder}: expected the frames {self.base.numbers} of size {self.base.size} as in "
-                             f"{self.folder}, found {sequence.numbers} of {sequence.size}")  # fmt: skip
-        return sequence
+        return _same_frames(open_sequence(folder, **self.options), self.base, self.limit)
 
     @property
     def length(self) -> int:
@@ -69,26 +76,32 @@ class Source:
         return min(len(self.base), self.limit or len(self.base))
 
     def frames(self, spp: int) -> list[Frame]:
-        """All frames at that many samples, with the references of the base."""
-        sequence, references = self.at(spp), (self.base[i] for i in range(self.length))
-        return [
-            replace(sequence[i], reference=base.reference, reference_half=base.reference_half)
-            for i, base in enumerate(references)
-        ]
+        """The frames at that many samples, with references. Raises InputError where references are not finite."""
+        sequence = self.at(spp)
+        frames = [replace(sequence[i], **self._references(i)) for i in range(self.length)]
+        check_references(frames)
+        return frames
+
+    def _references(self, i: int) -> dict[str, Tensor | None]:
+        frame = (self.converged or self.base)[i]
+        if self.converged and frame.reference is None:  # a converged render shows the truth as its own signal
+            return {"reference": frame.radiance, "reference_half": None}
+        return {layer: getattr(frame, layer) for layer in LAYERS}
 
     def fingerprint(self, spp: int) -> str:
-        """Tells inputs apart that would give other errors."""
-        paths = [path for sequence in (self.base, self.at(spp)) for f in sequence.files for path in f.files.values()]
+        """Differs between inputs that can give other errors."""
+        sequences = [self.base, self.at(spp), *([self.converged] if self.converged else [])]
+        paths = [path for sequence in sequences for f in sequence.files for path in f.files.values()]
         facts = [[*path.parts[-2:], path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
         text = json.dumps([facts, self.length, self.options], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def reference_errors(frames: list[Frame]) -> dict[str, float | None]:
-    """`reference_relmse` and `reference_psnr`: the errors that the references themselves have, from their halves; None
-    where these are not known.
+    """`reference_relmse` and `reference_psnr`: the references' own errors, from their halves; None without halves.
 
-    r₁ being one half, E[(r - r₁)²] is the variance of r: that of a half is twice as large, and r₁ makes up half of r.
+    With r₁ one half of the samples of r, E[(r - r₁)²] is the variance of r: a half has twice the variance, and r₁ is
+    half of r.
     """
     if any(frame.reference_half is None for frame in frames):
         return {"reference_relmse": None, "reference_psnr": None}
@@ -97,6 +110,20 @@ def reference_errors(frames: list[Frame]) -> dict[str, float | None]:
     relative = [masked_mean((r - half).square() / (r.square() + 0.01), None) for r, half in pairs]
     shown = [reference_mse(frame.reference, frame.reference_half, scale) for frame in frames]
     return {"reference_relmse": float(np.mean(relative)), "reference_psnr": decibels(float(np.mean(shown)))}
+
+
+def _same_frames(sequence: Sequence, base: Sequence, limit: int | None) -> Sequence:
+    """`sequence`, which must have the size and the first `limit` frame numbers of `base`."""
+    expected = base.numbers[:limit]
+    if sequence.size != base.size or sequence.numbers[: len(expected)] != expected:
+        raise InputError(f"{sequence.files[0].path.parent}: expected {_told(base, expected)} as in "
+                         f"{base.files[0].path.parent}, found {_told(sequence, sequence.numbers)}")  # fmt: skip
+    return sequence
+
+
+def _told(sequence: Sequence, numbers: tuple[int, ...]) -> str:
+    height, width = sequence.size
+    return f"{len(numbers)} frames {numbers[0]} to {numbers[-1]} of {width}×{height}"
 
 
 def _facts(path: Path) -> dict:

@@ -1,25 +1,26 @@
-"""Error and time of several methods on one sequence with reference, in one run."""
+"""Error and time of several methods on one sequence with references, in one run."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import tee
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from .. import metrics as measures
-from .. import motion
 from ..color import display_exposure
+from ..errors import InputError
 from ..frame import Frame
 from ..metrics.image import decibels, masked_mean
-from .registry import Step, choose
+from .registry import choose
+from .sequence import Step, outputs, uncovered
 
-# Where errors are taken: the frame, what was uncovered in it, and what was uncovered one and two frames ago (the
-# paper's M⁰, M¹, M²).
+# Where errors are taken: the frame; pixels uncovered in it, one and two frames before (M⁰, M¹, M² of the paper).
 ALL_REGIONS = ("frame", "uncovered", "uncovered-1", "uncovered-2")
 ALL_METRICS = (
     "psnr", "psnr_corrected", "ssim", "relmse", "flip", "smape", "l1", "mse", "mse_corrected", "tpsnr",
@@ -28,19 +29,22 @@ ALL_METRICS = (
 WHOLE_METRICS = ("fovvideovdp",)  # of a whole sequence, over the frame only
 REGIONS = ALL_REGIONS[:2]
 METRICS = ("psnr", "ssim", "relmse")
+OnStep = Callable[[str, int, int], None]  # label, steps done, steps in all
 
 
 @dataclass
 class Result:
-    """One method on one sequence. `errors[region][metric]` is the mean over frames, weighted by the region's pixels in
-    each; NaN where the region has none. `psnr_corrected` is the PSNR of such a mean of `mse_corrected`: in a single
-    frame that may be negative."""
+    """One method on one sequence.
+
+    `errors[region][metric]` is the mean over frames, weighted by the pixels of the region in each; NaN where the region
+    is empty. `psnr_corrected` is the PSNR of the mean of `mse_corrected`, which can be negative in a single frame.
+    """
 
     method: str
     errors: dict[str, dict[str, float]]
-    times: list[float]  # seconds of each step that is measured
+    times: list[float]  # seconds of each measured step
     frames: list[dict] = field(default_factory=list, repr=False)  # of each: number, and region -> metric -> error
-    ghost_length: float = float("nan")  # frames, `metrics.ghost_length`
+    ghost_length: float = math.nan  # frames, `metrics.ghost_length`
     images: list[Tensor] = field(default_factory=list, repr=False)  # [1, 3, H, W] a frame, on the CPU
 
     @property
@@ -51,85 +55,125 @@ class Result:
 
 @torch.inference_mode()
 def evaluate(
-    frames: Sequence[Frame],  # consecutive, with reference and motion
-    methods: Collection[str] | Mapping[str, Step],  # names, or steps under names of one's own
-    skip: int = 1,  # first frames that are run but not measured: they have no history yet
+    frames: Sequence[Frame],  # consecutive, with references and, from two frames on, motion
+    methods: Collection[str] | Mapping[str, Step],  # names for `choose`, or name -> step
+    skip: int = 1,  # first frames that are run but not measured: they have no history; a single frame is measured
     metrics: Collection[str] = METRICS,  # of ALL_METRICS and WHOLE_METRICS
     regions: Collection[str] = REGIONS,  # of ALL_REGIONS
     device: str | torch.device = "cpu",
+    delays: Mapping[str, int] | None = None,  # name -> frames that a step looks ahead (`sequence`), for steps
+    on_step: OnStep = lambda label, done, total: None,  # called after each step
 ) -> list[Result]:
-    """Run the methods over `frames` in turn, frame by frame, and measure each against the reference.
+    """Run the methods over `frames` and measure each against the references.
 
-    Time is wall-clock time around `step`, with everything on the device before and finished after it, in the state
-    that a long run has: two frames go through every method first. In turn, so that whatever else the machine does
-    falls on all of them alike. Display metrics use one exposure for the sequence (`color.display_exposure` of all
-    references). What needs `reference_half` is NaN without. Raises InputError for an unknown method, or where
-    references or motion are missing.
+    The methods take turns frame by frame, so that other load on the machine slows all of them alike. Time is wall-clock
+    time around `step`, with frame and image on the device; two frames go through every method first. Display metrics
+    use one exposure for the sequence (`color.display_exposure` of all references). Metrics that need `reference_half`
+    are NaN without it. Raises InputError for an unknown method, and where references or motion are missing or
+    references are not finite.
     """
-    for frame in frames:
-        frame.require("reference", "motion")
-    named = isinstance(methods, Mapping)
-    steps = dict(methods) if named else {method.name: method.step(device) for method in choose(methods)}
-    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
-    masks = uncovered(frames)
-    of_frames = [metric for metric in metrics if metric not in WHOLE_METRICS]
-    if "psnr_corrected" in metrics and "mse_corrected" not in metrics:
-        of_frames.append("mse_corrected")  # what it is the PSNR of
+    check_references(frames)
+    if isinstance(methods, Mapping):
+        steps, delays = dict(methods), dict(delays or {})
+    else:
+        chosen = choose(methods)
+        steps = {method.name: method.step(device) for method in chosen}
+        delays = {method.name: method.delay for method in chosen}
+    judge = _Judge.of(frames, min(skip, len(frames) - 1), tuple(metrics), tuple(regions))
+    for name, step in steps.items():
+        warm_up(step, frames, device, delays.get(name, 0))
+    streams = tee((frame.to(device) for frame in frames), len(steps))
+    runs = {
+        name: outputs(step, stream, delays.get(name, 0))
+        for (name, step), stream in zip(steps.items(), streams, strict=True)
+    }
     results = {name: Result(name, {}, []) for name in steps}
-    for step in steps.values():
-        warm_up(step, frames, device)
-    histories = dict.fromkeys(steps)
-    for i, frame in enumerate(frames):
-        on_device = frame.to(device)
-        for name, step in steps.items():
-            image, histories[name], seconds = _timed(step, on_device, histories[name])
-            result = results[name]
-            result.images.append(image.cpu())
-            if i >= skip:
-                result.times.append(seconds)
-                errors = _errors(result.images[-2:], frames[max(0, i - 1) : i + 1], scale, of_frames)
-                recent = dict(zip(ALL_REGIONS, (None, *measures.recent_masks(masks, i)), strict=True))
-                result.frames.append(
-                    {"number": frame.number}
-                    | {region: {m: error(recent[region]) for m, error in errors.items()} for region in regions}
-                )
+    for i in range(len(frames)):
+        for turn, (name, run) in enumerate(runs.items()):
+            output = next(run)
+            results[name].images.append(output.image.cpu())
+            judge.add(results[name], i, output.seconds)
+            on_step(name, i * len(runs) + turn + 1, len(frames) * len(runs))
     for result in results.values():
-        weights = {region: [_pixels(masks, i, region) for i in range(skip, len(frames))] for region in regions}
-        result.errors = {
-            region: {m: _overall(m, [f[region] for f in result.frames], weights[region]) for m in metrics}
-            for region in regions
-        }
-        if "fovvideovdp" in metrics and "frame" in regions and result.frames:
-            references = [frame.reference for frame in frames[skip:]]
-            result.errors["frame"]["fovvideovdp"] = measures.fovvideovdp(result.images[skip:], references, scale)
-        result.ghost_length = _ghost_length(result.images, frames, masks, scale)
+        judge.sum_up(result)
     return list(results.values())
 
 
-def uncovered(frames: Sequence[Frame]) -> list[Tensor]:
-    """M_i of every frame, `[1, 1, H, W]` bool; empty for the first and where `motion_next` is not known."""
-    before = [None, *(frame.motion_next for frame in frames[:-1])]
-    return [motion.uncovered(frame, motion_next) for frame, motion_next in zip(frames, before, strict=True)]
+def check_references(frames: Sequence[Frame]) -> None:
+    """Raise InputError where references are missing or not finite, or motion is missing between frames."""
+    for frame in frames:
+        frame.require("reference", *(("motion",) if len(frames) > 1 else ()))
+        for layer in ("reference", "reference_half"):
+            values = getattr(frame, layer)
+            if values is not None and (bad := int((~values.isfinite()).any(1).sum())):
+                raise InputError(f"{frame.name or f'frame {frame.number}'}: layer {layer}: NaN or Inf in {bad} pixels; "
+                                 "errors need finite references: render that frame again")  # fmt: skip
 
 
-def warm_up(step: Step, frames: Sequence[Frame], device: str | torch.device = "cpu") -> None:
-    """Two frames through a method, which shows too whether it takes them at all."""
-    history = None
-    for frame in frames[:2]:
-        _, history = step(frame.to(device), history)
+def warm_up(step: Step, frames: Sequence[Frame], device: str | torch.device = "cpu", delay: int = 0) -> None:
+    """Run two frames through a method; whatever it refuses is raised here."""
+    for _ in outputs(step, [frame.to(device) for frame in frames[:2]], delay):
+        pass
 
 
-def _timed(step: Step, frame: Frame, history: object) -> tuple[Tensor, object, float]:
-    _synchronise(frame)
-    started = time.perf_counter()
-    image, history = step(frame, history)
-    _synchronise(frame)
-    return image, history, time.perf_counter() - started
+@dataclass(frozen=True)
+class _Judge:
+    """The truth about a sequence, and what to measure against it."""
 
+    frames: Sequence[Frame]
+    masks: list[Tensor]  # `uncovered` of the frames
+    scale: Tensor  # exposure of all frames
+    skip: int
+    metrics: tuple[str, ...]
+    regions: tuple[str, ...]
 
-def _synchronise(frame: Frame) -> None:
-    if frame.radiance.is_cuda:
-        torch.cuda.synchronize(frame.radiance.device)
+    @classmethod
+    def of(cls, frames: Sequence[Frame], skip: int, metrics: tuple[str, ...], regions: tuple[str, ...]) -> _Judge:
+        scale = display_exposure(torch.cat([frame.reference for frame in frames]))
+        return cls(frames, uncovered(frames), scale, skip, metrics, regions)
+
+    def add(self, result: Result, i: int, seconds: float) -> None:
+        """Measure the latest image of `result`, of frame i."""
+        if i < self.skip:
+            return
+        result.times.append(seconds)
+        errors = _errors(result.images[-2:], self.frames[max(0, i - 1) : i + 1], self.scale, self._of_frames)
+        result.frames.append(
+            {"number": self.frames[i].number}
+            | {region: {m: error(self._mask(region, i)) for m, error in errors.items()} for region in self.regions}
+        )
+
+    def sum_up(self, result: Result) -> None:
+        """Fill in the errors over all frames."""
+        weights = {region: [self._pixels(region, i) for i in self._measured] for region in self.regions}
+        result.errors = {
+            region: {m: _overall(m, [f[region] for f in result.frames], weights[region]) for m in self.metrics}
+            for region in self.regions
+        }
+        references = [frame.reference for frame in self.frames]
+        if "fovvideovdp" in self.metrics and "frame" in self.regions and result.frames:
+            seen = result.images[self.skip :], references[self.skip :]
+            result.errors["frame"]["fovvideovdp"] = measures.fovvideovdp(*seen, self.scale)
+        if len(self.frames) > 1:
+            motions = [frame.motion for frame in self.frames]
+            result.ghost_length = measures.ghost_length(result.images, references, motions, self.masks, self.scale)
+
+    @property
+    def _measured(self) -> range:
+        return range(self.skip, len(self.frames))
+
+    @property
+    def _of_frames(self) -> list[str]:
+        wanted = [metric for metric in self.metrics if metric not in WHOLE_METRICS]
+        return wanted + (["mse_corrected"] if "psnr_corrected" in wanted and "mse_corrected" not in wanted else [])
+
+    def _mask(self, region: str, i: int) -> Tensor | None:
+        index = ALL_REGIONS.index(region)
+        return measures.recent_masks(self.masks, i)[index - 1] if index else None
+
+    def _pixels(self, region: str, i: int) -> int:
+        mask = self._mask(region, i)
+        return self.masks[i].numel() if mask is None else int(mask.sum())
 
 
 def _errors(images: list[Tensor], frames: Sequence[Frame], scale: Tensor, wanted: Collection[str]) -> dict:
@@ -137,43 +181,37 @@ def _errors(images: list[Tensor], frames: Sequence[Frame], scale: Tensor, wanted
     image, frame = images[-1], frames[-1]
     now = (image, frame.reference, scale)
     pairs = (tuple(images), tuple(f.reference for f in frames), scale)
-    nothing = lambda mask: float("nan")  # noqa: E731 (a first frame has no difference to the one before)
+    nothing = lambda mask: math.nan  # noqa: E731 (a first frame has no difference to the one before)
+
+    def over_time(metric: Callable[..., float]) -> Callable[[Tensor | None], float]:
+        return partial(metric, *pairs) if len(images) > 1 else nothing
 
     def corrected(metric: Callable[..., float]) -> Callable[[Tensor | None], float]:
         half = frame.reference_half
         return nothing if half is None else lambda mask: metric(*now, mask, reference_half=half)
 
-    known = {
-        "psnr": lambda mask: measures.psnr(*now, mask),
-        "psnr_corrected": corrected(measures.psnr_corrected),
-        "mse_corrected": corrected(measures.mse_corrected),
-        "ssim": lambda mask: measures.ssim(*now, mask),
-        "relmse": lambda mask: measures.relmse(*now, mask, frame.reference_half),
-        "smape": lambda mask: measures.smape(*now, mask),
-        "l1": lambda mask: measures.l1(*now, mask),
-        "mse": lambda mask: measures.mse(*now, mask),
-        "tpsnr": (lambda mask: measures.tpsnr(*pairs, mask)) if len(images) > 1 else nothing,
-        "temporal_relmae": (lambda mask: measures.temporal_relmae(*pairs, mask)) if len(images) > 1 else nothing,
-    }
-    if "flip" in wanted:  # one map for all regions: it is what takes longest
-        differences = measures.flip_map(*now)
-        known["flip"] = lambda mask: masked_mean(differences, mask)
-    return {metric: known[metric] for metric in wanted}
+    def flip() -> Callable[[Tensor | None], float]:
+        differences = measures.flip_map(*now)  # the slowest metric: one map for all regions
+        return lambda mask: masked_mean(differences, mask)
 
+    def function(metric: str) -> Callable[[Tensor | None], float]:
+        match metric:
+            case "flip":
+                return flip()
+            case "psnr_corrected" | "mse_corrected":
+                return corrected(getattr(measures, metric))
+            case "tpsnr" | "temporal_relmae":
+                return over_time(getattr(measures, metric))
+            case "relmse":
+                return lambda mask: measures.relmse(*now, mask, frame.reference_half)
+            case _:
+                return partial(getattr(measures, metric), *now)
 
-def _pixels(masks: list[Tensor], i: int, region: str) -> int:
-    """How many pixels of frame i are in a region."""
-    index = ALL_REGIONS.index(region)
-    return masks[i].numel() if index == 0 else int(measures.recent_masks(masks, i)[index - 1].sum())
-
-
-def _ghost_length(images: list[Tensor], frames: Sequence[Frame], masks: list[Tensor], scale: Tensor) -> float:
-    references, motions = [frame.reference for frame in frames], [frame.motion for frame in frames]
-    return measures.ghost_length(images, references, motions, masks, scale)
+    return {metric: function(metric) for metric in wanted}
 
 
 def _overall(metric: str, frames: list[dict[str, float]], weights: list[int]) -> float:
-    """The error of a region over all frames, from that in each."""
+    """The error of a region over all frames, from its error in each."""
     if metric in WHOLE_METRICS:
         return math.nan
     if metric == "psnr_corrected":
@@ -185,4 +223,4 @@ def _overall(metric: str, frames: list[dict[str, float]], weights: list[int]) ->
 def _mean(values: list[float], weights: list[int]) -> float:
     """Weighted mean of the frames that have pixels; NaN where none has."""
     pairs = [(v, w) for v, w in zip(values, weights, strict=True) if w]
-    return float(np.average([v for v, _ in pairs], weights=[w for _, w in pairs])) if pairs else float("nan")
+    return float(np.average([v for v, _ in pairs], weights=[w for _, w in pairs])) if pairs else math.nan

@@ -1,9 +1,10 @@
-"""Where numbers come from: command, date, commit, devices and versions, for every file that holds measurements."""
+"""The origin of measurements: command, date, commit, devices and versions, for every file of results."""
 
 from __future__ import annotations
 
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ LIBRARIES = ("torch", "numpy", "moderngl")
 
 
 def origin(command: str, devices: dict[str, str], libraries: Sequence[str] = LIBRARIES) -> dict[str, object]:
-    """What a file of results says about itself."""
+    """The origin as a file of results states it, now and for this process."""
     return {
         "command": command,
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
@@ -30,13 +31,14 @@ def origin(command: str, devices: dict[str, str], libraries: Sequence[str] = LIB
 
 
 def typed() -> str:
-    """The command line of this process as one would type it."""
+    """The command line of this process as a user would type it."""
     name = Path(sys.argv[0]).name
-    return " ".join(["rtdenoise" if name in ("rtdenoise", "__main__.py") else f"python {sys.argv[0]}", *sys.argv[1:]])
+    program = ["rtdenoise"] if name in ("rtdenoise", "__main__.py") else ["python", sys.argv[0]]
+    return shlex.join([*program, *sys.argv[1:]])
 
 
 def device_name(device: str | torch.device = "cpu") -> str:
-    """The graphics card; for the CPU, the processor and how many threads torch uses of it."""
+    """The graphics card, or the processor and the number of its threads that torch uses."""
     if torch.device(device).type == "cuda":
         return torch.cuda.get_device_name(device)
     info = Path("/proc/cpuinfo")
@@ -46,12 +48,12 @@ def device_name(device: str | torch.device = "cpu") -> str:
 
 
 def commit() -> str:
-    """The commit, with -dirty where the code differs from it; `unknown` outside a repository of ours."""
+    """The commit, with -dirty where the code differs from it; `unknown` outside a repository of this project."""
 
     def git(*arguments: str) -> str:
         return subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True).stdout.strip()
 
-    if not (ROOT / "pyproject.toml").is_file():  # installed: whatever repository is around is another's
+    if not (ROOT / "pyproject.toml").is_file():  # installed: a repository around it is another's
         return "unknown"
     changed = git("status", "--porcelain", "--", "rtdenoise", "shaders", "samples", "bench", ":!bench/results")
     return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")

@@ -1,4 +1,4 @@
-"""Every method that can be measured: what it is called, what it is, how it is started, and why it may be missing."""
+"""Every method that can be measured: its name, what it is, how it starts, and why it may be missing."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ import torch
 from torch import Tensor
 
 from ..baselines import Accumulate, Oidn, Svgf, Trmv
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from ..frame import Frame
 from ..models import available, load
 from ..run.graphs import stepper
 from ..sanitise import sanitise
+from .sequence import Step
 
-Step = Callable[[Frame, object], tuple[Tensor, object]]
 PRECISIONS = ("fp32", "bf16")
+DEFAULTS = ("noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "quality")  # measured if none is named
+ALL = "all"
 
 
 @dataclass(frozen=True)
 class Method:
-    """One row of a comparison. `start(device, precision)` gives a fresh `step`."""
+    """One row of a comparison. `start(device, precision)` gives a fresh step."""
 
     name: str
     what: str  # one line for a legend
@@ -33,10 +35,12 @@ class Method:
     start: Callable[[str | torch.device, str], Step] | None  # None: not available, and `missing` says why
     missing: str = ""
     precisions: tuple[str, ...] = ("fp32",)
-    weights: str = ""  # name or file of the weights it runs on
+    weights: str = ""  # name or file of the network's weights
+    delay: int = 0  # frames that it looks ahead (`sequence.outputs`)
 
     def step(self, device: str | torch.device = "cpu", precision: str = "auto") -> Step:
-        """A fresh step; 'auto' is the precision that suits the device. Raises InputError where there is none: why."""
+        """A fresh step; 'auto' is the precision that suits the device. Raises InputError with the reason where the
+        method is not available."""
         if reason := self.unavailable(precision):
             raise InputError(f"{self.name}: {reason}")
         return self.start(device, precision)
@@ -49,35 +53,44 @@ class Method:
 
 
 def methods() -> dict[str, Method]:
-    """All methods by name, the plainest first; networks are whatever weights are shipped."""
+    """All methods by name, the plainest first; every shipped network is among them."""
+    plain = {
+        "noisy": ("the input", "input", lambda: _noisy),
+        "accumulate": ("plain temporal accumulation", "accumulation", lambda: Accumulate().step),
+        "accumulate-clamped": ("accumulation, history clamped to the neighbourhood", "accumulation",
+                               lambda: Accumulate(clamp=0.5).step),
+        "svgf": ("SVGF (2017)", "filter", lambda: Svgf().step),
+        "trmv": ("SVGF on dual motion: TRMV (2021)", "filter", lambda: Trmv().step),
+    }  # fmt: skip
     found = [
-        Method("noisy", "the input", "input", lambda device, precision: _noisy),
-        Method("accumulate", "plain temporal accumulation", "accumulation",
-               lambda device, precision: Accumulate().step),
-        Method("accumulate-clamped", "accumulation, history clamped to the neighbourhood", "accumulation",
-               lambda device, precision: Accumulate(clamp=0.5).step),
-        Method("svgf", "SVGF (2017)", "filter", lambda device, precision: Svgf().step),
-        Method("trmv", "SVGF on dual motion: TRMV (2021)", "filter", lambda device, precision: Trmv().step),
+        *(Method(name, what, family, partial(_plain, start)) for name, (what, family, start) in plain.items()),
         *_oidn(),
         *(method for name in available() for method in _network(name)),
-    ]  # fmt: skip
+    ]
     return {method.name: method for method in found}
 
 
 def choose(names: Iterable[str]) -> list[Method]:
-    """The methods of these names, in that order, each once; all where there are none. NAME=FILE is the network of a
-    weights file, under that name.
+    """The methods of these names, in order, each once; `DEFAULTS` if there are none, every method for 'all'. NAME=FILE
+    is the network of a weights file, under that name.
 
-    Raises InputError for a name that is none, or is that of two methods, and for a file that is not there."""
+    Raises InputError for an unknown name, a name that stands for two methods, and a missing file.
+    """
     known, chosen = methods(), {}
-    for name in names:
+    asked = list(names) or [name for name in DEFAULTS if name in known]
+    for name in [n for a in asked for n in (known if a == ALL else [a])]:
         method = _of_file(*name.split("=", 1)) if "=" in name else known.get(name)
         if method is None:
-            raise InputError(f"unknown method {name!r}; expected NAME=FILE of weights, or some of {', '.join(known)}")
+            raise InputError(f"unknown method {name!r}{did_you_mean(name, known)}; expected NAME=FILE of weights, or "
+                             f"some of {', '.join(known)}")  # fmt: skip
         same = chosen.setdefault(method.name, known.get(method.name, method))
         if same.weights != method.weights:
             raise InputError(f"{name}: another method is called {method.name!r}")
-    return list((chosen or known).values())
+    return list(chosen.values())
+
+
+def _plain(start: Callable[[], Step], device: str | torch.device, precision: str) -> Step:
+    return start()
 
 
 def _oidn() -> list[Method]:
@@ -89,20 +102,20 @@ def _oidn() -> list[Method]:
         "oidn-on-accumulated": ("OIDN on the accumulated signal", {"accumulate": "input"}),
         "oidn-then-accumulated": ("OIDN, its output accumulated", {"accumulate": "output"}),
     }
-    there = importlib.util.find_spec("pyoidn") is not None
-    reason = "" if there else "needs pyoidn: pip install 'rtdenoise[bench]'"
+    installed = importlib.util.find_spec("pyoidn") is not None
+    reason = "" if installed else "needs pyoidn: pip install 'rtdenoise[bench]'"
 
     def start(options: dict, device: str | torch.device, precision: str) -> Step:
         return Oidn(**options).step
 
     return [
-        Method(name, what, "oidn", partial(start, options) if there else None, reason)
+        Method(name, what, "oidn", partial(start, options) if installed else None, reason)
         for name, (what, options) in kinds.items()
     ]
 
 
 def _network(name: str) -> list[Method]:
-    """Shipped weights, and what is left of them without dual motion and without history."""
+    """Shipped weights: as they are, on traditional motion, and without history."""
     start = partial(_start, name)
     return [
         Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name),
@@ -114,10 +127,10 @@ def _network(name: str) -> list[Method]:
 
 
 def _of_file(name: str, file: str) -> Method:
-    """Weights that do not ship. Raises InputError for a file that is not there, and for a name that cannot be that of a
-    picture."""
-    if not re.fullmatch(r"[\w.-]*\w", name) or name == "reference":
-        raise InputError(f"{name}={file}: expected a name of letters, digits, '-', '_' and '.', and not 'reference'")
+    """Weights that do not ship. Raises InputError for a missing file, and for a name that no picture file can have."""
+    if not re.fullmatch(r"[\w.-]*\w", name) or name in ("reference", ALL):
+        raise InputError(f"{name}={file}: expected a name of letters, digits, '-', '_' and '.', and not 'reference' or "
+                         f"{ALL!r}")  # fmt: skip
     if not Path(file).is_file():
         raise InputError(f"{name}={file}: no such weights file")
     path = str(Path(file).absolute())  # never a shipped name

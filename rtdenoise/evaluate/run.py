@@ -1,14 +1,14 @@
 """`rtdenoise evaluate SEQ... --out DIR`: methods × precisions × samples per pixel, error and time in one run.
 
 DIR/evaluation.json holds all numbers (`document.Document`), DIR/pictures/SEQ/FRAME/METHOD.exr the frames to look at.
-What is in the file already is not run again, unless its input or its weights have changed.
+Results that the file holds already are kept, unless their input or their weights have changed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,19 +18,20 @@ import torch
 
 from .. import models
 from ..color import display_exposure
-from ..data.exr import write_layers
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from ..frame import Frame
 from ..run.plan import make_plan
 from ..sanitise import sanitise
 from .document import NAME, Document
 from .inputs import Source, reference_errors
-from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, Result, evaluate, uncovered, warm_up
+from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, OnStep, Result, evaluate, warm_up
 from .origin import LIBRARIES, device_name, origin, typed
-from .registry import PRECISIONS, Method, Step, choose
+from .registry import PRECISIONS, Method, choose
+from .sequence import Step, uncovered
+from .stills import keep_picture, keep_truth, stills
 
 MEASURED_WITH = (*LIBRARIES, "pyoidn", "scikit-image", "flip-evaluator", "pyfvvdp")
-# Metric -> the module it needs, what pip installs for it.
+# Metric -> the module that it needs, and the package that pip installs for it.
 NEEDS = {"flip": ("flip_evaluator", "'rtdenoise[bench]'"), "fovvideovdp": ("pyfvvdp", "pyfvvdp")}
 
 
@@ -38,28 +39,36 @@ NEEDS = {"flip": ("flip_evaluator", "'rtdenoise[bench]'"), "fovvideovdp": ("pyfv
 class Options:
     """What `run` measures."""
 
-    methods: tuple[str, ...] = ()  # () : all
+    methods: tuple[str, ...] = ()  # for `registry.choose`; (): its default
     precisions: tuple[str, ...] = ("fp32",)  # of PRECISIONS
-    metrics: tuple[str, ...] = ()  # of ALL_METRICS and WHOLE_METRICS; () : ALL_METRICS, without those not installed
+    metrics: tuple[str, ...] = ()  # of ALL_METRICS and WHOLE_METRICS; (): those of ALL_METRICS that are installed
     spp: tuple[int, ...] = (1,)
     signal: str = "color"
     preset: str = "auto"
-    frames: int | None = None  # at most so many of each sequence
+    frames: int | None = None  # at most this many of each sequence
     device: str = "cpu"
+    references: tuple[str | Path, ...] = ()  # folders of converged frames, one a sequence; (): layers of the sequences
 
 
-def run(sources: list[str], out: Path, options: Options, say: Callable[[str], None] = print) -> Document:
-    """Measure, and write after every input. Raises InputError for unknown methods and for sequences that cannot be
-    measured; an input, a method or a precision that is missing is skipped with its reason."""
-    if unknown := [name for name in options.precisions if name not in PRECISIONS]:
-        raise InputError(f"unknown precision {unknown[0]!r}; expected some of {', '.join(PRECISIONS)}")
-    if unknown := [name for name in options.metrics if name not in (*ALL_METRICS, *WHOLE_METRICS)]:
-        raise InputError(f"unknown metric {unknown[0]!r}; expected some of {', '.join((*ALL_METRICS, *WHOLE_METRICS))}")
-    for name in options.metrics:
-        if name in NEEDS and not importlib.util.find_spec(NEEDS[name][0]):
-            raise InputError(f"metric {name} needs a package that is not there: pip install {NEEDS[name][1]}")
+def run(
+    sources: Sequence[str | Path],
+    out: Path,
+    options: Options,
+    say: Callable[[str], None] = print,
+    on_step: OnStep = lambda label, done, total: None,
+) -> Document:
+    """Measure, and write after every input. An input, a method or a precision that is missing is skipped with its
+    reason. `say` is told a line for each input, `on_step` what is running (`measure.evaluate`).
+
+    Raises InputError for unknown methods, metrics and precisions, and for sequences that cannot be measured.
+    """
+    _check(options, sources)
     chosen = choose(options.methods)
-    opened = [Source.open(folder, options.signal, options.preset, options.frames) for folder in sources]
+    references = options.references or [None] * len(sources)
+    opened = [
+        Source.open(folder, options.signal, options.preset, options.frames, reference)
+        for folder, reference in zip(sources, references, strict=True)
+    ]
     names = [source.name for source in opened]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"two sequences are called {twice[0]!r}: results go by the folder's name; rename one")
@@ -68,9 +77,26 @@ def run(sources: list[str], out: Path, options: Options, say: Callable[[str], No
     this_run = origin(typed(), {options.device: device_name(options.device)}, MEASURED_WITH)
     for source in opened:
         for spp in options.spp:
-            _Input(document, source, spp, options, say).measure(chosen, out, this_run)
+            _Input(document, source, spp, options, say, on_step).measure(chosen, out, this_run)
             document.write(out)
     return document
+
+
+def _check(options: Options, sources: Sequence[str | Path]) -> None:
+    for kind, names, known in (
+        ("precision", options.precisions, PRECISIONS),
+        ("metric", options.metrics, (*ALL_METRICS, *WHOLE_METRICS)),
+    ):
+        for name in names:
+            if name not in known:
+                raise InputError(f"unknown {kind} {name!r}{did_you_mean(name, known)}; expected some of "
+                                 f"{', '.join(known)}")  # fmt: skip
+    for name in options.metrics:
+        if name in NEEDS and not importlib.util.find_spec(NEEDS[name][0]):
+            raise InputError(f"metric {name} needs a package that is not there: pip install {NEEDS[name][1]}")
+    if options.references and len(options.references) != len(sources):
+        raise InputError(f"--reference: expected a folder for each of the {len(sources)} sequences, "
+                         f"got {len(options.references)}")  # fmt: skip
 
 
 def _open_document(out: Path, signal: str) -> Document:
@@ -85,48 +111,55 @@ def _open_document(out: Path, signal: str) -> Document:
 
 @dataclass
 class _Input:
-    """One sequence at one number of samples, and what is asked of it."""
+    """One sequence at one number of samples per pixel, and the measurements asked for."""
 
     document: Document
     source: Source
     spp: int
     options: Options
     say: Callable[[str], None]
-    reasons: dict[str, list[str]] = field(default_factory=dict)  # reason -> what is left out for it
+    on_step: OnStep
+    reasons: dict[str, list[str]] = field(default_factory=dict)  # reason -> names of the methods left out for it
     frames: list[Frame] = field(default_factory=list)  # read when the first method needs them
 
     @property
     def key(self) -> dict:
         return {"sequence": self.source.name, "spp": self.spp, "device": self.options.device}
 
+    @property
+    def label(self) -> str:
+        return f"{self.source.name}, {self.spp} spp"
+
     def measure(self, chosen: list[Method], out: Path, this_run: dict) -> None:
-        """Run what is not in the document yet, all in turn, and put it there."""
-        wanted = [(method, precision) for precision in self.options.precisions for method in chosen]
-        steps = self._start(wanted)
-        label = f"{self.source.name}, {self.spp} spp"
+        """Measure the methods whose results the document lacks, all in turn, and add them."""
+        steps = self._start([(method, precision) for precision in self.options.precisions for method in chosen])
         for reason, names in self.reasons.items():
-            self.say(f"{label}: left out: {', '.join(names)}: {reason}")
+            self.say(f"{self.label}: left out: {', '.join(names)}: {reason}")
         if not steps:
             return
         results = evaluate(
             self.frames, {f"{method.name} {precision}": step for (method, precision), step in steps.items()},
             metrics=self._metrics, regions=ALL_REGIONS, device=self.options.device,
+            delays={f"{method.name} {precision}": method.delay for method, precision in steps},
+            on_step=lambda name, done, total: self.on_step(f"{self.label}: {name}", done, total),
         )  # fmt: skip
         if this_run not in self.document.runs:
             self.document.runs.append(this_run)
         described = self.document.sequences.get(self.source.name, {}) | _describe(self.source, self.frames)
         self.document.sequences[self.source.name] = described
         if described["reference_psnr"] is None:
-            self.say(f"{label}: no half references, so errors contain the references' noise: none of them corrected")
+            self.say(f"{self.label}: no half references, so errors contain the references' noise: none is corrected")
         for (method, precision), result in zip(steps, results, strict=True):
             row = {"method": method.name, "precision": precision, "fingerprint": self._fingerprint(method)}
             self.document.put(self.key | row | {"run": self.document.runs.index(this_run)} | _numbers(result))
             if self.spp == self.source.spp and precision == "fp32":
-                _keep_pictures(out, self.source, self.frames, method.name, result)
-        self.say(f"{label}: {len(steps)} methods on {len(self.frames)} frames")
+                keep_picture(out, self.source, self.frames, method.name, result)
+        if self.spp == self.source.spp:
+            keep_truth(out, self.source, self.frames)
+        self.say(f"{self.label}: {len(steps)} methods on {len(self.frames)} frames")
 
     def _start(self, wanted: list[tuple[Method, str]]) -> dict[tuple[Method, str], Step]:
-        """Steps of what is wanted, not known yet, and able to run; the rest is left out."""
+        """Steps of the methods that have no result yet and can run; the others are left out."""
         try:
             self.source.at(self.spp)
         except InputError as error:
@@ -143,14 +176,14 @@ class _Input:
                 try:
                     step = method.step(self.options.device, precision)
                     with torch.inference_mode():
-                        warm_up(step, self.frames, self.options.device)
+                        warm_up(step, self.frames, self.options.device, method.delay)
                     steps[method, precision] = step
-                except (InputError, RuntimeError) as error:  # the latter where memory or a driver is short
-                    self._leave_out(method, precision, str(error).partition("\n")[0])
+                except (InputError, RuntimeError, MemoryError) as error:  # RuntimeError: out of memory, a driver
+                    self._leave_out(method, precision, str(error).partition("\n")[0] or "out of memory")
         return steps
 
     def _covers(self, known: dict, method: Method) -> bool:
-        """Whether a result is of this input and these weights, and has all that is asked for."""
+        """Whether a result is of this input and these weights, and has all metrics asked for."""
         return (
             known["fingerprint"] == self._fingerprint(method) and set(self._metrics) <= known["errors"]["frame"].keys()
         )
@@ -161,7 +194,7 @@ class _Input:
 
     @cached_property
     def _metrics(self) -> tuple[str, ...]:
-        """What is asked for, or everything but FLIP where it is not installed (extra `bench`)."""
+        """The metrics asked for, or all; without FLIP where it is not installed (extra `bench`)."""
         installed = importlib.util.find_spec(NEEDS["flip"][0]) is not None
         return self.options.metrics or tuple(m for m in ALL_METRICS if m != "flip" or installed)
 
@@ -170,7 +203,7 @@ class _Input:
         return self.source.fingerprint(self.spp)
 
     def _fingerprint(self, method: Method) -> str:
-        """Of the input, and of the weights that it goes through."""
+        """Of the input and of the weights."""
         if not method.weights:
             return self._of_input
         return f"{self._of_input}-{hashlib.sha256(models.find(method.weights).read_bytes()).hexdigest()[:16]}"
@@ -199,23 +232,3 @@ def _describe(source: Source, frames: list[Frame]) -> dict:
         "stills": [frames[i].number for i in stills(masks)],
         "plan": make_plan(source.base.size, len(frames), "dual", [sanitise(frame) for frame in frames]).to_json(),
     }
-
-
-def stills(masks: list[torch.Tensor]) -> list[int]:
-    """Which frames to look at: the one in which most is uncovered, else the last."""
-    shares = [float(mask.float().mean()) for mask in masks]
-    return [int(np.argmax(shares)) if max(shares) > 0 else len(masks) - 1]
-
-
-def _keep_pictures(out: Path, source: Source, frames: list[Frame], method: str, result: Result) -> None:
-    masks = uncovered(frames)
-    for i in stills(masks):
-        folder = out / "pictures" / source.name / f"{frames[i].number:04d}"
-        folder.mkdir(parents=True, exist_ok=True)
-        write_layers(folder / f"{method}.exr", {"color": _array(result.images[i])})
-        truth = {"color": frames[i].reference, "motion": frames[i].motion, "uncovered": masks[i].float()}
-        write_layers(folder / "reference.exr", {layer: _array(image) for layer, image in truth.items()})
-
-
-def _array(image: torch.Tensor) -> np.ndarray:
-    return image[0].permute(1, 2, 0).numpy()

@@ -1,15 +1,16 @@
 """The denoiser as OpenGL 4.3 compute shaders, for any GPU, without torch: `Pipeline` denoises whole frames, the
-operations are twins of `rtdenoise.ops`."""
+operations are twins of those in `rtdenoise.ops`."""
 
 from .clock import Clock
 from .context import GpuArray, create_context, default_context, storage_limit
 from .ops import alike, apply_kernel, blend, compose, downsample, fetch, pick, reproject, upsample, warp
 from .pipeline import Pipeline
-from .program import ShaderError, program
+from .program import program
+from .source import ShaderError, expand
 from .state import History
 
 __all__ = [
     "Clock", "GpuArray", "History", "Pipeline", "ShaderError", "alike", "apply_kernel", "blend", "compose",
-    "create_context", "default_context", "downsample", "fetch", "pick", "program", "reproject", "storage_limit",
-    "upsample", "warp",
+    "create_context", "default_context", "downsample", "expand", "fetch", "pick", "program", "reproject",
+    "storage_limit", "upsample", "warp",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""How long the stages of a frame take."""
+"""Times of the stages of a frame."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import moderngl
 
 
 class Clock:
-    """Times named stages: what the GPU spends, by GL timer queries, not when the CPU asked for it.
+    """Times named stages on the GPU, by GL timer queries.
 
         pipeline.clock = Clock(pipeline.ctx)
         pipeline.step(frame, history)
         pipeline.clock.read()      # {"upload": 0.0021, "features": 0.0003, …} seconds
 
-    Mesa's software renderer counts nothing there: with it stages are waited for and timed from outside.
+    Mesa's software renderer does not count in these: there the clock waits for each stage and times it on the CPU.
     """
 
     def __init__(self, ctx: moderngl.Context) -> None:
@@ -27,7 +27,7 @@ class Clock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Whatever GL is asked for inside counts as `name`. Stages may repeat, but not nest."""
+        """Commands issued inside count as `name`. Stages may repeat, but not nest."""
         self._seconds.setdefault(name, 0.0)
         if self._software:
             self._ctx.finish()

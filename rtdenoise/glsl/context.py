@@ -1,4 +1,4 @@
-"""The OpenGL context that the shaders run in, and arrays that live in its memory."""
+"""The OpenGL context of the shaders, and arrays in its memory."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _thread = threading.local()
 
 
 class GpuMemoryError(InputError):
-    """An array is larger than the device can hold, or than a shader can see of it."""
+    """An array is larger than the device's memory, or than a shader may address."""
 
 
 def create_context() -> moderngl.Context:
     """A context without a window: OpenGL 4.3 or later, through EGL on Linux. It belongs to the thread that creates it.
 
-    Raises InputError where no driver offers that.
+    Raises InputError where there is no such driver.
     """
     backend = {"backend": "egl"} if sys.platform.startswith("linux") else {}
     try:
@@ -39,7 +39,7 @@ def create_context() -> moderngl.Context:
 
 
 def _found(backend: dict[str, str], error: Exception) -> str:
-    """What there is instead of OpenGL 4.3."""
+    """The driver's version, where it is older than OpenGL 4.3, or the reason why there is none."""
     try:
         older = moderngl.create_standalone_context(**backend)
     except Exception:
@@ -57,7 +57,7 @@ def default_context() -> moderngl.Context:
 
 
 def storage_limit(ctx: moderngl.Context) -> int:
-    """Bytes that a shader can see of one buffer (128 MiB in Mesa's llvmpipe, 2 GiB and more on most GPUs)."""
+    """Bytes of one buffer that a shader can address (128 MiB in Mesa's llvmpipe, 2 GiB and more on most GPUs)."""
     return ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
 
 
@@ -65,8 +65,8 @@ def storage_limit(ctx: moderngl.Context) -> int:
 class GpuArray:
     """A C-contiguous array in a shader storage buffer.
 
-    float16 lies as packed halves: value i is the low (i even) or high (i odd) half of the 32-bit word ⌊i/2⌋, which is
-    how numpy has it in memory too; an odd count is padded to a whole word.
+    float16 is packed as numpy has it in memory: value i is the low (i even) or high (i odd) half of the 32-bit word
+    ⌊i/2⌋. An odd count is padded to a whole word.
     """
 
     buffer: moderngl.Buffer
@@ -77,7 +77,7 @@ class GpuArray:
     def empty(cls, ctx: moderngl.Context, shape: tuple[int, ...], dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
         """An array of unspecified content.
 
-        Raises GpuMemoryError where it is larger than a shader can see of one buffer, or than the memory that is left.
+        Raises GpuMemoryError where it is larger than a shader can address, or than the free memory.
         """
         dtype = np.dtype(dtype)
         if dtype not in (np.float32, np.float16, np.uint32):
@@ -89,7 +89,7 @@ class GpuArray:
                 f"(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, {ctx.info['GL_RENDERER']}): use float16 or several arrays"
             )
         buffer = ctx.buffer(reserve=-(-size // 4) * 4)
-        if ctx.error == "GL_OUT_OF_MEMORY":  # which moderngl does not raise
+        if ctx.error == "GL_OUT_OF_MEMORY":  # moderngl does not raise it
             raise GpuMemoryError(
                 f"array {list(shape)} {dtype}: {size / 1e6:.1f} MB more than {ctx.info['GL_RENDERER']} has memory for"
             )
@@ -104,7 +104,7 @@ class GpuArray:
         return array
 
     def read(self) -> np.ndarray:
-        """A copy in main memory; waits until everything that writes the array is done."""
+        """A copy in main memory; waits for the shaders that write the array."""
         values = np.empty(self.shape, self.dtype)
         self.buffer.read_into(values, values.nbytes)
         return values

@@ -1,8 +1,8 @@
-"""The U-Net of the models on the GPU: `nets.UNet` and the stem and heads around it, from the weights as stored."""
+"""The network on the GPU, from the weights as stored: the U-Net (`models.unet.UNet`) and the stem before it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -24,7 +24,7 @@ class Layer:
 
     weights: GpuArray  # [groups out, groups in, taps, 4, 4]; heads: [cells, groups out, groups in, 4, 4]
     biases: GpuArray  # [groups out, 4]
-    groups: tuple[int, ...]  # of four inputs, for each of the tensors that the input is concatenated of
+    groups: tuple[int, ...]  # of four inputs, for each of the tensors that are concatenated into the input
     outputs: int
 
 
@@ -32,45 +32,31 @@ def conv_layer(
     ctx: moderngl.Context,
     weight: np.ndarray,  # [outputs, inputs, kernel, kernel]
     bias: np.ndarray,  # [outputs]
-    sources: tuple[int, ...],  # channels of the tensors that the input is concatenated of
-    blocks: int = 1,  # the groups out are filled up to a multiple of this
+    sources: tuple[int, ...],  # channels of the tensors that are concatenated into the input
+    blocks: int = 1,  # pad the groups out to a multiple of this
 ) -> Layer:
     """A convolution, packed for `conv3x3` and `stem`."""
     outputs, taps = weight.shape[0], weight.shape[2] * weight.shape[3]
     parts = np.split(weight.reshape(outputs, -1, taps), np.cumsum(sources)[:-1], axis=1)
-    inputs = np.concatenate([_filled(part, 1, 4) for part in parts], axis=1)
-    packed = _filled(inputs, 0, 4 * blocks).reshape(-1, 4, inputs.shape[1] // 4, 4, taps)  # og, out, ig, in, taps
+    inputs = np.concatenate([filled(part, 1, 4) for part in parts], axis=1)
+    packed = filled(inputs, 0, 4 * blocks).reshape(-1, 4, inputs.shape[1] // 4, 4, taps)  # og, out, ig, in, taps
     return Layer(
         GpuArray.upload(ctx, packed.transpose(0, 2, 4, 3, 1)),
-        GpuArray.upload(ctx, _filled(bias, 0, 4 * blocks).reshape(-1, 4)),
+        GpuArray.upload(ctx, filled(bias, 0, 4 * blocks).reshape(-1, 4)),
         tuple(-(-n // 4) for n in sources),
         outputs,
     )
 
 
-def head_layer(
-    ctx: moderngl.Context,
-    weight: np.ndarray,  # [cells, rows, inputs]: a matrix for each pixel of a cell
-    bias: np.ndarray,  # [rows]
-) -> Layer:
-    """Rows of a head, packed for `include/head.glsl`."""
-    packed = _filled(_filled(weight, 1, 4), 2, 4)
-    cells, rows, inputs = packed.shape
-    packed = packed.reshape(cells, rows // 4, 4, inputs // 4, 4).transpose(0, 1, 3, 4, 2)
-    return Layer(
-        GpuArray.upload(ctx, packed), GpuArray.upload(ctx, _filled(bias, 0, 4)), (inputs // 4,), weight.shape[1]
-    )
-
-
-def _filled(array: np.ndarray, axis: int, multiple: int) -> np.ndarray:
-    """The array with zeros behind it along `axis`, to a multiple."""
+def filled(array: np.ndarray, axis: int, multiple: int) -> np.ndarray:
+    """The array with zeros appended along `axis`, up to a multiple."""
     padding = [(0, 0)] * array.ndim
     padding[axis] = (0, -array.shape[axis] % multiple)
     return np.pad(array, padding)
 
 
 class UNet:
-    """`nets.UNet`: features in, decoder features of the finest levels out. Tensors are padded to whole cells."""
+    """Features in, decoder features of the finest levels out. Tensors are padded to whole cells."""
 
     def __init__(
         self,
@@ -96,7 +82,7 @@ class UNet:
 
     @property
     def cell(self) -> int:
-        """What both sides of the input must be multiples of."""
+        """Both sides of the input must be multiples of this."""
         return 2 ** (len(self._encoder) - 1)
 
     def __call__(self, features: GpuArray) -> list[GpuArray]:
@@ -110,7 +96,7 @@ class UNet:
         for level in reversed(range(len(self._decoder))):
             first, second = self._decoder[level]
             x = self._convolve(first, CONCATENATED, f"first.{level}", level, skips[level], far=x)
-            x = skips[level] = self._convolve(second, NEAR, f"second.{level}", level, x)  # in the place of the skip
+            x = skips[level] = self._convolve(second, NEAR, f"second.{level}", level, x)  # overwrites the skip
         return skips[:-1]
 
     def _convolve(
@@ -120,11 +106,38 @@ class UNet:
         result = self._scratch.activations(name, layer.outputs, (H, W))
         groups = result.shape[0]
         dispatch(
-            "network/conv3x3",
-            [near, near if far is None else far, layer.weights, layer.biases, result],
-            (-(-W // PIXELS), H, -(-groups // BLOCKS)),
+            "network/conv3x3", (-(-W // PIXELS), H, -(-groups // BLOCKS)),
+            {"near": near, "far": near if far is None else far, "weights": layer.weights, "biases": layer.biases,
+             "result": result},
             {"size": (W, H), "groups": (layer.groups[0], sum(layer.groups), groups)},
-            CONV_GROUP,
-            SOURCE=source, HALF=int(self._scratch.half),
+            CONV_GROUP, SOURCE=source, HALF=int(self._scratch.half),
         )  # fmt: skip
         return result
+
+
+class HalfSizeUNet:
+    """A U-Net behind a stem, a strided convolution that halves the image."""
+
+    cell = 2  # both sides of the input must be multiples of this
+
+    def __init__(
+        self,
+        scratch: Scratch,
+        tensors: Mapping[str, np.ndarray],  # a state dict; only `stem.*` and `unet.*` are read
+        order: Sequence[int],  # of the input channels: where the shader has each of them
+        widths: tuple[int, ...],
+    ) -> None:
+        self._scratch, self._unet = scratch, UNet(scratch, tensors, widths[0], widths)
+        self._stem = conv_layer(scratch.ctx, tensors["stem.weight"][:, order], tensors["stem.bias"], (len(order),))
+
+    def __call__(self, features: GpuArray, groups: int) -> list[GpuArray]:
+        """As `UNet`, at half size. Only the first `groups` of four features are read; the others are zero."""
+        half = tuple(n // 2 for n in features.shape[2:0:-1])
+        W, H = (n + -n % self._unet.cell for n in half)
+        result = self._scratch.activations("stem", self._stem.outputs, (H, W))
+        dispatch(
+            "network/stem", (W, H, result.shape[0]),
+            {"features": features, "weights": self._stem.weights, "biases": self._stem.biases, "result": result},
+            {"half_size": half, "groups": (groups, self._stem.groups[0])}, HALF=int(self._scratch.half),
+        )  # fmt: skip
+        return self._unet(result)

@@ -1,10 +1,10 @@
 """The kernel-apply operations on the GPU. Each has the name, the meaning and the shapes of its twin in `rtdenoise.ops`.
 
-Two forms, told apart by what is passed in:
+The type of the inputs chooses one of two forms:
 
 - numpy arrays: computed in this thread's `default_context`, returned as a numpy array (float32; logits may be float16);
-- `GpuArray`s of one context, the current one: nothing leaves the GPU. The result is a `GpuArray`: `out` where one is
-  given, which must be none of the inputs.
+- `GpuArray`s of the current context: nothing leaves the GPU. The result is a `GpuArray`: `out` where one is given,
+  which must be none of the inputs.
 
 Raises ValueError where shapes do not fit, InputError where there is no usable driver or an array is too large for it.
 """
@@ -15,10 +15,9 @@ import math
 
 import numpy as np
 
+from ..constants import DEPTH_TOLERANCE, MIN_NORMAL_COSINE
 from .context import GpuArray, default_context, storage_limit
-from .dispatch import dispatch
-
-Array = np.ndarray | GpuArray
+from .operation import Array, expect, run, run_all, shape_of
 
 
 def apply_kernel(
@@ -31,30 +30,31 @@ def apply_kernel(
         w[b,k,y,x]   = softmax_k logits[b,k,y,x], over the taps k = dy·K + dx that lie inside the image
         out[b,c,y,x] = Σ_{dy,dx ∈ 0..K-1} w[b, dy·K+dx, y, x] · image[b, c, y+dy-r, x+dx-r],    r = ⌊K/2⌋
 
-    numpy logits that are larger than one buffer may be are worked off in bands of rows.
+    numpy logits too large for one buffer are processed in bands of rows.
     """
-    B, _, H, W = _shape("image", image)
-    K = math.isqrt(_shape("logits", logits)[1])
+    B, _, H, W = shape_of("image", image)
+    K = math.isqrt(shape_of("logits", logits)[1])
     if K % 2 == 0:
         raise ValueError(f"expected logits [{B}, K², {H}, {W}] with K odd, got {tuple(logits.shape)}")
-    _expect("logits", logits, (B, K * K, H, W))
+    expect("logits", logits, (B, K * K, H, W))
     half = int(logits.dtype == np.float16)
 
-    def run(image: Array, logits: Array) -> Array:
+    def filter_band(image: Array, logits: Array) -> Array:
         B, C, H, W = image.shape
-        return _run("apply_kernel", [image, logits], (B, C, H, W), (H, W), out, KERNEL=K, CHANNELS=C, LOGITS_HALF=half)
+        inputs = {"image": image, "logits": logits}
+        return run("apply_kernel", inputs, (B, C, H, W), (H, W), out, KERNEL=K, CHANNELS=C, LOGITS_HALF=half)
 
     if isinstance(image, GpuArray) or isinstance(logits, GpuArray):
-        return run(image, logits)
+        return filter_band(image, logits)
 
-    # A band takes the rows its kernels reach with it; what comes out for those is wrong at the cut and is dropped.
+    # A band includes the rows that its kernels reach; their own results are wrong at the cut and are dropped.
     reach = K // 2
     fitting = storage_limit(default_context()) // (B * K * K * W * (2 if half else 4))
     rows = H if fitting >= H else max(1, fitting - 2 * reach)
     bands = []
     for top in range(0, H, rows):
         first, last = max(0, top - reach), min(H, top + rows + reach)
-        band = run(image[:, :, first:last], logits[:, :, first:last])
+        band = filter_band(image[:, :, first:last], logits[:, :, first:last])
         bands.append(band[:, :, top - first : top - first + rows])
     return np.concatenate(bands, axis=2)
 
@@ -67,9 +67,9 @@ def warp(
 ) -> Array:  # [B, C, H, W]
     """Reprojection, `out(p) = image(p + motion(p))`, bilinear or cubic (Catmull-Rom, which blurs less and overshoots
     nowhere); targets off the screen take the nearest border pixel."""
-    B, C, H, W = _shape("image", image)
-    _expect("motion", motion, (B, 2, H, W))
-    return _run("warp", [image, motion], (B, C, H, W), (H, W), out, CHANNELS=C, CUBIC=int(cubic))
+    B, C, H, W = shape_of("image", image)
+    expect("motion", motion, (B, 2, H, W))
+    return run("warp", {"image": image, "motion": motion}, (B, C, H, W), (H, W), out, CHANNELS=C, CUBIC=int(cubic))
 
 
 def fetch(
@@ -78,24 +78,25 @@ def fetch(
     out: GpuArray | None = None,  # [B, C, H, W]
 ) -> Array:  # [B, C, H, W]
     """Nearest reprojection, for motion, depth and normals: `out[b,c,y,x] = image[b, c, ⌊v + ½⌋, ⌊u + ½⌋]`."""
-    B, C, H, W = _shape("image", image)
-    _expect("motion", motion, (B, 2, H, W))
-    return _run("fetch", [image, motion], (B, C, H, W), (H, W), out, CHANNELS=C)
+    B, C, H, W = shape_of("image", image)
+    expect("motion", motion, (B, 2, H, W))
+    return run("fetch", {"image": image, "motion": motion}, (B, C, H, W), (H, W), out, CHANNELS=C)
 
 
 def alike(
     surface: tuple[Array, Array],  # depth [B, 1, H, W] and normal [B, 3, H, W] at each pixel
-    other: tuple[Array, Array],  # ... of what it is compared with
-    depth_tolerance: float = 0.1,
-    normal_tolerance: float = 0.5,
+    other: tuple[Array, Array],  # the same, of the surface to compare with
+    depth_tolerance: float = DEPTH_TOLERANCE,
+    normal_tolerance: float = MIN_NORMAL_COSINE,
     out: GpuArray | None = None,  # [B, 1, H, W]
 ) -> Array:  # [B, 1, H, W] bool; as GpuArray float32, 1 or 0
     """Whether two pixels may show the same surface: depths that differ by at most `depth_tolerance` (relative) and
     normals whose cosine is `normal_tolerance` at least; two misses (depth 0) are alike, a hit and a miss are not."""
-    B, _, H, W = _shape("depth", surface[0])
+    B, _, H, W = shape_of("depth", surface[0])
     _expect_surfaces(surface, other, (B, H, W))
+    inputs = dict(zip(("depth", "normal", "other_depth", "other_normal"), (*surface, *other), strict=True))
     tolerance = {"tolerance": (depth_tolerance, normal_tolerance)}
-    (result,) = _run_all("alike", [*surface, *other], [(B, 1, H, W)], (H, W), [out], tolerance)
+    (result,) = run_all("alike", inputs, {"result": (B, 1, H, W)}, (H, W), [out], tolerance)
     return result if isinstance(result, GpuArray) else result > 0
 
 
@@ -103,20 +104,20 @@ def reproject(
     stored: Array,  # [B, C, H, W] of the previous frame
     motion: Array,  # [B, 2, H, W] (x, y) in pixels
     surface: tuple[Array, Array],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
-    surface_previous: tuple[Array, Array],  # ... of the previous one, not reprojected
-    depth_tolerance: float = 0.1,
-    normal_tolerance: float = 0.5,
+    surface_previous: tuple[Array, Array],  # the same of the previous frame, not reprojected
+    depth_tolerance: float = DEPTH_TOLERANCE,
+    normal_tolerance: float = MIN_NORMAL_COSINE,
     out: tuple[GpuArray, GpuArray] | None = None,  # [B, C, H, W], [B, 1, H, W]
 ) -> tuple[Array, Array]:  # [B, C, H, W], [B, 1, H, W] bool; as GpuArray float32, 1 or 0
     """`warp` that takes no tap from another surface or from off the screen, and says where no tap was left."""
-    B, C, H, W = _shape("stored", stored)
-    _expect("motion", motion, (B, 2, H, W))
+    B, C, H, W = shape_of("stored", stored)
+    expect("motion", motion, (B, 2, H, W))
     _expect_surfaces(surface, surface_previous, (B, H, W))
-    inputs, tolerance = [stored, motion, *surface, *surface_previous], (depth_tolerance, normal_tolerance)
-    shapes = [(B, C, H, W), (B, 1, H, W)]
-    found, valid = _run_all(
-        "reproject", inputs, shapes, (H, W), list(out or (None, None)), {"tolerance": tolerance}, CHANNELS=C
-    )
+    inputs = {"stored": stored, "motion": motion, "depth": surface[0], "normal": surface[1],
+              "depth_before": surface_previous[0], "normal_before": surface_previous[1]}  # fmt: skip
+    shapes = {"result": (B, C, H, W), "valid": (B, 1, H, W)}
+    tolerance = {"tolerance": (depth_tolerance, normal_tolerance)}
+    found, valid = run_all("reproject", inputs, shapes, (H, W), out or (None, None), tolerance, CHANNELS=C)
     return found, valid if isinstance(valid, GpuArray) else valid > 0
 
 
@@ -126,8 +127,9 @@ def downsample(
     out: GpuArray | None = None,  # [B, C, ⌈H/2⌉, ⌈W/2⌉]
 ) -> Array:  # [B, C, ⌈H/2⌉, ⌈W/2⌉]
     """D of eq. 4: 2×2 pooling, 'mean' or 'max'."""
-    B, C, H, W = _shape("image", image)
-    return _run("downsample", [image], (B, C, *_halved(H, W)), (H, W), out, CHANNELS=C, POOL_MAX=_pool_max(pool))
+    B, C, H, W = shape_of("image", image)
+    shape = (B, C, *_halved(H, W))
+    return run("downsample", {"fine": image}, shape, (H, W), out, CHANNELS=C, POOL_MAX=_pool_max(pool))
 
 
 def upsample(
@@ -136,9 +138,9 @@ def upsample(
     out: GpuArray | None = None,  # [B, C, H, W]
 ) -> Array:  # [B, C, H, W]
     """U of eq. 4: bilinear ×2 on the geometry of `downsample`."""
-    B, C, _, _ = _shape("image", image)
-    _expect("image", image, (B, C, *_halved(*size)))
-    return _run("upsample", [image], (B, C, *size), size, out, CHANNELS=C)
+    B, C, _, _ = shape_of("image", image)
+    expect("image", image, (B, C, *_halved(*size)))
+    return run("upsample", {"coarse": image}, (B, C, *size), size, out, CHANNELS=C)
 
 
 def compose(
@@ -149,10 +151,11 @@ def compose(
     out: GpuArray | None = None,  # [B, C, H, W]
 ) -> Array:  # [B, C, H, W]
     """Replace the low frequencies of `fine` by those of `coarse`: `fine - U[α · D fine] + U[α · coarse]` (eq. 4)."""
-    B, C, H, W = _shape("fine", fine)
-    _expect("coarse", coarse, (B, C, *_halved(H, W)))
-    _expect("alpha", alpha, (B, 1, *_halved(H, W)))
-    return _run("compose", [fine, coarse, alpha], (B, C, H, W), (H, W), out, CHANNELS=C, POOL_MAX=_pool_max(pool))
+    B, C, H, W = shape_of("fine", fine)
+    expect("coarse", coarse, (B, C, *_halved(H, W)))
+    expect("alpha", alpha, (B, 1, *_halved(H, W)))
+    inputs = {"fine": fine, "coarse": coarse, "alpha": alpha}
+    return run("compose", inputs, (B, C, H, W), (H, W), out, CHANNELS=C, POOL_MAX=_pool_max(pool))
 
 
 def pick(
@@ -162,7 +165,7 @@ def pick(
     share: Array,  # [B, 1, H, W] in [0, 1]
     out: GpuArray | None = None,  # [B, C, H, W]
 ) -> Array:  # [B, C, H, W]
-    """Let every fine pixel pick from the K×K coarse ones around its own, as far as its share says:
+    """Blend every fine pixel with a weighted mean of the K×K coarse pixels around its own:
 
         w[b,k,y,x]   = softmax_k logits[b,k,y,x], over the taps k = dy·K + dx that lie inside the coarse image
         p[b,c,y,x]   = Σ_{dy,dx ∈ 0..K-1} w[b, dy·K+dx, y, x] · coarse[b, c, ⌊y/2⌋+dy-r, ⌊x/2⌋+dx-r],    r = ⌊K/2⌋
@@ -170,15 +173,15 @@ def pick(
 
     Logits must fit one buffer.
     """
-    B, C, H, W = _shape("fine", fine)
-    K = math.isqrt(_shape("logits", logits)[1])
+    B, C, H, W = shape_of("fine", fine)
+    K = math.isqrt(shape_of("logits", logits)[1])
     if K % 2 == 0:
         raise ValueError(f"expected logits [{B}, K², {H}, {W}] with K odd, got {tuple(logits.shape)}")
-    _expect("logits", logits, (B, K * K, H, W))
-    _expect("coarse", coarse, (B, C, *_halved(H, W)))
-    _expect("share", share, (B, 1, H, W))
-    inputs, half = [fine, logits, coarse, share], int(logits.dtype == np.float16)
-    return _run("pick", inputs, (B, C, H, W), (H, W), out, KERNEL=K, CHANNELS=C, LOGITS_HALF=half)
+    expect("logits", logits, (B, K * K, H, W))
+    expect("coarse", coarse, (B, C, *_halved(H, W)))
+    expect("share", share, (B, 1, H, W))
+    inputs, half = {"fine": fine, "coarse": coarse, "logits": logits, "share": share}, int(logits.dtype == np.float16)
+    return run("pick", inputs, (B, C, H, W), (H, W), out, KERNEL=K, CHANNELS=C, LOGITS_HALF=half)
 
 
 def blend(
@@ -188,75 +191,18 @@ def blend(
     out: GpuArray | None = None,  # [B, C, H, W]
 ) -> Array:  # [B, C, H, W]
     """`out = α · spatial + (1 - α) · temporal`."""
-    B, C, H, W = _shape("spatial", spatial)
-    _expect("temporal", temporal, (B, C, H, W))
-    _expect("alpha", alpha, (B, 1, H, W))
-    return _run("blend", [spatial, temporal, alpha], (B, C, H, W), (H, W), out, CHANNELS=C)
-
-
-def _run(
-    name: str,
-    inputs: list[Array],
-    shape: tuple[int, ...],
-    size: tuple[int, int],
-    out: GpuArray | None,
-    **constants: int,
-) -> Array:
-    """`_run_all` of a shader with one result."""
-    return _run_all(name, inputs, [shape], size, [out], {}, **constants)[0]
-
-
-def _run_all(
-    name: str,  # of the shader
-    inputs: list[Array],  # in the order of its bindings; the results come last
-    shapes: list[tuple[int, ...]],  # [B, C, H, W] of the results
-    size: tuple[int, int],  # (H, W) of the finer grid
-    outs: list[GpuArray | None],
-    uniforms: dict,
-    **constants: int,
-) -> list[Array]:
-    """One dispatch, an invocation for every pixel of the results."""
-    dtypes = [np.float16 if constants.get("LOGITS_HALF") and i == 1 else np.float32 for i in range(len(inputs))]
-    resident = {isinstance(array, GpuArray) for array in inputs}
-    if len(resident) > 1:
-        raise ValueError(f"{name}: expected either numpy arrays or GpuArrays, got both")
-    if any(out is not None for out in outs) and resident == {False}:
-        raise ValueError(f"{name}: `out` goes with GpuArrays only")
-    if resident == {True}:
-        ctx, arrays = inputs[0].buffer.ctx, inputs
-    else:
-        ctx = default_context()
-        arrays = [GpuArray.upload(ctx, array, dtype) for array, dtype in zip(inputs, dtypes, strict=True)]
-    results = [out or GpuArray.empty(ctx, shape) for out, shape in zip(outs, shapes, strict=True)]
-    for result, shape in zip(results, shapes, strict=True):
-        _expect("out", result, shape)
-        if any(array.buffer is result.buffer for array in arrays):
-            raise ValueError(f"{name}: `out` must be none of the inputs")
-    for array, dtype in zip([*arrays, *results], [*dtypes, *(np.float32 for _ in results)], strict=True):
-        if array.dtype != dtype:
-            raise ValueError(f"{name}: expected {np.dtype(dtype)}, got {array.dtype}")
-
-    B, _, H, W = shapes[0]
-    dispatch(name, [*arrays, *results], (W, H, B), {"size": size[::-1], **uniforms}, **constants)
-    return results if resident == {True} else [result.read() for result in results]
-
-
-def _shape(name: str, array: Array) -> tuple[int, int, int, int]:
-    if len(array.shape) != 4:
-        raise ValueError(f"expected {name} [B, C, H, W], got {tuple(array.shape)}")
-    return tuple(array.shape)
-
-
-def _expect(name: str, array: Array, shape: tuple[int, ...]) -> None:
-    if tuple(array.shape) != tuple(shape):
-        raise ValueError(f"expected {name} {tuple(shape)}, got {tuple(array.shape)}")
+    B, C, H, W = shape_of("spatial", spatial)
+    expect("temporal", temporal, (B, C, H, W))
+    expect("alpha", alpha, (B, 1, H, W))
+    inputs = {"spatial": spatial, "temporal": temporal, "alpha": alpha}
+    return run("blend", inputs, (B, C, H, W), (H, W), out, CHANNELS=C)
 
 
 def _expect_surfaces(surface: tuple[Array, Array], other: tuple[Array, Array], size: tuple[int, int, int]) -> None:
     B, H, W = size
     for depth, normal in (surface, other):
-        _expect("depth", depth, (B, 1, H, W))
-        _expect("normal", normal, (B, 3, H, W))
+        expect("depth", depth, (B, 1, H, W))
+        expect("normal", normal, (B, 3, H, W))
 
 
 def _halved(H: int, W: int) -> tuple[int, int]:

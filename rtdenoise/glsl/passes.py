@@ -1,154 +1,162 @@
-"""The passes of a frame, each a shader or a few, as far as its network: what they read, what they write, how they are
-specialised."""
+"""The passes of a frame up to its network, each a shader or a few: which buffers they read and write, and how they are
+specialised. `kernels` has the passes after it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
+from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE
+from ..models.config import Config
 from .context import GpuArray
-from .designs import ORDER, Design
 from .dispatch import dispatch, fill
-from .network import UNet, conv_layer
+from .network import HalfSizeUNet, UNet
 from .scratch import Scratch
 from .state import History
 
-BLOCK = 8  # side of the blocks that exposure is measured in
+BLOCK_GROUP = (BRIGHTNESS_BLOCK, BRIGHTNESS_BLOCK)  # a work group for each block that brightness is measured in
 SELECT_GROUP = (256,)
 NOTHING = 0xFFFFFFFF  # in the splat: no pixel
+# Input channels of accumulated_kpn in the order of its features shader: those that may be zero everywhere come last.
+FEATURE_ORDER = [0, 1, 2, 18, 6, 7, 8, 15, 9, 10, 11, 16, 12, 13, 14, 17, 3, 4, 5, 19, 20]
+
+
+class Inputs(NamedTuple):
+    """A sanitised frame."""
+
+    light: GpuArray  # [H, W] rgb: radiance without fireflies, divided by its texture where the model does that
+    surface: GpuArray  # [H, W] normal, depth
+    guide: GpuArray  # [H, W] albedo, and whether light was divided by it
+    statistics: GpuArray  # [2] exposure, mean distance
+
+
+class Means(NamedTuple):
+    """Running means, reprojected."""
+
+    running: GpuArray  # [H, W] rgb, length: of light, without this frame
+    mean_albedo: GpuArray  # [H, W] rgb, with this frame
 
 
 class Passes:
-    """The passes of one model up to what its network predicts from; `kernels` has those after it."""
+    """The passes of one model up to its network."""
 
-    def __init__(self, scratch: Scratch, design: Design, tensors: Mapping[str, np.ndarray]) -> None:
-        self._scratch, self._design = scratch, design
-        inputs = design.widths[0] if design.accumulates else design.features
-        self._unet = UNet(scratch, tensors, inputs, design.widths)
-        if design.accumulates:
-            weight, bias = tensors["stem.weight"][:, ORDER], tensors["stem.bias"]
-            self._stem = conv_layer(scratch.ctx, weight, bias, (design.features,))
-
-    def prepare(self, layers: Mapping[str, GpuArray], into_history: bool = False) -> tuple[GpuArray, ...]:
-        """Sanitised light, surface and guide, and the statistics of the frame. `into_history`: light and guide will go
-        there, as surface does."""
-        H, W = layers["radiance"].shape[1:]
-        across, down = -(-W // BLOCK), -(-H // BLOCK)
-        count, size = across * down, {"size": (W, H)}
-        inputs = [layers[name] for name in ("radiance", "albedo", "normal", "depth")]
-        clean, surface = self._scratch.image("clean", (H, W)), self._scratch.fresh((H, W))
-        maxima = self._scratch("maxima", (down, across))
-        if into_history:
-            guide, light = self._scratch.fresh((H, W)), self._scratch.fresh((H, W))
+    def __init__(self, scratch: Scratch, config: Config, tensors: Mapping[str, np.ndarray]) -> None:
+        self._scratch, self._config = scratch, config
+        self._accumulates = config.architecture == "accumulated_kpn"
+        if self._accumulates:
+            self._network = HalfSizeUNet(scratch, tensors, FEATURE_ORDER, config.widths)
         else:
-            guide, light = self._scratch.image("guide", (H, W)), self._scratch.image("light", (H, W))
-        dispatch(
-            "frame/sanitise", [*inputs, clean, surface, guide, maxima], (W, H), size, (BLOCK, BLOCK),
-            DEMODULATE=int(self._design.accumulates),
-        )  # fmt: skip
-        usual, blocks = self._scratch("usual", (1,)), self._scratch.image("blocks", (down, across))
-        dispatch("frame/usual", [maxima, usual], (1,), {"count": count}, SELECT_GROUP)
-        dispatch("frame/light", [clean, surface, guide, usual, light, blocks], (W, H), size, (BLOCK, BLOCK))
-        statistics, kept = self._scratch("statistics", (2,)), max(1, int(0.9 * count))
-        dispatch("frame/statistics", [blocks, statistics], (1,), {"count": count, "kept": kept}, SELECT_GROUP)
-        return light, surface, guide, statistics
+            self._network = UNet(scratch, tensors, config.features, config.widths)
+
+    def prepare(self, layers: Mapping[str, GpuArray], into_history: bool = False) -> Inputs:
+        """Sanitise the layers and measure the frame. `into_history`: history will keep light and guide, as it keeps
+        surface, so they need buffers of their own."""
+        H, W = layers["radiance"].shape[1:]
+        blocks_size = -(-H // BRIGHTNESS_BLOCK), -(-W // BRIGHTNESS_BLOCK)
+        count = blocks_size[0] * blocks_size[1]
+        scratch, size = self._scratch, (W, H)
+        clean, surface = scratch.image("clean", (H, W)), scratch.fresh((H, W))
+        guide = scratch.fresh((H, W)) if into_history else scratch.image("guide", (H, W))
+        light = scratch.fresh((H, W)) if into_history else scratch.image("light", (H, W))
+        blocks, maxima = scratch.image("blocks", blocks_size), scratch("maxima", blocks_size)
+        usual, statistics = scratch("usual", (1,)), scratch("statistics", (2,))
+
+        packed = {"clean": clean, "surface": surface, "guide": guide}
+        raw = {name: layers[name] for name in ("radiance", "albedo", "normal", "depth")}
+        buffers = raw | packed | {"maxima": maxima}
+        dispatch("frame/sanitise", size, buffers, group=BLOCK_GROUP, DEMODULATE=int(self._accumulates))
+        dispatch("frame/usual", (1,), {"maxima": maxima, "usual": usual}, {"count": count}, SELECT_GROUP)
+        buffers = packed | {"usual": usual, "light": light, "blocks": blocks}
+        dispatch("frame/light", size, buffers, group=BLOCK_GROUP)
+        parameters = {"count": count, "kept": max(1, int(BRIGHTNESS_SHARE * count))}
+        dispatch("frame/statistics", (1,), {"blocks": blocks, "statistics": statistics}, parameters, SELECT_GROUP)
+        return Inputs(light, surface, guide, statistics)
 
     def vectors(self, layers: Mapping[str, GpuArray]) -> GpuArray | None:
-        """Sanitised motion and motion_next as one image; what is missing is not read later."""
-        there = [layers[name] for name in ("motion", "motion_next") if name in layers]
-        if not there:
+        """Sanitised motion and motion_next as one image. Where one is missing the other stands in, and nobody reads
+        it; None where both are missing."""
+        motion, motion_next = layers.get("motion"), layers.get("motion_next")
+        there = motion or motion_next
+        if there is None:
             return None
-        H, W = there[0].shape[1:]
+        H, W = there.shape[1:]
         vectors = self._scratch.fresh((H, W))
-        dispatch("frame/motion", [there[0], there[-1], vectors], (W, H), {"size": (W, H)})
+        buffers = {"motion": motion or there, "motion_next": motion_next or there, "vectors": vectors}
+        dispatch("frame/motion", (W, H), buffers)
         return vectors
 
     def mismatch(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> float:
         """Share of the pixels with history on the screen that find another surface there."""
-        H, W = surface.shape[:2]
         counts = self._scratch("mismatch", (2,), np.uint32)
         fill(counts)
-        dispatch("frame/mismatch", [vectors, surface, surface_before, counts], (W, H), {"size": (W, H)})
+        buffers = {"vectors": vectors, "surface": surface, "surface_before": surface_before, "counts": counts}
+        dispatch("frame/mismatch", surface.shape[1::-1], buffers)
         seen, wrong = counts.read()
         return int(wrong) / max(1, int(seen))
 
     def history_motion(self, vectors: GpuArray, surface: GpuArray, history: History) -> GpuArray:
-        """The motion that fetches history, dual where a pixel has been uncovered, and which those are."""
-        H, W = surface.shape[:2]
-        before = history.vectors
-        if before is None:
-            before = self._splat(vectors, surface, history.surface)
-        chosen = self._scratch.image("chosen", (H, W))
-        dispatch("frame/history_motion", [vectors, before, chosen], (W, H), {"size": (W, H)})
+        """The motion that fetches history: dual, with a flag, where a pixel has been uncovered."""
+        before = history.vectors or self._splat(vectors, surface, history.surface)
+        chosen = self._scratch.image("chosen", surface.shape[:2])
+        buffers = {"vectors": vectors, "vectors_before": before, "chosen": chosen}
+        dispatch("frame/history_motion", surface.shape[1::-1], buffers)
         return chosen
 
-    def warp(
-        self, chosen: GpuArray | None, light: GpuArray, guide: GpuArray, history: History | None, dual: bool
-    ) -> GpuArray:
-        """The reprojected previous output. `chosen` is what `history_motion` gives, or without `dual` the vectors."""
-        H, W = light.shape[:2]
-        past = self._scratch.image("past", (H, W))
-        before = [light, light] if history is None else [chosen, history.denoised]
-        buffers = [before[0], light, guide, before[1], past]
-        constants = {"HISTORY": int(history is not None), "DUAL": int(dual), "CUBIC": int(self._design.accumulates)}
-        dispatch("frame/warp", buffers, (W, H), {"size": (W, H)}, **constants)
+    def no_past(self, inputs: Inputs) -> GpuArray:
+        """In a first frame: the noisy radiance in place of the previous output."""
+        past = self._scratch.image("past", inputs.light.shape[:2])
+        dispatch("frame/first", past.shape[1::-1], {"light": inputs.light, "guide": inputs.guide, "past": past})
         return past
 
-    def reproject(
-        self, chosen: GpuArray | None, surface: GpuArray, guide: GpuArray, history: History | None
-    ) -> tuple[GpuArray, GpuArray]:
-        """Running means: of light without this frame, of albedo with it."""
-        H, W = surface.shape[:2]
-        running, mean_albedo = self._scratch.image("running", (H, W)), self._scratch.fresh((H, W))
-        before = [surface, surface, surface, surface]
-        if history is not None:
-            before = [chosen, history.surface, history.mean, history.mean_albedo]
-        buffers = [before[0], surface, *before[1:], guide, running, mean_albedo]
-        size, constants = {"size": (W, H)}, {"HISTORY": int(history is not None)}
-        dispatch("accumulated_kpn/reproject", buffers, (W, H), size, **constants)
-        return running, mean_albedo
+    def warp(self, chosen: GpuArray, inputs: Inputs, history: History, dual: bool) -> GpuArray:
+        """The reprojected previous output. `chosen` comes from `history_motion`, or without `dual` from `vectors`."""
+        past = self._scratch.image("past", inputs.light.shape[:2])
+        buffers = {"chosen": chosen, "light": inputs.light, "guide": inputs.guide}
+        buffers |= {"denoised_before": history.denoised, "past": past}
+        dispatch("frame/warp", past.shape[1::-1], buffers, DUAL=int(dual), CUBIC=int(self._accumulates))
+        return past
+
+    def reproject(self, chosen: GpuArray, inputs: Inputs, history: History) -> Means:
+        """The running means where this frame needs them, from the same surfaces only."""
+        size = inputs.surface.shape[:2]
+        means = Means(self._scratch.image("running", size), self._scratch.fresh(size))
+        buffers = {"chosen": chosen, "surface": inputs.surface, "guide": inputs.guide}
+        buffers |= {"surface_before": history.surface, "mean_before": history.mean}
+        buffers |= {"mean_albedo_before": history.mean_albedo, **means._asdict()}
+        dispatch("accumulated_kpn/reproject", size[::-1], buffers)
+        return means
+
+    def features(self, inputs: Inputs, past: GpuArray, means: Means, groups: int) -> GpuArray:
+        """The network's input, padded to whole cells of the network. Models that accumulate read `means` too, and write
+        only the first `groups` of four features; the others are zero everywhere."""
+        (H, W), cell = inputs.light.shape[:2], self._network.cell
+        padded = (W + -W % cell, H + -H % cell)
+        result = self._scratch.activations("features", self._config.features, padded[::-1])
+        buffers, parameters = {**inputs._asdict(), "past": past, "result": result}, {"image_size": (W, H)}
+        constants = {"HALF": int(self._scratch.half)}
+        if self._accumulates:
+            buffers |= means._asdict()
+            parameters["longest"] = self._config.longest
+            constants["GROUPS"] = groups
+        dispatch(f"{self._config.architecture}/features", padded, buffers, parameters, **constants)
+        return result
+
+    def network(self, features: GpuArray, groups: int) -> list[GpuArray]:
+        """Decoder features of the finest levels; `groups` as for `features`."""
+        return self._network(features, groups) if self._accumulates else self._network(features)
 
     def _splat(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> GpuArray:
-        """motion_next of the previous frame, approximate: `motion_splat.splat_motion_next`."""
-        H, W = surface.shape[:2]
-        inputs = [vectors, surface, surface_before]
-        best, winner = (self._scratch(name, (H, W), np.uint32) for name in ("splat.best", "splat.winner"))
-        before = self._scratch.image("splat.vectors", (H, W))
-        for array in (best, winner):
-            fill(array, NOTHING)
+        """motion_next of the previous frame, approximate: `rtdenoise.splat.splat_motion_next`."""
+        size = surface.shape[:2]
+        best, winner = (self._scratch(name, size, np.uint32) for name in ("splat.best", "splat.winner"))
+        before = self._scratch.image("splat.vectors", size)
+        fill(best, NOTHING)
+        fill(winner, NOTHING)
+        buffers = {"vectors": vectors, "surface": surface, "surface_before": surface_before}
+        buffers |= {"best": best, "winner": winner}
         for claim in (0, 1):
-            dispatch("splat/bid", [*inputs, best, winner], (W, H), {"size": (W, H)}, CLAIM=claim)
-        dispatch("splat/close", [*inputs, best, winner, before], (W, H), {"size": (W, H)})
+            dispatch("splat/bid", size[::-1], buffers, CLAIM=claim)
+        dispatch("splat/close", size[::-1], buffers | {"vectors_before": before})
         return before
-
-    def features(
-        self, light: GpuArray, surface: GpuArray, guide: GpuArray, past: GpuArray, statistics: GpuArray,
-        means: tuple[GpuArray, ...], groups: int,
-    ) -> GpuArray:  # fmt: skip
-        """The network's input, padded: to whole cells of the U-Net, or to what the stem halves. `means` are what
-        `reproject` returns, or nothing. With them only the first `groups` are written; the others are zero."""
-        d, (H, W), cell = self._design, light.shape[:2], 2 if self._design.accumulates else self._unet.cell
-        padded = (W + -W % cell, H + -H % cell)
-        result = self._scratch.activations("features", d.features, padded[::-1])
-        buffers = [light, surface, guide, past, statistics, *means, result]
-        uniforms = {"size": padded, "image_size": (W, H)}
-        uniforms |= {"longest": d.longest} if d.accumulates and groups > 4 else {}  # else it is not read
-        constants = {"HALF": int(self._scratch.half)} | ({"GROUPS": groups} if d.accumulates else {})
-        dispatch(f"{d.architecture}/features", buffers, padded, uniforms, **constants)
-        return result
-
-    def network(self, features: GpuArray, size: tuple[int, int], groups: int) -> list[GpuArray]:
-        """Decoder features of the finest levels; `size` is (H, W) of the image, `groups` as for `features`."""
-        return self._unet(self._stemmed(features, size, groups) if self._design.accumulates else features)
-
-    def _stemmed(self, features: GpuArray, size: tuple[int, int], groups: int) -> GpuArray:
-        """Features of half the size, padded to whole cells of the U-Net."""
-        half = (size[1] + 1) // 2, (size[0] + 1) // 2
-        W, H = (n + -n % self._unet.cell for n in half)
-        result = self._scratch.activations("stem", self._stem.outputs, (H, W))
-        dispatch(
-            "network/stem", [features, self._stem.weights, self._stem.biases, result], (W, H, result.shape[0]),
-            {"size": (W, H), "half_size": half, "groups": (groups, self._stem.groups[0])}, HALF=int(self._scratch.half),
-        )  # fmt: skip
-        return result

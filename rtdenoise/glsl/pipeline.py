@@ -1,4 +1,4 @@
-"""A whole frame on the GPU: what `TemporalKPN.step` and `AccumulatedKPN.step` do, as compute shaders, without torch.
+"""A whole frame on the GPU: `TemporalKPN.step` and `AccumulatedKPN.step` as compute shaders, without torch.
 
     pipeline, history = Pipeline.load(), None
     for frame in frames:                                     # rtdenoise.frame.Frame of numpy arrays
@@ -18,12 +18,12 @@ import numpy as np
 
 from ..errors import InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
+from ..models.config import Config
 from ..models.weights import read_model
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
-from .designs import Design, design, expected_shapes
 from .kernels import Kernels
-from .passes import Passes
+from .passes import Means, Passes
 from .scratch import Scratch
 from .state import History
 
@@ -34,18 +34,19 @@ class Pipeline:
 
     def __init__(
         self,
-        design: Design,
+        config: Config,
         tensors: Mapping[str, np.ndarray],  # the model's state dict, float32
         half: bool = False,
         ctx: moderngl.Context | None = None,
     ) -> None:
         """`half` stores the network's activations as float16: half the memory, an eleven-bit mantissa. `ctx` defaults
         to this thread's `default_context`."""
-        self.design, self.ctx = design, ctx or default_context()
+        self.config, self.ctx = config, ctx or default_context()
+        self.accumulates = config.architecture == "accumulated_kpn"  # keeps a running mean of demodulated light
         self.clock: Clock | None = None  # times the stages where one is set
         self.scratch = Scratch(self.ctx, half)  # GPU memory that is kept between frames, beside the weights
-        self.passes = Passes(self.scratch, design, tensors)
-        self.kernels = Kernels(self.scratch, design, tensors)
+        self.passes = Passes(self.scratch, config, tensors)
+        self.kernels = Kernels(self.scratch, config, tensors)
 
     @classmethod
     def load(cls, model: str | Path = "default", half: bool = False, **overrides) -> Pipeline:
@@ -54,18 +55,8 @@ class Pipeline:
         Raises InputError for an unknown name, an unreadable file, weights that do not fit their configuration, and
         where there is no OpenGL 4.3.
         """
-        stored = read_model(model)
-        if unknown := overrides.keys() - stored.config.keys():
-            raise InputError(
-                f"{', '.join(sorted(unknown))}: not an override of model {str(model)!r}; its configuration has "
-                f"{', '.join(stored.config)}"
-            )
-        try:
-            found = design(stored.architecture, {**stored.config, **overrides})
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{stored.path}: its configuration is not one of this version: {error}") from None
-        stored.expect(expected_shapes(found), overrides)
-        return cls(found, stored.tensors, half)
+        stored = read_model(model, **overrides)
+        return cls(stored.config, stored.tensors, half)
 
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -74,8 +65,9 @@ class Pipeline:
         for the next one.
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion. `history=None` starts a
-        sequence or resets after a cut. What is `known` (first, still, covered) is not done in vain. Raises InputError
-        where a layer is missing, the history is of another size, or a buffer would be larger than the device allows.
+        sequence or resets after a cut. A frame that is `known` to be still or covered takes fewer passes. Raises
+        InputError where a layer is missing, the history is of another size, or a buffer would be larger than the device
+        allows.
         """
         try:
             with self._stage("upload"):
@@ -93,9 +85,9 @@ class Pipeline:
 
     def mismatch(self, frame: Frame, history: History) -> float:
         """Share of the pixels with history on the screen that find another surface there, as `history.mismatch`: above
-        `frame.CUT` it is another shot, for which `step` wants no history. Waits for the GPU."""
+        `frame.MAX_CUT_MISMATCH` it is another shot, to start with `history=None`. Waits for the GPU."""
         layers = self._upload(frame, history)
-        _, surface, *_ = self.passes.prepare(layers)
+        surface = self.passes.prepare(layers).surface
         return self.passes.mismatch(self.passes.vectors(layers), surface, history.surface)
 
     def run(
@@ -103,31 +95,34 @@ class Pipeline:
     ) -> tuple[GpuArray, History]:
         """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
         the history is not."""
-        passes, kernels, accumulates = self.passes, self.kernels, self.design.accumulates
-        averages = accumulates and not known.first  # else the means are what the frame itself holds
-        dual = history is not None and not known.covered and self.design.motion == "dual"
-        groups = 4 if known.first else 6 if dual else 5  # of the features that are not zero everywhere
+        passes, kernels, first = self.passes, self.kernels, history is None
+        averages = self.accumulates and not first  # else the means are the frame itself
+        dual = not first and not known.covered and self.config.motion == "dual"
         with self._stage("features"):
-            light, surface, guide, statistics = passes.prepare(layers, into_history=accumulates and known.first)
+            inputs = passes.prepare(layers, into_history=self.accumulates and first)
             vectors = passes.vectors(layers)
         with self._stage("reprojection"):
-            chosen = passes.history_motion(vectors, surface, history) if dual else vectors
-            past = history.denoised if known.still else passes.warp(chosen, light, guide, history, dual)
-            means = passes.reproject(chosen, surface, guide, history) if averages else (light, guide)
+            chosen = passes.history_motion(vectors, inputs.surface, history) if dual else vectors
+            if first:
+                past = passes.no_past(inputs)
+            else:
+                past = history.denoised if known.still else passes.warp(chosen, inputs, history, dual)
+            means = passes.reproject(chosen, inputs, history) if averages else Means(inputs.light, inputs.guide)
         with self._stage("features"):
-            features = passes.features(light, surface, guide, past, statistics, means if accumulates else (), groups)
+            groups = 4 if first else 6 if dual else 5  # of four features; the others are zero everywhere
+            features = passes.features(inputs, past, means, groups)
         with self._stage("network"):
-            levels = passes.network(features, layers["radiance"].shape[1:], groups)
+            levels = passes.network(features, groups)
         with self._stage("kernels"):
-            running, mean_albedo = means
-            mean = kernels.accumulate(levels[0], light, running) if averages else light
+            mean = kernels.accumulate(levels, inputs.light, means.running) if averages else inputs.light
             now = kernels.filter(levels, mean)
         with self._stage("blend"):
-            if accumulates:
-                now = kernels.texture(levels[0], now, guide, mean_albedo)
-            result, denoised = kernels.blend(levels[0], past, now)
+            if self.accumulates:
+                now = kernels.texture(levels, now, inputs.guide, means.mean_albedo)
+            result, denoised = kernels.blend(levels, past, now)
         vectors = vectors if "motion_next" in layers else None
-        return result, History(denoised, surface, vectors, *((mean, mean_albedo) if accumulates else (None, None)))
+        kept = (mean, means.mean_albedo) if self.accumulates else (None, None)
+        return result, History(denoised, inputs.surface, vectors, *kept)
 
     def _upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
         """The layers that a step reads. Raises InputError where one is missing, or history is of another size."""

@@ -1,4 +1,4 @@
-"""What one frame on the GPU hands to the next."""
+"""The state that one frame on the GPU hands to the next."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from .context import GpuArray
 
 @dataclass(frozen=True)
 class History:
-    """As `rtdenoise.frame.History`, in images [H, W, 4] on the GPU. Passed in and returned, never hidden."""
+    """`rtdenoise.frame.History` as images [H, W, 4] on the GPU, passed in and returned."""
 
-    denoised: GpuArray  # rgb: the denoised previous frame; 1: `past` of a still frame, on the screen everywhere
+    denoised: GpuArray  # the denoised previous frame: rgb, 1. The 1 is the flag ON_SCREEN, for still frames
     surface: GpuArray  # normal, depth
     vectors: GpuArray | None  # motion, motion_next; None: dual motion next time is approximate
-    mean: GpuArray | None  # rgb, length: the running mean of light; None where the model keeps none
-    mean_albedo: GpuArray | None  # rgb: that of albedo
+    mean: GpuArray | None  # rgb, length: the running mean of light; None for models that keep none
+    mean_albedo: GpuArray | None  # rgb: the running mean of albedo, likewise
 
     @property
     def size(self) -> tuple[int, int]:
@@ -27,7 +27,7 @@ class History:
         return self.denoised.shape[0], self.denoised.shape[1]
 
     def read(self) -> dict[str, np.ndarray]:
-        """Field of `rtdenoise.frame.History` -> [1, C, H, W]; what is None is left out."""
+        """Field of `rtdenoise.frame.History` -> [1, C, H, W], without the fields that are None."""
         denoised, surface = self.denoised.read(), self.surface.read()
         planes = {"radiance": denoised[..., :3], "normal": surface[..., :3], "depth": surface[..., 3:]}
         if self.vectors is not None:
@@ -39,7 +39,7 @@ class History:
 
     @classmethod
     def upload(cls, ctx: moderngl.Context, arrays: Mapping[str, np.ndarray]) -> History:
-        """The inverse of `read`. Raises KeyError where a field is missing that every history has."""
+        """The inverse of `read`. Raises KeyError where radiance, normal or depth is missing."""
 
         def image(*planes: np.ndarray) -> GpuArray:
             planes = np.concatenate([np.asarray(plane, np.float32)[0] for plane in planes])
@@ -47,9 +47,7 @@ class History:
 
         vectors = mean = mean_albedo = None
         if "motion_next" in arrays:
-            vectors = image(
-                arrays["motion_next"], arrays["motion_next"]
-            )  # motion, which comes first, is not read again
+            vectors = image(arrays["motion_next"], arrays["motion_next"])  # nobody reads motion, which comes first
         if "mean" in arrays:
             mean, mean_albedo = image(arrays["mean"], arrays["length"]), image(arrays["mean_albedo"])
         surface = image(arrays["normal"], arrays["depth"])

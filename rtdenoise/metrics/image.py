@@ -1,10 +1,11 @@
 """Errors of one image, over the frame or inside a mask.
 
-Display metrics (PSNR, SSIM, L1, MSE, LDR-FLIP) see what a screen shows: `color.display`. relMSE, SMAPE and HDR-FLIP see
-linear radiance, exposed by the same `scale`. Arguments are those of `psnr` throughout.
+Display metrics (PSNR, SSIM, L1, MSE, LDR-FLIP) are taken on the display transform `color.display`, relMSE, SMAPE and
+HDR-FLIP on linear radiance times the same `scale`. All functions share the arguments of `psnr`.
 
-A reference of finitely many samples is noisy itself, and MSE counts its noise as the image's error. The two halves of
-its samples (`reference_half` is the mean of one) tell how much that is, and `mse_corrected` takes it off again.
+A reference of finitely many samples is noisy itself, and MSE counts its noise as error of the image. The difference
+between the two halves of its samples (`reference_half` is the mean of one) estimates that noise; `mse_corrected`
+subtracts it.
 """
 
 from __future__ import annotations
@@ -43,10 +44,11 @@ def mse_corrected(
     *,
     reference_half: Tensor,  # [1, 3, H, W] mean of one half of the reference's samples
 ) -> float:
-    """`mse` less the reference's own (`reference_mse`): the error against the converged picture, arguments as in `mse`.
+    """`mse` minus the error of the reference itself (`reference_mse`): an estimate of the error against the converged
+    picture.
 
-    The reference must be independent of the image. An estimate, with noise of its own: it can be 0 or less in a small
-    mask, or for an image better than its reference. Add up over frames before anything else is done with it.
+    The reference must be independent of the image. The estimate is noisy and can be 0 or negative, in a small mask or
+    for an image better than its reference: average it over frames before taking a logarithm.
     """
     return mse(image, reference, scale, mask) - reference_mse(reference, reference_half, scale, mask)
 
@@ -59,7 +61,7 @@ def psnr_corrected(
     *,
     reference_half: Tensor,
 ) -> float:
-    """`mse_corrected` in dB; NaN where that is 0 or less: better than the reference can tell."""
+    """`mse_corrected` in dB; NaN where that is 0 or negative: the reference is too noisy to tell."""
     corrected = mse_corrected(image, reference, scale, mask, reference_half=reference_half)
     return decibels(corrected) if corrected > 0 else math.nan
 
@@ -67,11 +69,11 @@ def psnr_corrected(
 def reference_mse(
     reference: Tensor, reference_half: Tensor, scale: Tensor | float, mask: Tensor | None = None
 ) -> float:
-    """The error that the reference itself has against the converged picture, as `mse` counts it, arguments as there.
+    """The error of the reference itself against the converged picture, as `mse` counts it.
 
     The variance of a mean r of two independent halves r₁ and r₂ = 2r - r₁ is E[(r₁ - r₂)²] / 4 (dual buffers: Rousselle
-    et al. 2012), here on the display transform D: mean((D(r₁) - D(r₂))²) / 4. What it does not know of is the bias of
-    D(r), which is no straight line: D″ · Var(r) / 2, less with more samples.
+    et al. 2012), here on the display transform D: mean((D(r₁) - D(r₂))²) / 4. Not included is the bias
+    D″ · Var(r) / 2 of the nonlinear D(r), which falls with more samples.
     """
     first, second = (display(half, scale) for half in (reference_half, 2 * reference - reference_half))
     return masked_mean((first - second).square(), mask) / 4
@@ -83,10 +85,8 @@ def l1(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | N
 
 
 def ssim(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
-    """Structural similarity (Wang et al. 2004; scikit-image, 7×7 window) on the display transform, arguments as in
-    `psnr`.
-
-    Frames smaller than the window have none: NaN.
+    """Structural similarity (Wang et al. 2004; scikit-image, 7×7 window) on the display transform; NaN for
+    frames smaller than the window.
     """
     a, b = (display(x, scale)[0].permute(1, 2, 0).cpu().numpy() for x in (image, reference))
     if min(a.shape[:2]) < 7:
@@ -102,10 +102,10 @@ def relmse(
     mask: Tensor | None = None,
     reference_half: Tensor | None = None,  # [1, 3, H, W] mean of one half of the reference's samples
 ) -> float:
-    """Mean of (a - r)² / (r² + 0.01) on linear, exposed radiance (Rousselle et al. 2011), arguments as in `psnr`.
+    """Mean of (a - r)² / (r² + 0.01) on linear, exposed radiance (Rousselle et al. 2011).
 
     With one half r₁ of the reference's samples the other is r₂ = 2r - r₁, and (a - r)² becomes (a - r₁)(a - r₂): its
-    mean does not contain the reference's own noise. It can be slightly negative for an image as good as its reference.
+    mean is free of the reference's noise. It can be slightly negative for an image as good as its reference.
     """
     a, r = image * scale, reference * scale
     half = r if reference_half is None else reference_half * scale
@@ -116,7 +116,7 @@ def smape(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor 
     """Symmetric mean absolute percentage error, mean of |a - r| / (|a| + |r| + 0.01) on linear, exposed radiance; in
     [0, 1).
 
-    As Vogels et al. 2018 use it, with their ε = 0.01, so that black pixels count little instead of fully.
+    With the ε = 0.01 of Vogels et al. 2018, so that black pixels count little instead of fully.
     """
     a, r = image * scale, reference * scale
     return masked_mean((a - r).abs() / (a.abs() + r.abs() + 0.01), mask)
@@ -136,9 +136,9 @@ def flip(
 def flip_map(image: Tensor, reference: Tensor, scale: Tensor | float, dynamic_range: str = "LDR") -> Tensor:
     """The perceived difference when flipping between both, `[1, 1, H, W]` in [0, 1], at 67 pixels per degree.
 
-    LDR (Andersson et al. 2020) sees the display transform; HDR (Andersson et al. 2021) is the greatest LDR-FLIP over
-    the exposures that FLIP derives from the reference. Computed by `flip_evaluator`; raises InputError where it is not
-    installed and ValueError for another dynamic range.
+    LDR (Andersson et al. 2020) is taken on the display transform; HDR (Andersson et al. 2021) is the maximum of
+    LDR-FLIP over the exposures that FLIP derives from the reference. Raises InputError where `flip_evaluator` is not
+    installed, ValueError for another dynamic range.
     """
     if dynamic_range not in ("LDR", "HDR"):
         raise ValueError(f"expected dynamic range 'LDR' or 'HDR', got {dynamic_range!r}")

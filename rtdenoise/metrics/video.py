@@ -1,4 +1,4 @@
-"""Errors over time: flicker, ghosts, and what an observer sees of a whole sequence."""
+"""Errors over time: flicker, ghosts, and the quality of a whole sequence to an observer."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def tpsnr(
 
         tPSNR = -10 · log₁₀ mean((ΔI - ΔR)²),    ΔI = D(I_i) - D(I_{i-1}),    ΔR = D(R_i) - D(R_{i-1})
 
-    at the same pixel, motion not compensated: an error that stays where it is costs nothing, one that flickers does.
-    NaN where the mask is empty.
+    at the same pixel, without motion compensation: a constant error costs nothing, flicker does. NaN where the mask is
+    empty.
     """
     (before, now), (before_r, now_r) = ([display(x, scale) for x in pair] for pair in (images, references))
     return decibels(masked_mean(((now - before) - (now_r - before_r)).square(), mask))
@@ -47,8 +47,8 @@ def temporal_relmae(
 
 
 def recent_masks(masks: Sequence[Tensor], i: int) -> tuple[Tensor, Tensor, Tensor]:
-    """M⁰, M¹, M² of frame i: the occlusion masks of frames i, i - 1 and i - 2, missing ones taken as M⁰ (the paper,
-    §4.4). Errors inside them tell how a region fares one, two and three frames after it was uncovered."""
+    """M⁰, M¹, M² of frame i: the occlusion masks of frames i, i - 1 and i - 2; missing ones are M⁰ (the paper, §4.4).
+    Errors inside them show a region one, two and three frames after it was uncovered."""
     return tuple(masks[i - k] if i >= k else masks[i] for k in range(3))
 
 
@@ -60,16 +60,16 @@ def ghost_length(
     scale: Tensor | float,
     settled: int = 6,  # frames
 ) -> float:
-    """Frames until what was uncovered is as good as it gets: 0 where it is so at once.
+    """Frames until an uncovered region has its final error; 0: at once.
 
-    The age of a pixel is the number of frames since its surface was uncovered: 0 inside M_i, one more than that of
-    the pixel that `motion` leads to (nearest) elsewhere, none where that has none or is off the screen. E(k) is the
-    mean of the squared display error over all pixels of age k in all frames, E(∞) that over ages ≥ `settled`.
+    The age of a pixel is the number of frames since its surface was uncovered: 0 inside M_i, elsewhere 1 + the age of
+    the pixel that `motion` leads to (nearest), none where that pixel has none or is off the screen. E(k) is the mean
+    squared display error of all pixels of age k in all frames, E(∞) of all ages ≥ `settled`.
 
         ghost length = min{k : E(j) ≤ 1.1 · E(∞) for all ages j with k ≤ j < settled}
 
-    and `settled` where E(settled - 1) is still higher. NaN where no pixel reaches that age, or none has an age before
-    it. Ages that no pixel has are passed over.
+    and `settled` where E(settled - 1) is still higher. NaN where no pixel has an age ≥ `settled`, or none has a
+    smaller one. Ages without pixels are skipped.
     """
     total, count = torch.zeros(settled + 1, dtype=torch.float64), torch.zeros(settled + 1, dtype=torch.float64)
     for image, reference, age in zip(images, references, ages(motions, masks), strict=True):
@@ -86,8 +86,7 @@ def ghost_length(
 
 
 def ages(motions: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
-    """Frames since each pixel's surface was uncovered, as `ghost_length` defines it, `[1, 1, H, W]` float; inf: never
-    seen to be."""
+    """Age of each pixel as `ghost_length` defines it, `[1, 1, H, W]` float; inf: none."""
     age, result = torch.full_like(motions[0][:, :1], math.inf), []
     for i, (motion, mask) in enumerate(zip(motions, masks, strict=True)):
         if i:
@@ -103,10 +102,10 @@ def fovvideovdp(
     scale: Tensor | float,
     frames_per_second: float = 30.0,
 ) -> float:
-    """Quality of the sequence as an observer sees it, in just-objectionable differences: 10 is perfect, lower is worse.
+    """Quality of the sequence to an observer, in just-objectionable differences: 10 is perfect, lower is worse.
 
     FovVideoVDP (Mantiuk et al. 2021) without foveation, on the display transform, for its `standard_4k` display. Raises
-    InputError where `pyfvvdp` is not installed: its licence forbids commercial use, so that no extra brings it along.
+    InputError where `pyfvvdp` is not installed: its licence forbids commercial use, so no extra installs it.
     """
     try:
         import pyfvvdp

@@ -1,12 +1,14 @@
-"""Denoisers: name -> configuration -> weights. Each name is imported when it is asked for: configurations and weights
-files are read without torch."""
+"""Denoisers: a name or a file -> configuration -> network with its weights.
+
+Each name is imported when it is asked for: `config` and `weights` are read where there is no torch.
+"""
 
 from importlib import import_module
 
 _HOMES = {
-    "AccumulatedKPN": "accumulated_kpn", "TemporalKPN": "temporal_kpn", "PRESETS": "create", "Config": "create",
-    "Denoiser": "create", "create": "create", "grow": "grow", "load": "load", "read": "load", "save": "load",
-    "available": "weights", "find": "weights",
+    "AccumulatedKPN": "accumulated_kpn", "AccumulatedKPNConfig": "config", "Config": "config", "Denoiser": "denoiser",
+    "PRESETS": "config", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config", "available": "weights",
+    "create": "loading", "find": "weights", "grow": "growing", "load": "loading", "read": "loading", "save": "loading",
 }  # fmt: skip
 __all__ = [*_HOMES]
 
@@ -14,6 +16,4 @@ __all__ = [*_HOMES]
 def __getattr__(name: str):
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f".{_HOMES[name]}", __name__), name)
-    globals()[name] = value  # `create`, `load` and `grow` are also the names of modules: the function wins
-    return value
+    return getattr(import_module(f".{_HOMES[name]}", __name__), name)

@@ -1,11 +1,14 @@
 """The denoiser that ships: kernel prediction over an accumulated, demodulated signal.
 
-What it keeps of `temporal_kpn` (the paper): dual motion vectors, per-pixel kernels at several scales composed from
-coarse to fine, a temporal kernel, one explicit step. What it changes: textures are divided out before anything is
-filtered and given back before a small kernel smooths edges and the previous output, looked up cubically, is blended in;
-noisy light is averaged along tested reprojections before it is filtered, as far as the network trusts it; the network
-runs at half size; five scales reach far enough for light as sparse as one sample a pixel leaves it; and where a model
-has pick kernels, light that was averaged at a coarser scale stays on its side of an edge.
+It shares with `temporal_kpn` (the paper) dual motion vectors, per-pixel kernels at several scales that are composed
+from coarse to fine, a temporal kernel, and one explicit step. Its changes:
+
+- Albedo is divided out before anything is filtered, and multiplied in before a small kernel smooths edges and the
+  previous output, fetched by a cubic lookup, is blended in.
+- Noisy light is averaged along tested reprojections before it is filtered, as far as the network trusts the average.
+- The network runs at half size. Five scales reach far enough for light as sparse as one sample a pixel leaves it.
+- A model with pick kernels keeps light that was averaged at a coarser scale on its own side of an edge.
+
 Read `AccumulatedKPN.step` first.
 """
 
@@ -20,69 +23,18 @@ from torch.nn import functional as F
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
 from ..ops import apply_kernel, compose, downsample, pick, reproject, warp
+from ..ops.blend_history import blend_history
 from ..ops.features import features
-from ..ops.pixels import accumulate, demodulate, modulate, nearness, shares
-from ..ops.temporal import blend_history
+from ..ops.pixels import accumulate, demodulate, modulate, nearness
+from ..ops.shares import shares
 from ..sanitise import admit
 from ..splat import history_motion
+from .config import AccumulatedKPNConfig
 from .inference import as_weights
-from .unet import ConvRelu, UNet
+from .losses import Loss, temporal_kpn_loss
+from .unet import ConvRelu, UNet, by_name
 
-# Noisy 3, its running mean 3, previous output 3, albedo 3, its running mean 3, normal 3, nearness 1, history length 1,
-# uncovered 1.
-FEATURES = 21
-FIRST = slice(0, 3), slice(6, 19)  # of these, what is not zero everywhere in a first frame
-
-
-@dataclass(frozen=True)
-class Config:
-    """What defines a model. Stored inside its weights file."""
-
-    widths: tuple[int, ...] = (24, 40, 56, 72, 96)
-    """Channels of the U-Net at 1/2, 1/4, 1/8 ... of the image size."""
-    scales: int = 5
-    """Scales that are filtered: 1, 1/2, 1/4 ... of the image size."""
-    kernel: int = 5
-    """Side of the spatial kernels, odd."""
-    temporal_kernel: int = 3
-    """Side of the temporal kernel, odd."""
-    edge_kernel: int = 1
-    """Side of the kernel that smooths edges, odd; 1: there is none."""
-    pick_kernel: int = 1
-    """Side of the kernels by which pixels pick from the next coarser scale, odd; 1: there are none."""
-    longest: float = 16.0
-    """Frames after which the running mean forgets: its least weight of a new frame is 1 / longest."""
-    motion: str = "dual"
-    """What history is fetched with: 'dual' or 'traditional' motion vectors."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "widths", tuple(self.widths))
-        if not 2 <= self.scales <= len(self.widths):
-            raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
-        for size in (self.kernel, self.temporal_kernel, self.edge_kernel, self.pick_kernel):
-            if size % 2 == 0 or size < 1:
-                raise ValueError(f"expected odd kernel sizes, got {size}")
-        if self.longest < 2:
-            raise ValueError(f"expected a longest mean of 2 frames or more, got {self.longest}")
-        if self.motion not in ("dual", "traditional"):
-            raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
-
-    @property
-    def full_head(self) -> list[int]:
-        """Outputs of the head at full size: logits of the spatial, temporal and edge kernel, the pick kernel and its
-        share, and three shares more. 0 of what there is none of."""
-        edge = self.edge_kernel**2 if self.edge_kernel > 1 else 0
-        return [self.kernel**2, self.temporal_kernel**2, edge, *self._pick, 3]
-
-    @property
-    def coarse_heads(self) -> list[list[int]]:
-        """Outputs of the heads of the coarser scales: logits of the spatial kernel, α, and but for the coarsest scale
-        the pick kernel and its share."""
-        return [[self.kernel**2, 1, *self._pick]] * (self.scales - 2) + [[self.kernel**2, 1, 0, 0]]
-
-    @property
-    def _pick(self) -> tuple[int, int]:
-        return (self.pick_kernel**2, 1) if self.pick_kernel > 1 else (0, 0)
+FIRST_FRAME = slice(0, 3), slice(6, 19)  # input channels that are not zero everywhere in a first frame
 
 
 @dataclass(frozen=True)
@@ -99,28 +51,31 @@ class Past:
 
 @dataclass(frozen=True)
 class Heads:
-    """What the network predicts for one frame. Lists run from the finest scale to the coarsest."""
+    """What the network predicts for one frame. Lists run from the finest scale to the coarsest; at the finest scale
+    logits lie by cells, `[B, 2, 2, channels, H/2, W/2]` (`ops.apply_kernel`)."""
 
-    spatial: list[Tensor]  # `scales` × [B, K², H/2^s, W/2^s] logits of the spatial kernels, the first by cells
+    spatial: list[Tensor]  # `scales` × [B, K², H/2^s, W/2^s] logits of the spatial kernels
     alpha: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1], for s = 1 ...: weight of the coarser scale
-    picks: list[tuple[Tensor, Tensor]]  # (scales - 1) × [B, P², H/2^s, W/2^s] logits of the pick kernels, the first by
-    # cells, and [B, 1, H/2^s, W/2^s] in [0, 1], the weight of what is picked; empty: there are none
-    temporal: Tensor  # [B, 2, 2, L², H/2, W/2] logits of the temporal kernel, by cells (`apply_kernel`)
-    edge: Tensor | None  # [B, 2, 2, E², H/2, W/2] logits of the edge kernel, by cells; None: there is none
+    picks: list[
+        tuple[Tensor, Tensor]
+    ]  # (scales - 1) × logits of the pick kernels [B, P², H/2^s, W/2^s], and the weight
+    # [B, 1, H/2^s, W/2^s] in [0, 1] of the picked light; empty where the network has none
+    temporal: Tensor  # [B, 2, 2, L², H/2, W/2] logits of the temporal kernel
+    edge: Tensor | None  # [B, 2, 2, E², H/2, W/2] logits of the edge kernel; None where the network has none
     alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
-    reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean of light is given up for the current frame
+    reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean of light gives way to the current frame
     sharp: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current albedo against its running mean
 
 
 class AccumulatedKPN(nn.Module):
-    """The network and its one-frame step. State is explicit: what `step` returns goes into the next `step`."""
+    """The network and its one-frame step, a `models.Denoiser`."""
 
-    def __init__(self, config: Config = Config()) -> None:
+    def __init__(self, config: AccumulatedKPNConfig) -> None:
         super().__init__()
         self.config = config
-        self.stem = ConvRelu(FEATURES, config.widths[0], 4, stride=2, padding=1)
+        self.stem = ConvRelu(config.features, config.widths[0], 4, stride=2, padding=1)
         self.unet = UNet(config.widths[0], config.widths)
-        outputs, full = [sum(head) for head in config.coarse_heads], sum(config.full_head)
+        full, *outputs = (sum(config.channels(scale)) for scale in range(config.scales))
         self.full_head = nn.ConvTranspose2d(config.widths[0], full, 2, stride=2)  # of the four pixels in each cell
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(config.widths, outputs, strict=False))
         for module in self.modules():
@@ -128,13 +83,13 @@ class AccumulatedKPN(nn.Module):
                 nn.init.xavier_uniform_(module.weight)
                 nn.init.zeros_(module.bias)
         with torch.no_grad():
-            self.full_head.bias[-2] = -4.0  # start from a plain running mean: reset near 0
-            _start_kernels(self)
+            self.full_head.bias[-2] = -4.0  # reset starts near 0: a plain running mean
+            _start_heads(self)
 
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """Denoise one frame, as `TemporalKPN.step`."""
+        """As `Denoiser.step`."""
         frame = admit(frame, history and history.radiance, known)
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance, but for what is not diffuse
 
@@ -147,26 +102,26 @@ class AccumulatedKPN(nn.Module):
         # Predict kernels.
         heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
 
-        # Average light over time, but give the mean up where the network says that light has changed.
+        # Average light over time; the mean gives way where the network says that light has changed.
         if known.first:  # there is nothing to average
             mean, length = noisy, torch.ones_like(past.length)
         else:
             mean, length = accumulate(noisy, past.light, past.length, heads.reset, most)
 
-        # Filter each scale with its own kernels, the coarser ones what the finer have filtered; compose back (eq. 4).
+        # Filter each scale with its own kernels: each takes the filtered image of the finer one. Compose back (eq. 4).
         filtered = [apply_kernel(mean, heads.spatial[0])]
         for logits in heads.spatial[1:]:
             filtered.append(apply_kernel(downsample(filtered[-1]), logits))
-        # Composition mixes what lies on either side of an edge; there a pixel picks its own side.
+        # Composition mixes the two sides of an edge; a pixel there picks the coarse cells of its own side.
         output = filtered[-1]
         for s in reversed(range(self.config.scales - 1)):
             coarse, output = output, compose(filtered[s], output, heads.alpha[s])
             if heads.picks:
                 output = pick(output, coarse, *heads.picks[s])
 
-        # Give the texture back. Albedo has one sample a pixel too: its mean is nearer to a converged picture, but for
-        # what has just changed. At an edge the one sample saw one side only: neighbours have seen the other. Then blend
-        # with the previous output, which averages edges as well.
+        # Multiply the albedo in: its running mean is closer to a converged picture than one sample a pixel, except
+        # where it has just changed. The edge kernel smooths edges, whose one sample saw one side only; blending with
+        # the previous output averages them as well.
         output = modulate(output, frame.albedo, mean_albedo, heads.sharp, frame.depth)
         if heads.edge is not None:
             output = apply_kernel(output, heads.edge)
@@ -190,8 +145,8 @@ class AccumulatedKPN(nn.Module):
     def features(
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN
     ) -> Tensor:
-        """The network's input `[B, 21, H, W]` as its weights are stored: light compressed at one exposure, nearness and
-        length in [0, 1]; in a first frame only `FIRST` of it."""
+        """The network's input `[B, 21, H, W]` in the dtype of its weights: light compressed at one exposure, nearness
+        and length in [0, 1]. In a first frame only the channels of `FIRST_FRAME`."""
         scale = exposure(noisy) if known.exposure is None else known.exposure
         distance = mean_distance(frame.depth) if known.distance is None else known.distance
         geometry = frame.albedo, mean_albedo, frame.normal, nearness(frame.depth, distance)
@@ -201,70 +156,70 @@ class AccumulatedKPN(nn.Module):
         return features((noisy, past.light, past.output), (*geometry, *time), scale, self.stem.weight)
 
     def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
-        """As `TemporalKPN.statistics`, of the light without its textures."""
+        """As `Denoiser.statistics`; the exposure is that of demodulated light."""
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
         return exposure(noisy), mean_distance(frame.depth)
 
     def predict(self, features: Tensor) -> Heads:
-        """Run the network at half size. Logits keep its dtype: `apply_kernel` computes in float32 whatever that is."""
+        """Run the network at half size. Logits keep its dtype; `apply_kernel` computes in float32."""
         H, W = features.shape[2:]
         x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
-        spatial, temporal, edge, pick_logits, pick_share, each = self._full_head(levels[0], self.config.full_head)
-        heads = zip(self.heads, levels, self.config.coarse_heads, strict=True)
-        coarser = [head(x).split(sizes, dim=1) for head, x, sizes in heads]
-        kernels, alphas, picks, pick_shares = zip(*coarser, strict=True)
-        kernels, alphas = [spatial, *kernels], [alpha.float().sigmoid() for alpha in alphas]
-        if pick_logits is None:
-            picks = []
-        else:
-            pick_shares = [shares(pick_share, (H, W)), *(share.float().sigmoid() for share in pick_shares[:-1])]
-            picks = list(zip([pick_logits, *picks[:-1]], pick_shares, strict=True))
-        return Heads(kernels, alphas, picks, temporal, edge, *shares(each, (H, W)).split(1, dim=1))
+        full = self._full_head(levels[0])
+        coarser = [
+            by_name(head(x), names) for head, x, names in zip(self.heads, levels, self.config.heads[1:], strict=True)
+        ]
+        alphas = [scale["alpha"].float().sigmoid() for scale in coarser]
+        picks = [(full["pick"], shares(full["pick_share"], (H, W)))] if "pick" in full else []
+        picks += [(scale["pick"], scale["pick_share"].float().sigmoid()) for scale in coarser if "pick" in scale]
+        spatial = [scale["spatial"] for scale in (full, *coarser)]
+        each = shares(full["shares"], (H, W)).split(1, dim=1)
+        return Heads(spatial, alphas, picks, full["temporal"], full.get("edge"), *each)
 
-    def _full_head(self, x: Tensor, sizes: list[int]) -> list[Tensor | None]:
-        """The outputs of `full_head` by cells, `[B, 2, 2, size, H/2, W/2]` for each of `sizes`, so that what is used
-        together lies together: a transposed convolution whose stride is its size is one of 1×1 for each pixel. None for
-        a size of 0."""
+    def loss(
+        self,
+        image: Tensor,
+        frame: Frame,
+        previous: tuple[Tensor, Tensor] | None,
+        occlusion: Tensor | None,
+        scale: Tensor | float,
+        huber: float,
+    ) -> Loss:
+        """As `Denoiser.loss`: eq. 5 and 6 of the paper."""
+        return temporal_kpn_loss(image, frame.reference, previous, occlusion, scale, huber)
 
-        def part(weight: Tensor, bias: Tensor) -> Tensor | None:
-            C, size = weight.shape[:2]
-            if size == 0:
-                return None
-            weight = weight.permute(2, 3, 1, 0).reshape(4 * size, C, 1, 1)
-            return F.conv2d(x, weight, bias.repeat(4)).unflatten(1, (2, 2, size))
-
-        head = self.full_head
-        weights, biases = head.weight.split(sizes, dim=1), head.bias.split(sizes)
-        return [part(weight, bias) for weight, bias in zip(weights, biases, strict=True)]
+    def _full_head(self, x: Tensor) -> dict[str, Tensor]:
+        """The heads at full size by cells, `[B, 2, 2, channels, H/2, W/2]` each: a transposed convolution whose stride
+        is its size is a 1×1 convolution for each pixel of a cell. One convolution a head keeps the channels that are
+        used together next to each other in memory."""
+        sizes, parts = self.config.channels(0), {}
+        weights, biases = self.full_head.weight.split(sizes, dim=1), self.full_head.bias.split(sizes)
+        for head, weight, bias in zip(self.config.heads[0], weights, biases, strict=True):
+            weight = weight.permute(2, 3, 1, 0).reshape(4 * head.channels, -1, 1, 1)
+            parts[head.name] = F.conv2d(x, weight, bias.repeat(4)).unflatten(1, (2, 2, head.channels))
+        return parts
 
     def _stem(self, x: Tensor) -> Tensor:
-        """The first convolution with its ReLU, of all features or of `FIRST`, to `[B, C, H/2, W/2]`. Pictures smaller
-        than its kernel get some of its zero padding beforehand: in half precision oneDNN (torch 2.13) reads memory that
-        is not theirs."""
+        """The first convolution with its ReLU, of all input channels or of `FIRST_FRAME`, to `[B, C, H/2, W/2]`.
+        Pictures smaller than its kernel are padded first: in half precision oneDNN (torch 2.13) reads beyond their
+        memory."""
         H, W = x.shape[2:]
         if min(H, W) < 4:
             x = F.pad(x, (0, max(0, 4 - W), 0, max(0, 4 - H)))
-        if x.shape[1] == FEATURES:
+        if x.shape[1] == self.config.features:
             return self.stem(x)[:, :, : H // 2, : W // 2]
-        # Joined from slices: a list of indices would be copied to the GPU, which a CUDA graph does not allow.
-        weight = as_weights(torch.cat([self.stem.weight[:, part] for part in FIRST], dim=1), self)
+        # Joined from slices: a CUDA graph cannot copy a list of indices to the GPU.
+        weight = as_weights(torch.cat([self.stem.weight[:, part] for part in FIRST_FRAME], dim=1), self)
         return F.relu(F.conv2d(x, weight, self.stem.bias, stride=2, padding=1))[:, :, : H // 2, : W // 2]
 
 
-def _start_kernels(network: AccumulatedKPN) -> None:
-    """Let edge and pick kernels begin as the same everywhere: of 3×3 edge kernels 0.71 lies on the pixel itself, of
-    pick kernels 0.48 on the cell that the pixel is in, and 0.12 of the light is picked."""
-    # The logit in the middle of each part of the heads, and None for what begins at random.
-    full = (None, None, 3.0, 2.0, -2.0, None)  # spatial, temporal and edge kernel, pick kernel, its share, shares
-    coarse = (None, None, 2.0, -2.0)  # spatial kernel, α, pick kernel, its share
-    starts = [(network.full_head, 1, network.config.full_head, full)]
-    sizes = network.config.coarse_heads
-    starts += [(head, 0, n, coarse) for head, n in zip(network.heads, sizes, strict=True)]
-    for head, axis, sizes, middles in starts:
-        parts = zip(head.weight.split(sizes, axis), head.bias.split(sizes), middles, strict=True)
-        for weight, bias, middle in parts:
-            if middle is not None and len(bias):
+def _start_heads(network: AccumulatedKPN) -> None:
+    """Initialise the heads that have a `Head.start`: every pixel starts with the same kernel."""
+    layers = [(network.full_head, 1), *((head, 0) for head in network.heads)]
+    for (layer, axis), heads in zip(layers, network.config.heads, strict=True):
+        sizes = [head.channels for head in heads]
+        for head, weight, bias in zip(heads, layer.weight.split(sizes, axis), layer.bias.split(sizes), strict=True):
+            if head.start is not None:
                 weight.zero_()
                 bias.zero_()
-                bias[len(bias) // 2] = middle
+                bias[head.channels // 2] = head.start

@@ -1,4 +1,4 @@
-"""A trained network made ready to run: its numbers, their layout in memory, and what can be fused."""
+"""A trained network made ready to run: device, precision, memory layout, fused layers."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ def resolve(precision: str, device: str | torch.device) -> torch.dtype:
 
 
 def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
-    """The network, changed in place: weights in `dtype` and channels last, each ReLU part of the convolution before it,
-    nothing enlarged before it is convolved.
+    """Prepare a network for inference, in place: weights in `dtype` and channels last, ReLUs fused into convolutions,
+    enlargement fused into the decoder's (`_FusedUp`). Parameters keep their names. Not for training.
 
-    Channels last is the layout that convolutions compute in, on CPUs and on tensor cores; in any other they turn their
-    input and output around. `as_weights` brings the input to it. Not for training. Parameters keep their names.
+    Convolutions compute in channels last, on CPUs and on tensor cores; other layouts are converted in every call.
+    `as_weights` converts the network's input.
     """
     for module in list(network.modules()):
         if isinstance(module, nn.Sequential):
@@ -66,7 +66,7 @@ def as_weights(x: Tensor, network: nn.Module) -> Tensor:
 
 
 class _FusedConvRelu(ConvRelu):
-    """In one pass, where torch has oneDNN's (CPU)."""
+    """Convolution and ReLU in one pass, where torch has oneDNN (CPU)."""
 
     def forward(self, x: Tensor) -> Tensor:
         if x.device.type != "cpu":
@@ -77,17 +77,17 @@ class _FusedConvRelu(ConvRelu):
 
 
 class _FusedUp(Up):
-    """A level of the decoder whose first convolution is two, summed: one of the skip connection, and one of what is
-    below that works at its size.
+    """A level of the decoder with its first convolution split in two: one of the skip connection, and one of the
+    coarser level at the coarser size.
 
-    Of nearest enlargement a 3×3 convolution sees 2×2 different pixels, so that the two together are a transposed
-    convolution of 4×4 with stride 2, whose weights are sums of the 3×3: 16 products for 36 a channel, and neither the
-    enlarged picture nor the joined one is ever made.
+    After nearest upsampling a 3×3 window covers only 2×2 distinct pixels. Upsampling and convolution together are
+    therefore a 4×4 transposed convolution with stride 2 whose weights are sums of the 3×3 ones: 16 products a channel
+    instead of 36, and neither the enlarged picture nor the joined one is ever stored.
     """
 
     @classmethod
     def take(cls, up: Up) -> None:
-        """Make `up` one, in place. Its own weights stay where they are, under their names."""
+        """Turn `up` into this class, in place. Its own weights keep their names."""
         weight = up[0].weight.detach()
         up.register_buffer("of_below", enlarging(weight[:, : up.below]), persistent=False)
         up.register_buffer("of_skip", weight[:, up.below :].clone(), persistent=False)
@@ -105,8 +105,8 @@ class _FusedUp(Up):
 
 
 def enlarging(weight: Tensor) -> Tensor:
-    """Of a 3×3 convolution `[O, I, 3, 3]`: the weights `[I, O, 4, 4]` with which `conv_transpose2d(x, ..., stride=2,
-    padding=1)` is that convolution of x enlarged twice.
+    """Turn the weights of a 3×3 convolution, `[O, I, 3, 3]`, into weights `[I, O, 4, 4]` for `conv_transpose2d(x, ...,
+    stride=2, padding=1)` that convolve x after nearest ×2 upsampling.
 
     Along each axis pixel 2i sees i - 1 with tap 0 and i with taps 1 and 2; pixel 2i + 1 sees i with taps 0 and 1 and
     i + 1 with tap 2. Tap t of the transposed convolution leads from pixel i to pixel 2i + t - 1.

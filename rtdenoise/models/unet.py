@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
+
+from .config import Head
+
+
+def by_name(outputs: Tensor, heads: Iterable[Head]) -> dict[str, Tensor]:
+    """Split the output channels of a scale into its heads."""
+    heads = tuple(heads)
+    parts = outputs.split([head.channels for head in heads], dim=1)
+    return {head.name: part for head, part in zip(heads, parts, strict=True)}
 
 
 class ConvRelu(nn.Conv2d):
@@ -59,7 +70,7 @@ def double(inputs: int, outputs: int) -> list[nn.Module]:
 
 
 class Up(nn.Sequential):
-    """One level of the decoder: what comes from below is enlarged, joined by the skip connection, convolved twice."""
+    """One level of the decoder: enlarge the coarser level, join the skip connection, convolve twice."""
 
     def __init__(self, below: int, outputs: int) -> None:
         super().__init__(*double(below + outputs, outputs))
@@ -71,8 +82,9 @@ class Up(nn.Sequential):
 
 
 def _pool(x: Tensor) -> Tensor:
-    """2×2 max pooling: whole rows against each other first, which is vector code in any layout (torch's own pooling of
-    channels last is not). With gradients torch's, whose way back is vector code, as that of `maximum` is not."""
+    """2×2 max pooling. Without gradients by two `maximum`s, rows first: they are vectorised in every layout, torch's
+    own pooling is not in channels last. With gradients by `F.max_pool2d`: its backward is vectorised, that of `maximum`
+    is not."""
     if x.requires_grad:
         return F.max_pool2d(x, 2)
     x = torch.maximum(x[:, :, 0::2], x[:, :, 1::2])

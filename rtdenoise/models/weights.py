@@ -1,76 +1,106 @@
 """Weights files: safetensors, with the model's configuration in their metadata. Never pickle, which can run code.
 
-They are read as numpy arrays, without torch; `models.load` and `glsl` make denoisers of them."""
+They are read as numpy arrays, without torch; `loading` and `glsl` make denoisers of them.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
+from .config import Config, from_stored
 
+MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
 _SHIPPED = resources.files("rtdenoise") / "weights"
 
 
 @dataclass(frozen=True)
 class StoredModel:
-    """What a weights file holds."""
+    """The content of a weights file."""
 
     path: Path
-    architecture: str  # the name of its module in `rtdenoise.models`
-    config: dict  # of its `Config`
-    tensors: dict[str, np.ndarray]  # its state dict, float32
-
-    def expect(self, shapes: Mapping[str, tuple[int, ...]], overrides: Collection[str] = ()) -> None:
-        """Raise InputError where the tensors have not exactly these names and shapes. `overrides` are the fields of the
-        configuration that were asked for instead of the stored ones."""
-        found = {key: tensor.shape for key, tensor in self.tensors.items()}
-        if wrong := sorted(k for k in shapes.keys() | found.keys() if shapes.get(k) != found.get(k)):
-            changed = f" with {', '.join(overrides)} as asked for" if overrides else ""
-            raise InputError(
-                f"{self.path}: weights do not fit the configuration{changed}: {wrong[0]} is "
-                f"{found.get(wrong[0], 'missing')}, expected {shapes.get(wrong[0], 'none')}"
-            )
+    config: Config
+    tensors: dict[str, np.ndarray]  # the state dict, float32, finite
 
 
 def available() -> list[str]:
-    """Names of the models whose weights are shipped."""
+    """Names of the models that ship."""
     names = [path.name for path in _SHIPPED.iterdir()] if _SHIPPED.is_dir() else []
     return sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))
 
 
 def find(model: str | Path) -> Path:
-    """The file of a shipped name (which goes first) or of a path. Raises InputError where there is neither."""
+    """The file of a model that ships, or else of a path. Raises InputError where there is neither."""
     name = str(model)
     path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in available() else Path(name)
     if not path.is_file():
         raise InputError(
-            f"no model {name!r}: expected one of {', '.join(available())} or the path of a .safetensors file"
+            f"no model {name!r}{did_you_mean(name, available())}: expected one of {', '.join(available())} or the path "
+            "of a .safetensors file"
         )
     return path
 
 
-def read_model(model: str | Path) -> StoredModel:
-    """The file of a shipped name or of a path. Raises InputError where there is none, or it holds no model."""
+def read_model(model: str | Path, **overrides: object) -> StoredModel:
+    """Read a model that ships, or the weights file at a path. `overrides` replace fields of its configuration.
+
+    Raises InputError where there is no such file, its configuration is none of this version, an override is no field,
+    or the tensors are not finite or do not fit the configuration.
+    """
     path = find(model)
     try:
         with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            tensors = {key: file.get_tensor(key).astype(np.float32) for key in file.keys()}  # noqa: SIM118 (not a dict)
+            config = _overridden(_config(path, file.metadata() or {}), str(model), overrides)
+            found = {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118 (not a dict)
+            _expect(path, found, config, overrides)
+            tensors = {key: file.get_tensor(key).astype(np.float32) for key in found}
     except (SafetensorError, OSError, TypeError) as error:  # numpy has no bfloat16: TypeError
         raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+    for name, tensor in tensors.items():
+        if not (np.abs(tensor) <= MAX_WEIGHT).all():  # NaN neither
+            raise InputError(f"{path}: {name} holds values that are not finite or beyond ±{MAX_WEIGHT:g}; the file is "
+                             "damaged: train or download it again")  # fmt: skip
+    return StoredModel(path, config, tensors)
+
+
+def _expect(path: Path, found: Mapping[str, tuple], config: Config, overrides: Collection[str]) -> None:
+    """Raise InputError unless the tensors have the names and shapes of the configuration."""
+    shapes = config.shapes
+    if wrong := sorted(k for k in shapes.keys() | found.keys() if shapes.get(k) != found.get(k)):
+        changed = f" with {', '.join(overrides)} as asked for" if overrides else ""
+        raise InputError(
+            f"{path}: weights do not fit the configuration{changed}: {wrong[0]} is "
+            f"{found.get(wrong[0], 'missing')}, expected {shapes.get(wrong[0], 'none')}"
+        )
+
+
+def _overridden(config: Config, model: str, overrides: Mapping[str, object]) -> Config:
+    known = asdict(config)
+    if unknown := [name for name in overrides if name not in known]:
+        raise InputError(f"{', '.join(unknown)}: not an override of model {model!r}; its configuration has "
+                         f"{', '.join(known)}")  # fmt: skip
+    try:
+        return replace(config, **overrides)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"model {model!r}: {error}") from None
+
+
+def _config(path: Path, metadata: Mapping[str, str]) -> Config:
     if "config" not in metadata:
         raise InputError(
             f"{path}: no model configuration in its metadata; expected a file written by `rtdenoise train`"
         )
     try:
-        config = json.loads(metadata["config"])
-    except ValueError as error:
+        values = json.loads(metadata["config"])
+        if not isinstance(values, dict):
+            raise ValueError(f"expected an object, got {type(values).__name__}")
+        return from_stored(metadata.get("architecture", "temporal_kpn"), values)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: its configuration is not one of this version: {error}") from None
-    return StoredModel(path, metadata.get("architecture", "temporal_kpn"), config, tensors)

@@ -1,15 +1,24 @@
-"""The kernel-apply operations, with gradients. Each module states its index equation and has it in plain torch, which
-is the specification; `native` (CPU) and `triton` (CUDA) hold fused ones of the same names, and `path` chooses.
-`features`, `pixels`, `blocks` and `temporal` have what else a step does to whole pictures, fused in the same way.
+"""The kernel-apply operations, with gradients.
+
+An op has one name in four places: `ops/NAME.py` holds its index equation and the plain torch code that specifies it,
+`ops/native/NAME.py` and `.c` its fused twin for the CPU, `ops/triton/NAME.py` for CUDA, `shaders/ops/NAME.comp.glsl`
+for OpenGL. `dispatch` chooses between plain and fused. Only the public ops are exported here; the files without a
+shader (`features`, `pixels`, `shares`, ...) serve the models and the preparation of frames.
 
 Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, x right, y down.
 """
 
+from .alike import alike
 from .apply_kernel import apply_kernel
-from .path import use
-from .pyramid import blend, compose, downsample, pick, upsample
-from .reproject import alike, reproject
-from .warp import fetch, warp
+from .blend import blend
+from .compose import compose
+from .dispatch import use
+from .downsample import downsample
+from .fetch import fetch
+from .pick import pick
+from .reproject import reproject
+from .upsample import upsample
+from .warp import warp
 
 __all__ = [
     "alike", "apply_kernel", "blend", "compose", "downsample", "fetch", "pick", "reproject", "upsample", "use", "warp",

@@ -1,4 +1,4 @@
-"""Apply a predicted kernel at every pixel: the operation the whole denoiser is built around."""
+"""Apply a predicted kernel at every pixel: the operation that the whole denoiser is built around."""
 
 from __future__ import annotations
 
@@ -10,8 +10,15 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from .layout import whole
-from .path import fused
+from .dispatch import Fused, Support
+from .logits import whole
+
+MAX_KERNEL = 7  # C is unrolled over K² taps: it compiles for 11 s at 7, 43 s at 15
+FUSED = Fused(
+    "apply_kernel",
+    native=Support(max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",), gradients=("image", "logits")),
+    triton=Support(max_kernel=MAX_KERNEL, halves=("logits",), gradients=("image", "logits")),
+)
 
 
 def apply_kernel(
@@ -23,12 +30,12 @@ def apply_kernel(
         w[b,k,y,x]   = softmax_k logits[b,k,y,x], over the taps k = dy·K + dx that lie inside the image
         out[b,c,y,x] = Σ_{dy,dx ∈ 0..K-1} w[b, dy·K+dx, y, x] · image[b, c, y+dy-r, x+dx-r],    r = ⌊K/2⌋
 
-    It gathers. Weights are positive and sum to 1 at borders too, so a constant image stays as it is, the output lies
+    It gathers. Weights are positive and sum to 1, at borders too: a constant image stays as it is, the output lies
     between the least and the greatest tap, and grey stays grey. Softmax subtracts the maximum and accumulates in
     float32 (or float64) whatever the dtype of `logits`; the result has the dtype of `image`.
 
-    Logits by cells are what a network at half size computes, all four pixels of each 2×2 cell at once: pixel (y, x) has
-    logits[b, y mod 2, x mod 2, :, ⌊y/2⌋, ⌊x/2⌋].
+    A network at half size predicts logits by cells, for all four pixels of a 2×2 cell at once: the logits of pixel
+    (y, x) are logits[b, y mod 2, x mod 2, :, ⌊y/2⌋, ⌊x/2⌋].
 
     Raises ValueError where the shapes do not fit or K is even.
     """
@@ -41,7 +48,7 @@ def apply_kernel(
         raise ValueError(f"expected logits [{B}, K², {H}, {W}] with K odd, got {tuple(logits.shape)}")
     if logits.ndim == 6 and torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
         logits = whole(logits)[:, :, :H, :W]
-    if run := fused("apply_kernel", image, logits):
+    if run := FUSED(image=image, logits=logits):
         return run(image, logits)
 
     logits = whole(logits)[:, :, :H, :W] if logits.ndim == 6 else logits
@@ -52,8 +59,8 @@ def apply_kernel(
 
 
 class _Gather(torch.autograd.Function):
-    """The weighted sum over taps. Written out both ways because autograd would keep and zero a full-size buffer a
-    tap."""
+    """The weighted sum over taps. Its backward is written out because autograd would keep and zero a full-size buffer
+    for every tap."""
 
     @staticmethod
     def forward(ctx, weights: Tensor, padded: Tensor, K: int) -> Tensor:
@@ -76,7 +83,7 @@ class _Gather(torch.autograd.Function):
 
 
 def _windows(padded: Tensor, K: int) -> Iterator[tuple[int, Tensor]]:
-    """(k, the padded image shifted to tap k), a view `[B, C, H, W]` each."""
+    """(k, the padded image shifted to tap k) for every tap; each image is a view `[B, C, H, W]`."""
     H, W = padded.shape[2] - K + 1, padded.shape[3] - K + 1
     for dy in range(K):
         for dx in range(K):
@@ -84,7 +91,7 @@ def _windows(padded: Tensor, K: int) -> Iterator[tuple[int, Tensor]]:
 
 
 def _inside(H: int, W: int, K: int, device: torch.device) -> Tensor:
-    """Which taps lie inside the image, `[1, K², H, W]` bool."""
+    """Whether each tap lies inside the image, `[1, K², H, W]` bool."""
     offset = torch.arange(K, device=device) - K // 2
     y = torch.arange(H, device=device) + offset[:, None]  # [K, H] row of tap dy
     x = torch.arange(W, device=device) + offset[:, None]  # [K, W] column of tap dx

@@ -1,4 +1,4 @@
-"""Look up history where it shows the same surface: bilinear reprojection whose taps are tested one by one."""
+"""Bilinear reprojection that tests every tap: history only where it shows the same surface."""
 
 from __future__ import annotations
 
@@ -8,45 +8,29 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from .path import fused
-from .warp import check
+from ..constants import DEPTH_TOLERANCE, MIN_HISTORY_WEIGHT, MIN_NORMAL_COSINE
+from .alike import alike
+from .dispatch import Fused, Support
+from .targets import check
 
-LEAST = 1e-2  # sum of bilinear weights that makes a history: dividing by less only brings out what was rounded
-
-
-def alike(
-    surface: tuple[Tensor, Tensor],  # depth [B, 1, H, W] and normal [B, 3, H, W] at each pixel
-    other: tuple[Tensor, Tensor],  # ... of what it is compared with
-    depth_tolerance: float = 0.1,
-    normal_tolerance: float = 0.5,
-) -> Tensor:  # [B, 1, H, W] bool
-    """Whether two pixels may show the same surface: depths that differ by at most `depth_tolerance` (relative) and
-    normals whose cosine is `normal_tolerance` at least; two misses (depth 0) are alike, a hit and a miss are not.
-
-    Normals need not be of unit length: at edges they are means over the pixel. One of length 0 says nothing.
-    """
-    (depth, normal), (was_depth, was_normal) = surface, other
-    near = (depth - was_depth).abs() <= depth_tolerance * torch.maximum(depth, was_depth)
-    lengths = (normal.square().sum(1, keepdim=True) * was_normal.square().sum(1, keepdim=True)).sqrt()
-    aligned = (normal * was_normal).sum(1, keepdim=True) >= normal_tolerance * lengths
-    hit, was_hit = depth > 0, was_depth > 0
-    return torch.where(hit & was_hit, near & aligned, hit == was_hit)
+FAR_AWAY = 1e6  # pixels: longer motion is off the screen anyway, and this still fits an integer
+FUSED = Fused("reproject", native=Support(max_channels=8, gradients=("stored",)), triton=Support())
 
 
 def reproject(
-    stored: Tensor | Sequence[Tensor],  # [B, C, H, W] of the previous frame, or several, whose channels are joined
+    stored: Tensor | Sequence[Tensor],  # [B, C, H, W] of the previous frame; several are joined along channels
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels
     surface: tuple[Tensor, Tensor],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
-    surface_previous: tuple[Tensor, Tensor],  # ... of the previous one, not reprojected
-    depth_tolerance: float = 0.1,
-    normal_tolerance: float = 0.5,
+    surface_previous: tuple[Tensor, Tensor],  # the same of the previous frame, not reprojected
+    depth_tolerance: float = DEPTH_TOLERANCE,
+    normal_tolerance: float = MIN_NORMAL_COSINE,
 ) -> tuple[Tensor, Tensor]:  # [B, C, H, W], [B, 1, H, W] bool
-    """`warp` that takes no tap from another surface or from off the screen, and says where no tap was left.
+    """`warp` without taps from other surfaces or from off the screen; the second value is False where no tap is left.
 
         out(p) = Σ_t b_t v_t stored(t) / Σ_t b_t v_t          over the four pixels t around p + motion(p)
 
-    with the bilinear weights b_t, and v_t = 1 where t is on the screen and shows a surface `alike` that at p. Where
-    Σ b v < 0.01 the result is 0 and the second value False. History then neither leaks across silhouettes nor fades at
+    with the bilinear weights b_t, and v_t = 1 where t is on the screen and its surface is `alike` the one at p. Where
+    Σ b v < `MIN_HISTORY_WEIGHT` the result is 0 and not valid. So history neither leaks across silhouettes nor fades at
     them. Differentiable in `stored`.
 
     Raises ValueError where the shapes do not fit.
@@ -54,15 +38,13 @@ def reproject(
     stored = [stored] if isinstance(stored, Tensor) else [*stored]
     for image in stored:
         check(image, motion)
-    if run := fused("reproject", *stored, motion, *surface, *surface_previous):
-        tolerances = (depth_tolerance, normal_tolerance)
-        return run(stored, motion, *surface, *surface_previous, tolerances=tolerances, least=LEAST)
+    if run := FUSED(stored=stored, motion=motion, surface=surface, surface_previous=surface_previous):
+        return run(stored, motion, *surface, *surface_previous, tolerances=(depth_tolerance, normal_tolerance))
     stored = torch.cat(stored, dim=1)
     B, C, H, W = stored.shape
     x = torch.arange(W, device=motion.device, dtype=motion.dtype)
     y = torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]
-    # Far away is as good as off the screen, and its square pixel numbers still fit an integer.
-    motion = torch.nan_to_num(motion, nan=1e6, posinf=1e6, neginf=-1e6).clamp(-1e6, 1e6)
+    motion = torch.nan_to_num(motion, nan=FAR_AWAY, posinf=FAR_AWAY, neginf=-FAR_AWAY).clamp(-FAR_AWAY, FAR_AWAY)
     u, v = motion[:, 0] + x, motion[:, 1] + y
     left, top = u.floor(), v.floor()
     f, g = u - left, v - top
@@ -80,5 +62,5 @@ def reproject(
         weight = ((f if dx else 1 - f) * (g if dy else 1 - g)).unsqueeze(1) * same
         total = total + weight
         found = found + weight * flat.gather(2, index.expand(B, C, H * W)).reshape(B, C, H, W)
-    valid = total >= LEAST
-    return torch.where(valid, found / total.clamp(min=LEAST), 0.0), valid
+    valid = total >= MIN_HISTORY_WEIGHT
+    return torch.where(valid, found / total.clamp(min=MIN_HISTORY_WEIGHT), 0.0), valid

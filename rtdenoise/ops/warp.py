@@ -1,19 +1,25 @@
-"""Look up an image where the motion vectors point: bilinear or cubic (`warp`, for radiance) or nearest (`fetch`, for
-everything that must not be mixed across silhouettes: motion, depth, normals, ids)."""
+"""Bilinear or cubic reprojection, for radiance and whatever else may be interpolated."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
-from .path import fused
+from .dispatch import Fused, Support, plain
+from .targets import check, clamped_targets
+
+MAX_CHANNELS = 8  # of the fused ops, which hold all channels of a pixel; wider images take torch's own lookup
+FUSED = Fused(
+    "warp", native=Support(max_channels=MAX_CHANNELS, gradients=("image",)), triton=Support(max_channels=MAX_CHANNELS)
+)
 
 
 def warp(
     image: Tensor,  # [B, C, H, W]
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels
-    seen: Tensor | None = None,  # [B, 1, H, W] bool: where this is wanted
-    otherwise: Tensor | None = None,  # [B, C, H, W] what is taken elsewhere; goes with `seen`
+    seen: Tensor | None = None,  # [B, 1, H, W] bool: pixels that are looked up
+    otherwise: Tensor | None = None,  # [B, C, H, W] the values of all other pixels; goes with `seen`
     cubic: bool = False,
 ) -> Tensor:  # [B, C, H, W]
     """Reprojection (the paper's eq. 3): `out(p) = image(p + motion(p))`, bilinear or cubic.
@@ -23,25 +29,29 @@ def warp(
         out[b,c,y,x] = (1-g)·((1-f)·image[b,c,y0,x0] + f·image[b,c,y0,x1])
                      +    g ·((1-f)·image[b,c,y1,x0] + f·image[b,c,y1,x1])
 
-    What is looked up again and again, frame after frame, gets blurred by that. `cubic` takes 4×4 pixels with
-    Catmull-Rom's weights along either axis,
+    Bilinear lookups blur, and an image that is looked up frame after frame blurs more with each. `cubic` takes 4×4
+    pixels with Catmull-Rom's weights along either axis,
 
         f·(f·(1 - f/2) - 1/2),  1 + f²·(3f/2 - 5/2),  f·(1/2 + f·(2 - 3f/2)),  f²·(f - 1)/2     at x0 - 1 ... x0 + 2,
 
-    and holds the result between the least and the greatest of the 2×2 around u, v: it overshoots nowhere.
+    and clamps the result to the range of the 2×2 pixels around (u, v), so that it never overshoots.
 
-    Targets off the screen take the nearest border pixel (`motion.on_screen` says which they are); a motion that is not
-    finite counts as zero. Whole-pixel motion, zero included, is exact to the bit, so a static picture does not drift.
+    Targets off the screen take the nearest border pixel (`motion.on_screen` tells which these are); a motion that is
+    not finite counts as zero. Whole-pixel motion, zero included, is exact to the bit, so a static picture does not
+    drift; only bilinear lookups in more than `MAX_CHANNELS` channels round (about 1e-7 of the image's width in pixels).
     Differentiable in `image` and, almost everywhere, in `motion`.
 
     Raises ValueError where the shapes do not fit.
     """
     check(image, motion)
     choice = () if seen is None else (seen, otherwise)
-    if run := fused("warp", image, motion, *choice[1:]):
+    if image.shape[1] > MAX_CHANNELS and image.numel() and not cubic and not plain():
+        found = _grid_sample(image, motion)
+        return found if seen is None else torch.where(seen, found, otherwise)
+    if run := FUSED(image=image, motion=motion, otherwise=otherwise):
         return run(image, motion, *choice, cubic=cubic)
     B, C, H, W = image.shape
-    u, v = _targets(motion, H, W)
+    u, v = clamped_targets(motion, H, W)
     columns, rows = _taps(u, W, cubic, image.dtype), _taps(v, H, cubic, image.dtype)
     flat = image.reshape(B, C, H * W)
 
@@ -58,8 +68,17 @@ def warp(
     return found if seen is None else torch.where(seen, found, otherwise)
 
 
+def _grid_sample(image: Tensor, motion: Tensor) -> Tensor:
+    """Bilinear `warp` by torch's kernel, in float32 at least: coordinates need the digits."""
+    H, W = image.shape[2:]
+    dtype = torch.promote_types(torch.float32, image.dtype)
+    u, v = clamped_targets(motion.to(dtype), H, W)
+    grid = torch.stack([(2 * u + 1) / W - 1, (2 * v + 1) / H - 1], dim=-1)  # in [-1, 1]: the edges of the image
+    return F.grid_sample(image.to(dtype), grid, padding_mode="border", align_corners=False).to(image.dtype)
+
+
 def _taps(u: Tensor, n: int, cubic: bool, dtype: torch.dtype) -> list[tuple[Tensor, Tensor]]:
-    """Along one axis, of n pixels: which are looked up `[B, H, W]` for targets u, and their weights `[B, 1, H, W]`."""
+    """The taps of targets u along one axis of n pixels: (index `[B, H, W]`, weight `[B, 1, H, W]`) each."""
     first = u.floor()
     f = u - first
     if cubic:
@@ -70,38 +89,5 @@ def _taps(u: Tensor, n: int, cubic: bool, dtype: torch.dtype) -> list[tuple[Tens
     else:
         weights = (1 - f, f)
     before = 1 if cubic else 0
-    places = ((first.long() + i - before).clamp(0, n - 1) for i in range(len(weights)))
-    return [(place, weight.unsqueeze(1).to(dtype)) for place, weight in zip(places, weights, strict=True)]
-
-
-def fetch(
-    image: Tensor,  # [B, C, H, W]
-    motion: Tensor,  # [B, 2, H, W] (x, y) in pixels
-) -> Tensor:  # [B, C, H, W]
-    """Nearest reprojection: `out[b,c,y,x] = image[b, c, ⌊v + ½⌋, ⌊u + ½⌋]` with the clamped targets u, v of `warp`.
-
-    Differentiable in `image` only. Raises ValueError where the shapes do not fit.
-    """
-    check(image, motion)
-    if run := fused("fetch", image, motion):
-        return run(image, motion)
-    B, C, H, W = image.shape
-    u, v = _targets(motion, H, W)
-    index = (v + 0.5).floor().long() * W + (u + 0.5).floor().long()
-    return image.reshape(B, C, H * W).gather(2, index.reshape(B, 1, H * W).expand(B, C, H * W)).reshape(B, C, H, W)
-
-
-def _targets(motion: Tensor, H: int, W: int) -> tuple[Tensor, Tensor]:
-    """Clamped target coordinates u, v `[B, H, W]`, in units where pixel (0, 0) is at 0."""
-    motion = torch.nan_to_num(motion, nan=0.0, posinf=0.0, neginf=0.0)
-    x = torch.arange(W, device=motion.device, dtype=motion.dtype)
-    y = torch.arange(H, device=motion.device, dtype=motion.dtype)
-    return (motion[:, 0] + x).clamp(0, W - 1), (motion[:, 1] + y[:, None]).clamp(0, H - 1)
-
-
-def check(image: Tensor, motion: Tensor) -> None:
-    if image.ndim != 4:
-        raise ValueError(f"expected image [B, C, H, W], got {tuple(image.shape)}")
-    expected = (image.shape[0], 2, *image.shape[2:])
-    if tuple(motion.shape) != expected:
-        raise ValueError(f"expected motion {expected} for an image {tuple(image.shape)}, got {tuple(motion.shape)}")
+    indices = ((first.long() + i - before).clamp(0, n - 1) for i in range(len(weights)))
+    return [(index, weight.unsqueeze(1).to(dtype)) for index, weight in zip(indices, weights, strict=True)]

@@ -16,6 +16,8 @@ import torch
 
 from .. import motion
 from ..color import luminance
+from ..data import scene_motion
+from ..frame import OCCLUSION_THRESHOLD
 from .scenes.scene import Scene
 from .stage import Stage, start_mitsuba
 
@@ -55,12 +57,16 @@ def describe_frame(scene: Scene, number: int, size: tuple[int, int]) -> dict:
 
 
 def motion_between(position: np.ndarray, id: np.ndarray, frame_i: dict, frame_j: dict) -> np.ndarray:
-    """`rtdenoise.motion.motion_between` from frame i to frame j for one image: [H, W, 3], [H, W, 1] to [H, W, 2]."""
-    return _array(motion.motion_between(_tensor(position), _tensor(id), frame_i, frame_j))
+    """`scene_motion.motion_between` from frame i to frame j for one image: [H, W, 3], [H, W, 1] to [H, W, 2]."""
+    planes = scene_motion.motion_between(np.moveaxis(position, 2, 0), np.moveaxis(id, 2, 0), frame_i, frame_j)
+    return np.ascontiguousarray(np.moveaxis(planes, 0, 2))
 
 
-def uncovered(motion_now: np.ndarray, previous_motion_next: np.ndarray, threshold: float = 1.0) -> np.ndarray:
-    """[H, W] bool: `rtdenoise.motion.occlusion_mask` by the motion of a frame and `motion_next` of the one before."""
+def uncovered(
+    motion_now: np.ndarray, previous_motion_next: np.ndarray, threshold: float = OCCLUSION_THRESHOLD
+) -> np.ndarray:
+    """`rtdenoise.motion.occlusion_mask`, `[H, W]` bool, from a frame's motion and the `motion_next` of the frame
+    before."""
     now = _tensor(motion_now)
     return _array(motion.occlusion_mask(motion.dual_motion(now, _tensor(previous_motion_next)), now, threshold))[..., 0]
 

@@ -42,7 +42,7 @@ def survey(stage: Stage, frames: int, view: tuple[int, int]) -> Survey:
     size = (view[0] // COARSE, view[1] // COARSE)
     seen = [features(stage, n, size) for n in range(frames)]
     hidden = [np.zeros(size, bool)]
-    hidden += [uncovered(b["motion"], a["motion_next"], 0.5) for a, b in pairwise(seen)]
+    hidden += [uncovered(b["motion"], a["motion_next"]) for a, b in pairwise(seen)]
     length = np.stack([np.linalg.norm(f["motion"], axis=-1) for f in seen]) * COARSE
     depth = np.concatenate([f["depth"].ravel() for f in seen])
     hit = depth > 0

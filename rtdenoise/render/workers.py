@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -10,9 +9,11 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from ..errors import InputError
+from ..files import lock
 from .stage import start_mitsuba
 
 
@@ -42,21 +43,6 @@ def start_worker() -> None:
     start_mitsuba(1)
 
 
-@contextlib.contextmanager
-def only_run(folder: Path, name: str) -> Iterator[None]:
-    """Hold the lock `name` of a folder until the block or the process ends.
-
-    Raises InputError where another process holds it. Systems without file locks hold nothing: two runs then render the
-    same files twice.
-    """
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    with (folder / f".lock-{name}").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise InputError(f"{folder}: another run is rendering into this folder; choose another --out") from error
-        yield
+def only_run(folder: Path, name: str) -> AbstractContextManager[None]:
+    """Hold the lock `name` of a folder, as `files.lock` does."""
+    return lock(folder, f".lock-{name}")

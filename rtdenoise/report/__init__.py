@@ -1,30 +1,33 @@
-"""From evaluation.json to something to look at: report.html, report.md and report.png beside it."""
+"""evaluation.json drawn: report.html, report.md and report.png beside it."""
 
 from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
 
-from ..errors import InputError
-from ..evaluate.document import Document
+from ..errors import InputError, did_you_mean
+from ..evaluate.document import NAME, Document
 from ..files import write_atomically
 from .markdown import markdown
 from .page import page, payload
 
-__all__ = ["report"]
+__all__ = ["find_page", "report"]
 
 
 def report(folder: Path, pictures: tuple[str, ...] = (), sequences: tuple[str, ...] = ()) -> list[Path]:
-    """Write the reports of what `rtdenoise evaluate` measured into `folder`; returns the files.
+    """Write the reports of the evaluation in `folder` beside it; returns the files.
 
     `pictures` and `sequences`: methods and sequences whose pictures the page holds, all if empty. report.png needs
-    matplotlib and is left out where that is not installed. Raises InputError where there is no evaluation.json, or a
-    method is none of it.
+    matplotlib and is left out where that is not installed. Raises InputError where evaluation.json is missing, or has
+    no such method or sequence.
     """
     folder = Path(folder)
     document = Document.read(folder)
-    if unknown := [name for name in pictures if name not in document.methods]:
-        raise InputError(f"no method {unknown[0]!r} in {folder}; it has {', '.join(document.methods)}")
+    for kind, names, known in (("method", pictures, document.methods), ("sequence", sequences, document.sequences)):
+        for name in names:
+            if name not in known:
+                near = did_you_mean(name, known)
+                raise InputError(f"no {kind} {name!r} in {folder}{near}; it has {', '.join(known)}")
     data = payload(document)
     written = {
         folder / "report.html": page(data, document, folder, pictures, sequences).encode(),
@@ -37,3 +40,15 @@ def report(folder: Path, pictures: tuple[str, ...] = (), sequences: tuple[str, .
     for path, content in written.items():
         write_atomically(path, content)
     return list(written)
+
+
+def find_page(path: Path) -> Path:
+    """The report.html of a folder, or `path` itself if it is a file. It is written where it is missing or older than
+    evaluation.json. Raises InputError where there is neither."""
+    path = Path(path)
+    if path.is_file():
+        return path
+    page, numbers = path / "report.html", path / NAME
+    if not page.is_file() or (numbers.is_file() and numbers.stat().st_mtime > page.stat().st_mtime):
+        report(path)
+    return page

@@ -1,4 +1,4 @@
-"""What it would take: how many samples, or how much time, another method needs for the same error.
+"""Equal error and equal time: how many samples, or how much time, another method needs for the same error.
 
 Errors are compared as costs (`readings.cost`), which fall with a power of the samples: a straight line in log-log.
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 from .readings import HEADLINE, OURS, cost, denoising_ms, grouped, label, sample_of
 
-LEVEL = -0.05  # slope of log cost over log samples from which on more samples do not help: noise alone falls with -1
+MIN_SLOPE = -0.05  # of log cost over log samples: flatter curves have levelled off; noise alone has -1
 
 
 def comparisons(rows: Sequence[dict], methods: dict[str, dict], sequences: dict[str, dict], us: str) -> list[dict]:
@@ -42,9 +42,9 @@ class Curve:
     ms: tuple[float, ...]  # of the denoiser
 
     def spp_for(self, wanted: float) -> tuple[float, bool] | None:
-        """Samples at which the cost is `wanted`, log-log between what was measured, and whether it lies beyond that.
+        """Samples at which the cost is `wanted`, interpolated log-log, and whether that is extrapolated.
 
-        The fewest that were measured where these do already; None where more samples do not help, or were not tried.
+        The fewest measured samples where they suffice; None where more samples do not help, or were not tried.
         """
         x, y, goal = np.log2(self.spp), np.log2(self.cost), math.log2(wanted)
         if y[0] <= goal:
@@ -53,12 +53,12 @@ class Curve:
             if y[i + 1] <= goal:
                 return float(2 ** (x[i] + (goal - y[i]) * (x[i + 1] - x[i]) / (y[i + 1] - y[i]))), False
         slope = (y[-1] - y[-2]) / (x[-1] - x[-2]) if len(x) > 1 else 0.0
-        if slope >= LEVEL:
+        if slope >= MIN_SLOPE:
             return None
         return float(2 ** (x[-1] + (goal - y[-1]) / slope)), True
 
     def cost_at(self, spp: float) -> float | None:
-        """The cost at that many samples, log-log; None outside of what was measured."""
+        """The cost at that many samples, interpolated log-log; None outside of the measured range."""
         if not self.spp[0] <= spp <= self.spp[-1]:
             return None
         return float(2 ** np.interp(math.log2(spp), np.log2(self.spp), np.log2(self.cost)))
@@ -71,7 +71,7 @@ class Curve:
 def curve(
     rows: Sequence[dict], name: str, metric: str, methods: dict[str, dict], region: str = "frame"
 ) -> Curve | None:
-    """Of the rows of one sequence on one device, those of the method with this `label`."""
+    """The method with this `label` in the rows of one sequence on one device; None if it has no such errors."""
     found = sorted(
         (row["spp"], c, denoising_ms(row, methods))
         for row in rows
@@ -81,14 +81,14 @@ def curve(
 
 
 def compare(ours: Curve, peer: Curve, sample: float | None) -> dict:
-    """What it would take the peer to be as good as we are at our fewest samples, and how good it is in our time.
+    """The peer at our error, and at our time, both at our fewest samples; `sample`: render time of one in ms.
 
-    equal_error   {"spp", "extrapolated", "ms": rendering and denoising, None where a sample's cost is not known}, or
-                  None where it does not get there
-    equal_time    {"spp": that the peer can afford in our time, "cost_ratio": peer's cost over ours}, or None where it
-                  cannot afford one sample, its curve does not reach that far, or a sample's cost is not known
-    area          the mean of log(peer's cost / our cost) over log time, between the shortest and the longest time that
-                  both curves cover, as a factor: above 1 we are better over these budgets; with "from" and "to" in ms
+    equal_error   {"spp", "extrapolated", "ms": rendering and denoising, None if `sample` is None}; None where the peer
+                  never reaches our error
+    equal_time    {"spp": samples that the peer can afford, "cost_ratio": peer's cost over ours}; None where it cannot
+                  afford one sample, its curve ends before, or `sample` is None
+    area          {"factor", "from", "to"}: the mean of log(peer's cost / our cost) over log time, between the shortest
+                  and the longest time in ms that both curves cover, as a factor: above 1 we are better
     """
     found: dict[str, dict | None] = {"equal_error": None, "equal_time": None, "area": None}
     if reached := peer.spp_for(ours.cost[0]):

@@ -22,20 +22,12 @@ FAMILIES = {  # marker, colours of its methods in turn
 
 
 def chart(data: dict) -> bytes:
-    """PNG of the first sequence of `page.payload` (all together where there are several), at the fewest samples."""
-    sequence = POOL if any(row["sequence"] == POOL for row in data["rows"]) else next(iter(data["sequences"]))
-    rows = [row for row in data["rows"] if row["sequence"] == sequence]
-    fewest, device = min(row["spp"] for row in rows), rows[0]["device"]
-    rows = [row for row in rows if row["spp"] == fewest and row["device"] == device]
-    rows = [row for row in rows if data["methods"][row["method"]]["family"] != "input"]
-    colours = {family: cycle(of_family) for family, (_, of_family) in FAMILIES.items()}
-    looks = {}
-    for row in rows:
-        family = data["methods"][row["method"]]["family"]
-        colour = next(colours[family])
-        face = "white" if family == "ablation" else colour
-        looks[row["label"]] = {"marker": FAMILIES[family][0], "color": colour, "markerfacecolor": face}
+    """PNG of `page.payload`: all sequences together, at the fewest samples per pixel."""
+    rows = _shown(data)
+    title = f"{rows[0]['sequence']}, {rows[0]['spp']} spp; dotted: the Pareto front" if rows else "no denoiser measured"
+    looks = _looks(rows, data["methods"])
     panels = [metric for metric in PANELS if any(row["errors"]["frame"].get(metric) is not None for row in rows)]
+    panels = panels or [PANELS[0]]
     height = max(3.8, 0.18 * len(looks))  # of the legend
     figure = Figure(figsize=(3.6 * len(panels) + 2.2, height), dpi=110, layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
@@ -43,16 +35,38 @@ def chart(data: dict) -> bytes:
         _panel(axis, metric, rows, looks, data["ours"])
     handles = [axes[0].plot([], [], linestyle="", label=label, **look)[0] for label, look in looks.items()]
     figure.legend(handles=handles, loc="outside right center", fontsize=8, frameon=False)
-    figure.suptitle(f"{sequence}, {fewest} spp; dotted: the Pareto front", fontsize=10, color="#555")
+    figure.suptitle(title, fontsize=10, color="#555", parse_math=False)  # folders may have a $ in their names
     encoded = io.BytesIO()
     figure.savefig(encoded, format="png")
     return encoded.getvalue()
 
 
+def _shown(data: dict) -> list[dict]:
+    """The rows of the chart: denoisers on one sequence and device, at the fewest samples."""
+    sequence = POOL if any(row["sequence"] == POOL for row in data["rows"]) else data["rows"][0]["sequence"]
+    rows = [row for row in data["rows"] if row["sequence"] == sequence]
+    fewest, device = min(row["spp"] for row in rows), rows[0]["device"]
+    return [
+        row for row in rows
+        if (row["spp"], row["device"]) == (fewest, device) and data["methods"][row["method"]]["family"] != "input"
+    ]  # fmt: skip
+
+
+def _looks(rows: list[dict], methods: dict[str, dict]) -> dict[str, dict]:
+    """label -> marker and colours."""
+    colours, looks = {family: cycle(of_family) for family, (_, of_family) in FAMILIES.items()}, {}
+    for row in rows:
+        family = methods[row["method"]]["family"]
+        colour = next(colours[family])
+        face = "white" if family == "ablation" else colour
+        looks[row["label"]] = {"marker": FAMILIES[family][0], "color": colour, "markerfacecolor": face}
+    return looks
+
+
 def _panel(axis: Axes, metric: str, rows: list[dict], looks: dict[str, dict], ours: str) -> None:
     points = {row["label"]: (row["ms"]["median"], row["errors"]["frame"].get(metric)) for row in rows}
-    on = sorted(points[row["label"]] for row in rows if metric in row["front"]["frame"])
-    axis.step(*zip(*on, strict=True), where="post", color="#555", linewidth=1, linestyle=":", zorder=1)
+    if on := sorted(points[row["label"]] for row in rows if metric in row["front"]["frame"]):
+        axis.step(*zip(*on, strict=True), where="post", color="#555", linewidth=1, linestyle=":", zorder=1)
     for label, (x, y) in points.items():
         if y is not None:
             axis.plot(x, y, linestyle="", markersize=9 if label == ours else 6.5, **looks[label])

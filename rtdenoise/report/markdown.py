@@ -1,6 +1,9 @@
-"""The report for a README: what is lost first, then a table."""
+"""The report for a README: first where a peer wins, then a table for each sequence."""
 
 from __future__ import annotations
+
+import html
+import re
 
 from .readings import METRICS, POOL, grouped
 
@@ -9,14 +12,16 @@ UNCOVERED = COLUMNS[:2]
 
 
 def markdown(data: dict) -> str:
-    """Of `page.payload`: a section a device, at the fewest samples per pixel."""
+    """`page.payload` as GitHub Markdown, at the fewest samples per pixel."""
     fewest = min(row["spp"] for row in data["rows"])
     rows = [row for row in data["rows"] if row["spp"] == fewest]
     run = data["runs"][-1]
     parts = [
         "# Error against run time",
-        f"{data['signal']} light, {fewest} spp, {len(data['sequences'])} sequences: {', '.join(data['sequences'])}. "
-        f"Commit {run['commit']}, {run['date']}, {', '.join(run['devices'].values())}. `report.html` has the pictures.",
+        f"{data['signal']} light, {fewest} spp, {_count(len(data['sequences']), 'sequence')}: "
+        f"{', '.join(map(plain, data['sequences']))}. "
+        f"Commit {run['commit']}, {run['date']}, {plain(', '.join(run['devices'].values()))}. "
+        "`report.html` has the pictures.",
         "![Error against time](report.png)",
         _losses(data, fewest),
         *(_table(group, data) for group in _in_order(grouped(rows, "sequence", "device"))),
@@ -25,9 +30,18 @@ def markdown(data: dict) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
+def plain(text: str) -> str:
+    """Text whose characters mean nothing in Markdown or HTML: names of folders and methods are the user's."""
+    return re.sub(r"([\\`*$|\[\]])", r"\\\1", html.escape(text, quote=False)).replace("\n", " ")
+
+
 def write_number(metric: str, value: float | None) -> str:
-    """As the metric is written; a dash where there is none."""
+    """With the digits of the metric; a dash for None."""
     return "–" if value is None else f"{value:.{METRICS[metric].digits}f}"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _in_order(groups: list[list[dict]]) -> list[list[dict]]:
@@ -54,8 +68,8 @@ def _losses(data: dict, spp: int) -> str:
         metric = row["metric"]
         values = [write_number(metric, row[key]) for key in ("peer_value", "our_value")]
         lines.append(
-            f"| {row['sequence']} | {row['region']} | {METRICS[metric].label} | {row['peer']} | {values[0]} | "
-            f"{values[1]} | {row['time_ratio']:.2f}× |"
+            f"| {plain(row['sequence'])} | {row['region']} | {METRICS[metric].label} | {plain(row['peer'])} | "
+            f"{values[0]} | {values[1]} | {row['time_ratio']:.2f}× |"
         )
     return "\n".join(lines)
 
@@ -63,7 +77,7 @@ def _losses(data: dict, spp: int) -> str:
 def _table(group: list[dict], data: dict) -> str:
     ours = next((row["ms"]["median"] for row in group if row["label"] == data["ours"]), None)
     lines = [
-        f"## {group[0]['sequence']}",
+        f"## {plain(group[0]['sequence'])}",
         "",
         *_references(data["sequences"].get(group[0]["sequence"])),
         f"| | {' | '.join(METRICS[m].label for m in COLUMNS)} | "
@@ -75,13 +89,13 @@ def _table(group: list[dict], data: dict) -> str:
         values += [write_number(m, row["errors"]["uncovered"].get(m)) for m in UNCOVERED]
         is_input = data["methods"][row["method"]]["family"] == "input"
         time = "–" if is_input or not ours else f"{row['ms']['median'] / ours:.2f}×"
-        name = f"**{row['label']}**" if row["label"] == data["ours"] else row["label"]
+        name = f"**{plain(row['label'])}**" if row["label"] == data["ours"] else plain(row["label"])
         lines.append(f"| {name} | {' | '.join(values)} | {time} |")
     return "\n".join(lines)
 
 
 def _references(sequence: dict | None) -> list[str]:
-    """How good the references themselves are; nothing where that is not known."""
+    """The references' own error; nothing where that is not known."""
     if not sequence or sequence.get("reference_psnr") is None:
         return []
     own = [write_number(m, sequence[f"reference_{m}"]) for m in ("psnr", "relmse")]
@@ -89,19 +103,19 @@ def _references(sequence: dict | None) -> list[str]:
 
 
 def _readings(data: dict) -> str:
-    """By PSNR, of each sequence that was measured at several sample counts, and of all where all were."""
+    """Equal error and equal time by PSNR, of each sequence that was measured at several sample counts."""
     rows = [row for row in data["comparisons"] if row["metric"] == "psnr"]
     told = dict.fromkeys(row["sequence"] for row in rows if row["area"])
     if not told:
         return ""
     goal = f"To reach the PSNR of rtdenoise `{data['ours']}` at its fewest samples; ≈ is extrapolated."
     tables = [_reading(name, [row for row in rows if row["sequence"] == name]) for name in told]
-    return "\n\n".join(["## What it would take", goal, *tables])
+    return "\n\n".join(["## Equal error and equal time", goal, *tables])
 
 
 def _reading(sequence: str, rows: list[dict]) -> str:
     lines = [
-        f"| {sequence} | needs | that takes | error ratio in our time | over all budgets |",
+        f"| {plain(sequence)} | needs | that takes | error ratio in our time | over all budgets |",
         "|---|---|---|---|---|",
     ]
     for row in rows:
@@ -109,6 +123,6 @@ def _reading(sequence: str, rows: list[dict]) -> str:
         samples = f"{'≈ ' if needs['extrapolated'] else ''}{needs['spp']:.3g} spp" if needs else "–"
         takes = f"{needs['ms']:.0f} ms" if needs and needs["ms"] else "–"
         ratios = [f"{has['cost_ratio']:.2f}×" if has else "–", f"{area['factor']:.2f}×" if area else "–"]
-        name = "plain Monte Carlo" if row["peer"] == "noisy" else row["peer"]
+        name = "plain Monte Carlo" if row["peer"] == "noisy" else plain(row["peer"])
         lines.append(f"| {name} | {samples} | {takes} | {ratios[0]} | {ratios[1]} |")
     return "\n".join(lines)

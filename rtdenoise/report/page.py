@@ -29,8 +29,7 @@ SCRIPTS = (
 def page(
     data: dict, document: Document, folder: Path, pictures: tuple[str, ...] = (), sequences: tuple[str, ...] = ()
 ) -> str:
-    """The page for `data` (`payload`), with the pictures in `folder` of these methods and sequences, of all if
-    empty."""
+    """The page for `data` (`payload`), with the pictures in `folder` of these methods and sequences (empty: all)."""
     blobs = _pictures(document, folder, pictures, sequences)
     data = data | {"pictures": {name: sorted({key.split("/")[1] for key in found}) for name, found in blobs.items()}}
     parts = [
@@ -49,9 +48,9 @@ def page(
 
 
 def payload(document: Document) -> dict:
-    """Everything that the page shows in numbers: what was measured, and what follows from it."""
+    """All numbers of the page: the measurements, and the readings of them. Raises InputError without results."""
     if not document.results:
-        raise InputError("nothing was measured: every method was left out; evaluation.json says why")
+        raise InputError("nothing to report: no method was measured; evaluation.json says why each was left out")
     rows = sorted(document.results, key=lambda row: list(document.methods).index(row["method"]))  # variants together
     rows += readings.pooled(rows, document.sequences)
     readings.mark_fronts(rows, document.sequences, document.methods)
@@ -81,9 +80,9 @@ def payload(document: Document) -> dict:
 
 
 def _columns(frames: list[dict]) -> dict:
-    """Errors of single frames as region -> metric -> list, and the frames' numbers.
+    """Errors of single frames as region -> metric -> list, and the frame numbers.
 
-    They would take most room in the page: four digits, and only what wins and losses are counted in.
+    Four digits, and only the metrics of the verdict: the rest would be most of the page.
     """
     found: dict = {"number": [frame["number"] for frame in frames]}
     for region in readings.REGIONS if frames else ():

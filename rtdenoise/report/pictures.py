@@ -1,16 +1,15 @@
-"""Pictures inside a web page: linear radiance with its range, so that exposure can be changed there.
+"""Pictures inside a web page: linear radiance with its full range, so that the page can change the exposure.
 
 A picture is three planes of log codes, 64 to a stop (a step of 1.1 %, about one of 8-bit sRGB at white):
 
-    code = round(64 · log2(1 + x / ε)),    ε = 2⁻¹⁰ of what the display exposure shows as white
+    code = round(64 · log2(1 + x / ε)),    ε = 2⁻¹⁰ of display white
 
-first green, then red - green and blue - green, which are smooth where the picture is grey. A plane is stored as its
-differences to a prediction from three neighbours, the median edge detector of JPEG-LS:
+first green, then red - green and blue - green, which are near 0 where the picture is grey. A plane is stored as
+differences from a prediction from three neighbours, the median edge detector of JPEG-LS:
 
     p = min(left, up) where upleft ≥ both,    max(left, up) where upleft ≤ both,    left + up - upleft elsewhere
 
-signs folded into the lowest bit, all low bytes before all high bytes, deflated, in base64. assets/picture.js is the
-inverse.
+signs in the lowest bit, all low bytes before all high bytes, deflated, in base64. assets/picture.js is the inverse.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ import zlib
 import numpy as np
 
 STEPS = 64  # codes a stop
-EPSILON = 2.0**-10
-MOST = 2.0**12  # of white: what is brighter is clipped
-LEVELS = 63  # of maps in [0, 1]
+EPSILON = 2.0**-10  # of display white
+MAX_RADIANCE = 2.0**12  # of display white; brighter pixels are clipped
+MAX_LEVEL = 63  # code of 1 in a map
 
 
 def encode_picture(image: np.ndarray, exposure: float) -> str:
     """`[H, W, 3]` linear radiance, to be shown at `exposure`."""
-    x = np.clip(np.nan_to_num(image, nan=0.0, posinf=MOST) * exposure, 0, MOST)
+    x = np.clip(np.nan_to_num(image, nan=0.0, posinf=MAX_RADIANCE) * exposure, 0, MAX_RADIANCE)
     codes = np.rint(STEPS * np.log2(1 + x / EPSILON)).astype(np.int32)
     red, green, blue = (codes[..., c] for c in range(3))
     return pack(b"".join(_plane(plane) for plane in (green, red - green, blue - green)))
@@ -36,11 +35,11 @@ def encode_picture(image: np.ndarray, exposure: float) -> str:
 
 def encode_map(values: np.ndarray) -> str:
     """`[H, W]` in [0, 1], in 64 levels: a FLIP map, a mask."""
-    return pack(_plane(np.rint(np.clip(values, 0, 1) * LEVELS).astype(np.int32)))
+    return pack(_plane(np.rint(np.clip(values, 0, 1) * MAX_LEVEL).astype(np.int32)))
 
 
 def encode_motion(motion: np.ndarray) -> str:
-    """`[H, W, 2]` in pixels, in quarters of a pixel; beyond 2047 it saturates."""
+    """`[H, W, 2]` in pixels, in quarters of a pixel; clipped at ±2047."""
     quarters = np.rint(np.clip(motion * 4, -8191, 8191)).astype(np.int32)
     return pack(b"".join(_plane(quarters[..., c]) for c in range(2)))
 

@@ -1,4 +1,4 @@
-"""What the numbers say: who is ahead at which time, and where others are better.
+"""Readings of the numbers: who is ahead at which time, and where others are better.
 
 Rows are those of `evaluate.document.Document.results`. Errors of all metrics are compared as costs: positive, lower is
 better, and such that noise falls with a power of the samples (a straight line in log-log).
@@ -9,19 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 POOL = "all sequences"
-PREFERRED = ("default", "paper")  # which network speaks for us, the first that was measured
-HEADLINE = ("psnr", "ssim", "relmse", "flip", "tpsnr")  # metrics that wins and losses are counted in
-REGIONS = ("frame", "uncovered")  # and regions
+PREFERRED = ("default", "paper")  # the first that was measured is compared with the peers
+HEADLINE = ("psnr", "ssim", "relmse", "flip", "tpsnr")  # metrics and
+REGIONS = ("frame", "uncovered")  # regions in which wins and losses are counted
 OURS = ("network", "ablation")  # families
 
 
 @dataclass(frozen=True)
 class Metric:
-    """How a metric is called and read."""
+    """Name, digits and direction of a metric."""
 
     label: str
     digits: int
@@ -44,12 +45,12 @@ METRICS = {
     "fovvideovdp": Metric("FovVideoVDP", 2, True, "JOD"),
 }
 
-BEST = {"ssim": 1.0, "fovvideovdp": 10.0}  # of qualities that are no decibels
+BEST = {"ssim": 1.0, "fovvideovdp": 10.0}  # highest value of qualities that are not in decibels
 
 
 def cost(metric: str, value: float | None) -> float | None:
-    """The error as something positive of which less is better: decibels to mean squares, other qualities to what is
-    missing to the best. None where there is no such number."""
+    """The error as a positive number, lower is better: decibels become mean squares, other qualities their distance
+    from the best value. None where the value is missing or the cost is not positive."""
     if value is None or not math.isfinite(value):
         return None
     found = 10 ** (-value / 10) if METRICS[metric].unit == "dB" else BEST[metric] - value if metric in BEST else value
@@ -57,18 +58,18 @@ def cost(metric: str, value: float | None) -> float | None:
 
 
 def label(row: dict) -> str:
-    """A method with its precision, where that is not the usual one."""
+    """The method, with its precision unless that is fp32."""
     return row["method"] if row["precision"] == "fp32" else f"{row['method']} {row['precision']}"
 
 
 def speaks_for_us(rows: Sequence[dict], methods: dict[str, dict]) -> str:
-    """The name of the network that others are compared with; empty where none was measured."""
+    """The network that the peers are compared with; empty if none was measured."""
     found = {row["method"] for row in rows if methods[row["method"]]["family"] == "network"}
     return next((name for name in (*PREFERRED, *sorted(found)) if name in found), "")
 
 
 def pooled(rows: Sequence[dict], sequences: dict[str, dict]) -> list[dict]:
-    """One more sequence, `POOL`: mean error and geometric mean time of what was measured on all of them."""
+    """Rows of one more sequence, `POOL`: mean error and geometric mean time of methods measured on all sequences."""
     if len(sequences) < 2:
         return []
     groups = grouped(rows, "spp", "method", "precision", "device")
@@ -76,13 +77,13 @@ def pooled(rows: Sequence[dict], sequences: dict[str, dict]) -> list[dict]:
 
 
 def sample_of(name: str, sequences: dict[str, dict]) -> float | None:
-    """What one sample per pixel costs, in ms a frame; of `POOL` the geometric mean. None where one is not known."""
+    """Render time of one sample per pixel, in ms a frame; the geometric mean for `POOL`. None if one is not known."""
     known = [s["sample_ms"] for key, s in sequences.items() if name in (key, POOL)]
     return float(np.exp(np.mean(np.log(known)))) if known and all(known) else None
 
 
 def front(points: Sequence[tuple[float, float | None]]) -> list[int]:
-    """Indices of the Pareto front of (time, cost), by time: no other point is as fast and as good."""
+    """Indices of the Pareto front of (time, cost), by time: no other point is as fast and as good as these."""
     best, found = math.inf, []
     for i in sorted((i for i, p in enumerate(points) if p[1] is not None), key=lambda i: points[i]):
         if points[i][1] < best:
@@ -92,10 +93,10 @@ def front(points: Sequence[tuple[float, float | None]]) -> list[int]:
 
 
 def mark_fronts(rows: Sequence[dict], sequences: dict[str, dict], methods: dict[str, dict]) -> None:
-    """Give every row `front`, the metrics by region in which it is on the Pareto front of its input by denoising time,
-    and `front_total`, that over all inputs of the sequence by time of rendering and denoising.
+    """Give every row two dictionaries region -> metrics in which it is on a Pareto front: `front` among the rows of its
+    input, by denoising time; `front_total` among all inputs of its sequence, by rendering and denoising time.
 
-    The input itself takes part in the latter alone: it is what rendering without a denoiser gives.
+    The noisy input takes part in `front_total` alone: it is the result of rendering without a denoiser.
     """
     for row in rows:
         row["front"], row["front_total"] = ({region: [] for region in row["errors"]} for _ in range(2))
@@ -113,7 +114,7 @@ def denoising_ms(row: dict, methods: dict[str, dict]) -> float:
 
 
 def grouped(rows: Sequence[dict], *keys: str) -> list[list[dict]]:
-    """The rows by what they have under these keys, in the order of their first."""
+    """Rows with equal values of these keys together, in the order of their first."""
     groups: dict[tuple, list[dict]] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
@@ -123,34 +124,37 @@ def grouped(rows: Sequence[dict], *keys: str) -> list[list[dict]]:
 def _mark(group: list[dict], name: str, times: list[float]) -> None:
     for region in group[0]["errors"] if group else ():
         for metric in METRICS:
-            points = [(t, cost(metric, row["errors"][region].get(metric))) for t, row in zip(times, group, strict=True)]
+            points = [(t, _cost_of(row, region, metric)) for t, row in zip(times, group, strict=True)]
             for i in front(points):
                 group[i][name][region].append(metric)
 
 
 def losses_and_wins(rows: Sequence[dict], methods: dict[str, dict], us: str) -> tuple[list[dict], list[dict]]:
-    """Where the best peer is better than `us`, and where it is not: a row a sequence, spp, region and metric of
-    HEADLINE."""
+    """Where the best peer beats `us`, and where it does not: a row a sequence, spp, region and metric of HEADLINE."""
     lost, won = [], []
     for group in grouped(rows, "sequence", "spp", "device"):
         own = next((r for r in group if label(r) == us), None)
         peers = [r for r in group if methods[r["method"]]["family"] not in (*OURS, "input")]
-        if own is None:
-            continue
-        for region in REGIONS:
-            for metric in HEADLINE:
-                mine = cost(metric, own["errors"][region].get(metric))
-                theirs = [(c, r) for r in peers if (c := cost(metric, r["errors"][region].get(metric))) is not None]
-                if mine is None or not theirs:
-                    continue
+        for region, metric in product(REGIONS, HEADLINE) if own else ():
+            mine = _cost_of(own, region, metric)
+            theirs = [(c, r) for r in peers if (c := _cost_of(r, region, metric)) is not None]
+            if mine is not None and theirs:
                 best, peer = min(theirs, key=lambda pair: pair[0])
-                (lost if best < mine else won).append({
-                    **{key: own[key] for key in ("sequence", "spp", "device")}, "region": region, "metric": metric,
-                    "peer": label(peer), "peer_value": peer["errors"][region].get(metric),
-                    "our_value": own["errors"][region].get(metric),
-                    "time_ratio": peer["ms"]["median"] / own["ms"]["median"],
-                })  # fmt: skip
+                (lost if best < mine else won).append(_duel(own, peer, region, metric))
     return lost, won
+
+
+def _cost_of(row: dict, region: str, metric: str) -> float | None:
+    return cost(metric, row["errors"].get(region, {}).get(metric))
+
+
+def _duel(own: dict, peer: dict, region: str, metric: str) -> dict:
+    return {
+        **{key: own[key] for key in ("sequence", "spp", "device")}, "region": region, "metric": metric,
+        "peer": label(peer), "peer_value": peer["errors"][region].get(metric),
+        "our_value": own["errors"][region].get(metric),
+        "time_ratio": peer["ms"]["median"] / own["ms"]["median"],
+    }  # fmt: skip
 
 
 def _pool(group: list[dict]) -> dict:

@@ -1,5 +1,5 @@
-"""What runs a model: torch, or compute shaders where there is no torch. Frames, images and saved histories are numpy
-arrays whichever it is."""
+"""The two ways to run a model: torch, or compute shaders where there is no torch. Both take and return frames, images
+and saved histories as numpy arrays."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ class Backend(Protocol):
     """A model, ready to run. `history` is the backend's own; None starts anew."""
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
-        """From now on leave out what `plan.make_plan` says; counted in `left_out`."""
+        """Follow the plan (`plan.make_plan`) from now on; the frames are counted in `left_out`."""
 
     def prepare(self, frame: Frame) -> Frame:
-        """A frame of arrays `[1, C, H, W]` as `mismatch` and `step` take it: what both need is done once."""
+        """A frame of arrays `[1, C, H, W]` in the form that `mismatch` and `step` take: shared work is done once."""
 
     def mismatch(self, frame: Frame, history: Any) -> float:
-        """`history.mismatch` of a prepared frame: above `frame.CUT` history belongs to another shot."""
+        """`history.mismatch` of a prepared frame: above `frame.MAX_CUT_MISMATCH` history belongs to another shot."""
 
     def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
         """Denoise a prepared frame: `[1, 3, H, W]`, and the history for the next one."""
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
-        """A history as the fields of `frame.History` that it has, `[1, C, H, W]`: the same for every backend."""
+        """A history as `frame.History.layers` names its fields, `[1, C, h, w]`: the same for every backend."""
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
-        """The inverse of `save`. Raises InputError or KeyError where the fields are not those of a history."""
+        """The inverse of `save`. Raises InputError where the fields are not those of a history."""
 
 
 def open_backend(name: str, model: str, device: str, precision: str) -> Backend:
@@ -85,7 +85,8 @@ class TorchBackend:
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         from .planned import Planned
 
-        plan = make_plan(size, frames, self._denoiser.config.motion, first)
+        config = self._denoiser.config
+        plan = make_plan(size, frames, config.motion, first, windows=config.network_reach is not None)
         planned = Planned(self._denoiser, plan, self._step)
         left_out |= planned.left_out | left_out  # the counts of earlier runs, where there are any
         planned.left_out, self._step = left_out, planned.step
@@ -123,7 +124,7 @@ class GlslBackend:
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out
-        return make_plan(size, frames, self._pipeline.design.motion, first, windows=False)
+        return make_plan(size, frames, self._pipeline.config.motion, first, windows=False)
 
     def prepare(self, frame: Frame) -> Frame:
         return frame
@@ -136,9 +137,9 @@ class GlslBackend:
         known = NOTHING_KNOWN
         if self._left_out is not None:
             known = look(frame, motion_next, history is not None)
-            count(self._left_out, known, self._pipeline.design.accumulates)
+            count(self._left_out, known, self._pipeline.accumulates)
         image, resident = self._pipeline.step(frame, resident, known)
-        return image, (resident, frame.motion_next)  # which says what the next frame can do without
+        return image, (resident, frame.motion_next)  # the next frame's plan needs this motion_next
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
         return history[0].read()

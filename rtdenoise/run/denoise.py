@@ -1,13 +1,13 @@
 """Denoise a sequence of EXR files into a folder: `rtdenoise denoise SEQ --out DIR`. Interrupted runs go on where they
-stopped, finished ones where frames have been appended."""
+stopped, and finished runs where frames were appended."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
+import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +16,8 @@ from ..data.output import check_output, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
-from ..files import dumps, write_atomically
-from ..frame import CUT
+from ..files import dumps, lock, remove_unfinished, write_atomically
+from ..frame import MAX_CUT_MISMATCH
 from ..models.weights import find
 from ..sanitise import faults
 from .backends import Backend, open_backend
@@ -25,55 +25,53 @@ from .backends import Backend, open_backend
 if TYPE_CHECKING:
     from .plan import Plan
 
-try:
-    import fcntl
-except ImportError:  # Windows: two runs on one folder are not kept apart
-    fcntl = None
-
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
-LOCK = ".rtdenoise-lock"  # held while a run writes there
 SUMMARY = "denoise.json"
-EXAMINED = 3  # frames that the plan looks at
+EXAMINED = 3  # frames that the plan examines
 
 
 @dataclass(frozen=True)
 class Options:
-    """What a run depends on, beside its input."""
+    """The options of a run."""
 
     signal: str = "color"
-    """What is denoised: 'color' (the beauty) or 'indirect'."""
+    """The signal to denoise: 'color' (the beauty) or 'indirect'."""
     model: str = "default"
-    """Name of a shipped model, or a .safetensors file that `rtdenoise train` wrote."""
+    """The network: 'default', 'fast', 'quality', 'paper', or a .safetensors file that `rtdenoise train` wrote."""
     preset: str = "auto"
     """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
     file."""
     layout: str = "plain"
-    """Of the output: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in its place)."""
+    """Channels of the output files: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in
+    its place)."""
     recombine: bool = False
-    """Put the denoised signal back together with the rest of the light: the result is the beauty."""
+    """Add the rest of the light to the denoised signal: the result is the beauty."""
     keep: tuple[str, ...] = ()
-    """Channels of the input to pass on, by layer name ('albedo', 'depth' ...) or 'all'."""
+    """Layers of the input to copy into the output ('albedo', 'depth' ...), or 'all'."""
     float32: bool = False
     """Write 32-bit float instead of 16-bit half."""
     allow_gaps: bool = False
     """Accept missing frame numbers; history starts anew after each gap."""
     detect_cuts: bool = True
-    """Start history anew where most pixels find another surface than the motion vectors promise."""
+    """Start history anew where most pixels find another surface than their motion vectors promise."""
     plan: bool = True
-    """Leave out what a frame does not need (`rtdenoise inspect` says what); off: everything runs."""
+    """Leave out work that a frame does not need (`rtdenoise inspect` lists it); off: everything runs."""
     backend: str = "auto"
     """'torch', 'glsl' (OpenGL compute shaders, needs no PyTorch), or 'auto': torch where it is installed."""
     device: str = "auto"
-    """Of the backend torch: 'auto', 'cpu' or 'cuda'."""
+    """Device of the torch backend: 'auto', 'cpu' or 'cuda'."""
     precision: str = "auto"
-    """Of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl: of what it stores), or 'auto' (torch: bf16 where the
-    hardware is faster in it; glsl: fp32)."""
+    """Precision of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl, for stored activations), or 'auto' (torch: bf16
+    where the hardware is faster with it; glsl: fp32)."""
+
+
+# Options that change the files.
+DECISIVE = tuple(f.name for f in fields(Options) if f.name not in ("backend", "device"))
 
 
 @dataclass
 class Summary:
-    """What a run did. But for `written`, `skipped` and `seconds` it counts the frames of earlier, interrupted runs
-    too."""
+    """The outcome of a run. All but `written`, `skipped` and `seconds` include earlier, interrupted runs."""
 
     written: int = 0
     skipped: int = 0
@@ -106,7 +104,8 @@ def denoise(
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision)
     out = _prepare(Path(out), sequence)
-    with _locked(out):
+    with lock(out):
+        remove_unfinished(out)
         return _run(sequence, out, options, backend, overwrite, on_frame)
 
 
@@ -119,9 +118,11 @@ def _run(
     on_frame: Callable[[int, int], None],
 ) -> Summary:
     fingerprints = _fingerprints(sequence, options)
-    done, history, summary = (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend)
+    done, history, summary = (
+        (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend, options)
+    )
     if not done:  # so that the next run knows the first frame for its own
-        _save_state(out / STATE, {}, 0, fingerprints[0], summary)
+        _save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps = done, list(sequence.gaps)
     if options.plan:
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
@@ -138,34 +139,18 @@ def _run(
             history = None
         started = time.perf_counter()
         prepared = backend.prepare(frame)
-        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > CUT:
+        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             summary.cuts.append(frame.number)
             history = None
         image, history = backend.step(prepared, history)
         summary.seconds += time.perf_counter() - started
         write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
                     keep=options.keep, float32=options.float32)  # fmt: skip
-        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary)
+        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options)
         summary.written += 1
         on_frame(i + 1, len(sequence))
     _write_summary(out / SUMMARY, sequence, options, summary)
     return summary
-
-
-@contextlib.contextmanager
-def _locked(out: Path) -> Iterator[None]:
-    """One run at a time; the system lets go of the lock however a run ends."""
-    if fcntl is None:
-        yield
-        return
-    with (out / LOCK).open("a") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"{out}: another run is writing there; wait for it, or choose another --out") from None
-        for abandoned in out.glob(".*.tmp"):  # by a run that was killed
-            abandoned.unlink()
-        yield
 
 
 def _write_summary(path: Path, sequence: Sequence, options: Options, summary: Summary) -> None:
@@ -183,9 +168,7 @@ def _prepare(out: Path, sequence: Sequence) -> Path:
         raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
     try:
         out.mkdir(parents=True, exist_ok=True)
-        probe = out / ".rtdenoise-probe"
-        probe.touch()
-        probe.unlink()
+        tempfile.TemporaryFile(dir=out).close()
     except OSError as error:
         raise InputError(f"{out}: cannot write there: {error.strerror}") from None
     return out
@@ -197,8 +180,8 @@ def _inputs(sequence: Sequence) -> list[Path]:
 
 def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
-    parts = {f.name: getattr(options, f.name) for f in fields(options) if f.name not in ("backend", "device")}
-    parts["layers"] = [repr(sequence.rules), repr(sequence.preset)]  # a preset of one's own may have been mended
+    parts = {name: getattr(options, name) for name in DECISIVE}
+    parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
@@ -213,7 +196,9 @@ def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
     return fingerprints
 
 
-def _resume(out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend) -> tuple[int, Any, Summary]:
+def _resume(
+    out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend, options: Options
+) -> tuple[int, Any, Summary]:
     """How many frames are finished, the history after them, and what there was to say about them."""
     if not (out / STATE).exists():
         clash = [name for name in sequence.names if (out / name).exists()]
@@ -231,14 +216,22 @@ def _resume(out: Path, sequence: Sequence, fingerprints: list[str], backend: Bac
     if not done:  # whatever is there is of a run that did not come as far as its second frame
         return 0, None, Summary()
     if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
-        raise InputError(
-            f"{out}: holds frames of a run with other options or input; choose another --out or pass --overwrite"
-        )
+        other = _changed(json.loads(metadata.get("options", "{}")), options)
+        raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
     if any(not (out / name).exists() for name in sequence.names[:done]):
         return 0, None, Summary()
     return done, history, Summary(**so_far)
 
 
-def _save_state(path: Path, history: dict, done: int, fingerprint: str, summary: Summary) -> None:
+def _changed(before: dict, options: Options) -> str:
+    """The options that differ, in words; states of older runs do not record them."""
+    now = json.loads(json.dumps(asdict(options)))  # tuples become lists, as in `before`
+    changed = [key for key in DECISIVE if key in before and before[key] != now[key]]
+    told = ", ".join(f"{key.replace('_', '-')} {before[key]}, now {now[key]}" for key in changed)
+    return f"other options: {told}" if told else "other options or input"
+
+
+def _save_state(path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options) -> None:
     so_far = {"replaced": summary.replaced, "cuts": summary.cuts, "left_out": summary.left_out}
-    write_history(path, history, {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far)})
+    metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far)}
+    write_history(path, history, metadata | {"options": json.dumps(asdict(options))})

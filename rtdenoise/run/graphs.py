@@ -1,12 +1,12 @@
-"""Steps recorded once and played back: on a GPU a step is some hundreds of kernels, and launching them one by one from
-Python can take longer than running them.
+"""Steps recorded as CUDA graphs and replayed: on a GPU a step is some hundreds of kernels, and launching them one by
+one from Python can take longer than running them.
 
-A recording reads and writes the memory that the recorded step read and wrote, whatever is passed in. So what is passed
-in is copied there, the recording is played, and what it has written is copied out: nothing that a caller holds is ever
-written again. A recording is of one *kind* of step: which layers there are, their sizes and dtypes, whether there is a
-history, and what is `Known`. All else that a step depends on (weights, `ops.use`) stays as it was when it was recorded.
+A recording always reads and writes the memory of the recorded step. So `Graphed` copies the arguments there, replays
+the recording, and copies the results out: tensors in a caller's hands are never overwritten. A recording serves one
+*kind* of step: the layers, their sizes and dtypes, whether there is a history, and the flags of `Known`. Everything
+else that a step depends on (weights, `ops.use`) stays as it was at the recording.
 
-Read `Graphed.step` first. What has to hold of a step for this to work is in docs/performance.md.
+Read `Graphed.step` first. docs/results/performance.md says which steps can be recorded.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import logging
 import os
 from collections import deque
 from collections.abc import Callable, Hashable
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Protocol, TypeVar
 
 import torch
@@ -24,38 +24,38 @@ from torch import Tensor, nn
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from .plan import LAYERS
 
-KEPT = 8  # recordings at a time; a sequence has two to five kinds of steps
-IDLE = 64  # steps without it after which a recording makes room for another kind, and a kind seen once is forgotten
-WARM_UP = 3  # steps before one is captured, as in PyTorch's documentation
+MAX_RECORDINGS = 8  # a sequence has two to five kinds of steps
+IDLE_STEPS = 64  # a recording unused for so many steps makes room; a kind of step seen once is forgotten after as many
+WARM_UP_STEPS = 3  # before a step is captured, as in PyTorch's documentation
 
 Written = TypeVar("Written")
 Step = Callable[..., tuple[Tensor, History]]
 
 
 class Recorder(Protocol):
-    """Records what a function does to tensors."""
+    """Records the work of a function on tensors."""
 
     def __call__(self, function: Callable[[], Written]) -> tuple[Callable[[], object], Written]:
-        """What does it again, and what the function has returned. Its tensors hold results once it has been done again,
-        and until another recording of the same recorder is played. Raises RuntimeError where it cannot be recorded."""
+        """Return a replay callable and the output of `function`; its tensors are valid after each replay, until another
+        recording of this recorder is replayed. Raises RuntimeError where the function cannot be recorded."""
 
 
 class Capture:
     """Records CUDA graphs as PyTorch's notes on CUDA semantics say: warmed up on a side stream, captured by
-    `torch.cuda.graph`. They share one pool of memory, which those notes allow where none needs another's results and no
-    two run at once. While one is captured nothing else in the process may use the GPU."""
+    `torch.cuda.graph`. They share one pool of memory, which those notes allow because no graph needs the results of
+    another and no two run at once. During a capture nothing else in the process may use the GPU."""
 
     def __init__(self, device: torch.device) -> None:
         self._device, self._pool = device, None
 
     def __call__(self, function: Callable[[], Written]) -> tuple[Callable[[], object], Written]:
-        # The second is the stream that is current already: a capture that fails would leave its own behind.
+        # The second context restores the current stream: a failed capture would leave its own current.
         with torch.cuda.device(self._device), torch.cuda.stream(torch.cuda.current_stream(self._device)):
             self._pool = self._pool or torch.cuda.graph_pool_handle()
             side = torch.cuda.Stream()
             side.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(side):
-                for _ in range(WARM_UP):
+                for _ in range(WARM_UP_STEPS):
                     function()
             torch.cuda.current_stream().wait_stream(side)
             graph = torch.cuda.CUDAGraph()
@@ -74,14 +74,14 @@ def stepper(denoiser: nn.Module) -> Step:
 
 
 class Graphed:
-    """A denoiser whose steps are recorded when a kind of them comes for the second time: `step` as the denoiser's, but
-    without gradients. Where one cannot be recorded that is logged once, and everything runs as it would without."""
+    """A denoiser that records each kind of step at its second occurrence and replays it from then on. `step` is as the
+    denoiser's, without gradients. If a step cannot be recorded, one warning is logged and all steps run unrecorded."""
 
     def __init__(self, denoiser: nn.Module, record: Recorder) -> None:
         self.denoiser = denoiser
         self.recordings: dict[Hashable, Recording] = {}  # by kind
         self._record: Recorder | None = record
-        self._seen: deque[Hashable] = deque(maxlen=IDLE)  # kinds of the last steps that were not played back
+        self._seen: deque[Hashable] = deque(maxlen=IDLE_STEPS)  # kinds of the last steps that were not replayed
         self._steps = 0
 
     @torch.no_grad()
@@ -113,21 +113,21 @@ class Graphed:
             logging.getLogger("rtdenoise").warning("rtdenoise: slower without CUDA graphs: %s", why)
 
     def _room(self) -> bool:
-        """Whether one more may be recorded. The one that has not been used for longest makes room, if it is `IDLE`."""
+        """Whether one more may be recorded. The least recently used recording makes room if it is idle."""
         if self._record is None:
             return False
-        if len(self.recordings) < KEPT:
+        if len(self.recordings) < MAX_RECORDINGS:
             return True
         kind = min(self.recordings, key=lambda kind: self.recordings[kind].used)
-        idle = self._steps - self.recordings[kind].used > IDLE
+        idle = self._steps - self.recordings[kind].used > IDLE_STEPS
         if idle:
             del self.recordings[kind]
         return idle
 
 
 class Recording:
-    """One step, to be made again with other tensors like those `given`. Where others `read` tensors like them it reads
-    the same: they are filled anew before each step."""
+    """One recorded step, replayed with tensors like those `given`. It shares the input memory `read` of other
+    recordings where name, shape and dtype agree: inputs are copied in before each replay."""
 
     def __init__(
         self,
@@ -137,9 +137,9 @@ class Recording:
         read: dict[Hashable, Tensor],
         record: Recorder,
     ) -> None:
-        self.used = 0  # number of the last step that was this one
+        self.used = 0  # number of the last step that replayed it
         self.read: dict[str, Tensor] = {}
-        # Tensors that are made in inference mode could be written in no other.
+        # Tensors created in inference mode could not be written outside it.
         with torch.inference_mode(False), torch.no_grad():
             for name, tensor in given.items():
                 like = read.get(_description(name, tensor))
@@ -148,16 +148,17 @@ class Recording:
             self._replay, self._written = record(lambda: denoiser.step(*arguments))
 
     def play(self, given: dict[str, Tensor]) -> tuple[Tensor, History]:
-        """The step of these tensors. What it only passes on are the given ones, all else are copies."""
+        """Replay the step on the tensors `given`. Tensors that the step passes through are returned as given, results
+        as copies."""
         for name, tensor in self.read.items():
             tensor.copy_(given[name])
         self._replay()
         out = {id(tensor): given[name] for name, tensor in self.read.items()}
         image, history = self._written
         for tensor in (image, *history.layers().values()):
-            if id(tensor) not in out:  # an image is in the history as well: one copy
+            if id(tensor) not in out:  # the image is in the history as well: copied once
                 out[id(tensor)] = tensor.clone()
-        return out[id(image)], replace(history, **{n: out[id(t)] for n, t in history.layers().items()})
+        return out[id(image)], History.from_layers({n: out[id(t)] for n, t in history.layers().items()})
 
 
 def _description(name: str, tensor: Tensor) -> Hashable:
@@ -178,6 +179,5 @@ def _arguments(tensors: dict[str, Tensor], known: Known) -> tuple[Frame, History
     def of(owner: str) -> dict[str, Tensor]:
         return {n.removeprefix(owner): t for n, t in tensors.items() if n.startswith(owner)}
 
-    nothing = dict.fromkeys(f.name for f in fields(History))
     past = of("history.")
-    return Frame(**of("frame.")), History(**nothing | past) if past else None, replace(known, **of("known."))
+    return Frame(**of("frame.")), History.from_layers(past) if past else None, replace(known, **of("known."))

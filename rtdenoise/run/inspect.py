@@ -1,4 +1,4 @@
-"""Look a sequence over before denoising: what is there, what it is used for, and whether the motion can be right."""
+"""Inspect a sequence before denoising: its layers, their use, and whether its motion vectors can be right."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from ..sanitise import faults, sanitise
 from ..splat import splat_motion_next
 from .plan import Plan, make_plan
 
-READ = (*DEFAULT_LAYERS, "reference")  # what is read here; the check of the motion can use the reference
+READ = (*DEFAULT_LAYERS, "reference")  # the check of the motion can use the reference
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One layer of `Frame` and where it comes from."""
+    """A layer of `Frame` and its source in the files."""
 
     name: str
-    channels: tuple[str, ...]  # with a minus in front where the sign is turned, W· or H· where the unit is UV
+    channels: tuple[str, ...]  # with a minus where the sign is flipped, W· or H· where the unit is UV
     dtype: str  # "half", "float", "uint", or several
-    used: bool  # whether a denoiser reads it; the others are for evaluation or to compute motion from
+    used: bool  # whether a denoiser reads it; other layers serve evaluation or the computation of motion
 
 
 @dataclass(frozen=True)
 class MotionStatistics:
-    """Over all pixels of the frames that were examined. Lengths in pixels; non-finite motion is left out."""
+    """Statistics over all pixels of the examined frames, in pixels; without non-finite motion."""
 
     mean: float
     p50: float
     p99: float
     max: float
     still: float  # share of pixels with zero motion
-    off_screen: float  # share whose previous position is outside the picture
-    uncovered: float | None  # share that a moving object has just uncovered; None: without motion_next and depth
+    off_screen: float  # share of pixels with a previous position outside the picture
+    uncovered: float | None  # share of pixels just uncovered; None: motion_next and depth are missing
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """What `inspect` found."""
+    """The findings of `inspect`."""
 
     source: str
     files: int
@@ -58,16 +58,16 @@ class Inspection:
     signal: str
     demodulated: bool  # whether the renderer has already divided the signal by the albedo
     layers: tuple[Layer, ...]
-    missing: dict[str, str]  # layer that a denoiser would use -> how to get it
+    missing: dict[str, str]  # missing layer that a denoiser would use -> how to get it
     computed: tuple[str, ...]  # layers that are computed from position, id and scene.json
     ignored: tuple[str, ...]  # channels that nothing reads
-    dual_motion: str  # where the dual motion comes from, in words
+    dual_motion: str  # the source of dual motion, in words
     scene: bool  # whether there is a scene.json
     examined: tuple[int, ...]  # numbers of the frames whose pixels were read
-    faults: dict[str, int]  # "layer: what is wrong" -> pixels of the examined frames that denoising will replace
+    faults: dict[str, int]  # "layer: fault" -> pixels of the examined frames that denoising will replace
     motion: MotionStatistics | None
     convention: Verdict | None  # None where there is no motion, or no two consecutive frames
-    plan: Plan  # what `denoise` will leave out
+    plan: Plan  # the work that `denoise` will leave out
 
 
 def inspect(
@@ -101,11 +101,11 @@ def inspect(
         numbers=(sequence.numbers[0], sequence.numbers[-1]),
         gaps=sequence.gaps,
         size=sequence.size,
-        preset=sequence.preset.name,
+        preset=sequence.layout.name,
         signal=signal,
         demodulated=sequence.demodulated,
         layers=_layers(sequence),
-        missing={layer: sequence.preset.hint(layer, signal) for layer in absent},
+        missing={layer: sequence.layout.hint(layer, signal) for layer in absent},
         computed=computed,
         ignored=tuple(name for name in sequence.header.channels if name not in fed),
         dual_motion=_dual_source(present, computed),
@@ -143,11 +143,11 @@ def _layers(sequence: Sequence) -> tuple[Layer, ...]:
 
 
 def _motion_statistics(pairs: list[tuple[Frame, Frame]]) -> MotionStatistics:
-    """Of the second frame of each pair."""
+    """Statistics of the second frame of each pair."""
     motions = [current.motion for _, current in pairs]
     length = torch.cat([torch.hypot(m[:, 0], m[:, 1]).flatten() for m in motions])
     length = length[length.isfinite()] if length.isfinite().any() else torch.zeros(1)
-    ordered = length.sort().values  # torch.quantile does not take as many values as large pictures have
+    ordered = length.sort().values  # torch.quantile takes fewer values than a large picture has
 
     def at(share: float) -> float:
         return ordered[round(share * (len(ordered) - 1))].item()
@@ -171,12 +171,12 @@ def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
     if "motion_next" in present:
         return "exact, from motion_next" + (" (computed)" if "motion_next" in computed else "")
     if "depth" in present:
-        return "approximate: motion_next is missing and is splatted from motion and depth (docs/motion.md)"
+        return "approximate: motion_next is missing and is splatted from motion and depth (docs/use/motion.md)"
     return "none: without motion_next and depth, history follows traditional motion"
 
 
 def _uncovered(previous: Frame, current: Frame) -> Tensor | None:
-    """The occlusion mask, by exact or approximate dual motion; None where neither can be had."""
+    """The occlusion mask by exact or approximate dual motion; None where the layers for both are missing."""
     motion_next = previous.motion_next
     if motion_next is None:
         if previous.depth is None or current.depth is None:
@@ -209,7 +209,7 @@ def render_text(found: Inspection, width: int = 120) -> str:
 
 
 def _summary(found: Inspection) -> list[tuple[str, str]]:
-    """(label, text) of the facts that fit on a line each."""
+    """(label, text) pairs, a line each."""
     (H, W), (first, last) = found.size, found.numbers
     gaps = f"; {len(found.gaps)} missing: {_shorten(found.gaps)}" if found.gaps else ", none missing"
     scene = "yes" if found.scene else "no"
@@ -242,6 +242,6 @@ def _summary(found: Inspection) -> list[tuple[str, str]]:
 
 
 def _shorten(values: tuple, limit: int = 24) -> str:
-    """Comma-separated, cut off after `limit` values."""
+    """Comma-separated values, at most `limit` of them."""
     shown = ", ".join(map(str, values[:limit]))
     return shown + (f", … ({len(values)} in all)" if len(values) > limit else "")

@@ -1,4 +1,4 @@
-"""Memory: keeping what was freed for the next frame, and saying what was missing when there is not enough."""
+"""Memory: reuse freed memory for the next frame; explain in one line when there is too little."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _UNITS = {"bytes": 1 / 2**20, "KiB": 1 / 2**10, "MiB": 1.0, "GiB": 2.0**10, "TiB
 
 
 def keep_freed() -> bool:
-    """Have the C library keep freed memory for the next frame; returns whether it could be told to (glibc only).
+    """Have the C library keep freed memory for the next frame; returns whether it can do so (glibc only).
 
-    By default it gives every large tensor back to the system and gets it anew, page by page and zeroed, each time: on a
-    CPU that costs about as much as the arithmetic of a frame. This holds for the whole process, so programs call
+    By default it returns every large tensor to the system and requests it anew, page by page and zeroed: on a CPU that
+    costs about as much as the arithmetic of a frame. This holds for the whole process, so programs call
     it, libraries do not: `rtdenoise denoise` does. Memory in use stays at its peak.
     """
     try:
@@ -29,7 +29,7 @@ def keep_freed() -> bool:
 
 @contextmanager
 def explained(name: str, size: tuple[int, int], device: str) -> Iterator[None]:
-    """Turn torch's lack of memory in here into an InputError that says how much was asked for and what to do.
+    """Turn torch's out-of-memory errors in this block into an InputError with the amount and the remedy.
 
     `name` and `size` (H, W) are the frame's.
     """

@@ -1,18 +1,18 @@
-"""What a sequence needs, and what is left out because it changes nothing: decided from the headers and the first
-frames, checked again in every frame, counted.
+"""The plan of a sequence: work that would change nothing is left out. Decided from the headers and the first frames,
+checked again in every frame, counted.
 
 | left out                    | where                                                                | output  |
 |-----------------------------|----------------------------------------------------------------------|---------|
-| layers that nobody asks for | one frame; a model without dual motion                               | same    |
+| layers that no step reads   | one frame; a model without dual motion                               | same    |
 | the warp of history         | motion, and motion_next before it, are zero everywhere               | same    |
 | dual motion                 | motion + motion_next before it: short, whichever pixels are compared | same    |
 | running means               | no history: a first frame, a frame after a cut, a single picture     | rounded |
-| the network in plain rows   | rows farther than `tiles.light_reach` from light that varies         | rounded |
+| the network in plain rows   | rows farther than `config.light_reach` from light that varies        | rounded |
 | the whole frame at once     | `TILED_FROM` pixels or more: in tiles                                | rounded |
 
 Same: to the bit. Rounded: convolutions over another size or fewer channels sum in another order, 1e-5 relative in
-float32. The last two are torch's (`planned.Planned`), the others every backend's. Here nothing needs torch: layers are
-tensors or numpy arrays.
+float32. The last two are torch's (`planned.Planned`), the others serve every backend. This module needs no torch:
+layers are tensors or numpy arrays.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ if TYPE_CHECKING:
 
 LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 TILED_FROM = 3840 * 2160  # pixels; some 2 GB of features in float32
-WORTH = 0.25  # share of the rows that must be plain for the rest to be denoised as a window of its own
+MIN_PLAIN_SHARE = 0.25  # of the rows: with fewer plain rows a window of the others saves too little
 
 
 @dataclass(frozen=True)
 class Decision:
-    """One thing that can be left out."""
+    """A piece of work that can be left out."""
 
     what: str
-    left_out: str  # where: "always", "never", or how many of the examined frames
+    left_out: str  # "always", "never", or the number of the examined frames
     why: str  # the condition
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a sequence needs."""
+    """The work that a sequence needs."""
 
-    layers: tuple[str, ...]  # of `Frame`, to be read; others are not looked at
+    layers: tuple[str, ...]  # of `Frame`, to be read; no others are
     tiled: bool
     decisions: tuple[Decision, ...] = field(repr=False)
 
@@ -59,14 +59,16 @@ class Plan:
 def make_plan(
     size: tuple[int, int],  # (H, W)
     frames: int,  # how many
-    model_motion: str,  # what history is fetched with: 'dual' or 'traditional'
-    first: list[Frame],  # frames that have been looked at
-    windows: bool = True,  # whether the backend can denoise a frame in windows
+    model_motion: str | None,  # what history is fetched with: 'dual', 'traditional'; None: the model reads no motion
+    first: list[Frame],  # the frames to examine
+    windows: bool = True,  # whether backend and model can denoise a frame in windows
 ) -> Plan:
     """The plan for a sequence."""
     unread = {}
     if frames == 1:
         unread = dict.fromkeys(("motion", "motion_next"), "a single frame has no history")
+    elif model_motion is None:
+        unread = dict.fromkeys(("motion", "motion_next"), "the model denoises each frame alone")
     elif model_motion == "traditional":
         unread = {"motion_next": "the model fetches history with traditional motion"}
     decisions = [Decision(f"layer {layer}", "always", why) for layer, why in unread.items()]
@@ -82,7 +84,7 @@ def make_plan(
     tiled = windows and size[0] * size[1] >= TILED_FROM
     if windows:
         varied = [varied_rows(frame.radiance) for frame in first]
-        plain = sum(bottom - top <= (1 - WORTH) * size[0] for top, bottom, _ in varied)
+        plain = sum(bottom - top <= (1 - MIN_PLAIN_SHARE) * size[0] for top, bottom, _ in varied)
         decisions += [
             Decision("network in plain rows", f"{plain} of {len(first)} frames examined at most",
                      "where light is the same far and wide"),
@@ -93,8 +95,8 @@ def make_plan(
 
 
 def look(frame: Frame, motion_next_before: Tensor | None, history: bool = True) -> Known:
-    """What a step of `frame` can do without. `motion_next_before` is that of the previous frame, None where it has
-    none or there is no `history`."""
+    """Find the facts that let a step of `frame` leave work out. `motion_next_before` is that of the previous frame,
+    None where it has none or there is no `history`."""
     if not history:
         return Known(first=True)
     if frame.motion is None:
@@ -105,13 +107,13 @@ def look(frame: Frame, motion_next_before: Tensor | None, history: bool = True) 
     else:
         next_low, next_high = _extent(motion_next_before)
     still = not any([*low, *high, *next_low, *next_high])
-    # Dual motion is a value of -motion_next_before, whichever: so far is it from motion at most. NaN is not less.
+    # Dual motion is some value of -motion_next_before: this bounds its distance from motion. NaN is not less.
     apart = math.hypot(*(max(high[i] + next_high[i], -(low[i] + next_low[i])) for i in (0, 1)))
     return Known(still=still, covered=apart < 0.999 * OCCLUSION_THRESHOLD)  # a margin for rounding
 
 
 def count(left_out: dict[str, int], known: Known, keeps_means: bool) -> None:
-    """Add a frame to the numbers of frames that did without something."""
+    """Count a frame for each piece of work that it leaves out."""
     for what, done in (
         ("running means", known.first and keeps_means),
         ("warp of history", known.still),
@@ -122,8 +124,8 @@ def count(left_out: dict[str, int], known: Known, keeps_means: bool) -> None:
 
 def varied_rows(image: Tensor) -> tuple[int, int, Tensor]:
     """First and last (excluded) row of `image` `[1, 3, H, W]` that is not all of one colour, and that colour
-    `[1, 3, 1, 1]`: a night above a street, an even sky. (0, 0) where there is none. The colour is that of a corner,
-    the first pixel or the last, whichever leaves fewer rows."""
+    `[1, 3, 1, 1]`: a night above a street, an even sky. (0, 0) where every row is. The colour is that of the first or
+    the last pixel, whichever leaves fewer rows."""
     corners = image[..., :1, :1], image[..., -1:, -1:]
     spans = [(*(rows_unlike(image, colour) or (0, 0)), colour) for colour in corners]
     return min(spans, key=lambda span: span[1] - span[0])
@@ -137,7 +139,7 @@ def rows_unlike(image: Tensor, colour: Tensor, tolerance: float = 0.0) -> tuple[
 
 
 def _extent(motion: Tensor) -> tuple[list[float], list[float]]:
-    """Least and greatest x and y of a motion field."""
+    """Minimum and maximum of x and y in a motion field."""
     axes = (0, 2, 3)
     if isinstance(motion, np.ndarray):
         return motion.min(axes).tolist(), motion.max(axes).tolist()

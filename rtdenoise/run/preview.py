@@ -1,4 +1,4 @@
-"""Pictures of a run for people to look at: strips noisy | denoised | reference as PNG, and as a GIF or MP4."""
+"""Pictures of a run to look at: strips noisy | denoised | reference, as PNG and as a GIF or MP4."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ WIDEST = 1920  # pixels of an animation, which bounds its memory too
 def preview(
     sequence: Sequence, out: Path, layout: str = "plain", recombine: bool = False, most_frames: int = 120
 ) -> list[Path]:
-    """Show the first frames of `sequence` beside what `denoise` wrote of them into `out`: `preview.png` (the last of
-    them) and `preview.mp4`, or `preview.gif` where there is no ffmpeg, `WIDEST` pixels wide at most. Returns the
-    files.
+    """Show the first frames of `sequence` beside their denoised files in `out`: `preview.png` (the last of
+    these frames) and `preview.mp4`, or `preview.gif` where there is no ffmpeg, `WIDEST` pixels wide at most. Returns
+    the files.
 
     The exposure is that of the last frame shown, for all of them: what flickers is the picture, not the preview.
     With `recombine` every panel shows the beauty: its signal with the same noisy rest of the light.

@@ -1,5 +1,5 @@
-"""Random flips, quarter turns, time reversal, tints and channel permutations of a clip, motion vectors turned along;
-and light that moves where none did."""
+"""Augmentation: random flips, quarter turns, time reversal, tints and channel permutations of a clip, with its motion
+vectors; and moving light where there was none."""
 
 from __future__ import annotations
 
@@ -14,22 +14,21 @@ from ..frame import Frame
 _COLOURS = ("radiance", "albedo", "reference", "reference_half")
 _LIGHT = ("radiance", "reference", "reference_half")
 _MOTIONS = ("motion", "motion_next")
-RELIT = 3.0  # stops by which a patch of light is brighter or darker than what is around it at most
-FASTEST = 8.0  # pixels a frame that it moves at most
-TINT = 0.5  # stops by which a colour channel of the light is brightened or darkened at most
+MAX_RELIGHT = 3.0  # stops: a patch of light is at most so much brighter or darker than its surroundings
+MAX_SPEED = 8.0  # of the patch, pixels a frame
+MAX_TINT = 0.5  # stops: a colour channel of the light is at most so much brightened or darkened
 
 
 def augment(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
-    """The same clip in a mirror, turned, backwards, lit in other colours or with its channels permuted: one draw for
-    all its frames.
+    """The clip flipped, turned, reversed, tinted and with permuted colour channels: one draw for all its frames.
 
-    Backwards, `motion` and `motion_next` change places; numbers and noise stay with their frames. World-space normals
-    are left as they are: a mirrored picture is one of a mirrored world, in which they are as good as any.
+    In a reversed clip `motion` and `motion_next` change places; numbers and noise stay with their frames. World-space
+    normals stay: a mirrored picture shows a mirrored world, and they are as good as any there.
     """
     flip_x, flip_y, transposed = rng.random(3) < 0.5
     order = torch.from_numpy(rng.permutation(3))
     backwards = rng.random() < 0.5
-    tint = torch.from_numpy(2 ** rng.uniform(-TINT, TINT, 3)).float().reshape(1, 3, 1, 1)
+    tint = torch.from_numpy(2 ** rng.uniform(-MAX_TINT, MAX_TINT, 3)).float().reshape(1, 3, 1, 1)
 
     def spatial(tensor: Tensor) -> Tensor:
         tensor = tensor.transpose(2, 3) if transposed else tensor
@@ -53,18 +52,17 @@ def augment(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
 
 
 def relight(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
-    """The same clip with a round patch of brighter or darker light, hard or soft, that crosses the picture and may
-    begin on the way.
+    """The clip with a round patch of brighter or darker light, hard or soft, that crosses the picture and may appear on
+    the way.
 
-    Noise and reference are multiplied alike, so the reference stays the mean of the noise. No feature shows such light,
-    as none shows the shadow of something off the screen or what a turning mirror throws on a wall: only the noise
-    itself says that what was averaged so far is out of date.
+    Noise and reference are multiplied alike, so the reference stays the mean of the noise. No feature shows this light,
+    as none shows the shadow of an object off the screen: only the noise says that the running mean is out of date.
     """
     H, W = frames[0].radiance.shape[2:]
     x, y = torch.arange(W).float(), torch.arange(H).float()[:, None]
-    (left, top), velocity = rng.random(2) * (W, H), rng.uniform(-FASTEST, FASTEST, 2)
+    (left, top), velocity = rng.random(2) * (W, H), rng.uniform(-MAX_SPEED, MAX_SPEED, 2)
     radius, softness = rng.uniform(0.1, 0.6) * min(H, W), 2 ** rng.uniform(-1, 4)
-    stops, switched = rng.uniform(-RELIT, RELIT), rng.random() < 0.5
+    stops, switched = rng.uniform(-MAX_RELIGHT, MAX_RELIGHT), rng.random() < 0.5
     first, middle = int(rng.integers(1, len(frames))) if switched and len(frames) > 1 else 0, (len(frames) - 1) / 2
 
     relit = []

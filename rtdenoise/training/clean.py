@@ -1,8 +1,8 @@
-"""References for training made cleaner than their samples: each is denoised by Intel Open Image Denoise.
+"""Cleaner references for training: each is denoised by Intel Open Image Denoise.
 
-At dozens of samples a pixel a filter takes most of the noise that is left, in milliseconds, where a path tracer needs
-four times the samples to halve it (bench/clean.py measures both). For training alone: measured against these
-references, a method would be rewarded for being as smooth as the filter.
+At dozens of samples a pixel a filter removes most of the remaining noise in milliseconds, where a path tracer needs
+four times the samples to halve it (docs/notes/clean.md has figures). For training alone: as a measure, such references
+reward methods as smooth as the filter.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from safetensors import safe_open
 from torch import Tensor
 
 from ..baselines.oidn import Oidn
-from ..data.clips import SIGNALS, ClipDataset, read_facts, write_clip
+from ..data.clips import OPTIONAL, ClipDataset, read_facts, read_layers, write_clip
+from ..data.layers import SIGNALS
 from ..errors import InputError
 from ..files import write_atomically
 from ..frame import Frame
@@ -67,15 +67,15 @@ def _clean(path: Path, out: Path, oidn: Oidn) -> None:
     facts = read_facts(path)
     if "references" in facts:
         raise InputError(f"{path}: its references are denoised already; give the folder that was rendered")
-    with safe_open(path, framework="pt") as clip:
-        layers = {key: clip.get_tensor(key).float() for key in clip.keys()}  # noqa: SIM118 (not a dict)
+    layers = {name: torch.from_numpy(layer) for name, layer in read_layers(path).items()}
     for signal in SIGNALS.values():
         cleaned = torch.cat([_filtered(layers, signal["reference"], i, oidn) for i in range(len(layers["depth"]))])
         layers[signal["reference"]] = layers[signal["reference_half"]] = cleaned
     frames = [
         {key: layer[i].permute(1, 2, 0).numpy() for key, layer in layers.items()} for i in range(len(layers["depth"]))
     ]
-    write_clip(out, frames, facts | {"references": f"denoised by pyoidn {importlib.metadata.version('pyoidn')}"})
+    facts |= {"references": f"denoised by pyoidn {importlib.metadata.version('pyoidn')}"}
+    write_clip(out, frames, facts, [name for name in OPTIONAL if name in layers])
 
 
 def _filtered(layers: dict[str, Tensor], reference: str, i: int, oidn: Oidn) -> Tensor:

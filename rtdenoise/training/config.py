@@ -5,29 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from tyro.conf import UseAppendAction
+
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Options of a run. Resuming checks that they have not changed, but for paths, device and when checkpoints are."""
+    """Options of a run. A resumed run must have the same, except for paths, device and the times of checkpoints."""
 
     data: tuple[Path, ...]
-    """Folders of training clips, written by `rtdenoise render --clips`."""
+    """Folders of training clips, written by `rtdenoise clips`."""
     out: Path
-    """Run directory; a run that is there is resumed."""
+    """Run directory; a run in it is resumed."""
     val: Path | None = None
     """Folder of validation clips, of other scenes than the training ones."""
     init: Path | None = None
-    """Weights to start from instead of random ones: a .safetensors file of the same preset, or of a narrower one."""
-    preset: str = "paper"
-    """Model preset."""
+    """Weights to start from instead of random ones: a .safetensors file of the same network or a narrower one."""
+    model: str = "default"
+    """Network to train: 'paper', 'fast', 'default' or 'quality'."""
+    set: UseAppendAction[tuple[str, ...]] = ()
+    """Fields of the network's configuration to change, as NAME=VALUE: widths=32,48,64,80,96 or longest=24."""
     signal: str = "indirect"
-    """What is denoised: 'indirect', 'color', or 'both', of which a third of the clips are color."""
+    """The signal to denoise: 'indirect', 'color', or 'both' (color in a third of the clips)."""
     motion: str = "dual"
-    """'dual', or 'traditional' for setting A of the paper."""
+    """Motion vectors that fetch history: 'dual', or 'traditional' for setting A of the paper."""
     occlusion_loss: bool = True
     """Add L_occ in the second half of the run (setting C of the paper); off: setting B."""
     steps: int = 4000
-    """Optimiser steps in all."""
+    """Optimiser steps of the whole run."""
     batch: int = 4
     """Clips a step, of all processes together."""
     cuts: float = 0.0
@@ -37,17 +41,17 @@ class TrainConfig:
     loss_exposure: float = 1.0
     """The loss is taken on log(1 + loss_exposure · s · x), s the exposure of the reference."""
     huber: float = 0.0
-    """Error up to which the loss is quadratic instead of absolute; 0: L1, as in the paper."""
+    """The loss is quadratic up to this error and absolute beyond; 0: L1, as in the paper."""
     frames: int = 9
     """Consecutive frames a clip; the recurrence is back-propagated through all of them."""
     size: int = 128
     """Side of the random crop in pixels."""
     optimiser: str = "adam"
-    """'adam', or 'muon' for the weights of convolutions, which learn faster by it; the same rates do."""
+    """'adam', or 'muon' for the weights of convolutions, which learn faster with it at the same rates."""
     lr: float = 1e-3
     """Peak learning rate: linear warm-up over 200 steps, then a cosine to zero."""
     seed: int = 0
-    """Decides initial weights, order of clips, crops and augmentation."""
+    """Seed of initial weights, order of clips, crops and augmentation."""
     device: str = "cpu"
     """'cpu' or 'cuda'."""
     amp: bool = True
@@ -55,6 +59,6 @@ class TrainConfig:
     validate_every: int = 500
     """Steps between validations."""
     tensorboard: bool = False
-    """Also write the log as TensorBoard's events, into the folder tensorboard of the run."""
+    """Also write the log as TensorBoard events, into the run's folder tensorboard."""
     checkpoint_minutes: float = 3.0
-    """Minutes between checkpoints; one is also written on Ctrl-C and on SIGTERM."""
+    """Minutes between checkpoints; Ctrl-C and SIGTERM write one, too."""

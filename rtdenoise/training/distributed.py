@@ -1,8 +1,8 @@
-"""Training in several processes under `torchrun`: who this one is, and what all of them agree on.
+"""Training in several processes under `torchrun`: rank, shared gradients, shared decisions.
 
-Every process holds the same weights and optimiser and works on its share of each batch; gradients are averaged, so
-that n processes take the step that one would take on the whole batch. Without `torchrun` there is one process and
-nothing is sent.
+Every process holds the same weights and optimiser and works on its share of each batch. Gradients are averaged: n
+processes take the step that one would take on the whole batch. Without `torchrun` there is one process, and nothing is
+sent.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ def means(values: dict[str, float]) -> dict[str, float]:
 
 
 def wait_for_all() -> None:
-    """Go on when all processes are here: one that ends while another still writes may take it down with it."""
+    """Wait for all processes: one that ends while another still writes can end that one, too."""
     if distributed.is_initialized():
         distributed.barrier()
 
 
 def any_of(flag: bool) -> bool:
-    """Whether the flag is set in any process: all of them stop, or none."""
+    """Whether the flag is set in any process, so that all of them stop or none."""
     return means({"flag": float(flag)})["flag"] > 0

@@ -11,8 +11,8 @@ from ..files import dumps
 
 
 class Log:
-    """Open for appending after `step`: what a killed run did after its last checkpoint is dropped, it will be done
-    again. A context manager.
+    """Open for appending after `step`. Lines of later steps are dropped: a killed run repeats the steps after its last
+    checkpoint. A context manager.
 
     Raises InputError where TensorBoard is asked for and not installed.
     """

@@ -12,16 +12,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from ..exposure import exposure
 from ..files import write_atomically
 from ..frame import Frame
 from ..models import PRESETS, Config, Denoiser, create, grow, read
+from ..models.config import with_settings
 from ..models.inference import choose_device
 from ..motion import occlusion_weights, uncovered
 from .config import TrainConfig
 from .distributed import average_gradients, means
-from .losses import temporal_kpn_loss
 from .muon import Muon
 
 
@@ -31,15 +31,15 @@ class Trainer:
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
-        wanted = replace(PRESETS[config.preset], motion=config.motion)
+        wanted = model_config(config)
         self.model = (create(wanted) if config.init is None else _initial(config, wanted)).to(config.device)
-        self.model.unet.to(memory_format=torch.channels_last)
+        self.model.to(memory_format=torch.channels_last)  # the layout that convolutions compute in
         self.average = deepcopy(self.model).eval().requires_grad_(False)
         self.optimisers = _optimisers(self.model, config)
         self.step = 0
         self.best = -math.inf  # dB, of the best validation so far
-        self.skipped = 0  # steps that a loss or gradient that was not finite has cost
-        self.skipped_in_turn = 0  # of these, the last ones
+        self.skipped = 0  # steps lost to a loss or gradient that was not finite
+        self.skipped_in_turn = 0  # such steps since the last good one
 
     def train_step(self, clip: list[Frame]) -> dict[str, float]:
         """One optimiser step on a batch of clips; returns the numbers to log."""
@@ -61,7 +61,7 @@ class Trainer:
                 image, history = self.model.step(frame, history)
             weights = occlusion_weights(masks) if with_occlusion else None
             scale = config.loss_exposure * exposure(frame.reference)
-            loss = temporal_kpn_loss(image, frame.reference, previous, weights, scale, config.huber)
+            loss = self.model.loss(image, frame, previous, weights, scale, config.huber)
             total = total + loss.total / len(clip)
             for name in terms:
                 terms[name] += getattr(loss, name).item() / len(clip)
@@ -105,13 +105,13 @@ class Trainer:
         self.step, self.best, self.skipped = state["step"], state["best"], state.get("skipped", 0)
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
-        before = state["optimisers"] if "optimisers" in state else [state["optimiser"]]  # a run of before Muon
+        before = state["optimisers"] if "optimisers" in state else [state["optimiser"]]  # older runs have Adam alone
         for optimiser, held in zip(self.optimisers, before, strict=True):
             optimiser.load_state_dict(held)
 
 
 def _optimisers(model: Denoiser, config: TrainConfig) -> list[torch.optim.Optimizer]:
-    """What takes the steps: Muon knows matrices only."""
+    """Adam for all parameters, or Muon for matrices and Adam for vectors."""
     parameters = list(model.parameters())
     if config.optimiser == "adam":
         return [torch.optim.Adam(parameters, lr=config.lr)]
@@ -120,26 +120,32 @@ def _optimisers(model: Denoiser, config: TrainConfig) -> list[torch.optim.Optimi
 
 
 def _initial(config: TrainConfig, wanted: Config) -> Denoiser:
-    """The network of the file `init`, grown to the preset. Raises InputError where it is another one, or is wider."""
+    """The network of the file `init`, grown to `wanted`. Raises InputError where it cannot grow to it."""
     model = read(config.init, motion=wanted.motion)
     if model.config != wanted:
         try:
             model = grow(model, wanted)
         except ValueError as error:
-            raise InputError(f"{config.init}: its network does not grow into preset {config.preset}: {error}") from None
+            raise InputError(f"{config.init}: its network does not grow into {config.model}: {error}") from None
     return model.train().requires_grad_(True)
 
 
+def model_config(config: TrainConfig) -> Config:
+    """The configuration of the network that a run trains. Raises InputError for unknown fields in `set`."""
+    return with_settings(replace(PRESETS[config.model], motion=config.motion), config.set)
+
+
 def check(config: TrainConfig) -> None:
-    """Raises InputError for options that cannot be."""
+    """Raise InputError for impossible options."""
     for name in ("steps", "batch", "frames", "size", "validate_every"):
         if getattr(config, name) < 1:
             raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
     for name in ("cuts", "relight"):
         if not 0 <= getattr(config, name) <= 1:
             raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
-    if config.preset not in PRESETS:
-        raise InputError(f"unknown preset {config.preset!r}; expected one of {', '.join(PRESETS)}")
+    if config.model not in PRESETS:
+        near = did_you_mean(config.model, PRESETS)
+        raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(PRESETS)}")
     if config.signal not in ("indirect", "color", "both"):
         raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
     if config.motion not in ("dual", "traditional"):
@@ -149,3 +155,4 @@ def check(config: TrainConfig) -> None:
     if config.device not in ("cpu", "cuda"):
         raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
     choose_device(config.device)
+    model_config(config)

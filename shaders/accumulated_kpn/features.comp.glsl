@@ -1,23 +1,19 @@
 #version 430
-// What the network of accumulated_kpn sees: 21 channels, light compressed at one exposure, nearness and length in [0, 1].
-// One invocation per pixel of the padded result, which repeats the border of the image. The order is not that of torch: in
-// the last two groups is what may be zero everywhere, and then is not written: GROUPS 5 where nothing has been uncovered,
-// 4 in a first frame, which does not read `running`.
+// The input of the network of accumulated_kpn: 21 channels, light compressed at one exposure, nearness and length in [0, 1].
+// One invocation per pixel of the padded result, which repeats the border of the image.
 //
-// takes    light, surface, guide, past, running, mean_albedo [image_size] · statistics
-// returns  result: activations [6, H, W]: noisy 3, nearness 1 · previous output 3, normal x · albedo 3, normal y · its running
-//          mean 3, normal z · running mean 3, length 1 · uncovered 1
-// longest: frames after which the running mean forgets
+// The channels are in another order than in torch (glsl.passes.FEATURE_ORDER). Those that may be zero everywhere come last and are
+// then not written: GROUPS is 5 where nothing has been uncovered, 4 in a first frame, which does not read `running`.
 #pragma constants GROUPS
-#define PARAMETERS PARAMETER(ivec2, image_size) PARAMETER(float, longest)
+#pragma parameters float longest  // frames after which the running mean forgets
 #include "image.glsl"
 #include "activations.glsl"
 #include "network_input.glsl"
 #include "past.glsl"
 
-layout(std430, binding = 5) readonly restrict buffer Running { vec4 running[]; };
-layout(std430, binding = 6) readonly restrict buffer MeanAlbedo { vec4 mean_albedo[]; };
-layout(std430, binding = 7) writeonly restrict buffer Result { FOUR result[]; };
+#pragma reads vec4 running, vec4 mean_albedo  // [image_size]
+#pragma writes FOUR result  // [6, H, W]: noisy 3, nearness 1 · previous output 3, normal x · albedo 3, normal y · its running
+                            // mean 3, normal z · running mean of light 3, length 1 · uncovered 1
 
 void main() {
     ivec2 padded = ivec2(gl_GlobalInvocationID.xy);

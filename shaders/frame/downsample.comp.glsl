@@ -1,13 +1,15 @@
 #version 430
 // The next coarser scale of an image; one invocation per pixel of it.
-//
-// takes    fine [H, W]
-// returns  coarse [⌈H/2⌉, ⌈W/2⌉]
 #include "image.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Fine { vec4 fine[]; };
-layout(std430, binding = 1) writeonly restrict buffer Coarse { vec4 coarse[]; };
-#include "image_pool.glsl"
+#pragma reads vec4 fine     // [H, W]
+#pragma writes vec4 coarse  // [⌈H/2⌉, ⌈W/2⌉]
+
+#define TYPE vec4
+vec4 fine_value(ivec2 pixel) {
+    return fine[at(pixel, size)];
+}
+#include "pool.glsl"
 
 void main() {
     ivec2 cell = ivec2(gl_GlobalInvocationID.xy);

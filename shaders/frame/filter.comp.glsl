@@ -1,17 +1,10 @@
 #version 430
-// One scale of the spatial filter, or the edge kernel: predict the kernel of every pixel, and apply it.
-//
-// takes    features, weights, biases: the head of this scale, KERNEL² logits and the logit of α · image [H, W] rgb
-// returns  filtered [H, W] rgb, and α in [0, 1]: how far this scale replaces the low frequencies of the finer one; of the
-//          finest scale and of the edge kernel nobody reads it
-#pragma constants KERNEL
-#define PARAMETERS PARAMETER(ivec2, feature_size) PARAMETER(int, groups)
+// Predict the kernel of every pixel and apply it: one scale of the spatial filter, or the edge kernel.
 #include "image.glsl"
-#define ROWS (KERNEL * KERNEL + 1)
-#include "head.glsl"
+#include "kernel_head.glsl"  // and α: how far this scale replaces the low frequencies of the finer one
 
-layout(std430, binding = 3) readonly restrict buffer Image { vec4 image[]; };
-layout(std430, binding = 4) writeonly restrict buffer Filtered { vec4 filtered[]; };
+#pragma reads vec4 image      // [H, W] rgb
+#pragma writes vec4 filtered  // [H, W] rgb, α in [0, 1]
 
 vec3 source(ivec2 p) {
     return image[at(p, size)].rgb;
@@ -23,8 +16,11 @@ void main() {
     load_tile();
     if (!inside(pixel, size)) return;
 
-    vec4 rows[FOURS];
-    predict(pixel, rows);
-    float alpha = sigmoid(rows[(ROWS - 1) >> 2][(ROWS - 1) & 3]);
-    filtered[at(pixel, size)] = vec4(gathered(pixel, rows), alpha);
+    predict(pixel);
+#if ROWS > KERNEL * KERNEL
+    float alpha = blend_weight();
+#else
+    float alpha = 1.0;  // the finest scale and the edge kernel replace nothing
+#endif
+    filtered[at(pixel, size)] = vec4(gathered(pixel), alpha);
 }

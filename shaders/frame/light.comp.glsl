@@ -1,24 +1,17 @@
 #version 430
-// The light that is filtered: radiance without fireflies (brightness.limit_fireflies), its texture divided out; and what it holds
-// block by block, for `statistics`. One work group per block of 8×8 pixels.
+// The light to filter: radiance without fireflies (exposure.limit_fireflies), divided by its texture; and sums over blocks of
+// 8×8 pixels, for `statistics`. One work group per block.
 //
-//     bound = 5 · max(brightest of the 8 neighbours, usual);    brighter pixels are scaled down to it
-//
-// takes    clean, surface, guide [H, W] · usual [1]
-// returns  light [H, W]: rgb, 1
-//          blocks [⌈H/8⌉, ⌈W/8⌉]: mean luminance of the light, sum of the depths, number of hits
+//     bound = FIREFLY_LIMIT · max(brightest of the 8 neighbours, usual);    brighter pixels are scaled down to it
+#pragma constants FIREFLY_LIMIT
 #include "image.glsl"
 #include "albedo.glsl"
 #include "luminance.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Clean { vec4 clean[]; };
-layout(std430, binding = 1) readonly restrict buffer Surface { vec4 surface[]; };
-layout(std430, binding = 2) readonly restrict buffer Guide { vec4 guide[]; };
-layout(std430, binding = 3) readonly restrict buffer Usual { float usual[]; };
-layout(std430, binding = 4) writeonly restrict buffer Light { vec4 light[]; };
-layout(std430, binding = 5) writeonly restrict buffer Blocks { vec4 blocks[]; };
-
-const float LIMIT = 5.0;
+#pragma reads vec4 clean, vec4 surface, vec4 guide  // [H, W]
+#pragma reads float usual                           // [1]
+#pragma writes vec4 light                           // [H, W] rgb, 1
+#pragma writes vec4 blocks                          // [⌈H/8⌉, ⌈W/8⌉] mean luminance of the light, sum of depths, number of hits
 
 shared vec4 partial[GROUP_X * GROUP_Y];
 
@@ -38,7 +31,7 @@ void main() {
     if (inside(pixel, size)) {
         int i = at(pixel, size);
         vec3 rgb = clean[i].rgb;
-        float brightness = luminance(rgb), bound = LIMIT * max(brightest_neighbour(pixel), usual[0]);
+        float brightness = luminance(rgb), bound = FIREFLY_LIMIT * max(brightest_neighbour(pixel), usual[0]);
         if (brightness > bound && usual[0] > 0.0) rgb *= bound / brightness;
         rgb /= divisor(guide[i]);
         light[i] = vec4(rgb, 1.0);

@@ -1,16 +1,11 @@
 #version 430
-// Motion vectors as they come, made fit (sanitise.sanitise): what is not finite leads off the screen.
-//
-// takes    motion, motion_next [2, H, W] in pixels
-// returns  vectors [H, W]: motion, motion_next
+// Sanitise motion vectors (sanitise.sanitise): those that are not finite lead off the screen.
+#pragma constants OFF_SCREEN
 #include "image.glsl"
 #include "finite.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Motion { float motion[]; };
-layout(std430, binding = 1) readonly restrict buffer MotionNext { float motion_next[]; };
-layout(std430, binding = 2) writeonly restrict buffer Vectors { vec4 vectors[]; };
-
-const float OFF_SCREEN = 1e4;
+#pragma reads float motion, float motion_next  // [2, H, W] in pixels
+#pragma writes vec4 vectors                    // [H, W] motion, motion_next
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);

@@ -1,28 +1,16 @@
 #version 430
-// The buffers of a frame as they come, made fit for filtering (sanitise.sanitise), four values a pixel. One work group per block of
-// 8×8 pixels.
-//
-// takes    radiance, albedo, normal [3, H, W] · depth [1, H, W]
-// returns  clean [H, W]: radiance, 1
-//          surface [H, W]: normal, depth
-//          guide [H, W]: albedo, and whether light is divided by it: where something was hit, if DEMODULATE
-//          maxima [⌈H/8⌉, ⌈W/8⌉]: the greatest luminance of each block
-#pragma constants DEMODULATE
+// Replace what no filter can use (sanitise.sanitise), and pack the layers into images. One work group per block of 8×8 pixels.
+#pragma constants DEMODULATE BRIGHTEST FAR GREATEST_ALBEDO LONGEST_NORMAL
 #include "image.glsl"
 #include "finite.glsl"
 #include "luminance.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Radiance { float radiance[]; };
-layout(std430, binding = 1) readonly restrict buffer Albedo { float albedo[]; };
-layout(std430, binding = 2) readonly restrict buffer Normal { float normal[]; };
-layout(std430, binding = 3) readonly restrict buffer Depth { float depth[]; };
-layout(std430, binding = 4) writeonly restrict buffer Clean { vec4 clean[]; };
-layout(std430, binding = 5) writeonly restrict buffer Surface { vec4 surface[]; };
-layout(std430, binding = 6) writeonly restrict buffer Guide { vec4 guide[]; };
-layout(std430, binding = 7) writeonly restrict buffer Maxima { float maxima[]; };
-
-const float BRIGHTEST = 1e15, FAR = 1e9;  // what follows stays finite in float32; from there on nothing was hit
-const float GREATEST_ALBEDO = 16.0, LONGEST_NORMAL = 2.0;
+#pragma reads float radiance, float albedo, float normal  // [3, H, W]
+#pragma reads float depth                                 // [1, H, W]
+#pragma writes vec4 clean                                 // [H, W] radiance, 1
+#pragma writes vec4 surface                               // [H, W] normal, depth
+#pragma writes vec4 guide  // [H, W] albedo, and whether light is divided by it: with DEMODULATE where something was hit
+#pragma writes float maxima                               // [⌈H/8⌉, ⌈W/8⌉] the greatest luminance of each block
 
 shared float partial[GROUP_X * GROUP_Y];
 

@@ -1,22 +1,11 @@
 #version 430
-// Exposure (brightness.exposure) and mean distance of a frame, from its blocks: one work group for all of them.
+// Exposure (exposure.exposure) and mean distance of a frame, from its blocks; one work group for all of them.
 //
-//     exposure = 1 / max(1e-8, mean of the `kept` least block means)        distance = Σ depth / number of hits
-//
-// takes    blocks [count]: mean luminance, sum of the depths, number of hits
-// returns  statistics [2]: exposure, distance
-#pragma constants GROUP_X
-layout(local_size_x = GROUP_X) in;
-
-layout(std430, binding = 0) readonly restrict buffer Blocks { vec4 blocks[]; };
-layout(std430, binding = 1) writeonly restrict buffer Statistics { float statistics[]; };
-
-#ifdef VULKAN
-layout(push_constant) uniform Pass { int count; int kept; };
-#else
-uniform int count;
-uniform int kept;  // max(1, ⌊0.9 · count⌋)
-#endif
+//     exposure = 1 / max(MIN_BRIGHTNESS, mean of the `kept` smallest block means)        distance = Σ depth / number of hits
+#pragma constants MIN_BRIGHTNESS MIN_DISTANCE
+#pragma parameters int count, int kept  // kept = max(1, ⌊0.9 · count⌋)
+#pragma reads vec4 blocks               // [count] mean luminance, sum of depths, number of hits
+#pragma writes float statistics         // [2] exposure, distance
 
 float value(int i) {
     return blocks[i].x;
@@ -27,7 +16,7 @@ shared vec4 partial[GROUP_X];
 
 void main() {
     int lane = int(gl_LocalInvocationIndex);
-    // Of the means that equal the greatest one that is kept, as many are kept as there is room for.
+    // Several means may equal the greatest kept one; `equals + 1` of them are among the kept.
     uint equals;
     float greatest = select(count, uint(kept) - 1u, equals);
     vec4 sum = lane == 0 ? vec4(float(equals + 1u) * greatest, 0.0, 0.0, 0.0) : vec4(0.0);
@@ -42,7 +31,7 @@ void main() {
     }
     if (lane == 0) {
         vec4 total = partial[0];
-        statistics[0] = 1.0 / max(total.x / float(kept), 1e-8);
-        statistics[1] = max(total.y / max(total.z, 1.0), 1e-12);
+        statistics[0] = 1.0 / max(total.x / float(kept), MIN_BRIGHTNESS);
+        statistics[1] = max(total.y / max(total.z, 1.0), MIN_DISTANCE);
     }
 }

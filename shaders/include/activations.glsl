@@ -1,5 +1,5 @@
-// What the network hands on: [⌈C/4⌉, H, W], four channels an element; the channels that fill up the last four are 0.
-// HALF: as four float16 in 64 bits. Arithmetic is in float32 either way.
+// Activations of the network: [⌈C/4⌉, H, W], four channels per element; missing channels are 0.
+// HALF stores four float16 in 64 bits. Arithmetic is in float32 either way.
 #pragma constants HALF
 
 #if HALF

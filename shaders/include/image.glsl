@@ -1,4 +1,4 @@
-// Images of the whole-frame passes: [H, W] of one vec4 a pixel; one invocation per pixel.
+// Images of the whole-frame passes: [H, W] with one vec4 per pixel; one invocation per pixel.
 #include "tensor.glsl"
 
 // Index of image[p.y, p.x].

@@ -1,7 +1,7 @@
-// A picture at a target between its pixels: bilinear, or with CUBIC Catmull-Rom's 4×4, held between the least and the greatest
-// of the 2×2 around the target.
+// An image at a target between its pixels: bilinear, or with CUBIC Catmull-Rom over 4×4 pixels, clamped to the range of the
+// 2×2 around the target so that it does not overshoot.
 //
-// TYPE and TYPE value(ivec2 pixel) are defined before this file is included.
+// TYPE and `TYPE value(ivec2 pixel)` are defined before this file is included.
 #pragma constants CUBIC
 
 TYPE look_up(vec2 target) {

@@ -1,4 +1,5 @@
-// Rec. 709.
+#pragma constants LUMINANCE_WEIGHTS
+
 float luminance(vec3 rgb) {
-    return dot(rgb, vec3(0.2126, 0.7152, 0.0722));
+    return dot(rgb, LUMINANCE_WEIGHTS);
 }

@@ -1,7 +1,7 @@
-// Where motion vectors point.
+// Targets of motion vectors.
 #include "finite.glsl"
 
-layout(std430, binding = 1) readonly restrict buffer Motion { float motion[]; };  // [B, 2, H, W] (x, y) in pixels
+#pragma reads float motion  // [B, 2, H, W] (x, y) in pixels
 
 // pixel + motion(pixel), clamped to the pixel centres of the image; pixel (0, 0) is at (0, 0). A motion that is not finite
 // counts as zero.

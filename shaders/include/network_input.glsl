@@ -1,11 +1,9 @@
-// A frame as a network sees it. The parameter image_size is (W, H) of the image, which `size` is padded from.
-layout(std430, binding = 0) readonly restrict buffer Light { vec4 light[]; };
-layout(std430, binding = 1) readonly restrict buffer Surface { vec4 surface[]; };
-layout(std430, binding = 2) readonly restrict buffer Guide { vec4 guide[]; };
-layout(std430, binding = 3) readonly restrict buffer Past { vec4 past[]; };
-layout(std430, binding = 4) readonly restrict buffer Statistics { float statistics[]; };  // exposure, distance
+// The inputs that every network has, and how it sees them.
+#pragma parameters ivec2 image_size  // (W, H) of the image; the parameter `size` includes padding
+#pragma reads vec4 light, vec4 surface, vec4 guide, vec4 past  // [image_size]
+#pragma reads float statistics                                 // [2]: exposure, mean distance
 
-// log(1 + x) of the exposed radiance; for small x by its series, where 1 + x would lose it.
+// log(1 + x) of the exposed radiance; by its series for small x, where 1 + x would round it away.
 vec3 compress(vec3 radiance) {
     vec3 x = radiance * statistics[0];
     vec3 series = x * (1.0 - x * (0.5 - x * (1.0 / 3.0 - 0.25 * x)));

@@ -1,13 +1,16 @@
-// D of eq. 4: mean or maximum over one cell of the tensor `fine` [B, CHANNELS, H, W], declared before this file is included.
+// D of eq. 4: mean (POOL_MAX: maximum) over one cell.
+//
+// TYPE and `TYPE fine_value(ivec2 pixel)` are defined before this file is included.
 #pragma constants POOL_MAX
+#include "pyramid.glsl"
 
-float pool(int b, int c, ivec2 cell) {
-    float total = 0.0, count = 0.0;
-    float greatest = fine[at(b, c, 2 * cell, CHANNELS, size)];
+TYPE pool(ivec2 cell) {
+    TYPE total = TYPE(0.0), greatest = fine_value(2 * cell);
+    float count = 0.0;
     for (int i = 0; i < 4; ++i) {
         ivec2 p = 2 * cell + ivec2(i & 1, i >> 1);
         if (!inside(p, size)) continue;
-        float value = fine[at(b, c, p, CHANNELS, size)];
+        TYPE value = fine_value(p);
         total += value;
         count += 1.0;
         greatest = max(greatest, value);

@@ -1,9 +1,12 @@
-// The value of a rank among many, by one work group of GROUP_X invocations together: digit by digit, since floats ≥ 0 are
-// ordered as their bits are. `float value(int i)` comes before this file is included.
+// Select the value of a given rank, by one work group of GROUP_X invocations together: digit by digit, since floats ≥ 0 have
+// the order of their bits. `float value(int i)` is defined before this file is included.
+#pragma constants GROUP_X
+layout(local_size_x = GROUP_X) in;
+
 shared uint bins[256];
 shared uint digit, rank_within;
 
-// The value with `rank` others before it in order, of value(0) … value(count - 1); `equals` of those are equal to it.
+// The value at position `rank` of value(0) … value(count - 1) in ascending order; `equals` of those before it are equal to it.
 float select(int count, uint rank, out uint equals) {
     int lane = int(gl_LocalInvocationIndex);
     uint leading = 0u, mask = 0u;

@@ -9,24 +9,19 @@
 //     1   near, of twice the size, in maxima of 2×2
 //     2   far, of half the size, nearest ×2; then the channels of near
 //
-// takes    near, far: activations · weights [groups out, groups in, 9] of 4×4 blocks, column by column: one column is what one
-//          input adds to four outputs · biases [groups out] of four
-// returns  result: activations
-//
 // An invocation computes eight output channels of four pixels: two 4×4 matrices, whose columns are pixels. A work group keeps
-// the four input channels it is at in shared memory, for 4·GROUP_X × GROUP_Y pixels and a border of one. The four pixels of an
+// four input channels at a time in shared memory, for 4·GROUP_X × GROUP_Y pixels and a border of one. The four pixels of an
 // invocation lie GROUP_X apart, so that neighbours in the work group read neighbours in the tile.
-// gl_GlobalInvocationID = (x, y, pair of output groups); where there is an odd number of those the weights have one more.
+// gl_GlobalInvocationID = (x, y, pair of output groups); weights are padded to an even number of these groups.
 #pragma constants SOURCE
-#define PARAMETERS PARAMETER(ivec3, groups)  // of four channels: of `far` (SOURCE 2), of all inputs, of the outputs
+#pragma parameters ivec3 groups  // of four channels: of `far` (SOURCE 2), of all inputs, of the outputs
 #include "tensor.glsl"
 #include "activations.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Near { FOUR near[]; };
-layout(std430, binding = 1) readonly restrict buffer Far { FOUR far[]; };
-layout(std430, binding = 2) readonly restrict buffer Weights { mat4 weights[]; };
-layout(std430, binding = 3) readonly restrict buffer Biases { vec4 biases[]; };
-layout(std430, binding = 4) writeonly restrict buffer Result { FOUR result[]; };
+#pragma reads FOUR near, FOUR far
+#pragma reads mat4 weights  // [groups out, groups in, 9] 4×4 blocks: a column holds what one input adds to four outputs
+#pragma reads vec4 biases   // [groups out]
+#pragma writes FOUR result
 
 const ivec2 TILE = ivec2(4 * GROUP_X + 2, GROUP_Y + 2);
 shared vec4 tile[TILE.x * TILE.y];

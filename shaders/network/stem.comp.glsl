@@ -3,19 +3,17 @@
 //
 //     out[o, y, x] = max(0, bias[o] + Σ_{i; dy, dx ∈ 0..3} weight[o, i, dy, dx] · in[i, 2y + dy - 1, 2x + dx - 1])
 //
-// Where the result is larger than half the image, `out` repeats its border: what a U-Net of whole cells is fed.
-//
-// takes    image: activations [groups in, 2·half_size] · weights [groups out, groups in, 16] and biases as conv3x3
-// returns  result: activations [groups out, H, W]; one invocation per pixel and group of it
-// half_size: (⌈W/2⌉, ⌈H/2⌉) of the image; groups: of four input channels, those that are not zero everywhere and all
-#define PARAMETERS PARAMETER(ivec2, half_size) PARAMETER(ivec2, groups)
+// Where the result is larger than half the image, it repeats its border: the U-Net needs a multiple of its cell.
+// One invocation per pixel and group of the result.
+#pragma parameters ivec2 half_size  // (⌈W/2⌉, ⌈H/2⌉) of the image
+#pragma parameters ivec2 groups     // of four input channels: those that may be other than zero, and all
 #include "tensor.glsl"
 #include "activations.glsl"
 
-layout(std430, binding = 0) readonly restrict buffer Image { FOUR image[]; };
-layout(std430, binding = 1) readonly restrict buffer Weights { mat4 weights[]; };
-layout(std430, binding = 2) readonly restrict buffer Biases { vec4 biases[]; };
-layout(std430, binding = 3) writeonly restrict buffer Result { FOUR result[]; };
+#pragma reads FOUR features  // [groups in, 2·half_size]
+#pragma reads mat4 weights   // [groups out, groups in, 16]: 4×4 blocks as in conv3x3
+#pragma reads vec4 biases    // [groups out]
+#pragma writes FOUR result   // [groups out, H, W]
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -28,7 +26,7 @@ void main() {
         for (int tap = 0; tap < 16; ++tap) {
             ivec2 p = corner + ivec2(tap % 4, tap / 4);
             if (!inside(p, 2 * half_size)) continue;
-            sum += weights[(o * groups.y + g) * 16 + tap] * unpacked(image[in_group(g, p, 2 * half_size)]);
+            sum += weights[(o * groups.y + g) * 16 + tap] * unpacked(features[in_group(g, p, 2 * half_size)]);
         }
     }
     result[in_group(o, pixel, size)] = packed_four(max(sum, 0.0));

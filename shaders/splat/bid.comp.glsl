@@ -1,14 +1,11 @@
 #version 430
-// Bid: with CLAIM 0 the least mismatch at every target, with CLAIM 1 the first of the pixels that have it.
-//
-// takes    vectors, surface, surface_before [H, W] · best, winner [H, W], before CLAIM 0 all NOTHING
-// returns  best (CLAIM 0), winner (CLAIM 1)
+// Bid for targets: CLAIM 0 finds the smallest mismatch at every target, CLAIM 1 the first of the pixels that have it.
 #pragma constants CLAIM
 #include "splat.glsl"
 #include "on_screen.glsl"
 
-layout(std430, binding = 3) restrict buffer Best { uint best[]; };
-layout(std430, binding = 4) restrict buffer Winner { uint winner[]; };
+#pragma changes uint best    // [H, W] the smallest mismatch, as bits; NOTHING before CLAIM 0
+#pragma changes uint winner  // [H, W] the pixel that has it; NOTHING before CLAIM 0
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);

@@ -1,17 +1,11 @@
 #version 430
-// What landed where, and the cracks closed: where what landed is not the surface that was there, the closest pixel of that
-// surface, REACH away at most, that received its own says how it moves.
-//
-// takes    vectors, surface, surface_before [H, W] · best, winner [H, W]
-// returns  vectors_before [H, W]: 0, motion_next of the previous frame
+// Turn winners into motion, and close cracks: where another surface than the previous one has landed, take the motion of the
+// closest pixel, at most MAX_CRACK_DISTANCE away, that shows the previous surface and received its own.
+#pragma constants DEPTH_TOLERANCE MAX_CRACK_DISTANCE OFF_SCREEN
 #include "splat.glsl"
 
-layout(std430, binding = 3) readonly restrict buffer Best { uint best[]; };
-layout(std430, binding = 4) readonly restrict buffer Winner { uint winner[]; };
-layout(std430, binding = 5) writeonly restrict buffer VectorsBefore { vec4 vectors_before[]; };
-
-const float OFF_SCREEN = 1e4, DEPTH_TOLERANCE = 0.1;
-const int REACH = 2;
+#pragma reads uint best, uint winner  // [H, W]
+#pragma writes vec4 vectors_before    // [H, W] 0, motion_next of the previous frame
 
 bool landed(int i) { return winner[i] != NOTHING; }
 bool fits(int i) { return landed(i) && uintBitsToFloat(best[i]) <= DEPTH_TOLERANCE; }
@@ -20,6 +14,7 @@ void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
     if (!inside(pixel, size)) return;
 
+    const int REACH = MAX_CRACK_DISTANCE;
     int here = at(pixel, size), from = here;
     if (landed(here) && !fits(here)) {
         int closest = 2 * REACH * REACH + 1;  // squared distance

@@ -1,15 +1,11 @@
 #version 430
-// What the network of temporal_kpn sees: 13 channels, light compressed at one exposure, depth as nearness in [0, 1). One
+// The input of the network of temporal_kpn: 13 channels, light compressed at one exposure, depth as nearness in [0, 1). One
 // invocation per pixel of the padded result, which repeats the border of the image.
-//
-// takes    light, surface, guide, past [image_size] · statistics
-// returns  result: activations [4, H, W]: noisy 3, albedo 3, normal 3, nearness 1, past 3
-#define PARAMETERS PARAMETER(ivec2, image_size)
 #include "image.glsl"
 #include "activations.glsl"
 #include "network_input.glsl"
 
-layout(std430, binding = 5) writeonly restrict buffer Result { FOUR result[]; };
+#pragma writes FOUR result  // [4, H, W]: noisy 3, albedo 3, normal 3, nearness 1, previous output 3
 
 void main() {
     ivec2 padded = ivec2(gl_GlobalInvocationID.xy);

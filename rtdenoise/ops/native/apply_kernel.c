@@ -1,10 +1,8 @@
-// softmax over the K² taps of every pixel, and their weighted sum, in one reading of the logits. The specification is
-// ops/apply_kernel.py. Specialised by K (side of the kernel), C (channels) and LOGIT (0: float32, 1: bfloat16,
-// 2: float16).
+// Softmax over the K² taps of every pixel and their weighted sum; logits are read once. The specification is
+// ops/apply_kernel.py. K is the side of the kernel, C the number of channels, LOGIT the type of the logits (logits.h).
 //
-// The inner loops run over the taps of one pixel and are unrolled; the loop over x becomes vector code, so that sums and
-// maximum stay in registers. Where taps leave the image, `forward` gives them no weight, and the backward passes go through
-// the same functions with fewer taps.
+// The inner loops, over the taps of one pixel, are unrolled and the loop over x is vectorised, so that sums and maximum stay
+// in registers. Taps outside the image get no weight in `forward`; the backward passes visit fewer taps there.
 #include "common.h"
 
 #define R (K / 2)
@@ -17,7 +15,7 @@ static inline Taps inside(int y, int x, int H, int W) {
     return (Taps){MAX(0, R - y), MIN(K, H + R - y), MAX(0, R - x), MIN(K, W + R - x)};
 }
 
-// Calls PIXEL(x, taps) for x in [from, to) of a row: vector code where all taps are inside.
+// PIXEL(x, taps) for x in [from, to) of a row, vectorised where all taps are inside.
 #define SPAN(PIXEL, from, to) do { \
     int whole = y >= R && y < H - R && W > 2 * R; \
     int left = whole ? MAX(from, MIN(to, R)) : (to), right = whole ? MAX(left, MIN(to, W - R)) : (to); \
@@ -39,7 +37,7 @@ static inline void backward_logits_pixel(const float *image, const logit *logits
     }
 }
 
-// grad_image[p] = Σ_k w[k, q] · grad[q] over the pixels q = p - (tap k) that read p: a gather, so threads never collide.
+// grad_image[p] = Σ_k w[k, q] · grad[q] over the pixels q = p - (tap k) that read p. A gather: threads never collide.
 static inline void backward_image_pixel(const logit *logits, const float *stats, const float *grad, float *grad_image,
                                         int64_t plane, int64_t stride, int W, int x, Taps t) {
     float colour[C] = {0};
@@ -61,20 +59,20 @@ static inline void backward_image_pixel(const logit *logits, const float *stats,
     int64_t pixel = (int64_t)y * W, first = b * C * plane + pixel, firstStats = b * 2 * plane + pixel; \
     const logit *l = logits + b * batch + pixel;
 
-// A block of a row, as the loop over its pixels reads it: tap (dy, dx) of pixel x has logit
-// values[(dy * K + dx) * BLOCK + x] and, of channel c, value row[dy][c * plane + dx + x].
+// A block of a row, as the loop over its pixels reads it. Tap (dy, dx) of pixel x has the logit
+// values[(dy * K + dx) * BLOCK + x] and, in channel c, the value row[dy][c * plane + dx + x].
 typedef struct {
     float values[READ * BLOCK], patch[C * K * (BLOCK + 2 * R)];
     const float *row[K];
     int64_t plane;
 } Block;
 
-// What a picture is in some of its pixels: `otherwise` where not `seen`. Nowhere where `seen` is null.
+// Values for the pixels that an image lacks: `otherwise` where not `seen`. It lacks none where `seen` is null.
 typedef struct { const uint8_t *seen; const float *otherwise; } Gaps;
 
-// Sets the rows of `image` (one of the batch) under pixels [from, to) of row y. Outside the image its border is repeated,
-// by the pointers to rows and by a copy of what is under the first and the last block; the taps there get logits of -Inf.
-// What is under a block with gaps is copied too, and they are filled.
+// Sets the rows of `image` (one of the batch) under pixels [from, to) of row y. Outside the image its border is repeated, by
+// the pointers to rows and by a copy under the first and the last block; taps there get logits of -Inf. Rows with gaps are
+// copied too, and filled.
 static inline void place(Block *o, const float *image, Gaps gaps, int y, int from, int to, int H, int W) {
     int pixels = to - from, beside = from < R || to > W - R, above = y < R || y >= H - R, filled = 0;
     int n = pixels + 2 * R, left = MAX(R - from, 0), right = MIN(n, W + R - from);
@@ -109,8 +107,8 @@ static inline void place(Block *o, const float *image, Gaps gaps, int y, int fro
 }
 
 // image, out, spatial [B, C, H, W], stats [B, 2, H, W] (maximum and 1/sum), seen [B, 1, H, W] bool, alpha [B, 1, H, W],
-// contiguous; logits as `read_logits` wants them. `stats` may be null, and so may the last three together. With them the
-// image is `spatial` where not `seen`, and the result is blended with `spatial` (ops/temporal.py).
+// contiguous; logits as `read_logits` wants them. `stats` may be null, and so may the last three together. With them this is
+// ops/blend_history.py: the image is `spatial` where not `seen`, and the result is blended with `spatial`.
 void forward(const float *image, const logit *logits, float *out, float *stats, const uint8_t *seen,
              const float *spatial, const float *alpha, int B, int H, int W, const Layout *layout, int threads) {
     Layout at = *layout;

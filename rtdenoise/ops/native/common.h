@@ -1,4 +1,4 @@
-// What the kernels share. Compiled on the user's machine by ops/native.py, with whatever vector unit it has.
+// Arithmetic that all kernels share. Planes have < 2³¹ pixels.
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
@@ -18,15 +18,9 @@ static inline uint32_t bits_of(float x) {
     return bits;
 }
 
-// Where a motion leads from pixel x of a row of n: clamped to the row, a motion that is not finite counting as none.
-static inline float clamped(float motion, int x, int n) {
-    float u = (fabsf(motion) <= 3.4028235e38f ? motion : 0) + x;
-    return MIN(MAX(u, 0), n - 1);
-}
-
-// exp(x) for x ≤ 0, as 2ⁿ · 2ʳ with |r| ≤ ½ (the polynomial of 5th degree with the least relative error), to 2 units in
-// the last place where it is near 1; 0 below -87.3, where float32 has no normal numbers left, and for NaN. Branch-free, so
-// that the loop around it becomes vector code. What is added to ROUND is rounded to a whole number n, in its lowest bits.
+// exp(x) for x ≤ 0, as 2ⁿ · 2ʳ with |r| ≤ ½ (minimax polynomial of degree 5); within 2 ulp near 1. It is 0 below -87.3,
+// where float32 has no normal numbers left, and for NaN. Branch-free, so that the loop around it is vectorised. A sum with
+// ROUND is rounded to a whole number n, which its lowest bits hold.
 #define ROUND 12582912.0f  // 1.5 · 2²³
 static inline float exp_negative(float x) {
     float t = x * 1.44269504f, whole = t + ROUND, r = t - (whole - ROUND), p = 1.3269555e-3f;
@@ -38,7 +32,7 @@ static inline float exp_negative(float x) {
     return t >= -126 ? from_bits(bits_of(p) + (bits_of(whole) << 23)) : 0;
 }
 
-// As torch's: the end itself where the weight is 0 or 1, however far apart they are.
+// As torch.lerp: exactly `from` or `to` where the weight is 0 or 1, however far apart they are.
 static inline float lerp(float from, float to, float weight) {
     float d = to - from;
     return weight < 0.5f ? fmaf(weight, d, from) : fmaf(weight - 1, d, to);

@@ -1,5 +1,4 @@
-"""Compile one of the C files with the machine's own compiler, once: the result is kept in the user's cache folder. And
-what it is called with."""
+"""Compile C files with the machine's own compiler, once: the user's cache folder keeps the results."""
 
 from __future__ import annotations
 
@@ -19,21 +18,21 @@ from torch import Tensor
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
-THREADS = "-fopenmp"  # finds the OpenMP that torch has loaded: one set of threads for both
-WIDE = "-mprefer-vector-width=512"  # x86: compilers take half the width unless told
+THREADS = "-fopenmp"  # finds the OpenMP that torch has loaded: both share one pool of threads
+WIDE_VECTORS = "-mprefer-vector-width=512"  # x86: by default compilers use half the width
 
 
 @functools.cache
-def library(name: str, **constants: int) -> ctypes.CDLL:
-    """`native/<name>.c` with `constants` defined, compiled and loaded.
+def library(name: str, **constants: int | float) -> ctypes.CDLL:
+    """`native/<name>.c` with `constants` defined, compiled and loaded. Floats become float32 literals.
 
-    Raises OSError where there is no compiler, or it fails; the message is its first line.
+    Raises OSError where there is no compiler or it fails; the message holds the compiler's first error.
     """
     folder = resources.files(__package__)
     source = (folder / f"{name}.c").read_text(encoding="utf-8")
     source = re.sub(r'#include "(.+)"\n', lambda file: (folder / file[1]).read_text(encoding="utf-8"), source)
-    command = [_compiler(), *FLAGS, THREADS, *([WIDE] if platform.machine() in ("x86_64", "AMD64") else [])]
-    command += [f"-D{key}={value}" for key, value in sorted(constants.items())]
+    command = [_compiler(), *FLAGS, THREADS, *([WIDE_VECTORS] if platform.machine() in ("x86_64", "AMD64") else [])]
+    command += [f"-D{key}={_literal(value)}" for key, value in sorted(constants.items())]
     key = hashlib.sha256("\0".join([source, *command, _machine()]).encode()).hexdigest()[:16]
     path = _cache() / f"{name}-{key}.so"
     if not path.is_file():
@@ -41,23 +40,17 @@ def library(name: str, **constants: int) -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 
-@functools.cache
-def problem(name: str, **constants: int) -> str | None:
-    """Why `library` cannot make this one (an old compiler without 16-bit floats, say), or None."""
-    try:
-        library(name, **constants)
-    except OSError as error:
-        return str(error)
-    return None
-
-
 def pointer(tensor: Tensor | None) -> ctypes.c_void_p:
-    """To a tensor's first value, as the C functions take it; null for None."""
+    """The address of a tensor's first value; null for None."""
     return ctypes.c_void_p(tensor.data_ptr() if tensor is not None else None)
 
 
+def _literal(value: int | float) -> str:
+    return f"{value!r}f" if isinstance(value, float) else str(value)
+
+
 def _compile(command: list[str], source: str, path: Path) -> None:
-    """Written under a temporary name first: processes that compile the same at once do not disturb each other."""
+    """Compile to a temporary name, then rename, so that several processes may compile the same file at once."""
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         temporary = Path(folder) / path.name
         result = subprocess.run(
@@ -70,11 +63,11 @@ def _compile(command: list[str], source: str, path: Path) -> None:
 
 
 def _compiler() -> str:
-    """`CC` where it is set, else the first that is found."""
+    """The path of `CC` where that is set and exists, else of the first of `COMPILERS` found."""
     for name in (os.environ.get("CC"), *COMPILERS):
         if name and (path := shutil.which(name)):
             return path
-    raise OSError(f"no C compiler found ({', '.join(COMPILERS)}, or what CC names)")
+    raise OSError(f"no C compiler found (tried CC, {', '.join(COMPILERS)})")
 
 
 def _cache() -> Path:
@@ -84,7 +77,7 @@ def _cache() -> Path:
 
 
 def _machine() -> str:
-    """What `-march=native` depends on: a cache folder may be shared by unlike machines."""
+    """All that `-march=native` depends on: different machines may share a cache folder."""
     info = Path("/proc/cpuinfo")
     lines = set(info.read_text().splitlines()) if info.exists() else set()
     return "\0".join([platform.platform(), *sorted(s for s in lines if s.startswith(("flags", "model", "Features")))])

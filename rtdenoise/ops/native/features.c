@@ -1,13 +1,13 @@
-// Planes of pixels to one vector of features a pixel, in one pass. The specification is ops/features.py; C is the number
-// of features, LIGHT how many of them, the first, are compressed, and HALF 1 for bfloat16, 0 for float32.
+// A network's input, channels last, in one pass over the planes of a frame. The specification is ops/features.py. C is the
+// number of features, of which the first LIGHT are compressed; HALF is 1 for bfloat16, 0 for float32.
 #include "common.h"
 
 #define BLOCK 64  // pixels
 
-// A word holds features that are neighbours in the output: four bfloat16, or two float32.
+// A word of 64 bits holds neighbouring features of the output: four bfloat16 or two float32.
 #if HALF
 #define PER 4
-// x in the upper half, rounded to nearest, ties to even; below it what is left of the rounding. x is finite.
+// The upper 16 bits hold x as bfloat16, rounded to nearest, ties to even; the lower ones are noise. x is finite.
 static inline uint32_t rounded(float x) {
     uint32_t bits = bits_of(x);
     return bits + 0x7fff + (bits >> 16 & 1);
@@ -24,8 +24,8 @@ static inline uint64_t word(const float *x) { return bits_of(x[0]) | (uint64_t)b
 #define SIZE (8 / PER)  // bytes of a feature
 #define WORDS ((C + PER - 1) / PER)
 
-// log(1 + x) for x ≥ 0 to some units in the last place; branch-free. log(u) = e · ln 2 + log(1 + f) with √½ ≤ 1 + f < √2
-// (coefficients of Cephes' logf). Near 1 the sum u = 1 + x would lose digits of x: there f is x itself.
+// log(1 + x) for x ≥ 0, within some ulp; branch-free. log(u) = e · ln 2 + log(1 + f) with √½ ≤ 1 + f < √2 (coefficients of
+// Cephes' logf). Near 1 the sum u = 1 + x loses digits of x; there f is x itself.
 static inline float log1p_positive(float x) {
     uint32_t bits = bits_of(1 + x);
     int32_t e = (int32_t)(bits - 0x3f3504f3) >> 23;
@@ -42,15 +42,15 @@ static inline float log1p_positive(float x) {
     return fmaf((float)e, 0.693147181f, fmaf(p, f * f, f));
 }
 
-// planes: C pointers to `pixels` float32 each; out [pixels, C]. A block of pixels becomes words in vector code first: what
-// moves one by one, from planes to pixels, is slow. So many planes at once the processor does not fetch by itself.
+// planes: C pointers to `pixels` float32 each; out [pixels, C]. A block of pixels is packed into words, in vector code, and
+// only words are transposed: moving single values is slow. Planes are prefetched because processors follow few streams.
 void features(const float *const *planes, float scale, uint8_t *out, int64_t pixels, int threads) {
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t from = 0; from < pixels; from += BLOCK) {
         int n = (int)MIN(BLOCK, pixels - from);
         float values[WORDS * PER * BLOCK];
         uint64_t words[WORDS * BLOCK];
-        memset(values + C * BLOCK, 0, sizeof values - C * BLOCK * sizeof *values);  // what fills up the last word
+        memset(values + C * BLOCK, 0, sizeof values - C * BLOCK * sizeof *values);  // the unused part of the last word
         for (int c = 0; c < C; c++) {
             const float *plane = planes[c] + from;
             for (int x = 0; x < n; x += 16) __builtin_prefetch(plane + 2 * BLOCK + x);

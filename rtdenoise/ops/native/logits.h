@@ -1,5 +1,5 @@
-// How a network's output is read: N values a pixel, of which vector code wants planes of float32. LOGIT is what they are
-// stored in (0: float32, 1: bfloat16, 2: float16).
+// Reads logits, N a pixel, into planes of float32, as vector code needs them. LOGIT is the type in memory (0: float32,
+// 1: bfloat16, 2: float16).
 
 #define BLOCK 64  // pixels
 
@@ -10,8 +10,8 @@ static inline float value(logit v) { return v; }
 typedef uint16_t logit;
 static inline float value(uint32_t v) { return from_bits(v << 16); }
 #else
-// In integers, which every compiler makes vector code of: the exponent moves from bias 15 to 127 by a product that is
-// exact for subnormal numbers too; Inf and NaN have an exponent of their own.
+// Integer arithmetic, because every compiler vectorises it. The product moves the exponent from bias 15 to 127 and is exact
+// for subnormal numbers too; Inf and NaN get their exponent separately.
 typedef uint16_t logit;
 static inline float value(uint32_t v) {
     uint32_t size = (v & 0x7fff) << 13, sign = (v & 0x8000) << 16;
@@ -20,17 +20,17 @@ static inline float value(uint32_t v) {
 }
 #endif
 
-// Where logits lie, in values from the first: image b, tap k, and pixel (y, x), which may be one of a cell of 2×2.
+// Strides, in values, of logits by pixels or by cells of 2×2 (ops/logits.py).
 typedef struct { int64_t batch, tap, cell_row, row, cell, pixel; } Layout;
 #define OFFSET(l, b, y, x) \
     ((b) * (l).batch + (y) / 2 * (l).cell_row + (y) % 2 * (l).row + (x) / 2 * (l).cell + (x) % 2 * (l).pixel)
 
-// Values that are neighbours move together, from channels last: a word holds two float32, or four of 16 bits.
+// Channels last: neighbouring values are moved in words of 64 bits, two float32 or four of 16 bits each.
 #define PER ((int)(sizeof(uint64_t) / sizeof(logit)))
 #define WORDS ((N + PER - 1) / PER)
 #define READ (WORDS * PER)  // planes that `read_logits` writes
 
-// `from`: the logits of one pixel. The last word may be a part of one, with nothing behind it.
+// The logits of one pixel to words. The last word may be partly filled; nothing beyond the logits is read.
 static inline void pack(const logit *from, uint64_t *words) {
     _Pragma("GCC unroll 49") for (int i = 0; i < WORDS; i++)
         memcpy(words + i * BLOCK, from + i * PER, MIN(N - i * PER, PER) * sizeof *from);
@@ -50,8 +50,8 @@ static inline void unpack(const uint64_t *words, float *values) {
         }
 }
 
-// Of a row of pixels those from `from` on, BLOCK at most: value k of pixel from + x to values[k * BLOCK + x]. They are
-// neighbours along x (planes) or along k (a convolution's output, channels last).
+// Read `pixels` ≤ BLOCK pixels of a row, from pixel `from` on: logit k of pixel from + x to values[k * BLOCK + x]. Logits
+// are neighbours in memory along x (planes) or along k (channels last).
 static inline void read_logits(const logit *row, Layout at, int from, int pixels, float *values) {
     if (at.pixel == 1 && at.cell == 2) {
         for (int k = 0; k < N; k++) {

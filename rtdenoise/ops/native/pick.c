@@ -1,5 +1,5 @@
-// Every fine pixel picks from the K×K coarse ones around its own. The specification is ops/pyramid.py. Specialised by K,
-// C (channels) and LOGIT, as apply_kernel.c.
+// Every fine pixel picks from the K×K coarse ones around it. The specification is ops/pick.py. K, C and LOGIT as in
+// apply_kernel.c.
 #include "common.h"
 
 #define R (K / 2)
@@ -7,11 +7,11 @@
 #include "logits.h"
 #include "taps.h"
 
-#define WIDTH (BLOCK + 4 * R)  // of a row of coarse pixels under a block of fine ones, each of them twice
+#define WIDTH (BLOCK + 4 * R)  // of a row of coarse pixels under a block of fine ones, every pixel twice
 
-// What lies under pixels [from, from + pixels) of row y: coarse [C, h, w] of one image, so that tap (dy, dx) of pixel
-// from + x is patch[(c * K + dy) * WIDTH + 2 * dx + x]. Outside the image its border is repeated, and the taps there get
-// logits of -Inf. `from` is even.
+// Copy the coarse pixels, [C, h, w] of one image, under fine pixels [from, from + pixels) of row y: tap (dy, dx) of pixel
+// from + x is patch[(c * K + dy) * WIDTH + 2 * dx + x]. Taps outside the image repeat its border and get logits of -Inf.
+// `from` is even.
 static inline void place(const float *coarse, float *patch, float *values, int y, int from, int pixels, int h, int w) {
     int cells = (pixels + 1) / 2 + 2 * R, first = from / 2 - R;
     for (int dy = 0; dy < K; dy++) {

@@ -1,12 +1,11 @@
-// What is done to each pixel by itself, in one pass each. The specification is ops/pixels.py; C is the number of channels.
-// All images are contiguous: [B, C, H, W], and [B, 1, H, W] for depth, sharp, length, reset.
+// Ops in which every pixel stands alone. The specification is ops/pixels.py. C is the number of channels; MIN_ALBEDO and
+// MIN_ALBEDO_SHARE are those of color.py. Images are contiguous: [B, C, H, W], but [B, 1, H, W] for depth, sharp, length and
+// reset.
 #include "common.h"
 
-#define LEAST 0.1f  // of color.albedo_divisor
-#define SHARE 0.25f
-
+// color.albedo_divisor
 static inline float divisor(float albedo, float brightest, float depth) {
-    return depth > 0 ? MAX(albedo, MAX(LEAST, SHARE * brightest)) : 1;
+    return depth > 0 ? MAX(albedo, MAX(MIN_ALBEDO, MIN_ALBEDO_SHARE * brightest)) : 1;
 }
 
 #define BLOCK 1024  // pixels
@@ -48,16 +47,16 @@ void modulate(const float *irradiance, const float *albedo, const float *mean_al
     }
 }
 
-void accumulate(const float *new, const float *mean, const float *length, const float *reset, float *out, float *longer,
-                int B, int64_t plane, float longest, int threads) {
+void accumulate(const float *new, const float *mean, const float *length, const float *reset, float *out, float *next_length,
+                int B, int64_t plane, float max_length, int threads) {
     EACH_BLOCK(B, plane) {
         int64_t to = MIN(from + BLOCK, plane), first = b * C * plane;
         const float *n = new + first, *m = mean + first, *l = length + b * plane, *r = reset + b * plane;
-        float *o = out + first, *next = longer + b * plane, weight[BLOCK];
+        float *o = out + first, *next = next_length + b * plane, weight[BLOCK];
         EACH_PIXEL {
             float w = 1 / (1 + l[x]), a = fmaf(r[x], 1 - w, w);
             weight[x - from] = a;
-            next[x] = MIN(1 / a, longest);
+            next[x] = MIN(1 / a, max_length);
         }
         for (int c = 0; c < C; c++, n += plane, m += plane, o += plane)
             EACH_PIXEL o[x] = lerp(m[x], n[x], weight[x - from]);
@@ -69,7 +68,7 @@ void nearness(const float *depth, float distance, float *out, int64_t plane, int
     for (int64_t x = 0; x < plane; x++) out[x] = depth[x] > 0 ? distance / (distance + depth[x]) : 0;
 }
 
-// Whether all values are in [low, high]. NaN is not.
+// Whether all values are in [low, high]; NaN is outside.
 int within(const float *values, int64_t n, float low, float high, int threads) {
     int outside = 0;
 #pragma omp parallel for simd num_threads(threads) schedule(static) reduction(| : outside)

@@ -1,5 +1,5 @@
-// What a head says of each pixel as numbers from 0 to 1. The specification is ops/pixels.py. Specialised by N (numbers a
-// pixel) and LOGIT.
+// Blend weights from logits by cells. The specification is ops/shares.py. N is the number of weights a pixel; LOGIT as in
+// logits.h.
 #include "common.h"
 
 #include "logits.h"

@@ -1,4 +1,4 @@
-// The taps of a K×K kernel over C channels, and the greatest logit of each pixel in a block (logits.h).
+// Loops over the taps of a K×K kernel and over C channels.
 
 typedef struct { int y0, y1, x0, x1; } Taps;  // dy in [y0, y1), dx in [x0, x1)
 
@@ -9,6 +9,7 @@ typedef struct { int y0, y1, x0, x1; } Taps;  // dy in [y0, y1), dx in [x0, x1)
 
 static const Taps ALL = {0, K, 0, K};
 
+// The greatest logit of each pixel in a block, whose logits `read_logits` (logits.h) has read.
 static inline void greatest(const float *values, int pixels, float *most) {
     _Pragma("omp simd") for (int x = 0; x < pixels; x++) {
         float v = -INFINITY;

@@ -1,8 +1,9 @@
-// Reprojection in one pass. The specification is ops/warp.py; C is the number of channels, TAPS along either axis are 2
-// (bilinear) or 4 (cubic). A plane has < 2³¹ pixels.
+// Bilinear or cubic reprojection in one pass. The specification is ops/warp.py. C is the number of channels; TAPS along
+// either axis is 2 (bilinear) or 4 (cubic).
 #include "common.h"
+#include "targets.h"
 
-// Along one axis: which pixels are looked up, and how much they count.
+// The taps along one axis: indices and weights.
 typedef struct {
     int at[TAPS];
     float weight[TAPS];
@@ -32,7 +33,7 @@ static inline float look_up(const float *plane, Axis x, Axis y, int W) {
     return sum;
 }
 
-// The 2×2 pixels around a target; what is looked up lies between the least and the greatest of them.
+// The 2×2 pixels around a target and their range, to which a cubic lookup is clamped.
 typedef struct {
     int at[4];
     float least, greatest;
@@ -47,8 +48,8 @@ static inline Around around(const float *plane, Axis x, Axis y, int W) {
     return (Around){{p, q, r, s}, least, greatest};
 }
 
-// image, otherwise, out [B, C, H, W], motion [B, 2, H, W], seen [B, 1, H, W] bool, contiguous; `seen` and `otherwise` may
-// be null.
+// image, otherwise, out [B, C, H, W], motion [B, 2, H, W], seen [B, 1, H, W] bool, contiguous. `seen` and `otherwise` may
+// both be null.
 void warp(const float *image, const float *motion, const uint8_t *seen, const float *otherwise, float *out, int B,
           int H, int W, int threads) {
     int64_t plane = (int64_t)H * W;
@@ -59,7 +60,7 @@ void warp(const float *image, const float *motion, const uint8_t *seen, const fl
         float *to = out + b * C * plane + (int64_t)y * W;
 #pragma omp simd
         for (int x = 0; x < W; x++) {
-            Axis across = axis(clamped(mx[x], x, W), W), down = axis(clamped(my[x], y, H), H);
+            Axis across = axis(clamped_target(mx[x], x, W), W), down = axis(clamped_target(my[x], y, H), H);
 #pragma GCC unroll 8
             for (int c = 0; c < C; c++) {
                 float found = look_up(from + c * plane, across, down, W);
@@ -70,18 +71,18 @@ void warp(const float *image, const float *motion, const uint8_t *seen, const fl
                 to[c * plane + x] = found;
             }
         }
-        const uint8_t *wanted = seen ? seen + row * W : 0;
-        if (!wanted || !memchr(wanted, 0, W)) continue;  // most rows: nothing else is read
+        const uint8_t *s = seen ? seen + row * W : 0;
+        if (!s || !memchr(s, 0, W)) continue;  // most rows: `otherwise` is not read
         for (int c = 0; c < C; c++) {
             const float *other = otherwise + (b * C + c) * plane + (int64_t)y * W;
 #pragma omp simd
-            for (int x = 0; x < W; x++) to[c * plane + x] = wanted[x] ? to[c * plane + x] : other[x];
+            for (int x = 0; x < W; x++) to[c * plane + x] = s[x] ? to[c * plane + x] : other[x];
         }
     }
 }
 
-// The way back: grad is added to grad_image where each tap came from; where it was held, to the pixels that held it, in
-// equal parts.
+// Backward: scatters grad to the taps of each lookup, and adds. The gradient of a clamped lookup goes to the pixels that it
+// was clamped to, in equal parts.
 void warp_backward(float *grad_image, const float *image, const float *motion, const float *grad, int B, int H, int W,
                    int threads) {
     int64_t plane = (int64_t)H * W;
@@ -90,36 +91,20 @@ void warp_backward(float *grad_image, const float *image, const float *motion, c
         const float *from = image + n * plane, *mx = motion + n / C * 2 * plane, *my = mx + plane, *g = grad + n * plane;
         float *to = grad_image + n * plane;
         for (int64_t p = 0; p < plane; p++) {
-            Axis x = axis(clamped(mx[p], p % W, W), W), y = axis(clamped(my[p], p / W, H), H);
+            Axis x = axis(clamped_target(mx[p], p % W, W), W), y = axis(clamped_target(my[p], p / W, H), H);
 #if TAPS == 4
             float found = look_up(from, x, y, W);
             Around a = around(from, x, y, W);
             if (found < a.least || found > a.greatest) {
-                float held = found < a.least ? a.least : a.greatest;
-                int holding = 0;
-                for (int k = 0; k < 4; k++) holding += from[a.at[k]] == held;
-                for (int k = 0; k < 4; k++) to[a.at[k]] += from[a.at[k]] == held ? g[p] / holding : 0;
+                float limit = found < a.least ? a.least : a.greatest;
+                int equal = 0;
+                for (int k = 0; k < 4; k++) equal += from[a.at[k]] == limit;
+                for (int k = 0; k < 4; k++) to[a.at[k]] += from[a.at[k]] == limit ? g[p] / equal : 0;
                 continue;
             }
 #endif
             for (int j = 0; j < TAPS; j++)
                 for (int i = 0; i < TAPS; i++) to[y.at[j] * W + x.at[i]] += y.weight[j] * x.weight[i] * g[p];
-        }
-    }
-}
-
-void fetch(const float *image, const float *motion, float *out, int B, int H, int W, int threads) {
-    int64_t plane = (int64_t)H * W;
-#pragma omp parallel for num_threads(threads) schedule(static)
-    for (int64_t row = 0; row < (int64_t)B * H; row++) {
-        int b = row / H, y = row % H;
-        const float *from = image + b * C * plane, *mx = motion + b * 2 * plane + (int64_t)y * W, *my = mx + plane;
-        float *to = out + b * C * plane + (int64_t)y * W;
-#pragma omp simd
-        for (int x = 0; x < W; x++) {
-            int at = (int)(clamped(my[x], y, H) + 0.5f) * W + (int)(clamped(mx[x], x, W) + 0.5f);
-#pragma GCC unroll 8
-            for (int c = 0; c < C; c++) to[c * plane + x] = from[c * plane + at];
         }
     }
 }

@@ -1,4 +1,4 @@
-"""Reprojection, with gradients in what is looked up."""
+"""`warp`, with gradients in the image."""
 
 from __future__ import annotations
 
@@ -14,13 +14,9 @@ def warp(
 ) -> Tensor:
     taps = 4 if cubic else 2
     if not (torch.is_grad_enabled() and image.requires_grad):
-        return _look_up("warp", taps, image, motion, seen, otherwise)
+        return _forward(taps, image, motion, seen, otherwise)
     found = _Warp.apply(image.contiguous(), motion.contiguous(), taps)
     return found if seen is None else torch.where(seen, found, otherwise)
-
-
-def fetch(image: Tensor, motion: Tensor) -> Tensor:
-    return _look_up("fetch", 2, image, motion)
 
 
 class _Warp(torch.autograd.Function):
@@ -28,22 +24,22 @@ class _Warp(torch.autograd.Function):
     def forward(ctx, image: Tensor, motion: Tensor, taps: int) -> Tensor:
         ctx.save_for_backward(image, motion)
         ctx.taps = taps
-        return _look_up("warp", taps, image, motion, None, None)
+        return _forward(taps, image, motion, None, None)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, grad: Tensor) -> tuple[Tensor, None, None]:
         image, motion = ctx.saved_tensors
-        grad, found, (B, C, H, W) = grad.contiguous(), torch.zeros_like(image), image.shape
+        grad, grad_image, (B, C, H, W) = grad.contiguous(), torch.zeros_like(image), image.shape
         run = library("warp", C=C, TAPS=ctx.taps).warp_backward
-        run(*map(pointer, (found, image, motion, grad)), B, H, W, torch.get_num_threads())
-        return found, None, None
+        run(*map(pointer, (grad_image, image, motion, grad)), B, H, W, torch.get_num_threads())
+        return grad_image, None, None
 
 
-def _look_up(name: str, taps: int, *tensors: Tensor | None) -> Tensor:
-    """The first of the tensors is looked up."""
-    tensors = [t if t is None else t.contiguous() for t in tensors]
-    B, C, H, W = tensors[0].shape
-    out = torch.empty_like(tensors[0])
-    getattr(library("warp", C=C, TAPS=taps), name)(*map(pointer, (*tensors, out)), B, H, W, torch.get_num_threads())
+def _forward(taps: int, image: Tensor, motion: Tensor, *choice: Tensor | None) -> Tensor:
+    """`choice` is seen and otherwise, or None twice."""
+    image, motion, *choice = (t if t is None else t.contiguous() for t in (image, motion, *choice))
+    out, (B, C, H, W) = torch.empty_like(image), image.shape
+    pointers = map(pointer, (image, motion, *choice, out))
+    library("warp", C=C, TAPS=taps).warp(*pointers, B, H, W, torch.get_num_threads())
     return out

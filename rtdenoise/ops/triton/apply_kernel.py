@@ -10,13 +10,13 @@ import triton.language as tl
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..layout import strides
+from ..logits import strides
 from .common import constants, grid, place
 
 
 @triton.jit
 def _offset(y, x, cell_row, row, cell, step):
-    """Of the logits of pixel (y, x), by the strides of `layout.strides`."""
+    """Offset of the logits of pixel (y, x), by the strides of `logits.strides`."""
     y, x = y.to(tl.int64), x.to(tl.int64)
     return y // 2 * cell_row + y % 2 * row + x // 2 * cell + x % 2 * step
 
@@ -93,7 +93,7 @@ def apply_kernel(image: Tensor, logits: Tensor) -> Tensor:
 
 
 class _ApplyKernel(torch.autograd.Function):
-    """Keeps two values a pixel (maximum and 1/sum) instead of K² weights, and computes those again on the way back."""
+    """Keeps two values a pixel (maximum and 1/sum) instead of K² weights, and recomputes the weights in backward."""
 
     @staticmethod
     def forward(ctx, image: Tensor, logits: Tensor) -> Tensor:

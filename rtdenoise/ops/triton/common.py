@@ -1,4 +1,4 @@
-"""What all kernels share: which pixels a program computes, and how many programs there are."""
+"""The grid that all kernels share: the pixels of a program, and the number of programs."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ BLOCK = 128
 
 @triton.jit
 def place(H, W, BLOCK: tl.constexpr):
-    """Image, row and columns of a program, and which of the columns exist."""
+    """Of a program: image, rows and columns of its pixels, and which of these exist."""
     row = tl.program_id(1)
     x = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     return (row // H).to(tl.int64), row % H + tl.zeros([BLOCK], tl.int32), x, x < W
 
 
 def grid(images: int, H: int, W: int) -> tuple[int, int]:
-    """The programs for so many images of H × W."""
+    """The number of programs for `images` images of H × W."""
     return triton.cdiv(W, BLOCK), images * H
 
 
 def constants(C: int) -> dict[str, int]:
-    """Of a kernel for C channels at once."""
+    """The named constants of a kernel that computes C channels at once."""
     return {"C": C, "CP": triton.next_power_of_2(C), "BLOCK": BLOCK}

@@ -1,6 +1,6 @@
 // Axes and marks, for both charts.
 
-/** A scale: value to pixel, with ticks. `log` for what spans orders of magnitude. */
+/** A scale: value to pixel, with ticks; `log` for values over several orders of magnitude. */
 function scale(values, [from, to], { log = false, pad = 0.08 } = {}) {
   const f = log ? Math.log10 : (x) => x;
   let [low, high] = [Math.min(...values.map(f)), Math.max(...values.map(f))];
@@ -18,7 +18,7 @@ function linearTicks(low, high) {
   return ticks;
 }
 
-/** 1, 2, 5 of every decade, only 1 where there are many, more where there is one. */
+/** Ticks at 1, 2, 5 of every decade; fewer over many decades, more within one. */
 function logTicks(low, high) {
   const ticks = [];
   for (let e = Math.floor(low); e <= Math.ceil(high); e++) {
@@ -45,7 +45,7 @@ function axes({ x, y, box, xLabel, yLabel, xText, yText }) {
 
 const plain = (value) => String(Number(value.toPrecision(3)));
 
-/** Error metrics of which less is better are drawn on a log scale, decibels and SSIM as they are. */
+/** Metrics where lower is better have a log scale; decibels and SSIM a linear one. */
 const isLog = (metric) => !DATA.metrics[metric].higher;
 
 function axisTitle(metric, region) {

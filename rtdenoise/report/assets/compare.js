@@ -1,7 +1,7 @@
 // Two pictures under a slider: drag the handle, drag the picture, zoom with the wheel, change the exposure.
 
 const viewer = { sequence: null, left: null, right: "reference", show: "image", overlay: "none", stops: 0, split: 0.5, scale: 1, x: 0, y: 0 };
-const loaded = {};  // what is on the stage: {left, right, reference} as log codes
+const loaded = {};  // the pictures on the stage: {left, right, reference} as log codes
 
 function drawPictures() {
   const names = Object.keys(DATA.pictures);
@@ -73,7 +73,7 @@ async function load() {
   for (const name of [left, right]) {
     if (viewer.show === "flip" && name !== "reference") flip[name] = await readMap(key(name, "flip"), size());
   }
-  if (sequence !== viewer.sequence || left !== viewer.left || right !== viewer.right) return;  // overtaken
+  if (sequence !== viewer.sequence || left !== viewer.left || right !== viewer.right) return;  // the user has chosen others meanwhile
   Object.assign(loaded, { left: a, right: b, reference, uncovered, motion, flip });
   paintSides();
   byId("stage").dataset.ready = `${sequence}/${left}/${right}/${viewer.show}/${viewer.overlay}`;
@@ -95,13 +95,13 @@ function paintSides() {
   }
 }
 
-/** From every 12th pixel to where its surface was in the previous frame. */
+/** An arrow from every 12th pixel to the previous position of its surface. */
 function arrows([x, y]) {
   const [height, width] = size(), found = [];
   for (let v = 6; v < height; v += 12) {
     for (let u = 6; u < width; u += 12) {
       const dx = x[v * width + u] / 4, dy = y[v * width + u] / 4;
-      if (!dx && !dy || Math.abs(dx) > width || Math.abs(dy) > height) continue;  // at rest, or nowhere on that frame
+      if (!dx && !dy || Math.abs(dx) > width || Math.abs(dy) > height) continue;  // at rest, or off the previous frame
       found.push(`M${u + 0.5},${v + 0.5}l${dx.toFixed(2)},${dy.toFixed(2)}`);
     }
   }
@@ -112,11 +112,11 @@ function arrows([x, y]) {
     shape("path", { d: dots, stroke: "#ffe066", "stroke-width": 2, "stroke-linecap": "round" })];
 }
 
-// --- where one looks ---------------------------------------------------------------------------------------------------
+// --- zoom and position ---------------------------------------------------------------------------------------------------
 
 const fitScale = () => byId("stage").clientWidth / size()[1];
 
-/** Zoom about a point of the stage, its middle unless told. */
+/** Zoom about a point of the stage, by default its middle. */
 function zoomTo(scale, at = null) {
   const stage = byId("stage"), [cx, cy] = at ?? [stage.clientWidth / 2, stage.clientHeight / 2];
   const [u, v] = [(cx - viewer.x) / viewer.scale, (cy - viewer.y) / viewer.scale];
@@ -125,7 +125,7 @@ function zoomTo(scale, at = null) {
   place();
 }
 
-/** Keep the picture on the stage, and put everything where it belongs. */
+/** Keep the picture on the stage and lay out its parts. */
 function place() {
   const stage = byId("stage"), [height, width] = size();
   const bound = (offset, shown, room) => (shown <= room ? (room - shown) / 2 : Math.min(0, Math.max(room - shown, offset)));

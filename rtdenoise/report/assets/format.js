@@ -1,4 +1,4 @@
-// Elements, numbers and colours: what every other script uses. DATA, which all draw, is there before them.
+// Elements, numbers and colours, for all other scripts. DATA, the numbers of the page, is set before them.
 
 const byId = (id) => document.getElementById(id);
 
@@ -7,7 +7,7 @@ function element(tag, attributes = {}, ...children) {
   return fill(document.createElement(tag), attributes, children);
 }
 
-/** The same for SVG. */
+/** The same for an SVG element. */
 function shape(tag, attributes = {}, ...children) {
   return fill(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children);
 }
@@ -21,7 +21,7 @@ function fill(node, attributes, children) {
   return node;
 }
 
-/** An error as its metric is written; a dash where there is none. */
+/** An error with the digits of its metric; a dash for null. */
 function number(metric, value) {
   return value === null || value === undefined ? "–" : value.toFixed(DATA.metrics[metric].digits);
 }
@@ -46,7 +46,7 @@ const REGIONS = {
   "uncovered-2": "uncovered two frames ago, M²",
 };
 
-// One mark a family, and hues of its own; networks stand out, because the page is about them: two shades of a hue for each.
+// Each family has a mark and hues of its own; networks have two shades of each hue.
 const NETWORKS = ["#ff7849", "#ffc078", "#ff4f81", "#faa2c1", "#b65cf0", "#dcb3f7", "#c98f52", "#e8c9a0"];
 const FAMILIES = {
   network: { colours: NETWORKS, mark: "circle" },
@@ -79,7 +79,7 @@ function select(title, options, value, changed) {
   return element("label", {}, title, list);
 }
 
-/** Buttons of which one is pressed. */
+/** Buttons; one of them is pressed. */
 function choice(options, value, changed) {
   return element("span", { class: "group" }, ...Object.entries(options).map(([key, text]) =>
     element("button", { "aria-pressed": String(key === value), "data-value": key, click: () => changed(key) }, text)));

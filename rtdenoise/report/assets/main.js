@@ -1,4 +1,4 @@
-// What is selected, and everything that is drawn anew when that changes.
+// The selection, and the redrawing of everything after it changes.
 
 const unique = (values) => [...new Set(values)];
 
@@ -13,7 +13,7 @@ const state = {
   hidden: new Set(),  // labels that the charts leave out
 };
 
-/** Rows of the sequence, device and, unless told otherwise, samples that are selected. */
+/** Rows of the selected sequence, device and samples; arguments replace parts of the selection. */
 function selected({ sequence = state.sequence, spp = state.spp } = {}) {
   return DATA.rows.filter((row) => row.sequence === sequence && row.device === state.device && (spp === null || row.spp === spp));
 }
@@ -35,7 +35,7 @@ function toolbar() {
   );
 }
 
-/** Names that switch methods of the charts on and off. */
+/** Buttons that switch methods of the charts on and off. */
 function drawLegend() {
   const labels = unique(selected({ spp: null }).map((row) => row.label));
   byId("legend").replaceChildren(...labels.map((label) => element("button", {

@@ -1,4 +1,4 @@
-// The inverse of pictures.py: what is embedded in the page, as numbers again.
+// The inverse of pictures.py: embedded pictures back to numbers.
 
 const CODES_PER_STOP = 64, EPSILON = 2 ** -10, LEVELS = 63;
 
@@ -10,7 +10,7 @@ function unpack(key) {
   return unpacked.get(key);
 }
 
-/** The i-th plane of `width` × `height` integers: differences to the median edge detector's prediction, signs folded. */
+/** The i-th plane of `width` × `height` integers: differences from the prediction of the median edge detector, sign in the lowest bit. */
 function plane(bytes, i, width, height) {
   const size = width * height, low = 2 * size * i, high = low + size;
   const out = new Int32Array(size);
@@ -48,7 +48,7 @@ async function readMotion(key, [height, width]) {
 
 const linear = (code) => EPSILON * (2 ** (code / CODES_PER_STOP) - 1);
 
-/** What a screen shows of every code at an exposure, in stops beside the display exposure: sRGB, 8 bits. */
+/** code -> 8-bit sRGB at an exposure, in stops relative to the display exposure. */
 function screenTable(stops) {
   const table = new Uint8ClampedArray(24 * CODES_PER_STOP);
   for (let code = 0; code < table.length; code++) {
@@ -58,7 +58,7 @@ function screenTable(stops) {
   return table;
 }
 
-/** Magma, as FLIP's own maps are drawn: black is no difference, white-yellow the greatest. */
+/** Magma, the colours of FLIP's own maps: black is no difference, white-yellow the greatest. */
 const MAGMA = [[0, 0, 4], [28, 16, 68], [79, 18, 123], [129, 37, 129], [181, 54, 122], [229, 80, 100], [251, 135, 97], [254, 194, 135], [252, 253, 191]];
 
 function magma(value) {
@@ -75,7 +75,7 @@ function paintMap(canvas, map) {
   paint(canvas, (data, p, q) => { for (let c = 0; c < 3; c++) data[q + c] = colours[map[p]][c]; });
 }
 
-/** Where the mask is set, a colour over the picture. */
+/** A colour over the pixels of a mask. */
 function paintMask(canvas, mask) {
   paint(canvas, (data, p, q) => { data.set([255, 140, 0, mask[p] ? 150 : 0], q); });
 }

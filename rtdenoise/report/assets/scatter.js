@@ -41,7 +41,7 @@ function drawScatter() {
     })));
 }
 
-/** The input as a level: it takes no time at all. */
+/** The input as a horizontal line: it takes no time. */
 function levels(input, y) {
   return input.flatMap((row) => [
     shape("line", { class: "level", x1: BOX.left, x2: BOX.right, y1: y.at(error(row)), y2: y.at(error(row)) }),
@@ -69,7 +69,7 @@ function frontLine(points, total) {
   return shape("polyline", { class: "front", points: steps.join(" ") });
 }
 
-/** Names beside the marks, moved up or down until none lies on another. */
+/** Names beside the marks, moved up or down until they do not overlap. */
 function labels(points) {
   const placed = [];
   return [...points].sort((a, b) => a.y - b.y).flatMap(({ row, x, y }) => {

@@ -1,4 +1,4 @@
-// Tables: all numbers, uncovered regions, what it would take, what was left out, where it is from.
+// Tables: all numbers, uncovered regions, equal error and time, methods left out, origin of the numbers.
 
 const sorting = { table: { column: null, down: false }, regions: { column: null, down: false } };
 
@@ -17,7 +17,7 @@ function sortable(name, columns, rows, redraw) {
       ...columns.map(({ cell }) => cell(row))))));
 }
 
-/** Missing numbers last, whichever way. */
+/** Missing numbers come last in both directions. */
 function compareValues(a, b) {
   if (a === null || b === null) return (a === null) - (b === null);
   return typeof a === "string" ? a.localeCompare(b) : a - b;
@@ -28,7 +28,7 @@ const timeCell = (row, text) => element("td", {}, STYLE[row.label].family === "i
 
 const nameCell = (row) => element("td", { title: DATA.methods[row.method].what }, swatch(row.label), row.label);
 
-/** A number of a column, the best of all rows emphasised. */
+/** A column of errors; the best of all rows is emphasised. */
 function metricColumn(rows, title, metric, region, star = false) {
   const values = rows.map((row) => error(row, metric, region)).filter((value) => value !== null);
   const best = values.length ? values.reduce((a, b) => (better(metric, b, a) ? b : a)) : null;

@@ -1,4 +1,4 @@
-// Who wins: the best peer against us, metric by metric. What is lost stands first.
+// The best peer against our network, metric by metric; losses come first.
 
 function drawVerdict() {
   const here = (row) => row.spp === state.spp && row.device === state.device;

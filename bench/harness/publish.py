@@ -1,0 +1,71 @@
+"""Publish a result: a JSON file that says where it is from, and the sections of pages that are made from it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from rtdenoise.evaluate.origin import device_name, origin
+from rtdenoise.files import dumps, write_atomically
+
+from .. import ROOT
+
+Tables = Callable[[dict], dict[str, str]]  # document -> section -> Markdown
+
+
+def publish(
+    path: Path,
+    content: dict[str, object],
+    *,
+    devices: dict[str, str] | None = None,
+    digits: int | None = None,
+    pages: Sequence[Path] = (),
+    tables: Tables | None = None,
+) -> dict:
+    """Write `content` with its command, date, commit and devices to `path`, then update the sections of `pages`.
+
+    `devices`: backend -> name of its device; by default torch on the CPU. `digits`: significant digits of the numbers;
+    None keeps all. Timings become dictionaries. Returns the document as it stands in the file.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    facts = origin(command_line(), devices or {"torch": cpu()})
+    write_atomically(path, (dumps({**facts, **content}, digits, indent=1, default=asdict) + "\n").encode())
+    print(f"written: {path}")
+    document = json.loads(path.read_text())
+    if tables is not None:
+        insert_sections(tables(document), pages)
+    return document
+
+
+def insert_sections(sections: dict[str, str], pages: Sequence[Path]) -> None:
+    """Put each text between `<!-- name -->` and `<!-- /name -->`, on every page that has these marks.
+
+    Ends the program with a line for the sections that no page has, after all others are updated.
+    """
+    missing = dict(sections)
+    for page in pages:
+        text = page.read_text()
+        for name, section in sections.items():
+            before, found, rest = text.partition(f"<!-- {name} -->\n")
+            _, closed, after = rest.partition(f"<!-- /{name} -->")
+            if found and closed:
+                text = f"{before}{found}{section}\n{closed}{after}"
+                missing.pop(name, None)
+        page.write_text(text)
+    if missing:
+        names = ", ".join(str(os.path.relpath(page, ROOT)) for page in pages)
+        sys.exit(f"{names}: expected the marks {', '.join(f'<!-- {n} --> … <!-- /{n} -->' for n in missing)}")
+
+
+def command_line() -> str:
+    """The running command, with the script relative to the repository."""
+    return " ".join(["python", os.path.relpath(sys.argv[0], ROOT), *sys.argv[1:]])
+
+
+def cpu() -> str:
+    """The processor, and how many of its threads torch uses."""
+    return device_name("cpu")

@@ -1,0 +1,133 @@
+"""The methods that `latency_720p.py` times, each checked against its reference before it is returned."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+
+import numpy as np
+import torch
+
+from rtdenoise import models, ops
+from rtdenoise.baselines.oidn import OidnFilter, filter_inputs
+from rtdenoise.frame import Frame
+from rtdenoise.models.inference import prepare
+from rtdenoise.run.graphs import Capture, Graphed
+
+from ..harness import check
+from .shaders import PRECISIONS, Shaders
+from .stages import prediction_flop
+
+BACKENDS = {  # name -> choice of ops, dtype of the network, row of tolerances.py for its comparison with `eager`
+    "eager": ("plain", None, "exact"),  # as trained: plain ops, planes, nothing fused
+    "fused fp32": ("fused", torch.float32, "float32 network"),
+    "fused bf16": ("fused", torch.bfloat16, "bfloat16 network"),
+}
+SCALED = ("fused bf16",)  # backends that are timed at all sizes, and as a CUDA graph where there is CUDA
+GRAPH = ", graph"
+OIDN_QUALITIES = ("high", "balanced", "fast")
+OIDN_MISSING = "not measured: pip install 'rtdenoise[bench]' brings OIDN"
+
+
+@dataclass
+class Method:
+    """One row of the table."""
+
+    name: str
+    step: Callable[[], object]  # one frame with history, on the device; returns when it is done
+    model: torch.nn.Module | None = None
+    ops: str = "auto"
+    shaders: Shaders | None = None
+
+
+def torch_methods(preset: str, frame: Frame, device: str, backends: tuple[str, ...]) -> list[Method]:
+    """The model on each of the backends, compared with the eager one."""
+    methods, reference = [], None
+    for backend, (path, dtype, tolerance) in BACKENDS.items():
+        if backend not in ("eager", *backends):
+            continue
+        model = fresh(preset).to(device)
+        if dtype is not None:
+            model = prepare(model, dtype)
+        with ops.use(path):
+            _, history = model.step(frame)
+            image = model.step(frame, history)[0]
+        reference = image.double().cpu().numpy() if reference is None else reference
+        check(f"{preset} {backend}", image.cpu().numpy(), reference, tolerance)
+        method = Method(f"{preset} {backend}", partial(model.step, frame, history), model, path)
+        if backend in backends:
+            methods.append(method)
+        if backend in SCALED and device == "cuda":
+            methods += recorded(method, reference, tolerance)
+    return methods
+
+
+def recorded(method: Method, reference: np.ndarray, tolerance: str) -> list[Method]:
+    """The method's step as a CUDA graph, whose stages cannot be timed; nothing where it cannot be recorded, which is
+    logged."""
+    graph = Graphed(method.model, Capture(next(method.model.parameters()).device))
+    again = Method(f"{method.name}{GRAPH}", partial(graph.step, *method.step.args), ops=method.ops)
+    with ops.use(method.ops):
+        for _ in range(2):  # the second call records
+            image = again.step()[0]
+    check(again.name, image.cpu().numpy(), reference, tolerance)
+    return [again] if graph.recordings else []
+
+
+def shader_methods(preset: str, frame: Frame) -> list[Method]:
+    """The model as compute shaders. They are compared on a small frame: in a large one of noise some pixel always lies
+    so near a threshold of reprojection that rounding decides its side."""
+    methods, small = [], synthetic_frame(36, 64)
+    _, history = fresh(preset).step(small)
+    expected = fresh(preset).step(small, history)[0].double().numpy()
+    for name, (half, tolerance) in PRECISIONS.items():
+        check(f"{preset} {name}", Shaders(fresh(preset), small, half).image(), expected, tolerance)
+        pipeline = Shaders(fresh(preset), frame, half)
+        methods.append(Method(f"{preset} {name}", pipeline.step, shaders=pipeline))
+    return methods
+
+
+def oidn_methods(frame: Frame, qualities: tuple[str, ...]) -> list[Method]:
+    """OIDN on the frame's device: its filter alone, set up once, without the conversion of planes to pixels."""
+    methods = []
+    for quality in qualities:
+        oidn = OidnFilter(filter_inputs(frame), quality)
+        oidn.execute()
+        if not oidn.result.isfinite().all():
+            sys.exit(f"oidn {quality} is wrong: its output is not finite. No times are reported.")
+        methods.append(Method(f"oidn {quality}", oidn.execute))
+    return methods
+
+
+def has_oidn() -> bool:
+    return find_spec("pyoidn") is not None
+
+
+def fresh(preset: str) -> torch.nn.Module:
+    """The model as it is trained, with shipped weights where there are some."""
+    if preset in models.available():
+        return models.read(preset)
+    torch.manual_seed(0)
+    return models.create(models.PRESETS[preset]).eval().requires_grad_(False)
+
+
+def network_flop(preset: str, frame: Frame) -> int:
+    """Floating-point operations of one step's network: counted on a small frame, proportional to the pixels."""
+    small = frame.crop(0, 0, *(min(n, 32) for n in frame.size)).map(torch.Tensor.cpu)
+    model = fresh(preset)
+    count = prediction_flop(model, lambda: model.step(small))
+    return round(count * math.prod(frame.size) / math.prod(small.size))
+
+
+def synthetic_frame(H: int, W: int) -> Frame:
+    """Noise under smooth motion of some pixels: the time depends on where a frame looks, not on what it shows."""
+    g = torch.Generator().manual_seed(0)
+    y, x = torch.meshgrid(torch.arange(H) / H, torch.arange(W) / W, indexing="ij")
+    motion = 6 * torch.stack([torch.sin(6 * y + 2 * x), torch.cos(5 * x)])[None]
+    colour, normal = torch.rand(1, 3, H, W, generator=g), torch.rand(1, 3, H, W, generator=g) * 2 - 1
+    noisy = torch.empty(1, 3, H, W).exponential_(generator=g)
+    return Frame(noisy, colour, normal, 1 + (x + y)[None, None], motion, -motion)

@@ -1,0 +1,32 @@
+"""Rewrite the tables of all pages from bench/results, without measuring anything.
+
+python bench/tables.py
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import harness
+
+# isort: split
+
+# Each has RESULT, a JSON file; PAGES, the pages with its sections; and tables(document) -> section -> Markdown.
+MODULES = (
+    "ablation", "files", "latency_720p", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
+    "diagnosis.activity", "diagnosis.bias", "diagnosis.generalisation", "diagnosis.where",
+)  # fmt: skip
+
+
+def main() -> None:
+    for name in MODULES:
+        bench = importlib.import_module(f"bench.{name}")
+        harness.insert_sections(bench.tables(json.loads(bench.RESULT.read_text())), bench.PAGES)
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)

@@ -1,0 +1,79 @@
+"""The commands, and how their options are read: each command is a dataclass whose docstrings are its help."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Union, get_args
+
+import tyro
+from tyro.conf import UseAppendAction, subcommand
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+from .clean import Clean
+from .clips import Clips
+from .demo import Demo
+from .denoise import Denoise
+from .evaluate import Evaluate
+from .inspect import Inspect
+from .render import Render
+from .report import Report
+from .train import Train
+from .view import View
+
+Command = (
+    Annotated[Denoise, subcommand("denoise")]
+    | Annotated[Inspect, subcommand("inspect")]
+    | Annotated[Render, subcommand("render")]
+    | Annotated[Clips, subcommand("clips")]
+    | Annotated[Clean, subcommand("clean")]
+    | Annotated[Train, subcommand("train")]
+    | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[Report, subcommand("report")]
+    | Annotated[View, subcommand("view")]
+    | Annotated[Demo, subcommand("demo")]
+)
+ABOUT = "Real-time denoising of path-traced animations. `rtdenoise --version` prints the version."
+PLACEHOLDERS = {str: "NAME", int: "N", float: "X", Path: "PATH"}  # in the help
+
+
+def parse(arguments: list[str]) -> Any:
+    """The command that these words ask for. Exits with 0 after --help, with 2 after a word that means nothing."""
+    return tyro.cli(Command, args=arguments, prog="rtdenoise", description=ABOUT, registry=READERS)
+
+
+READERS = ConstructorRegistry()
+
+
+@READERS.primitive_rule
+def _read_list(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    """`tuple[T, ...]` as words; numbers also with commas between them."""
+    item = get_args(info.type)[0] if info.type_origin is tuple else None
+    if get_args(info.type)[1:] != (...,) or item not in PLACEHOLDERS or UseAppendAction in info.markers:
+        return None
+
+    def read(words: list[str]) -> tuple:
+        parts = [part for word in words for part in word.split(",") if part] if item in (int, float) else words
+        return tuple(item(part) for part in parts)
+
+    return _spec("*", f"{PLACEHOLDERS[item]} ...", read, lambda value: isinstance(value, tuple), list)
+
+
+@READERS.primitive_rule
+def _read_optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    """`T | None` as one word."""
+    kinds = [kind for kind in get_args(info.type) if kind is not types.NoneType]
+    if info.type_origin not in (Union, types.UnionType) or len(kinds) != 1 or kinds[0] not in PLACEHOLDERS:
+        return None
+    return _spec(
+        1, PLACEHOLDERS[kinds[0]], lambda words: kinds[0](words[0]),
+        lambda value: value is None or isinstance(value, kinds[0]), lambda value: [] if value is None else [value],
+    )  # fmt: skip
+
+
+def _spec(
+    count: int | str, placeholder: str, read: Callable, fits: Callable, words: Callable[[Any], Sequence]
+) -> PrimitiveConstructorSpec:
+    shown = lambda value: [str(word) for word in words(value)] or ["none"]  # noqa: E731
+    return PrimitiveConstructorSpec(count, placeholder, read, fits, shown)

@@ -1,0 +1,22 @@
+"""Constants that torch, the fused operations and the shaders share. Without torch."""
+
+LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)  # of red, green and blue, Rec. 709
+
+# Light is divided by its texture, but never by less than these: light from mirrors and gloss does not have the albedo's
+# colour (`color.albedo_divisor`).
+MIN_ALBEDO = 0.1
+MIN_ALBEDO_SHARE = 0.25  # of the brightest channel of the pixel's albedo
+
+# Two pixels may show the same surface (`ops.alike`).
+DEPTH_TOLERANCE = 0.1  # largest difference of depths, as a share of the greater one
+MIN_NORMAL_COSINE = 0.5
+# Sum of bilinear weights below which there is no history: dividing by it would only magnify rounding (`ops.reproject`).
+MIN_HISTORY_WEIGHT = 1e-2
+MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
+
+# The brightness of a frame, and pixels that are too bright for it (`exposure`).
+BRIGHTNESS_BLOCK = 8  # side in pixels of the blocks that brightness is measured in
+BRIGHTNESS_SHARE = 0.9  # of the blocks, the darkest ones, that count
+MIN_BRIGHTNESS = 1e-8  # darker frames count as black
+FIREFLY_LIMIT = 5.0  # times the brightness that the neighbourhood or the frame explains
+MIN_DISTANCE = 1e-12  # of a frame's mean depth: never zero (`frame.mean_distance`)

@@ -1,0 +1,92 @@
+"""A file layout: rules that turn named channels into the layers of a frame, and patterns of file names."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+
+from ..frame import CHANNELS
+from .exr_format import ExrHeader
+from .layers import SIGNALS
+
+SCALES = ("pixels", "uv")  # uv: fractions of the picture's width and height
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How channels make a layer: component i is `signs[i]` × the channel `channels[i]`, for motion in `scale`."""
+
+    channels: tuple[str, ...]  # one with a `*` stands for the first channel that fits
+    signs: tuple[int, ...]
+    miss: float = float("inf")  # depth only: nothing was hit from this distance on
+    scale: str = "pixels"  # motion only: one of SCALES
+
+    def match(self, channels: Collection[str]) -> Rule | None:
+        """The rule with its wildcards filled in; None where a channel is missing."""
+        names = []
+        for name in self.channels:
+            fitting = [name] if name in channels else [c for c in channels if "*" in name and fnmatchcase(c, name)]
+            names += fitting[:1]
+        return replace(self, channels=tuple(names)) if len(names) == len(self.channels) else None
+
+
+def rules(names: str, components: str, signs: tuple[int, ...] = (), **conversion) -> tuple[Rule, ...]:
+    """One rule for each of the `|`-separated names: `name.{components}`, or just the components for an empty name."""
+    prefixes = [f"{name}." if name else "" for name in names.split("|")]
+    signs = signs or (1,) * len(components)
+    return tuple(Rule(tuple(prefix + c for c in components), signs, **conversion) for prefix in prefixes)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The channel and file names of a renderer.
+
+    `layers` gives alternatives for each layer on disk: the first whose channels are all present counts. Where a
+    renderer writes one file for each buffer, `buffers` names the files; the channels of such a file carry the buffer's
+    name, as in a part of a multi-part file: `albedo.R`.
+    """
+
+    name: str
+    layers: Mapping[str, tuple[Rule, ...]]
+    hints: Mapping[str, str] = field(default_factory=dict, repr=False)  # layer -> how to make the renderer write it
+    demodulated: frozenset[str] = frozenset()  # signals that the renderer has already divided by the albedo
+    buffers: Mapping[str, tuple[str, ...]] = field(default_factory=dict, repr=False)  # buffer -> patterns, see files.py
+    cameras: str = "scene.json"  # the file beside the frames that may hold cameras and transforms
+    beauty: tuple[Rule, ...] = ()  # where the finished picture belongs; empty: where `color` is read from
+
+    def resolve(self, header: ExrHeader, signal: str) -> dict[str, Rule]:
+        """The layers of `Frame` that this file has for a signal, each with the rule that makes it."""
+        found = {}
+        for layer in CHANNELS:
+            alternatives = (rule for name in _names(layer, signal) for rule in self.layers.get(name, ()))
+            matches = (rule.match(header.channels) for rule in alternatives)
+            if rule := next((match for match in matches if match), None):
+                found[layer] = rule
+        return found
+
+    def beauty_rule(self, header: ExrHeader) -> Rule | None:
+        """The channels of the finished picture; None where the file has none."""
+        matches = (rule.match(header.channels) for rule in self.beauty or self.layers.get("color", ()))
+        return next((match for match in matches if match), None)
+
+    def hint(self, layer: str, signal: str) -> str:
+        """How to get a layer of `Frame` that is missing."""
+        names = _names(layer, signal)
+        for name in names:
+            if name in self.hints:
+                return self.hints[name]
+            if name in self.layers:
+                channels = self.layers[name][0].channels
+                buffer = channels[0].partition(".")[0]
+                return f"write it as {self.buffers[buffer][0] if buffer in self.buffers else ', '.join(channels)}"
+        return f"this layout has no name for {names[0]}: describe the files in a layout of your own (--preset my.toml)"
+
+
+def _names(layer: str, signal: str) -> tuple[str, ...]:
+    """The layers on disk that may become a layer of `Frame`, best first."""
+    if layer == "albedo":  # best: the albedo that the renderer has divided the signal by
+        return f"{signal}_albedo", "albedo"
+    if layer == "components" and signal != "color":  # they make up the beauty
+        return ("indirect components",)
+    return (SIGNALS[signal].get(layer, layer),)

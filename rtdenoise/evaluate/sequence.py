@@ -1,0 +1,88 @@
+"""One loop for every method over every sequence: history, shots and look-ahead.
+
+A *step* is `step(frame, history) -> (image, history)`; history None starts anew. A step with `delay` d looks d frames
+ahead: it returns the image of the frame d before, and None for the first d frames of a shot. At the end of a shot it is
+called with frame None until it has returned the remaining images.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .. import motion
+from ..frame import Frame
+
+Step = Callable[[Frame | None, Any], tuple[Tensor | None, Any]]
+
+
+@dataclass(frozen=True)
+class Output:
+    """One denoised frame."""
+
+    frame: Frame
+    image: Tensor  # [B, 3, H, W] linear radiance
+    history: Any  # after the latest step
+    seconds: float  # wall-clock time in `step` since the output before
+
+
+def outputs(step: Step, frames: Iterable[Frame], delay: int = 0, cuts: Collection[int] = ()) -> Iterator[Output]:
+    """Denoise `frames` in order: one `Output` a frame, in the same order.
+
+    A shot, and with it history None, begins at the first frame, after a gap in the frame numbers, and at every frame
+    whose number is in `cuts`. Time is taken with the device synchronised before and after each step.
+    """
+    waiting: deque[Frame] = deque()  # frames whose image is yet to come
+    history, before, seconds = None, None, 0.0
+
+    def advance(frame: Frame | None) -> Iterator[Output]:
+        nonlocal history, seconds
+        image, history, elapsed = _timed(step, frame, history, waiting[0])
+        seconds += elapsed
+        if image is not None:
+            yield Output(waiting.popleft(), image, history, seconds)
+            seconds = 0.0
+
+    def flush() -> Iterator[Output]:
+        while waiting:
+            left = len(waiting)
+            yield from advance(None)
+            if len(waiting) == left:
+                raise ValueError(f"{step}: returned no image at the end of a shot, with {left} frames to come")
+
+    for frame in frames:
+        if before is not None and (frame.number > before + 1 or frame.number in cuts):
+            yield from flush()
+            history = None
+        before = frame.number
+        waiting.append(frame)
+        yield from advance(frame)
+        if len(waiting) > delay:
+            raise ValueError(f"{step}: returned no image after {len(waiting)} frames; its delay is {delay}")
+    yield from flush()
+
+
+def uncovered(frames: Sequence[Frame]) -> list[Tensor]:
+    """Occlusion mask of every frame, `[B, 1, H, W]` bool; empty for the first and without the previous
+    `motion_next`."""
+    before = [None, *(frame.motion_next for frame in frames[:-1])]
+    return [motion.uncovered(frame, motion_next) for frame, motion_next in zip(frames, before, strict=True)]
+
+
+def _timed(step: Step, frame: Frame | None, history: Any, like: Frame) -> tuple[Tensor | None, Any, float]:
+    _synchronise(like)
+    started = time.perf_counter()
+    image, history = step(frame, history)
+    _synchronise(like)
+    return image, history, time.perf_counter() - started
+
+
+def _synchronise(frame: Frame) -> None:
+    if frame.radiance.is_cuda:
+        torch.cuda.synchronize(frame.radiance.device)

@@ -1,0 +1,61 @@
+"""Weights on disk -> denoiser, and back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+from safetensors.torch import save as serialise
+
+from ..files import write_atomically
+from .accumulated_kpn import AccumulatedKPN
+from .config import Config
+from .denoiser import Denoiser
+from .inference import prepare, resolve
+from .temporal_kpn import TemporalKPN
+from .weights import read_model
+
+NETWORKS = {"temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN}
+"""`Config.architecture` -> the network."""
+
+
+def create(config: Config) -> Denoiser:
+    """A denoiser with random weights."""
+    return NETWORKS[config.architecture](config)
+
+
+def load(
+    model: str | Path = "default", device: str | torch.device = "cpu", precision: str = "auto", **overrides
+) -> Denoiser:
+    """A denoiser with its weights, made ready to run (`inference.prepare`).
+
+    `model` is the name of a model that ships (`available()`) or the path of a .safetensors file that `rtdenoise train`
+    wrote. `precision` is that of the network: 'fp32', 'bf16', or 'auto' (`inference.resolve`); the rest is float32.
+    `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
+    `motion="traditional"` for an ablation.
+
+    Raises InputError for an unknown precision, and as `read`.
+    """
+    dtype = resolve(precision, device)
+    return prepare(read(model, **overrides), dtype).to(device)
+
+
+def read(model: str | Path, **overrides) -> Denoiser:
+    """A denoiser with its weights as they were trained: float32, nothing fused. Arguments as those of `load`.
+
+    Raises InputError for an unknown name, an unreadable file, an override that is no field, and weights that are not
+    finite or do not fit their configuration.
+    """
+    file = read_model(model, **overrides)
+    denoiser = create(file.config)
+    denoiser.load_state_dict({key: torch.from_numpy(tensor) for key, tensor in file.tensors.items()})
+    return denoiser.eval().requires_grad_(False)
+
+
+def save(denoiser: Denoiser, path: str | Path, **metadata: str) -> None:
+    """Write weights and configuration, whole or not at all. Raises InputError where they cannot be written."""
+    tensors = {k: v.detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
+    described = {"architecture": denoiser.config.architecture, "config": json.dumps(asdict(denoiser.config))}
+    write_atomically(Path(path), serialise(tensors, metadata=described | metadata))

@@ -1,0 +1,53 @@
+"""The training loss: spatial, temporal and motion-occlusion terms (the paper, eq. 5 and 6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..color import compress
+
+
+@dataclass(frozen=True)
+class Loss:
+    """The three terms of one frame, each a scalar."""
+
+    spatial: Tensor
+    temporal: Tensor
+    occlusion: Tensor
+
+    @property
+    def total(self) -> Tensor:
+        return self.spatial + self.temporal + self.occlusion
+
+
+def temporal_kpn_loss(
+    image: Tensor,  # [B, 3, H, W] denoised radiance of frame i
+    reference: Tensor,  # [B, 3, H, W]
+    previous: tuple[Tensor, Tensor] | None,  # (image, reference) of frame i - 1
+    occlusion: Tensor | None,  # [B, 1, H, W] Σ w_k M_{i-k} (`motion.occlusion_weights`); None: without L_occ
+    scale: Tensor | float = 1.0,  # [B, 1, 1, 1] exposure, the same for both frames
+    huber: float = 0.0,  # error up to which a difference counts as its square / (2 · huber)
+) -> Loss:
+    """L = L1(I, R) + L1(I_i - I_{i-1}, R_i - R_{i-1}) + L1(I ⊙ Σ w_k M_k, R ⊙ Σ w_k M_k).
+
+    The domain is `color.compress` of the exposed radiance: in linear radiance a few fireflies would be the whole loss.
+    With `huber` the distances are Huber's: against noisy references L1 aims at the median, which is too dark, squares
+    aim at the mean. The weights of eq. 5 apply after the compression, so that they mean the same in dark and in bright
+    places.
+    """
+
+    def distance(a: Tensor, b: Tensor) -> Tensor:
+        return F.smooth_l1_loss(a, b, beta=huber)
+
+    image, reference = compress(image * scale), compress(reference * scale)
+    spatial = distance(image, reference)
+    temporal = occluded = image.new_zeros(())
+    if previous is not None:
+        before, reference_before = (compress(x * scale) for x in previous)
+        temporal = distance(image - before, reference - reference_before)
+    if occlusion is not None:
+        occluded = distance(image * occlusion, reference * occlusion)
+    return Loss(spatial, temporal, occluded)

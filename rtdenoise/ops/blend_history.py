@@ -1,0 +1,26 @@
+"""The temporal kernel and the blend, in one pass."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .apply_kernel import MAX_KERNEL, apply_kernel
+from .blend import blend
+from .dispatch import Fused, Support
+
+FUSED = Fused("blend_history", native=Support(max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",)))
+
+
+def blend_history(
+    spatial: Tensor,  # [B, C, H, W] the filtered current frame
+    past: Tensor,  # [B, C, H, W] the reprojected previous output
+    seen: Tensor,  # [B, 1, H, W] bool: where `past` is valid; `spatial` takes its place elsewhere
+    logits: Tensor,  # of the temporal kernel, as `apply_kernel` takes them
+    alpha: Tensor,  # [B, 1, H, W] in [0, 1]
+) -> Tensor:  # [B, C, H, W]
+    """`blend(spatial, apply_kernel(where(seen, past, spatial), logits), alpha)`: the paper's temporal kernel and its
+    eq. 1."""
+    if run := FUSED(past=past, spatial=spatial, alpha=alpha, logits=logits):
+        return run(spatial, past, seen, logits, alpha)
+    return blend(spatial, apply_kernel(torch.where(seen, past, spatial), logits), alpha)

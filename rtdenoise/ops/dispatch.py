@@ -1,0 +1,151 @@
+"""Choose the implementation of an op: the plain one, which is the specification, or a fused one.
+
+Fused ops lie in files of the op's name: C for the CPU in `native/`, Triton for CUDA in `triton/`. The op's own file
+declares what they take, and asks once its arguments are checked:
+
+    FUSED = Fused("warp", native=Support(max_channels=8, gradients=("image",)), triton=Support(max_channels=8))
+
+    def warp(image, motion):
+        if run := FUSED(image=image, motion=motion):
+            return run(image, motion)
+        ...
+
+One switch: the environment variable `RTDENOISE_OPS` when the program starts, `use` while it runs.
+
+    auto    fused where the declaration admits the arguments, plain elsewhere (the default)
+    plain   always the specification
+    fused   as auto, but an error that gives the reason where an op with a fused implementation would run plain; for
+            tests and measurements
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+
+import torch
+from torch import Tensor
+
+CHOICES = ("auto", "plain", "fused")
+MAX_PIXELS = 2**31 - 1  # of a plane: fused ops number pixels by 32-bit integers
+MAX_ROWS = {"triton": 65535}  # B·C·H: programs along the second axis of a CUDA grid
+HALVES = (torch.bfloat16, torch.float16)
+
+_choice = os.environ.get("RTDENOISE_OPS", "auto")
+
+
+@contextmanager
+def use(choice: str) -> Iterator[None]:
+    """`with ops.use("plain"): ...` chooses 'auto', 'plain' or 'fused' for everything inside.
+
+    Raises ValueError for another choice.
+    """
+    global _choice
+    before, _choice = _choice, _checked(choice)
+    try:
+        yield
+    finally:
+        _choice = before
+
+
+def plain() -> bool:
+    """Whether the specification has to run: 'plain' is chosen, or torch.compile traces."""
+    return _checked(_choice) == "plain" or torch.compiler.is_compiling()
+
+
+@dataclass(frozen=True)
+class Support:
+    """The arguments that a fused implementation takes. All are float32 images but for those in `halves`."""
+
+    max_channels: int | None = None  # of the first argument; several images count together
+    max_kernel: int | None = None  # K of the argument `logits`
+    halves: tuple[str, ...] = ()  # arguments that may be bfloat16 or float16 too
+    gradients: tuple[str, ...] = ()  # arguments in which it is differentiable
+
+
+class Fused:
+    """The fused implementations of one op, and what each of them takes."""
+
+    def __init__(self, op: str, **support: Support):
+        """`op` is the name of function and file, or 'file.function'; `support` is by folder."""
+        self.file, _, name = op.rpartition(".")
+        self.file, self.name, self.support = self.file or name, name, support
+
+    def __call__(self, **arguments: Tensor | Sequence[Tensor] | None) -> Callable | None:
+        """The implementation for these arguments, or None where the plain one has to run. Sequences are joined along
+        channels; None is ignored.
+
+        Raises RuntimeError where 'fused' is chosen, the device has one and it does not take the arguments.
+        """
+        if plain():
+            return None
+        first = next(iter(arguments.values()))
+        folder, problem = backend((first if isinstance(first, Tensor) else first[0]).device.type)
+        if folder is not None:
+            if folder not in self.support:
+                return None
+            problem = _problem(self.support[folder], MAX_ROWS.get(folder), arguments)
+        if problem is None:
+            return _function(folder, self.file, self.name)
+        if _choice == "fused":
+            raise RuntimeError(f"{self.name}: no fused path: {problem}")
+        return None
+
+
+@functools.cache
+def backend(device: str) -> tuple[str | None, str | None]:
+    """The folder with the fused ops of a kind of device, or None and the reason, which is logged."""
+    try:
+        if device == "cpu":
+            from . import native
+
+            native.prepare()
+            return "native", None
+        if device == "cuda":
+            from .triton import common as common
+
+            return "triton", None
+    except (ImportError, OSError, RuntimeError) as error:
+        logging.getLogger("rtdenoise").warning("rtdenoise: slower without fused ops on %s: %s", device, error)
+        return None, str(error)
+    return None, f"there is none for {device}"
+
+
+@functools.cache
+def _function(folder: str, file: str, name: str) -> Callable:
+    return getattr(import_module(f".{folder}.{file}", __package__), name)
+
+
+def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | None:
+    """The first argument that `support` excludes, in words, or None."""
+    differentiating = torch.is_grad_enabled()
+    for name, value in arguments.items():
+        for tensor in (value,) if isinstance(value, Tensor) else value or ():
+            dtype = tensor.dtype
+            if dtype is not torch.float32 and not (name in support.halves and dtype in HALVES):
+                return f"{name} is {dtype}, it takes torch.float32".replace("torch.", "")
+            if differentiating and tensor.requires_grad and name not in support.gradients:
+                return f"it has no gradient in {name}"
+    first = next(iter(arguments.values()))
+    images = (first,) if isinstance(first, Tensor) else first
+    shape = images[0].shape
+    if images[0].numel() == 0 or shape[-2] * shape[-1] > MAX_PIXELS or (max_rows and math.prod(shape[:-1]) > max_rows):
+        return f"it takes no images of {tuple(shape)}"
+    channels = sum(image.shape[1] for image in images) if support.max_channels else 0
+    if support.max_channels and channels > support.max_channels:
+        return f"it takes at most {support.max_channels} channels, not {channels}"
+    if support.max_kernel and arguments["logits"].shape[-3] > support.max_kernel**2:
+        return f"it takes kernels of at most {support.max_kernel}², not {arguments['logits'].shape[-3]} taps"
+    return None
+
+
+def _checked(choice: str) -> str:
+    if choice not in CHOICES:
+        raise ValueError(f"RTDENOISE_OPS or ops.use: expected one of {', '.join(CHOICES)}, got {choice!r}")
+    return choice

@@ -1,0 +1,23 @@
+"""`features`, channels last: planes are transposed, compressed and converted in one pass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from ctypes import c_float, c_int64, c_void_p
+
+import torch
+from torch import Tensor
+
+from .compiler import library, pointer
+
+
+def features(light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype) -> Tensor:
+    layers = [layer.contiguous() for layer in (*light, *guides)]
+    B, _, H, W = layers[0].shape
+    channels, lit = (sum(layer.shape[1] for layer in group) for group in (layers, light))
+    out = torch.empty(B, channels, H, W, dtype=dtype, memory_format=torch.channels_last)
+    run = library("features", C=channels, LIGHT=lit, HALF=int(dtype == torch.bfloat16)).features
+    for b in range(B):
+        planes = (c_void_p * channels)(*(plane.data_ptr() for layer in layers for plane in layer[b]))
+        run(planes, c_float(scale[b].item()), pointer(out[b]), c_int64(H * W), torch.get_num_threads())
+    return out

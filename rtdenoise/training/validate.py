@@ -1,0 +1,56 @@
+"""Validation: the error of a model on clips of scenes that it was not trained on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from ..color import display_exposure
+from ..data.clips import ClipDataset
+from ..errors import InputError
+from ..evaluate.sequence import outputs, uncovered
+from ..frame import Frame, History
+from ..metrics import psnr
+from ..models import Denoiser
+from .config import TrainConfig
+
+MIN_UNCOVERED = 0.005  # share of a frame; the PSNR of fewer pixels says nothing
+
+
+def open_validation(config: TrainConfig, data: ClipDataset) -> ClipDataset | None:
+    """The clips of `config.val`. Raises InputError where they show scenes of `data` or have denoised references."""
+    if config.val is None:
+        return None
+    clips = ClipDataset(config.val)
+    if shared := data.scenes() & clips.scenes():
+        raise InputError(f"{config.val}: shows scenes that are in the training clips too, such as {min(shared)}; "
+                         "validate on other scenes")  # fmt: skip
+    if "references" in clips.facts(0):
+        raise InputError(f"{config.val}: its references are denoised, and would reward whatever is as smooth; "
+                         "validate on clips as they were rendered")  # fmt: skip
+    return clips
+
+
+@torch.inference_mode()
+def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[str, float]:
+    """Mean display PSNR in dB over all frames but the first: of the noisy frames, the denoised ones, and their
+    uncovered regions. NaN without such frames."""
+    rows: dict[str, list[float]] = {"noisy": [], "denoised": [], "denoised_uncovered": []}
+
+    def step(frame: Frame, history: History | None) -> tuple[torch.Tensor, History]:
+        with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
+            return model.step(frame, history)
+
+    for index in range(len(clips)):
+        frames = clips.load(index, signal="color" if config.signal == "color" else "indirect")
+        frames = [frame.to(config.device) for frame in frames]
+        scale, masks = display_exposure(torch.cat([frame.reference for frame in frames])), uncovered(frames)
+        for output, mask in list(zip(outputs(step, frames), masks, strict=True))[1:]:
+            frame, image = output.frame, output.image
+            rows["noisy"].append(psnr(frame.radiance, frame.reference, scale))
+            rows["denoised"].append(psnr(image, frame.reference, scale))
+            if mask.float().mean() > MIN_UNCOVERED:
+                rows["denoised_uncovered"].append(psnr(image, frame.reference, scale, mask))
+    return {name: float(np.mean(values)) if values else math.nan for name, values in rows.items()}

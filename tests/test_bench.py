@@ -1,0 +1,95 @@
+"""The benchmarks: scripts that start, results that say where they are from, OIDN that may be missing."""
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench import RESULTS, harness, tables
+from bench.latency.tables import table
+
+ROOT = Path(__file__).parent.parent
+SCRIPTS = [
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for folder in ("bench", "bench/calibration", "bench/diagnosis")
+    for path in sorted((ROOT / folder).glob("[!_]*.py"))
+]
+# As after `make demo`: importlib finds no module that is None in sys.modules.
+WITHOUT_EXTRAS = "import sys, runpy; sys.modules |= {'pyoidn': None, 'matplotlib': None, 'flip_evaluator': None}; "
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_script_has_a_main_and_an_entry_in_the_readme(name):
+    assert callable(importlib.import_module(name).main)
+    assert f"python {name.replace('.', '/')}.py" in (ROOT / "bench" / "README.md").read_text()
+
+
+def test_every_script_with_tables_is_rewritten_by_tables():
+    modules = {name: importlib.import_module(name) for name in SCRIPTS if name != "bench.tables"}
+    assert {name for name, module in modules.items() if hasattr(module, "tables")} == {
+        f"bench.{name}" for name in tables.MODULES
+    }
+    for name in tables.MODULES:
+        module = modules[f"bench.{name}"]
+        assert module.RESULT.is_file() and all(page.is_file() for page in module.PAGES)
+
+
+def test_a_script_runs_by_its_path_from_anywhere(tmp_path):
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    command = [sys.executable, ROOT / "bench" / "calibration" / "cuts.py", "--help"]
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0 and "another shot" in result.stdout, result.stderr
+
+
+def test_bad_input_is_one_line(tmp_path):
+    script = ROOT / "bench" / "calibration" / "tune_baselines.py"
+    result = subprocess.run([sys.executable, script, tmp_path / "none"], capture_output=True, text=True)
+    assert result.returncode == 2 and result.stderr.count("\n") == 1 and "none" in result.stderr
+
+
+def test_a_published_result_says_where_it_is_from_and_updates_its_pages(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [str(ROOT / "bench" / "tiles.py"), "--size", "64x36"])
+    page, other = tmp_path / "page.md", tmp_path / "other.md"
+    page.write_text("before\n<!-- a -->\nold\n<!-- /a -->\nafter\n<!-- b -->\n<!-- /b -->\n")
+    other.write_text("<!-- a -->\n<!-- /a -->\n")
+    made = {"timing": harness.Timing(1.235, 0.1, 5), "ratio": 0.123456, "missing": float("nan")}
+    document = harness.publish(
+        tmp_path / "results" / "x.json", made, digits=3, pages=(page, other),
+        tables=lambda d: {"a": f"{d['timing']['median_ms']} ms", "b": "new"},
+    )  # fmt: skip
+    assert document == json.loads((tmp_path / "results" / "x.json").read_text())
+    assert document["command"] == "python bench/tiles.py --size 64x36"
+    assert {"date", "commit", "versions"} <= document.keys() and document["devices"]["torch"] == harness.cpu()
+    assert document["timing"] == {"median_ms": 1.235, "iqr_ms": 0.1, "calls": 5}
+    assert document["ratio"] == 0.123 and document["missing"] is None
+    assert page.read_text() == "before\n<!-- a -->\n1.235 ms\n<!-- /a -->\nafter\n<!-- b -->\nnew\n<!-- /b -->\n"
+    assert other.read_text() == "<!-- a -->\n1.235 ms\n<!-- /a -->\n"
+
+
+def test_a_section_without_a_place_is_told_after_the_others_are_updated(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("<!-- a -->\n<!-- /a -->\n")
+    with pytest.raises(SystemExit, match="<!-- b -->"):
+        harness.insert_sections({"a": "1", "b": "2"}, (page,))
+    assert page.read_text() == "<!-- a -->\n1\n<!-- /a -->\n"
+
+
+def test_latency_without_oidn_and_matplotlib_says_how_to_get_them(tmp_path):
+    arguments = ["latency_720p", "--quick", "--presets", "paper", "--out", str(tmp_path / "l.json")]
+    code = f"{WITHOUT_EXTRAS}sys.argv = {arguments}; runpy.run_path('bench/latency_720p.py', run_name='__main__')"
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    rows = (tmp_path / "l.md").read_text().splitlines()
+    (oidn,) = [row for row in rows if row.startswith("| oidn")]
+    assert "pip install 'rtdenoise[bench]'" in oidn and all(row.count("|") == rows[0].count("|") for row in rows)
+    assert "l.png: not drawn: pip install 'rtdenoise[bench]'" in result.stdout and not (tmp_path / "l.png").exists()
+
+
+def test_the_latency_table_is_relative_to_oidn():
+    document = json.loads((RESULTS / "latency_720p.json").read_text())
+    (oidn,) = [line for line in table(document, "720p").splitlines() if line.startswith("| oidn high")]
+    assert oidn.split(" | ")[6] == "1.00× as fast"

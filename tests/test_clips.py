@@ -1,0 +1,133 @@
+"""Training clips: required and optional layers, their types, and clips of earlier versions."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from rtdenoise.data.clips import FEATURES, OPTIONAL, RADIANCE, ClipDataset, bytes_per_clip, clip_path, write_clip
+from rtdenoise.data.clips import read_layers as read_clip
+from rtdenoise.data.exr import read_header, write_layers
+from rtdenoise.data.layers import LAYERS, OLD_NAMES
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.errors import InputError
+
+H, W, COUNT = 6, 8, 3
+
+
+def make_frames(*optional):
+    """Frames of random values that half precision holds exactly."""
+    rng = np.random.default_rng(0)
+    names = (*RADIANCE, *FEATURES, *optional)
+    return [
+        {name: rng.integers(0, 200, (H, W, LAYERS[name].channels)).astype(np.float32) for name in names}
+        for _ in range(COUNT)
+    ]
+
+
+def write(folder, frames, *optional):
+    write_clip(clip_path(folder, 0), frames, {"seed": 1}, optional)
+    return ClipDataset(folder)
+
+
+def images(frame, name):
+    return np.moveaxis(frame[name], 2, 0)[None]
+
+
+def test_every_layer_is_named_once():
+    assert set(RADIANCE) | set(FEATURES) | set(OPTIONAL) == LAYERS.keys()
+    assert len(RADIANCE) + len(FEATURES) + len(OPTIONAL) == len(LAYERS)
+    assert set(OLD_NAMES.values()) <= LAYERS.keys() and not OLD_NAMES.keys() & LAYERS.keys()
+
+
+def test_exr_files_and_clips_use_the_same_names(tmp_path):
+    frames = make_frames("position")
+    write_layers(tmp_path / "1.exr", frames[0])
+    channels = {name.rpartition(".")[0] or "color" for name in read_header(tmp_path / "1.exr").channels}
+    write(tmp_path, frames, "position")
+    assert channels == load_file(clip_path(tmp_path, 0)).keys()
+
+
+def test_position_is_loaded_when_asked_for(tmp_path):
+    frames = make_frames("position")
+    clips = write(tmp_path, frames, "position")
+    assert clips.load(0)[0].position is None
+    for frame, written in zip(clips.load(0, layers=["position"]), frames, strict=True):
+        np.testing.assert_array_equal(frame.position, images(written, "position"))
+
+
+def test_a_layer_that_the_clip_lacks(tmp_path):
+    clips = write(tmp_path, make_frames())
+    with pytest.raises(InputError, match=r"clip_000000.safetensors: has no layer 'position'; it has albedo, color"):
+        clips.load(0, layers=["position"])
+
+
+def test_layers_are_written_only_when_named(tmp_path):
+    frames = make_frames("position")
+    write(tmp_path, frames)
+    assert load_file(clip_path(tmp_path, 0)).keys() == {*RADIANCE, *FEATURES}
+    with pytest.raises(ValueError, match="unknown layer colour; optional layers are position, direct, samples"):
+        write(tmp_path, frames, "colour")
+
+
+@pytest.mark.parametrize("optional", [(), ("position", "samples")])
+def test_the_size_of_a_clip_is_known_beforehand(tmp_path, optional):
+    write(tmp_path, make_frames(*optional), *optional)
+    stored = load_file(clip_path(tmp_path, 0))
+    assert sum(array.nbytes for array in stored.values()) == bytes_per_clip((H, W), COUNT, optional)
+    assert stored["color"].dtype == np.float16 and stored["id"].dtype == np.uint16
+
+
+def test_large_values_of_optional_layers_are_scaled(tmp_path):
+    frames = make_frames("large", "small")
+    frames[1]["large"][2, 3] = 1e6
+    frames[1]["small"][2, 3] = 1e12  # beyond what scaling brings into range
+    frames[1]["color"][2, 3] = 1e6
+    write(tmp_path, frames, "large", "small")
+    assert np.isfinite(load_file(clip_path(tmp_path, 0))["large"]).all()
+    read = read_clip(clip_path(tmp_path, 0))
+    np.testing.assert_allclose(read["large"][1], images(frames[1], "large")[0], rtol=2**-11, atol=1e-5)
+    assert (read["small"][1, :, 2, 3] == 65504 * 1024).all()
+    assert (read["color"][1, :, 2, 3] == 65504).all()
+
+
+def test_samples_and_components_become_fields_of_the_frame(tmp_path):
+    optional = ("samples", "large", "small")
+    frames = make_frames(*optional)
+    frames[0]["large"][0, 0] = 1e5
+    clips = write(tmp_path, frames, *optional)
+    for signal in ("color", "indirect"):
+        for frame, written in zip(clips.load(0, signal=signal), frames, strict=True):
+            np.testing.assert_array_equal(frame.samples, images(written, "samples"))
+            if signal == "indirect":
+                assert frame.components is None  # they make up the beauty
+            else:
+                stacked = np.concatenate([images(written, "large"), images(written, "small")], 1)
+                np.testing.assert_allclose(frame.components, stacked, rtol=2**-10)
+
+
+def test_older_clips_are_read(tmp_path):
+    """They number objects in 8 bits and have no optional layer."""
+    frames = make_frames()
+    arrays = {name: np.concatenate([images(frame, name) for frame in frames]) for name in RADIANCE + FEATURES}
+    arrays = {name: np.ascontiguousarray(array, np.float16) for name, array in arrays.items()}
+    arrays["id"] = arrays["id"].astype(np.uint8)
+    save_file(arrays, clip_path(tmp_path, 0), metadata={"clip": json.dumps({"seed": 4})})
+    clips = ClipDataset(tmp_path)
+    assert clips.facts(0) == {"seed": 4}
+    np.testing.assert_array_equal(clips.load(0, signal="indirect")[2].id, images(frames[2], "id"))
+    np.testing.assert_array_equal(clips.load(0)[2].reference_half, images(frames[2], "reference_half"))
+
+
+@pytest.mark.parametrize("signal", ["color", "indirect"])
+def test_halves_under_their_old_names_are_read(tmp_path, signal):
+    frame = make_frames()[0]
+    old = {new: old for old, new in OLD_NAMES.items()}
+    write_layers(tmp_path / "1.exr", {old.get(name, name): image for name, image in frame.items()})
+    assert "half_reference.R" in read_header(tmp_path / "1.exr").channels
+    half = open_sequence(tmp_path, signal=signal, layers=["reference_half"])[0].reference_half
+    name = {"color": "reference_half", "indirect": "indirect_reference_half"}[signal]
+    np.testing.assert_array_equal(half, images(frame, name))

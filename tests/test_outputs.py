@@ -1,0 +1,90 @@
+"""The loop that runs every method: one image a frame, in order, with shots and look-ahead."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from synthetic import make_frames
+
+from rtdenoise.evaluate import evaluate, outputs
+from rtdenoise.evaluate.registry import Method
+
+
+def counting(frame, history):
+    """An image that holds how many frames of its shot came before."""
+    count = 0 if history is None else history
+    return torch.full_like(frame.radiance, float(count)), count + 1
+
+
+def ahead(frame, history):
+    """The mean of a frame and the next one of its shot; the last frame of a shot alone. Its delay is 1."""
+    if frame is None:
+        return history, None
+    return (None if history is None else (history + frame.radiance) / 2), frame.radiance
+
+
+def ages(frames, **options):
+    return [int(output.image[0, 0, 0, 0]) for output in outputs(counting, frames, **options)]
+
+
+def test_history_runs_through_a_shot_and_starts_anew_at_gaps_and_cuts():
+    frames = make_frames(6)
+    assert ages(frames) == [0, 1, 2, 3, 4, 5]
+    assert ages(frames, cuts=(2, 5)) == [0, 1, 0, 1, 2, 0]
+    assert ages([*frames[:2], *frames[3:]]) == [0, 1, 0, 1, 2]
+    assert ages(frames[::-1]) == [0, 1, 2, 3, 4, 5]  # backwards is no gap
+    assert [output.frame.number for output in outputs(counting, frames)] == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("cuts", [(), (2,), (1, 2, 3)])
+def test_a_method_that_looks_ahead_sees_its_own_shot_only(cuts):
+    frames = make_frames(4)
+    found = list(outputs(ahead, frames, delay=1, cuts=cuts))
+    assert [output.frame.number for output in found] == [0, 1, 2, 3]
+    for i, output in enumerate(found):
+        alone = i == 3 or i + 1 in cuts
+        expected = frames[i].radiance if alone else (frames[i].radiance + frames[i + 1].radiance) / 2
+        assert torch.equal(output.image, expected)
+
+
+def test_a_shot_shorter_than_the_delay():
+    waiting = []
+
+    def three_ahead(frame, history):
+        if frame is not None:
+            waiting.append(frame.radiance)
+        return (waiting.pop(0) if frame is None or len(waiting) > 3 else None), None
+
+    frames = make_frames(2)
+    found = list(outputs(three_ahead, frames, delay=3))
+    assert [torch.equal(o.image, f.radiance) for o, f in zip(found, frames, strict=True)] == [True, True]
+
+
+def test_a_wrong_delay_is_an_error():
+    with pytest.raises(ValueError, match="its delay is 0"):
+        list(outputs(ahead, make_frames(3)))
+    with pytest.raises(ValueError, match="no image at the end of a shot"):
+        list(outputs(lambda frame, history: (None, None), make_frames(1), delay=1))
+
+
+def test_a_method_that_looks_ahead_is_measured_like_the_others(monkeypatch):
+    frames = make_frames(4)
+    peek = Method("peek", "the mean with the next frame", "filter", lambda device, precision: ahead, delay=1)
+    monkeypatch.setattr("rtdenoise.evaluate.measure.choose", lambda names: [peek])
+    (result,) = evaluate(frames, ["peek"])
+    assert len(result.images) == 4 and len(result.times) == 3
+    assert torch.equal(result.images[1], (frames[1].radiance + frames[2].radiance) / 2)
+    (truth,) = evaluate(frames, {"it": lambda frame, history: (frame.reference, None)})
+    assert truth.errors["frame"]["relmse"] == 0
+
+
+def test_methods_take_turns_and_say_so():
+    told = []
+    steps = {"a": counting, "b": counting}
+    evaluate(make_frames(2), steps, on_step=lambda label, done, total: told.append((label, done, total)))
+    assert told == [("a", 1, 4), ("b", 2, 4), ("a", 3, 4), ("b", 4, 4)]
+
+
+def test_unnumbered_frames_are_one_shot():
+    frames = [replace(frame, number=0) for frame in make_frames(3)]
+    assert ages(frames) == [0, 1, 2]
