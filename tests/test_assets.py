@@ -232,6 +232,7 @@ def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
     if any(f["skipped"] for f in facts):
         assert "a kitchen table: " in text
     before = ClipDataset(tmp_path / "out").load(1)
+    assert (before[0].samples == facts[1]["spp"]).all()
     clip_path(tmp_path / "out", 1).unlink()
     render_clips(tmp_path / "out", options, lambda *_: None)
     for a, b in zip(before, ClipDataset(tmp_path / "out").load(1), strict=True):

@@ -90,7 +90,8 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
 
 
 def _disk_use(out: Path, missing: int, options: ClipOptions) -> str:
-    needed, free = missing * bytes_per_clip(options.size, options.frames), shutil.disk_usage(out).free
+    layers = ("samples",) if options.assets else ()
+    needed, free = missing * bytes_per_clip(options.size, options.frames, layers), shutil.disk_usage(out).free
     if needed > free:
         raise InputError(f"{out}: {missing} clips take {_bytes(needed)}, {_bytes(free)} are free")
     return f"{missing} clips to render, {_bytes(needed)} on disk ({_bytes(free)} are free)"

@@ -82,7 +82,7 @@ def _render_take(
         samples = draw_samples(options, rng)
         spp, error = reference_samples(stage, numbers[len(numbers) // 2], options, samples, seed)
         render = RenderOptions(options.size, samples, spp, options.max_depth, seed)
-        more |= {"reference_error": error}
+        more |= {"reference_error": error} | ({"samples": samples} if options.assets else {})
         rendered.append(_render_clip(clip_path(out, index), stage, numbers, take.facts | more, render, clock))
         clock = time.process_time()
     stage.scene = whole
@@ -119,13 +119,15 @@ def reference_samples(stage: Stage, number: int, options: ClipOptions, samples: 
 def _render_clip(path: Path, stage: Stage, numbers: range, facts: dict, render: RenderOptions, clock: float) -> dict:
     """Render the frames `numbers`, write them, return the facts; `clock` is the processor time at which work began."""
     frames = [render_frame(stage, number, render) for number in numbers]
+    layers = ("samples",) if "samples" in facts else ()
+    for frame in frames if layers else ():
+        frame["samples"] = np.full((*render.size, 1), render.spp, np.float32)
     facts = facts | {
         "first_frame": numbers[0], "frames": len(numbers), "size": list(render.size), "spp": render.spp,
-        "samples": render.spp,
         "reference_spp": render.reference_spp, "max_depth": render.max_depth,
         "seconds": time.process_time() - clock, "versions": versions(),
     }  # fmt: skip
-    write_clip(path, frames, facts)
+    write_clip(path, frames, facts, layers)
     return facts
 
 
