@@ -194,7 +194,7 @@ def _finish(
         asset = b.choose(*passing, longest=(0.05, 1.2))
         thing = b.put(asset, (10.0 * k, PARKED, 0), rng.uniform(0, 360), claim=False)
         parked += [thing] if thing else []
-    order = [things[i] for i in rng.permutation(len(things))]
+    order = [things[i] for i in rng.permutation(len(things)) if not things[i].top]  # things stand on flat tops
     movers = sorted(order, key=lambda thing: not thing.asset.tags & {"people", "vehicle", "animal", "toy"})[:MOVERS]
     pivots = {id: thing.centre for thing in (*movers, *parked) for id in thing.ids}
     objects = tuple(_movable(o, pivots) for o in b.objects)
