@@ -13,6 +13,8 @@ from environments import Environment, build_wheel
 from PIL import Image
 from tolerances import TOLERANCES
 
+if not torch.cuda.is_available():
+    os.environ["TRITON_INTERPRET"] = "1"  # read when Triton is imported
 with contextlib.suppress(ImportError):
     import triton  # noqa: F401  (its LLVM must be loaded before that of Mesa's OpenGL, or the process crashes)
 

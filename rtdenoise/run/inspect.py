@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ..data.exr_format import group_channels
+from ..data.files import describe_gap
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from ..errors import INSTALL_TORCH
 from ..frame import Frame
@@ -18,7 +19,7 @@ from ..sanitise import faults
 from .plan import Plan, make_plan
 
 if TYPE_CHECKING:
-    from ..data.conventions import Verdict
+    from .conventions import Verdict
     from .motion_statistics import MotionStatistics
 
 HAS_TORCH = find_spec("torch") is not None
@@ -41,7 +42,7 @@ class Inspection:
     source: str
     files: int
     numbers: tuple[int, int]  # first and last
-    gaps: tuple[int, ...]
+    gaps: tuple[tuple[int, int], ...]  # (first, last) missing number of each
     size: tuple[int, int]  # (H, W)
     preset: str
     signal: str
@@ -112,7 +113,7 @@ def _examine(pairs: list[tuple[Frame, Frame]]) -> tuple[MotionStatistics, Verdic
     """The motion in pairs of consecutive frames of numpy arrays. Needs torch."""
     import torch
 
-    from ..data.conventions import check_motion
+    from .conventions import check_motion
     from .motion_statistics import motion_statistics
 
     tensors = [(before.map(torch.from_numpy), now.map(torch.from_numpy)) for before, now in pairs]
@@ -175,7 +176,9 @@ def render_text(found: Inspection, width: int = 120) -> str:
 def _summary(found: Inspection) -> list[tuple[str, str]]:
     """(label, text) pairs, a line each."""
     (H, W), (first, last) = found.size, found.numbers
-    gaps = f"; {len(found.gaps)} missing: {_shorten(found.gaps)}" if found.gaps else ", none missing"
+    missing = sum(end - start + 1 for start, end in found.gaps)
+    numbers = _shorten(tuple(map(describe_gap, found.gaps)))
+    gaps = f"; {missing} missing: {numbers}" if missing else ", none missing"
     scene = "yes" if found.scene else "no"
     bad = ", ".join(f"{what} ({count})" for what, count in found.faults.items()) or "none"
     divided = ", already divided by the albedo" if found.demodulated else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import subprocess
 from dataclasses import replace
@@ -14,6 +15,7 @@ from PIL import Image, ImageDraw
 from ..color import display, display_exposure
 from ..data.output import read_result, recombined
 from ..data.sequences import Sequence
+from ..files import replacing
 from ..sanitise import valid
 
 if TYPE_CHECKING:
@@ -45,7 +47,8 @@ def preview(
             scale = display_exposure(panels.get("reference", image))
         picture = strip(panels, scale)
         if not strips:
-            picture.save(out / "preview.png")
+            with replacing(out / "preview.png", ".png") as temporary:
+                picture.save(temporary)
         picture.thumbnail((WIDEST, WIDEST))
         strips.insert(0, picture)
     return [out / "preview.png", *([animate(strips, out / "preview")] if len(strips) > 1 else [])]
@@ -55,15 +58,17 @@ def animate(pictures: list[Image.Image], path: Path) -> Path:
     """Write pictures of one size as `path`.mp4 where ffmpeg is installed, else as `path`.gif; returns the file."""
     if shutil.which("ffmpeg"):
         width, height = (side // 2 * 2 for side in pictures[0].size)  # the codec wants even sides
-        command = [
-            "ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-            "-r", str(FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(path.with_suffix(".mp4")),
-        ]  # fmt: skip
         pixels = b"".join(picture.crop((0, 0, width, height)).tobytes() for picture in pictures)
-        if subprocess.run(command, input=pixels, check=False).returncode == 0:
+        with contextlib.suppress(subprocess.CalledProcessError), replacing(path.with_suffix(".mp4"), ".mp4") as film:
+            command = [
+                "ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
+                "-r", str(FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(film),
+            ]  # fmt: skip
+            subprocess.run(command, input=pixels, check=True)
             return path.with_suffix(".mp4")
     first, *rest = pictures
-    first.save(path.with_suffix(".gif"), save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0)
+    with replacing(path.with_suffix(".gif"), ".gif") as film:
+        first.save(film, save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0)
     return path.with_suffix(".gif")
 
 
