@@ -32,7 +32,7 @@ from ..sanitise import admit
 from ..splat import history_motion
 from .config import AccumulatedKPNConfig
 from .inference import as_weights
-from .losses import Loss, temporal_kpn_loss
+from .losses import frame_loss
 from .unet import ConvRelu, UNet, by_name
 
 FIRST_FRAME = slice(0, 3), slice(6, 19)  # input channels that are not zero everywhere in a first frame
@@ -72,6 +72,8 @@ class Heads:
 
 class AccumulatedKPN(nn.Module):
     """The network and its one-frame step, a `models.Denoiser`."""
+
+    loss = staticmethod(frame_loss)
 
     def __init__(self, config: AccumulatedKPNConfig) -> None:
         super().__init__()
@@ -188,18 +190,6 @@ class AccumulatedKPN(nn.Module):
         spatial = [scale["spatial"] for scale in (full, *coarser)]
         each = shares(full["shares"], (H, W)).split(1, dim=1)
         return Heads(spatial, alphas, picks, detail, full["temporal"], full.get("edge"), *each)
-
-    def loss(
-        self,
-        image: Tensor,
-        frame: Frame,
-        previous: tuple[Tensor, Tensor] | None,
-        occlusion: Tensor | None,
-        scale: Tensor | float,
-        huber: float,
-    ) -> Loss:
-        """As `Denoiser.loss`: eq. 5 and 6 of the paper."""
-        return temporal_kpn_loss(image, frame.reference, previous, occlusion, scale, huber)
 
     def _full_head(self, x: Tensor) -> dict[str, Tensor]:
         """The heads at full size by cells, `[B, 2, 2, channels, H/2, W/2]` each: a transposed convolution whose stride

@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..color import compress
+from ..frame import Frame
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,18 @@ def temporal_kpn_loss(
     if occlusion is not None:
         occluded = distance(image * occlusion, reference * occlusion)
     return Loss(spatial, temporal, occluded)
+
+
+def frame_loss(
+    image: Tensor,
+    frame: Frame,
+    previous: tuple[Tensor, Tensor] | None,
+    occlusion: Tensor | None,
+    scale: Tensor | float,
+    huber: float,
+) -> Loss:
+    """As `Denoiser.loss`: `temporal_kpn_loss` against the frame's reference."""
+    return temporal_kpn_loss(image, frame.reference, previous, occlusion, scale, huber)
 
 
 def smape(image: Tensor, reference: Tensor, scale: Tensor | float = 1.0) -> Tensor:

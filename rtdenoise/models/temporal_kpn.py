@@ -21,7 +21,7 @@ from ..sanitise import admit
 from ..splat import history_motion
 from .config import TemporalKPNConfig
 from .inference import as_weights
-from .losses import Loss, temporal_kpn_loss
+from .losses import frame_loss
 from .unet import UNet, by_name
 
 
@@ -37,6 +37,8 @@ class Heads:
 
 class TemporalKPN(nn.Module):
     """The network and its one-frame step, a `models.Denoiser`."""
+
+    loss = staticmethod(frame_loss)
 
     def __init__(self, config: TemporalKPNConfig) -> None:
         super().__init__()
@@ -108,15 +110,3 @@ class TemporalKPN(nn.Module):
             x.float().sigmoid() for x in (full["alpha_temporal"], *(c["alpha"] for c in coarser))
         )
         return Heads([c["spatial"] for c in (full, *coarser)], alphas, full["temporal"], alpha_temporal)
-
-    def loss(
-        self,
-        image: Tensor,
-        frame: Frame,
-        previous: tuple[Tensor, Tensor] | None,
-        occlusion: Tensor | None,
-        scale: Tensor | float,
-        huber: float,
-    ) -> Loss:
-        """As `Denoiser.loss`: eq. 5 and 6 of the paper."""
-        return temporal_kpn_loss(image, frame.reference, previous, occlusion, scale, huber)
