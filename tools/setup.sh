@@ -3,7 +3,8 @@
 #
 #   demo   .venv with PyTorch and the package
 #   gpu    and the extras of GPU tests and benchmarks; Mesa's OpenGL where the driver brings none
-#   test   and all extras; Mesa's OpenGL for the shaders, LLVM for rendering with Mitsuba, a browser for the report
+#   test   and all extras; Mesa's OpenGL for the shaders, LLVM for rendering with Mitsuba, a browser for the report,
+#          glslang for exported shaders
 #
 # PYTHON and TORCH in the environment name another interpreter and another build of PyTorch. System packages are installed
 # with apt where this runs as root; elsewhere a line says what to type.
@@ -33,6 +34,7 @@ main() {
         has_mitsuba || install "a library for Mitsuba" libatomic1
         has_llvm || install_llvm
         has_browser || install "a browser" chromium
+        command -v glslangValidator >/dev/null || install "glslang, for SPIR-V," glslang-tools
     fi
 }
 
