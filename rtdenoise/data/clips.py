@@ -1,8 +1,9 @@
 """Training clips on disk: one safetensors file for each clip, written atomically, read in slices. Needs no renderer.
 
 `clip_000123.safetensors` holds tensors `[T, C, H, W]` under the names and in the types of `layers.py` (id is uint8 in
-older clips). Every clip has the layers of `RADIANCE` and `FEATURES`, some have more. The header carries the clip's
-facts as JSON under "clip", and under "scales" the factors of the float16 layers that were divided to stay below 65504.
+older clips). Every clip has the layers of `FEATURES` and those of `RADIANCE` of one signal or both; some have more. The
+header carries the clip's facts as JSON under "clip", and under "scales" the factors of the float16 layers that were
+divided to stay below 65504.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 RADIANCE = tuple(layer for names in zip(*(SIGNALS[s].values() for s in SIGNALS), strict=True) for layer in names)
 FEATURES = tuple(name for name, layer in LAYERS.items() if layer.in_every_clip and name not in RADIANCE)
 OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_clip)
+SHOT = "shot"  # kind of the clips that are cut from frames on disk
 HALF_MAX = float(np.finfo(np.float16).max)
 MAX_SCALE = 1024.0  # more would leave half precision no digits for dark pixels; beyond it values are clamped
 
@@ -38,9 +40,12 @@ def clip_path(folder: Path, index: int) -> Path:
 
 def write_clip(
     path: Path,
-    frames: list[Mapping[str, np.ndarray]],  # consecutive frames: layer -> [H, W, C]; all of `RADIANCE` and `FEATURES`
+    frames: list[
+        Mapping[str, np.ndarray]
+    ],  # consecutive frames: layer -> [H, W, C]; all of `FEATURES` and of the signals
     facts: Mapping,  # JSON
     layers: Collection[str] = (),  # those of `OPTIONAL` to write too
+    signals: Collection[str] = tuple(SIGNALS),  # those that the frames have
 ) -> None:
     """Write a clip. Float16 layers of every clip are clamped to ±65504; optional ones are scaled instead.
 
@@ -50,7 +55,8 @@ def write_clip(
     if unknown := set(layers) - set(OPTIONAL):
         raise ValueError(f"{path}: unknown layer {unknown.pop()}; optional layers are {', '.join(OPTIONAL)}")
     tensors, scales = {}, {}
-    for name in (*RADIANCE, *FEATURES, *layers):
+    radiance = [name for name in RADIANCE if any(name in SIGNALS[signal].values() for signal in signals)]
+    for name in (*radiance, *FEATURES, *layers):
         values = np.stack([frame[name] for frame in frames]).transpose(0, 3, 1, 2)
         dtype = LAYERS[name].clip_type
         if name == "id" and values.max() > np.iinfo(dtype).max:
@@ -104,8 +110,8 @@ class ClipDataset:
         return read_facts(self.paths[index])
 
     def scenes(self) -> set[str]:
-        """The scenes that the clips show: the name of a scene file, or the version and seed of a generator. A generator
-        draws textures and objects from its seed, so scenes of different seeds share nothing."""
+        """The scenes that the clips show: the name of a scene file, the folder of a shot, or the version and seed of a
+        generator. A generator draws textures and objects from its seed, so scenes of different seeds share nothing."""
         return {_scene(self.facts(index)) for index in range(len(self))}
 
     def load(
@@ -121,13 +127,13 @@ class ClipDataset:
         """Consecutive frames of clip `index`, tensors [1, C, H, W] float32, of one random window; no more is read.
 
         `Frame.samples`, and for the signal `color` `Frame.components`, are loaded from the clips that have them. Raises
-        InputError for an unknown signal, a clip that is too small, and a layer that the clip lacks.
+        InputError for an unknown signal, a clip that is too small, and a signal or layer that the clip lacks.
         """
         path = self.paths[index]
         if signal not in SIGNALS:
             raise InputError(f"unknown signal '{signal}'; expected {' or '.join(SIGNALS)}")
         with _opened(path) as clip:
-            length, _, height, width = clip.get_slice("color").get_shape()
+            length, _, height, width = clip.get_slice("depth").get_shape()
             count = length if frames is None else frames
             window = (height, width) if size is None else (size, size) if isinstance(size, int) else size
             if count > length or window[0] > height or window[1] > width:
@@ -155,6 +161,9 @@ def _sources(path: Path, stored: set[str], signal: str, asked: Collection[str]) 
     if signal == "color":
         optional["components"] = COMPONENTS
     found = {field: (name,) for field, name in SIGNALS[signal].items()} | {name: (name,) for name in FEATURES}
+    if SIGNALS[signal]["radiance"] not in stored:
+        others = [name for name in SIGNALS if SIGNALS[name]["radiance"] in stored]
+        raise InputError(f"{path}: has no signal '{signal}'; train with --signal {others[0]}")
     for field in asked:
         if missing := [name for name in optional.get(field, (field,)) if name not in stored]:
             raise InputError(f"{path}: has no layer '{missing[0]}'; it has {', '.join(sorted(stored))}")
@@ -187,7 +196,7 @@ def _scales(clip) -> dict[str, float]:
 
 
 def _scene(facts: dict) -> str:
-    if facts.get("kind") == "scene file":
+    if facts.get("kind") in ("scene file", SHOT):
         return facts["source"]
     return f"generator {facts.get('generator')}, seed {facts.get('scene_seed', facts['seed'])}"
 
