@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from glob import glob, has_magic
@@ -15,6 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from ..errors import InputError
 from ..processes import end_with_parent, run_jobs
 from ..run.denoise import Options, Summary
+from ..threads import cpu_limit
 from .progress import progress_bar
 
 
@@ -54,7 +56,7 @@ class Denoise:
 
     def _denoise_many(self, shots: dict[str, str]) -> None:
         """Raises InputError where a shot does, after the others."""
-        cores = os.cpu_count() or 1
+        cores = min(os.cpu_count() or 1, cpu_limit() or sys.maxsize)
         workers = min(self.workers or max(1, cores // 4), len(shots))
         jobs = [(self, source, self.out / name) for name, source in shots.items()]
         failed = 0
@@ -149,6 +151,9 @@ def told(summary: Summary) -> list[str]:
     if summary.written:
         lines.append(f"denoiser: {1000 * summary.seconds / summary.written:.0f} ms a frame")
     lines += [f"replaced: {what} in {count} pixels" for what, count in summary.replaced.items()]
+    lines += [
+        f"passed on as in the input: NaN in {count} pixels of {name}" for name, count in summary.passed_on.items()
+    ]
     lines += [f"left out: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
     if summary.cuts:
         lines.append(f"cuts: history starts anew at frame {', '.join(map(str, summary.cuts))}")

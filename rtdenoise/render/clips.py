@@ -16,6 +16,7 @@ from pathlib import Path
 
 from ..data.clips import bytes_per_clip, clip_path, read_facts
 from ..errors import InputError
+from ..files import remove_unfinished
 from .card import write_card
 from .options import ClipOptions
 from .scene_clips import render_group
@@ -50,6 +51,7 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
     groups = {group: count for group, count in groups.items() if group % shards == shard}
     missing = sum(groups.values())
     with only_run(out, f"{shard}-of-{shards}"):
+        remove_unfinished(out)
         progress(0, missing, _disk_use(out, missing, options))
         done = 0
         for _, clips in run_jobs(render_group, [(out, group, options) for group in groups], options.workers):

@@ -20,14 +20,14 @@ from pathlib import Path
 from .. import __version__
 from ..data.clips import ClipDataset
 from ..errors import InputError
-from ..files import lock, write_atomically
+from ..files import lock, read_json, remove_unfinished, write_atomically
 from ..models import save
-from .batches import batch
 from .config import TrainConfig
 from .distributed import any_of, processes, wait_for_all
 from .log import Log
-from .trainer import Trainer, check
-from .validate import open_validation, validate
+from .tasks import task_of
+from .trainer import Trainer, check, model_config
+from .validate import open_validation
 
 OnStep = Callable[[int, int, float], None]  # step, steps in all, loss
 WEIGHTS, CHECKPOINT = "weights.safetensors", "checkpoint.pt"
@@ -52,7 +52,9 @@ def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None)
             raise InputError(f"batch: expected a multiple of the {count} processes, got {config.batch}")
         data = ClipDataset(*config.data)
         validation = open_validation(config, data)
-        batch(data, config, 0, share)  # clips that do not fit are refused before there is a run
+        task_of(model_config(config)).batch(
+            data, config, 0, share
+        )  # clips that do not fit are refused before there is a run
         out = Path(config.out)
         out.mkdir(parents=True, exist_ok=True)
         with lock(out) if rank == 0 else nullcontext():
@@ -69,9 +71,13 @@ def _train(
     out, first = Path(config.out), share[0] == 0
     trainer = Trainer(config)
     if first:
+        remove_unfinished(out)
         _same_config(config, out / "config.json")
     if (out / CHECKPOINT).exists():
         trainer.load(out / CHECKPOINT)
+        if trainer.step > config.steps:
+            raise InputError(f"{out / CHECKPOINT}: is of step {trainer.step}, the run has {config.steps}; remove it to "
+                             "begin anew")  # fmt: skip
     with _until_stopped() as stopping:
         if first:
             _lead(trainer, share, data, validation, stopping, on_step)
@@ -103,7 +109,7 @@ def _lead(
             if trainer.step % LOG_EVERY == 0 or last or not math.isfinite(row["grad_norm"]):
                 log.write(row)
             if validation and (trainer.step % config.validate_every == 0 or last):
-                found = validate(trainer.average, validation, config)
+                found = trainer.task.validate(trainer.average, validation, config)
                 log.write({"step": trainer.step, "validation": found})
                 if found["denoised"] > trainer.best:
                     trainer.best = found["denoised"]
@@ -125,12 +131,12 @@ def _steps(
     read meanwhile."""
     config = trainer.config
     with ThreadPoolExecutor(1) as reader:
-        waiting = reader.submit(batch, data, config, trainer.step, share)
+        waiting = reader.submit(trainer.task.batch, data, config, trainer.step, share)
         while trainer.step < config.steps and not any_of(bool(stopping)):
-            clip = waiting.result()
-            waiting = reader.submit(batch, data, config, trainer.step + 1, share)
+            batch = waiting.result()
+            waiting = reader.submit(trainer.task.batch, data, config, trainer.step + 1, share)
             started = time.perf_counter()
-            row = trainer.train_step([frame.to(config.device) for frame in clip])
+            row = trainer.train_step(batch)
             if trainer.skipped_in_turn == MAX_SKIPPED_IN_TURN:
                 raise InputError(
                     f"{config.out}: {MAX_SKIPPED_IN_TURN} steps in turn without a finite loss or gradient: the weights "
@@ -160,20 +166,23 @@ def _save_weights(trainer: Trainer, path: Path) -> None:
 
 def _compared(config: TrainConfig) -> dict:
     """The options that identify a run, as JSON holds them."""
-    return {key: value for key, value in asdict(config).items() if key not in NOT_COMPARED} | {"set": [*config.set]}
+    options = {key: value for key, value in asdict(config).items() if key not in NOT_COMPARED}
+    return {key: [*value] if isinstance(value, tuple) else value for key, value in options.items()}
 
 
 def _same_config(config: TrainConfig, path: Path) -> None:
     """Write the options of a new run; refuse to go on with other ones. Options missing from older runs take today's
     defaults; older runs call the network `preset`."""
-    options, defaults = _compared(config), {field.name: field.default for field in fields(TrainConfig)} | {"set": []}
+    options = _compared(config)
+    defaults = {field.name: field.default for field in fields(TrainConfig)}
+    defaults = {key: [*value] if isinstance(value, tuple) else value for key, value in defaults.items()}
     if not path.exists():
         write_atomically(path, (json.dumps({"version": __version__, "options": options}, indent=1) + "\n").encode())
         return
     try:
-        before = json.loads(path.read_text())["options"]
+        before = dict(read_json(path)["options"])
         before.setdefault("model", before.get("preset", defaults["model"]))
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError):  # ValueError: InputError too
         raise InputError(f"{path}: not the options of a run; use another --out") from None
     for key, now in options.items():
         if (was := before.get(key, defaults[key])) != now:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -16,6 +15,7 @@ from PIL import Image
 
 from ...color import srgb_decode
 from ...errors import InputError
+from ...files import read_json
 from ..stage import start_mitsuba
 from .meshes import Mesh
 from .scene import Principled
@@ -188,12 +188,7 @@ def _read_ply(path: Path) -> Mesh:
 
 
 def _read_json(path: Path) -> dict:
-    try:
-        document = json.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not valid JSON: {error}") from error
+    document = read_json(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected a JSON object")
     return document
