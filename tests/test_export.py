@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import shutil
 import struct
 import subprocess
@@ -73,6 +74,15 @@ def test_the_player_sees_what_differs(exported, gl, player, tmp_path):
     weights[offset : offset + 16] = struct.pack("4f", 9, 9, 9, 9)
     (broken / "weights.bin").write_bytes(weights)
     assert not player.check(player.Player(broken, gl))
+
+
+def test_another_rounding_is_close(exported, gl, player, tmp_path, capsys):
+    rounded = shutil.copytree(exported, tmp_path / "rounded")
+    weights = np.fromfile(rounded / "weights.bin", np.float32) * np.float32(1 + 1e-6)
+    weights.tofile(rounded / "weights.bin")
+    assert player.check(player.Player(rounded, gl))
+    same, close = (int(number) for number in re.findall(r"(\d+) passes (?:same|close)", capsys.readouterr().out))
+    assert same > 10 and close > 10
 
 
 def test_everything_named_is_there(exported):

@@ -14,9 +14,9 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from ..errors import InputError
-from ..processes import end_with_parent, run_jobs
 from ..run.denoise import Options, Summary
-from ..threads import cpu_limit
+from ..run.processes import end_with_parent, run_jobs
+from ..run.threads import cpu_limit
 from .progress import progress_bar
 
 

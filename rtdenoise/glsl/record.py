@@ -17,6 +17,7 @@ from .pipeline import Pipeline
 from .state import History
 
 BEFORE = "_before"  # ends the names of the previous frame's history
+UNKNOWN = 1e30  # greater values stand for "none", and are left out of statistics
 PROBES = 16  # values of an array that its check lists
 
 
@@ -80,10 +81,11 @@ def check(values: np.ndarray) -> dict:
     flat = values.reshape(-1)
     at = np.linspace(0, flat.size - 1, min(PROBES, flat.size)).astype(int)
     exact = flat.astype(np.float64)
+    known = exact[np.abs(exact) < UNKNOWN]
     return {
         "crc32": zlib.crc32(np.ascontiguousarray(values)),
-        "mean": float(exact.mean()),
-        "rms": float(np.sqrt(np.mean(exact**2))),
+        "mean": float(known.mean()) if known.size else 0.0,
+        "rms": float(np.sqrt(np.mean(known**2))) if known.size else 0.0,
         "values": {str(i): float(exact[i]) for i in at},
     }
 

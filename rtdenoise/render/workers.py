@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from .. import processes
 from ..files import lock
+from ..run import processes
 from .stage import start_mitsuba
 
 KILLED = (
