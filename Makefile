@@ -26,7 +26,7 @@ test: $(VENV)/.ready-test  ## run all the tests; one that is skipped fails
 lint: $(VENV)/.ready-test  ## ruff
 	$(VENV)/bin/ruff check
 
-wheel: $(VENV)/.ready-test  ## build dist/*.whl
+wheel: $(VENV)/.ready-build  ## build dist/*.whl
 	$(VENV)/bin/python -m build --wheel
 
 clean:  ## remove .venv and whatever was built

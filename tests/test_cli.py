@@ -18,7 +18,7 @@ from rtdenoise.cli.main import main
 from rtdenoise.cli.progress import progress_bar
 from rtdenoise.run.denoise import Summary
 
-VERBS = ("denoise", "inspect", "render", "clips", "clean", "train", "evaluate", "report", "view", "demo")
+VERBS = ("denoise", "inspect", "render", "clips", "clean", "train", "evaluate", "report", "view", "export", "demo")
 RUN = "from rtdenoise.cli.main import main; import sys; main(sys.argv[1:])"
 
 

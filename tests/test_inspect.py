@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+import shlex
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 import torch
+from synthetic import make_frames, write_sequence
 
+from rtdenoise.cli.main import main
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.ops import warp
 from rtdenoise.run.conventions import READINGS, Reading
-from rtdenoise.run.inspect import inspect, render_text
+from rtdenoise.run.inspect import inspect, next_step, render_text
 
 H, W, FRAMES = 72, 110, 4
 
@@ -236,6 +239,30 @@ def test_the_facts(tmp_path):
         and "write it as normal.X" in text
     )
     assert "OK: previous - current, pixels, y down" in text and "albedo.R, albedo.G" in text
+    assert next_step(found) == "add normal, which denoising needs: write it as normal.X, normal.Y, normal.Z"
+
+
+def test_what_nothing_spares_is_told_when_asked(tmp_path):
+    found = inspect(write_sequence(tmp_path / "shot", make_frames(3)))
+    assert "warp of history: 0 of 2 frames" in render_text(found, verbose=True)
+    assert "0 of" not in render_text(found) and "never" not in render_text(found)
+
+
+def test_the_next_step_is_a_command_that_works(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_sequence(tmp_path / "my shot", make_frames(3))
+    (tmp_path / "my shot" / "frame.0001.exr").unlink()
+    main(["inspect", "my shot", "--signal", "indirect", "--allow-gaps"])
+    command = capsys.readouterr().out.splitlines()[-1]
+    assert command == "next: rtdenoise denoise 'my shot' --out clean/ --signal indirect --allow-gaps"
+    main(shlex.split(command)[2:])
+    assert (tmp_path / "clean" / "frame.0002.exr").is_file()
+
+
+def test_wrong_motion_comes_first(tmp_path):
+    frames = [replace(frame, motion=-frame.motion) for frame in make_frames(4, H=64, W=64, noise=0)]
+    found = inspect(write_sequence(tmp_path / "shot", frames))
+    assert found.convention.status == "wrong" and next_step(found).startswith("mend the motion vectors")
 
 
 def test_motion_statistics(tmp_path):

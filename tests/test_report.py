@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import shutil
 import zlib
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from browser import Browser
+from PIL import Image
 from synthetic import make_frames, write_sequence
 
 from rtdenoise.cli.main import main
@@ -82,8 +84,18 @@ def shown(page, side="left", layer=0):
     return np.array(pixels[2]).reshape(pixels[0], pixels[1], 4)
 
 
+def played(page, name):
+    """The frame that a player shows, `[H, W, 3]` in 0 … 255."""
+    pixels = page.value(f"""(() => {{
+        const canvas = document.querySelector("#players [data-method={name}] canvas");
+        const all = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        return [canvas.height, canvas.width, Array.from(all.data)];
+    }})()""")
+    return np.array(pixels[2]).reshape(pixels[0], pixels[1], 4)[..., :3]
+
+
 def test_it_opens_and_everything_is_drawn(page, measured):
-    assert page.value("document.querySelector('h1').textContent") == "Error against run time"
+    assert page.value("document.querySelector('h1').textContent") == "Denoisers compared"
     origin = page.value("document.querySelector('#origin').textContent")
     own = Document.read(measured).sequences["mural"]["reference_psnr"]
     assert float(re.search(r"mural320×180.*?%(\d+\.\d\d)", origin)[1]) == pytest.approx(own, abs=0.01)
@@ -93,8 +105,9 @@ def test_it_opens_and_everything_is_drawn(page, measured):
     page.screenshot(ARTEFACTS / "report.png")
 
 
-def test_what_is_lost_stands_first(page, measured):
-    assert page.value("document.querySelector('section').id") == "verdict"
+def test_pictures_stand_first_then_what_is_lost(page, measured):
+    order = page.value("[...document.querySelectorAll('section')].map((section) => section.id)")
+    assert order[:3] == ["playback", "compare", "verdict"]
     lost = page.value("document.querySelectorAll('#verdict td.peer').length")
     told = page.value("document.getElementById('verdict-text').textContent")
     assert lost and f"in {lost} of " in told and "oidn" in told
@@ -104,9 +117,9 @@ def test_what_is_lost_stands_first(page, measured):
 
 def test_the_chart_has_a_mark_a_method_and_tells_its_numbers(page, measured):
     choose(page, "Sequence", "mural")
-    marks = page.value("[...document.querySelectorAll('#scatter .mark')].map((m) => m.dataset.method)")
+    marks = page.value("[...document.querySelectorAll('#scatter-chart .mark')].map((m) => m.dataset.method)")
     assert sorted(marks) == ["accumulate", "oidn", "paper"]
-    page.value("""document.querySelector('#scatter .mark[data-method="paper"]')
+    page.value("""document.querySelector('#scatter-chart .mark[data-method="paper"]')
         .dispatchEvent(new MouseEvent("mousemove", { clientX: 300, clientY: 300, bubbles: true }))""")
     result = Document.read(measured).find(sequence="mural", spp=1, method="paper", precision="fp32", device="cpu")
     assert f"{result['errors']['frame']['psnr']:.2f} dB" in page.value("document.getElementById('tip').textContent")
@@ -115,7 +128,7 @@ def test_the_chart_has_a_mark_a_method_and_tells_its_numbers(page, measured):
 def test_rendering_counts_where_its_cost_is_known(page):
     choose(page, "Sequence", "square")
     press(page, "total")
-    assert page.value("document.querySelectorAll('#scatter .mark').length") == 8  # four methods at 1 and 4 spp
+    assert page.value("document.querySelectorAll('#scatter-chart .mark').length") == 8  # four methods at 1 and 4 spp
     assert "spp" in page.value("document.querySelector('#readings td:nth-child(2)').textContent")
     choose(page, "Sequence", "mural")
     assert page.value("document.querySelector('button[data-value=total]')") is None
@@ -149,6 +162,127 @@ def test_errors_over_frames_have_a_point_a_frame(page, measured):
     rows = [row for row in Document.read(measured).results if (row["sequence"], row["spp"]) == ("mural", 1)]
     known = [f for row in rows for f in row["frames"] if f["frame"]["psnr_corrected"] is not None]
     assert shown == len(known) > 0
+
+
+def test_sequences_play_in_step(page, measured):
+    choose(page, "Sequence", "mural")
+    page.wait("document.getElementById('players').dataset.ready === 'mural'")
+    names = page.value("[...document.querySelectorAll('#players figure')].map((f) => f.dataset.method)")
+    assert names == ["noisy", "accumulate", "oidn", "paper", "reference"]
+    first = page.value("player.frame")
+    page.wait(f"player.frame !== {first}")  # it plays
+    page.value("document.getElementById('play').click()")
+    for frame in (0, 2):
+        page.value(f"showFrame({frame})")
+        sequence = Document.read(measured).sequences["mural"]
+        height = sequence["playback"]["window"][2]
+        with Image.open(measured / "playback" / "mural" / "oidn.webp") as strip:
+            expected = np.asarray(strip.convert("RGB"))[frame * height : (frame + 1) * height]
+        assert np.abs(played(page, "oidn") - expected).max() <= 2
+        assert f"frame {sequence['frames'][frame]}" in page.value("document.getElementById('frame-number').textContent")
+    result = Document.read(measured).find(sequence="mural", spp=1, method="oidn", precision="fp32", device="cpu")
+    (psnr,) = (f["frame"]["psnr"] for f in result["frames"] if f["number"] == sequence["frames"][2])
+    assert f"{psnr:.2f} dB" in page.value("document.querySelector('#players [data-method=oidn]').textContent")
+
+
+def test_flicker_is_the_change_of_the_error(page):
+    choose(page, "Sequence", "mural")
+    page.wait("document.getElementById('players').dataset.ready === 'mural'")
+    page.value("setPlaying(false)")
+    press(page, "flicker")
+    page.value("showFrame(1)")
+    noisy, ours, truth = (played(page, name).astype(float).mean() for name in ("noisy", "paper", "reference"))
+    assert noisy > 2 * ours > 0 and truth <= 2  # the reference has no error
+    page.screenshot(ARTEFACTS / "flicker.png", whole=False)
+    press(page, "picture")
+
+
+def test_the_strip_shows_what_was_denoised(measured):
+    sequence = Document.read(measured).sequences["mural"]
+    still, (top, left, height, width) = sequence["stills"][0], sequence["playback"]["window"]
+    planes = read_channels(measured / "pictures" / "mural" / f"{still:04d}" / "paper.exr", ["R", "G", "B"])
+    image = torch.from_numpy(np.stack([planes[c] for c in "RGB"]))[:, top : top + height, left : left + width]
+    expected = display(image, sequence["exposure"]).permute(1, 2, 0).numpy() * 255
+    with Image.open(measured / "playback" / "mural" / "paper.webp") as strip:
+        frame = sequence["playback"]["frames"].index(still)
+        found = np.asarray(strip.convert("RGB"))[frame * height : (frame + 1) * height].astype(float)
+    assert np.abs(found - expected).mean() < 4  # WebP
+
+
+def test_a_page_without_strips_or_pictures_leaves_these_sections_out(browser, measured, tmp_path):
+    shutil.copy(measured / "evaluation.json", tmp_path)
+    report(tmp_path)
+    browser.problems.clear()
+    browser.open(tmp_path / "report.html")
+    browser.wait("document.querySelector('#scatter svg')")
+    hidden = browser.value("[...document.querySelectorAll('section')].filter((s) => s.hidden).map((s) => s.id)")
+    assert hidden == ["playback", "compare"] and browser.problems == []
+
+
+OVERLAPS = """(() => {
+    const texts = [...document.querySelectorAll("figure svg text")], found = [];
+    const boxes = texts.map((node) => [node, node.getBoundingClientRect()]);
+    for (const [i, [a, p]] of boxes.entries()) {
+        for (const [b, q] of boxes.slice(i + 1)) {
+            const x = Math.min(p.right, q.right) - Math.max(p.left, q.left);
+            const y = Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top);
+            if (x > 1 && y > 3) found.push(`${a.textContent} | ${b.textContent}`);
+        }
+    }
+    return found;
+})()"""
+
+
+@pytest.fixture(scope="module")
+def crowded(measured, tmp_path_factory):
+    """The same with two dozen methods whose numbers are close together."""
+    folder, rng = tmp_path_factory.mktemp("crowded"), np.random.default_rng(0)
+    document = Document.read(measured)
+    for row in [row for row in document.results if row["method"] in ("oidn", "paper")]:
+        for i in range(10):
+            name = f"{row['method']}-variant-{i}"
+            document.methods[name] = document.methods[row["method"]]
+            errors = {
+                region: {m: v if v is None else v * rng.uniform(0.97, 1.03) for m, v in values.items()}
+                for region, values in row["errors"].items()
+            }
+            ms = row["ms"] | {"median": row["ms"]["median"] * rng.uniform(0.8, 1.2)}
+            document.results.append(row | {"method": name, "errors": errors, "ms": ms})
+    document.write(folder)
+    report(folder)
+    return folder
+
+
+@pytest.mark.parametrize("width", [1280, 420])
+def test_nothing_overlaps_and_nothing_is_cut(browser, measured, crowded, width):
+    browser.problems.clear()
+    browser.resize(width, 900)
+    for folder in (measured, crowded):
+        browser.open(folder / "report.html")
+        browser.wait("document.querySelector('#frames svg') || document.querySelector('#scatter svg')")
+        for sequence in ("mural", "square"):
+            choose(browser, "Sequence", sequence)
+            assert browser.value(OVERLAPS) == []
+        assert browser.value("document.documentElement.scrollWidth") <= width
+        assert browser.value("parseFloat(getComputedStyle(document.querySelector('figure svg text')).fontSize)") >= 12
+        assert browser.value("document.querySelector('figure svg').getBoundingClientRect().width") == pytest.approx(
+            browser.value("document.querySelector('figure svg').viewBox.baseVal.width"), rel=0.1
+        )  # text keeps its size
+        browser.screenshot(ARTEFACTS / f"{folder.name.rstrip('0123456789')}-{width}.png")
+    assert browser.problems == []
+    browser.resize(1400, 1000)
+
+
+def test_a_family_has_a_colour_and_its_methods_have_shapes(browser, crowded):
+    browser.open(crowded / "report.html")
+    browser.wait("document.querySelector('#scatter svg')")
+    styles = browser.value(
+        "Object.values(STYLE).map(({ family, colour, shape }) => [family, colour, JSON.stringify(shape)])"
+    )
+    families = {family: {colour for f, colour, _ in styles if f == family} for family, _, _ in styles}
+    assert all(len(colours) == 1 for colours in families.values())
+    assert len({colour for _, colour, _ in styles}) == len(families)
+    assert len({(family, shape) for family, _, shape in styles}) == len(styles)
 
 
 def test_the_slider_moves(page):

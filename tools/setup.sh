@@ -1,9 +1,13 @@
 #!/bin/sh
-# Set up .venv for `make demo`, `make test` or tools/gpu_check.sh; skips what is there:  sh tools/setup.sh demo|test|gpu
+# Set up .venv for `make demo`, `make test`, `make wheel` or tools/gpu_check.sh; skips what is there:
+#
+#   sh tools/setup.sh demo|test|build|gpu
 #
 #   demo   .venv with PyTorch and the package
+#   build  .venv with the package's builder alone
 #   gpu    and the extras of GPU tests and benchmarks; Mesa's OpenGL where the driver brings none
-#   test   and all extras; Mesa's OpenGL for the shaders, LLVM for rendering with Mitsuba, a browser for the report
+#   test   and all extras; Mesa's OpenGL for the shaders, LLVM for rendering with Mitsuba, a browser for the report,
+#          glslang for exported shaders
 #
 # PYTHON and TORCH in the environment name another interpreter and another build of PyTorch. System packages are installed
 # with apt where this runs as root; elsewhere a line says what to type.
@@ -20,7 +24,13 @@ main() {
         demo) extras="[torch]" ;;
         test) extras="[render,noisebase,tensorboard,bench,dev]" ;;
         gpu) extras="[bench,dev]" ;;
-        *) fail "usage: sh tools/setup.sh demo|test|gpu" ;;
+        build)
+            make_venv
+            say "installing build"
+            pip install build
+            return
+            ;;
+        *) fail "usage: sh tools/setup.sh demo|test|build|gpu" ;;
     esac
     make_venv
     install_torch
@@ -33,6 +43,7 @@ main() {
         has_mitsuba || install "a library for Mitsuba" libatomic1
         has_llvm || install_llvm
         has_browser || install "a browser" chromium
+        command -v glslangValidator >/dev/null || install "glslang, for SPIR-V," glslang-tools
     fi
 }
 

@@ -1,10 +1,12 @@
-"""`rtdenoise clips`: sets of training clips."""
+"""`rtdenoise clips`: sets of training clips, rendered or cut from shots."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
 
 from ..errors import InputError
 from .progress import progress_bar
@@ -12,13 +14,17 @@ from .render import at_least_one
 
 OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error", "assets"}
 OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
+OF_SHOTS = {"reference", "preset"}
+OF_BOTH = {"shots", "out", "count", "frames", "size", "width", "height", "seed"}
 
 
 @dataclass(frozen=True)
 class Clips:
-    """Render training clips with Mitsuba 3: windows of animated scenes in which something happens."""
+    """Make training clips: windows of animated scenes, rendered with Mitsuba 3, or windows of your own frames."""
 
-    out: Path
+    shots: Annotated[Positional[tuple[str, ...]], arg(metavar="SHOT ...", help_behavior_hint="(none: render)")] = ()
+    """Folders of EXR files to cut clips from: noisy frames, features and references."""
+    out: Path = field(kw_only=True)
     """Folder for the clips; existing ones are kept, so running again continues."""
     count: int = 300
     """Clips of the set."""
@@ -57,6 +63,11 @@ class Clips:
     """With --generator 1: samples per pixel of the references (default: 64), more in noisier scenes."""
     max_depth: int = 6
     """Longest light path, in edges."""
+    reference: Annotated[tuple[Path, ...], arg(help_behavior_hint="(default: the layers of SHOT)")] = ()
+    """With SHOT: folders of converged renders of the same frames, one a shot, where the references are in other
+    files."""
+    preset: str = "auto"
+    """With SHOT: layout of the files, as for inspect."""
     seed: int = 0
     """Of the set; with --generator 1, of the scene of clip 0, clip i has seed + i."""
     shard: str = "0/1"
@@ -66,6 +77,30 @@ class Clips:
 
     def run(self) -> None:
         at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers")
+        if self.shots:
+            self._cut()
+        else:
+            self._render()
+
+    def _cut(self) -> None:
+        if unused := self._given() - OF_SHOTS - OF_BOTH:
+            raise InputError(f"{_option(min(unused))}: is for rendering, and does not go with SHOT")
+        from ..training.shots import CutOptions, cut_clips
+
+        size = (self.height or self.size, self.width or self.size)
+        options = CutOptions(self.count, size, self.frames, self.seed, self.preset)
+        with progress_bar("cutting") as bar:
+            task = bar.add_task("cut", total=None)
+            count = cut_clips(
+                self.shots, self.out, options, self.reference,
+                lambda done, total: bar.update(task, completed=done, total=total),
+                lambda line: bar.console.print(line, markup=False, highlight=False, soft_wrap=True),
+            )  # fmt: skip
+        print(f"{self.out}: {count} clips; DATA.md says what they are")
+
+    def _render(self) -> None:
+        if unused := self._given() & OF_SHOTS:
+            raise InputError(f"{_option(min(unused))}: goes with SHOT")
         for name in ("sun", "calm"):
             if not 0 <= (share := getattr(self, name)) <= 1:
                 raise InputError(f"--{name}: expected a share from 0 to 1, got {share}")
@@ -94,9 +129,9 @@ class Clips:
 
     def _refuse_unused_options(self) -> None:
         """Raise InputError for options that the generator does not take."""
-        given = {option.name for option in fields(self) if getattr(self, option.name) != option.default}
+        given = self._given()
         if self.generator == 1 and (unused := given & OF_WINDOWS):
-            raise InputError(f"--{min(unused).replace('_', '-')}: goes with --generator 2 and 3, not with 1")
+            raise InputError(f"{_option(min(unused))}: goes with --generator 2 and 3, not with 1")
         if self.generator != 1 and self.reference_spp is not None:
             raise InputError("--reference-spp: goes with --generator 1; other sets take --reference-error")
         if self.reference_spp == 0:
@@ -107,3 +142,12 @@ class Clips:
             raise InputError("--allow-unlicensed: goes with --assets")
         if given & {"motions", "exclude"} and not self.scenes:
             raise InputError("--motions, --exclude: go with --scenes")
+
+    def _given(self) -> set[str]:
+        """Fields of the options that differ from their defaults."""
+        return {option.name for option in fields(self) if getattr(self, option.name) != option.default}
+
+
+def _option(name: str) -> str:
+    """The option of a field, as it is typed."""
+    return f"--{name.replace('_', '-')}"

@@ -17,6 +17,7 @@ from .demo import Demo
 from .denoise import Denoise
 from .estimates import Estimates
 from .evaluate import Evaluate
+from .export import Export
 from .inspect import Inspect
 from .render import Render
 from .report import Report
@@ -34,6 +35,7 @@ Command = (
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Report, subcommand("report")]
     | Annotated[View, subcommand("view")]
+    | Annotated[Export, subcommand("export")]
     | Annotated[Demo, subcommand("demo")]
 )
 ABOUT = "Real-time denoising of path-traced animations. `rtdenoise --version` prints the version."

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from glob import glob, has_magic
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from ..errors import InputError
 from ..run.denoise import Options, Summary
+from ..run.processes import end_with_parent, run_jobs
+from ..run.threads import cpu_limit
 from .progress import progress_bar
 
 
 @dataclass(frozen=True)
 class Denoise:
-    """Denoise a sequence of EXR files: one file of the same name each, the result in R,G,B."""
+    """Denoise sequences of EXR files: one file of the same name each, the result in R,G,B."""
 
-    source: Annotated[Positional[str], arg(metavar="SEQ")]
-    """Folder of EXR files, or a glob in quotes."""
+    sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SEQ ...", help_behavior_hint="(one or more)")]
+    """Folder of EXR files, or a glob in quotes. Several folders, or a glob of folders such as 'shots/*', are several
+    shots: each gets a folder of its name in --out."""
     out: Path
     """Folder for the denoised files; never the folder of the input."""
     settings: OmitArgPrefixes[Options] = field(default_factory=Options)
@@ -25,33 +34,114 @@ class Denoise:
     """Denoise all frames again, whatever --out holds."""
     preview: bool = False
     """Also write preview.png and an animation: noisy | denoised | reference."""
+    workers: Annotated[int | None, arg(help_behavior_hint="(default: one for every four cores)")] = None
+    """Shots that are denoised at a time, by a process each."""
 
     def run(self) -> None:
-        from ..run.denoise import denoise
-        from ..run.memory import keep_freed
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"--workers: expected 1 or more, got {self.workers}")
+        shots = find_shots(self.sources, self.out)
+        if shots is None:
+            self._denoise_one(self.sources[0])
+        else:
+            self._denoise_many(shots)
 
-        keep_freed()
+    def _denoise_one(self, source: str) -> None:
         with progress_bar("denoising") as bar:
             task = bar.add_task("denoise", total=None)
-            summary = denoise(
-                self.source, self.out, self.settings, self.overwrite,
-                lambda done, total: bar.update(task, completed=done, total=total),
-            )  # fmt: skip
-        written, *more = told(summary)
-        print("\n".join([f"{self.out}: {written}", *more]))
-        if self.preview:
-            print("preview:", ", ".join(map(str, self._preview())))
+            lines = denoise_shot(
+                self, source, self.out, lambda done, total: bar.update(task, completed=done, total=total)
+            )
+        print(f"{self.out}: " + "\n".join(lines))
 
-    def _preview(self) -> list[Path]:
-        from ..data.sequences import open_sequence
-        from ..run.preview import preview
+    def _denoise_many(self, shots: dict[str, str]) -> None:
+        """Raises InputError where a shot does, after the others."""
+        cores = min(os.cpu_count() or 1, cpu_limit() or sys.maxsize)
+        workers = min(self.workers or max(1, cores // 4), len(shots))
+        jobs = [(self, source, self.out / name) for name, source in shots.items()]
+        failed = 0
+        with progress_bar("denoising shots") as bar:
+            task = bar.add_task("denoise", total=len(shots))
+            bar.update(task, completed=0)
+            for done, (job, lines) in enumerate(run_jobs(_try, jobs, workers, _start, (cores // workers,)), start=1):
+                failed += isinstance(lines, InputError)
+                told_of = f"failed: {lines}" if isinstance(lines, InputError) else "; ".join(lines)
+                bar.console.print(f"{job[2]}: {told_of}", markup=False, highlight=False, soft_wrap=True)
+                bar.update(task, completed=done)
+        if failed:
+            raise InputError(f"{failed} of {len(shots)} shots failed, as told above; the others are denoised")
 
-        options = self.settings
-        sequence = open_sequence(
-            self.source, signal=options.signal, preset=options.preset, layers=("reference",),
-            allow_gaps=options.allow_gaps,
-        )  # fmt: skip
-        return preview(sequence, self.out, options.layout, options.recombine)
+
+def find_shots(sources: tuple[str, ...], out: Path) -> dict[str, str] | None:
+    """Name -> folder, or glob, of each of several shots; None where `sources` is one sequence. The name is that of the
+    folder, with as much of its path as tells all shots apart.
+
+    Raises InputError where nothing is named, or a shot twice.
+    """
+    if not sources:
+        raise InputError("no sequence: name a folder of EXR files")
+    folders = [folder for source in sources for folder in _folders(source, out)]
+    if len(folders) == 1 and folders == list(sources):
+        return None
+    paths = [Path(folder).resolve() for folder in folders]
+    if twice := [folder for folder, path in zip(folders, paths, strict=True) if paths.count(path) > 1]:
+        raise InputError(f"{twice[0]}: is named twice")
+    names = [path.name for path in paths]
+    if len(set(names)) < len(names):
+        shared = os.path.commonpath([path.parent for path in paths])
+        names = [path.relative_to(shared).as_posix() for path in paths]
+    return dict(zip(names, folders, strict=True))
+
+
+def _folders(source: str, out: Path) -> list[str]:
+    """The folders that a glob names, but for `out`; `source` itself where it is no glob of folders."""
+    if not has_magic(source) or Path(source).exists():
+        return [source]
+    found = sorted(path for path in glob(source) if Path(path).is_dir() and Path(path).resolve() != out.resolve())
+    return found or [source]
+
+
+def denoise_shot(
+    command: Denoise, source: str, out: Path, on_frame: Callable[[int, int], None] = lambda done, total: None
+) -> list[str]:
+    """Denoise one sequence. Returns what there is to say about it. Raises InputError as `run.denoise.denoise`."""
+    from ..run.denoise import denoise
+    from ..run.memory import keep_freed
+
+    keep_freed()
+    lines = told(denoise(source, out, command.settings, command.overwrite, on_frame))
+    if command.preview:
+        lines.append(f"preview: {', '.join(map(str, _preview(command.settings, source, out)))}")
+    return lines
+
+
+def _preview(options: Options, source: str, out: Path) -> list[Path]:
+    from ..data.sequences import open_sequence
+    from ..run.preview import preview
+
+    sequence = open_sequence(
+        source, signal=options.signal, preset=options.preset, layers=("reference",), allow_gaps=options.allow_gaps
+    )
+    return preview(sequence, out, options.layout, options.recombine)
+
+
+def _try(command: Denoise, source: str, out: Path) -> list[str] | InputError:
+    """`denoise_shot` in a process of its own: an error is handed back, so that other shots go on."""
+    try:
+        return denoise_shot(command, source, out)
+    except InputError as error:
+        return error
+
+
+def _start(threads: int) -> None:
+    """Prepare a process: its share of the cores, and no traceback after Ctrl-C."""
+    end_with_parent()
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+    try:
+        import torch
+    except ModuleNotFoundError:  # the shaders do without
+        return
+    torch.set_num_threads(threads)
 
 
 def told(summary: Summary) -> list[str]:

@@ -22,8 +22,13 @@ class Inspect:
     file."""
     allow_gaps: bool = False
     """Accept missing frame numbers."""
+    verbose: bool = False
+    """Also list the work that every frame needs."""
 
     def run(self) -> None:
-        from ..run.inspect import inspect, render_text
+        from ..run.inspect import inspect, next_step, render_text
 
-        print(render_text(inspect(self.source, signal=self.signal, preset=self.preset, allow_gaps=self.allow_gaps)))
+        options = {"signal": self.signal, "preset": self.preset, "allow_gaps": self.allow_gaps}
+        found = inspect(self.source, **options)
+        given = {name: value for name, value in options.items() if value != getattr(Inspect, name)}
+        print(f"{render_text(found, verbose=self.verbose)}\n\nnext: {next_step(found, given)}")

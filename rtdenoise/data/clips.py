@@ -1,8 +1,9 @@
 """Training clips on disk: one safetensors file for each clip, written atomically, read in slices. Needs no renderer.
 
 `clip_000123.safetensors` holds tensors `[T, C, H, W]` under the names and in the types of `layers.py` (id is uint8 in
-older clips). Every clip has the layers of `RADIANCE` and `FEATURES`, some have more. The header carries the clip's
-facts as JSON under "clip", and under "scales" the factors of the float16 layers that were divided to stay below 65504.
+older clips). Every clip has the layers of `FEATURES` and those of `RADIANCE` of one signal or both; some have more. The
+header carries the clip's facts as JSON under "clip", and under "scales" the factors of the float16 layers that were
+divided to stay below 65504.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 RADIANCE = tuple(layer for names in zip(*(SIGNALS[s].values() for s in SIGNALS), strict=True) for layer in names)
 FEATURES = tuple(name for name, layer in LAYERS.items() if layer.in_every_clip and name not in RADIANCE)
 OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_clip)
+SHOT = "shot"  # kind of the clips that are cut from frames on disk
 HALF_MAX = float(np.finfo(np.float16).max)
 FLOAT_TYPES, ID_TYPES = ("F16", "F32"), ("U16", "U8", "F32")  # of clips of any age, as safetensors names them
 MAX_SCALE = 1024.0  # more would leave half precision no digits for dark pixels; beyond it values are clamped
@@ -41,9 +43,12 @@ def clip_path(folder: Path, index: int) -> Path:
 
 def write_clip(
     path: Path,
-    frames: list[Mapping[str, np.ndarray]],  # consecutive frames: layer -> [H, W, C]; all of `RADIANCE` and `FEATURES`
+    frames: list[
+        Mapping[str, np.ndarray]
+    ],  # consecutive frames: layer -> [H, W, C]; all of `FEATURES` and of the signals
     facts: Mapping,  # JSON
     layers: Collection[str] = (),  # those of `OPTIONAL` to write too
+    signals: Collection[str] = tuple(SIGNALS),  # those that the frames have
 ) -> None:
     """Write a clip. Float16 layers of every clip are clamped to ±65504; optional ones are scaled instead.
 
@@ -53,7 +58,8 @@ def write_clip(
     if unknown := set(layers) - set(OPTIONAL):
         raise ValueError(f"{path}: unknown layer {unknown.pop()}; optional layers are {', '.join(OPTIONAL)}")
     tensors, scales = {}, {}
-    for name in (*RADIANCE, *FEATURES, *layers):
+    radiance = [name for name in RADIANCE if any(name in SIGNALS[signal].values() for signal in signals)]
+    for name in (*radiance, *FEATURES, *layers):
         values = np.stack([frame[name] for frame in frames]).transpose(0, 3, 1, 2)
         dtype = LAYERS[name].clip_type
         if name == "id" and values.max() > np.iinfo(dtype).max:
@@ -132,8 +138,8 @@ class ClipDataset:
         return read_facts(self.paths[index])
 
     def scenes(self) -> set[str]:
-        """The scenes that the clips show: the name of a scene file, or the version and seed of a generator. A generator
-        draws textures and objects from its seed, so scenes of different seeds share nothing."""
+        """The scenes that the clips show: the name of a scene file, the folder of a shot, or the version and seed of a
+        generator. A generator draws textures and objects from its seed, so scenes of different seeds share nothing."""
         return {_scene(self.facts(index)) for index in range(len(self))}
 
     def load(
@@ -152,7 +158,7 @@ class ClipDataset:
         With `estimates` as many frames follow whose radiance is the denoised one.
 
         `Frame.samples`, and for the signal `color` `Frame.components`, are loaded from the clips that have them. Raises
-        InputError for an unknown signal, a clip that is too small, and a layer that the clip lacks.
+        InputError for an unknown signal, a clip that is too small, and a signal or layer that the clip lacks.
         """
         path = self.paths[index]
         if signal not in SIGNALS:
@@ -200,7 +206,11 @@ def _sources(path: Path, stored: set[str], signal: str, asked: Collection[str]) 
     if signal == "color":
         optional["components"] = COMPONENTS
     found = {field: (name,) for field, name in SIGNALS[signal].items()} | {name: (name,) for name in FEATURES}
-    wanted = [*RADIANCE, *FEATURES, *(name for field in asked for name in optional.get(field, (field,)))]
+    stored_signals = [name for name in SIGNALS if SIGNALS[name]["radiance"] in stored]
+    if stored_signals and signal not in stored_signals:
+        raise InputError(f"{path}: has no signal '{signal}'; train with --signal {stored_signals[0]}")
+    asked_layers = (name for field in asked for name in optional.get(field, (field,)))
+    wanted = [*SIGNALS[signal].values(), *FEATURES, *asked_layers]
     if missing := [name for name in wanted if name not in stored]:
         raise InputError(f"{path}: has no layer '{missing[0]}'; it has {', '.join(sorted(stored))}")
     return found | {
@@ -262,7 +272,7 @@ def _from_header(path: Path, clip, key: str) -> dict:
 
 
 def _scene(facts: dict) -> str:
-    if facts.get("kind") == "scene file":
+    if facts.get("kind") in ("scene file", SHOT):
         return facts["source"]
     return f"generator {facts.get('generator')}, seed {facts.get('scene_seed', facts['seed'])}"
 

@@ -26,7 +26,8 @@ class Document:
 
     runs        origin of the numbers (`origin.origin`); a result names its run by the index
     sequences   name -> size [H, W], frames, exposure, share of uncovered pixels, relMSE and PSNR of the reference
-                itself, time of a sample, stills; with a "plan", its "decisions" have what, left_out and why
+                itself, time of a sample, stills; with a "plan", its "decisions" have what, left_out and why; with a
+                "playback", its frames and "window" (top, left, height, width) are those of the strips
     methods     name -> what it is, family
     results     one row for each sequence, spp, method, precision and device
     skipped     rows with the same key and a reason

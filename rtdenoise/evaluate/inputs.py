@@ -79,11 +79,12 @@ class Source:
     def frames(self, spp: int) -> list[Frame]:
         """The frames at that many samples, with references. Raises InputError where references are not finite."""
         sequence = self.at(spp)
-        frames = [replace(sequence[i], **self._references(i)) for i in range(self.length)]
+        frames = [replace(sequence[i], **self.references(i)) for i in range(self.length)]
         check_references(frames)
         return frames
 
-    def _references(self, i: int) -> dict[str, Tensor | None]:
+    def references(self, i: int) -> dict[str, Tensor | None]:
+        """`reference` and `reference_half` of frame i, as fields of `Frame`."""
         frame = (self.converged or self.base)[i]
         if self.converged and frame.reference is None:  # a converged render shows the truth as its own signal
             return {"reference": frame.radiance, "reference_half": None}

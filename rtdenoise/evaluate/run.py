@@ -1,6 +1,7 @@
 """`rtdenoise evaluate SEQ... --out DIR`: methods × precisions × samples per pixel, error and time in one run.
 
-DIR/evaluation.json holds all numbers (`document.Document`), DIR/pictures/SEQ/FRAME/METHOD.exr the frames to look at.
+DIR/evaluation.json holds all numbers (`document.Document`), DIR/pictures/SEQ/FRAME/METHOD.exr the frames to look at,
+DIR/playback/SEQ/METHOD.webp the sequences to play.
 Results that the file holds already are kept, unless their input or their weights have changed.
 """
 
@@ -27,6 +28,7 @@ from .document import NAME, Document
 from .inputs import Source, reference_errors
 from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, OnStep, Result, evaluate, warm_up
 from .origin import LIBRARIES, device_name, origin, typed
+from .playback import MAX_FRAMES, keep_strip, window
 from .registry import PRECISIONS, Method, choose
 from .sequence import Step, uncovered
 from .stills import keep_picture, keep_truth, stills
@@ -168,9 +170,16 @@ class _Input:
             self.document.put(self.key | row | {"run": self.document.runs.index(this_run)} | _numbers(result))
             if self.spp == self.source.spp and precision == "fp32":
                 keep_picture(out, self.source, self.frames, method.name, result)
+                self._keep_strip(out, method.name, result.images)
         if self.spp == self.source.spp:
             keep_truth(out, self.source, self.frames)
+            self._keep_strip(out, "reference", [frame.reference for frame in self.frames])
         self.say(f"{self.label}: {len(steps)} methods on {len(self.frames)} frames")
+
+    def _keep_strip(self, out: Path, name: str, images: list[torch.Tensor]) -> None:
+        described = self.document.sequences[self.source.name]
+        path = out / "playback" / self.source.name / f"{name}.webp"
+        keep_strip(path, images, described["playback"]["window"], described["exposure"])
 
     def _start(self, wanted: list[tuple[Method, str]]) -> dict[tuple[Method, str], Step]:
         """Steps of the methods that have no result yet and can run; the others are left out."""
@@ -243,6 +252,7 @@ def _describe(source: Source, frames: list[Frame]) -> dict:
         "exposure": float(display_exposure(torch.cat([frame.reference for frame in frames]))),
         "uncovered_share": float(np.mean([mask.float().mean() for mask in masks[1:]] or [0.0])),
         **reference_errors(frames),
+        "playback": {"window": window(masks), "frames": [frame.number for frame in frames[:MAX_FRAMES]]},
         "stills": [frames[i].number for i in stills(masks)],
         "plan": make_plan(source.base.size, len(frames), "dual", [sanitise(frame) for frame in frames]).to_json(),
     }

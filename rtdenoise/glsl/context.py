@@ -72,9 +72,16 @@ class GpuArray:
     buffer: moderngl.Buffer
     shape: tuple[int, ...]
     dtype: np.dtype  # float32, float16 or uint32
+    label: str = ""  # a name for people and for `record`
 
     @classmethod
-    def empty(cls, ctx: moderngl.Context, shape: tuple[int, ...], dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
+    def empty(
+        cls,
+        ctx: moderngl.Context,
+        shape: tuple[int, ...],
+        dtype: np.typing.DTypeLike = np.float32,
+        label: str = "",
+    ) -> GpuArray:
         """An array of unspecified content.
 
         Raises GpuMemoryError where it is larger than a shader can address, or than the free memory.
@@ -93,13 +100,19 @@ class GpuArray:
             raise GpuMemoryError(
                 f"array {list(shape)} {dtype}: {size / 1e6:.1f} MB more than {ctx.info['GL_RENDERER']} has memory for"
             )
-        return cls(buffer, tuple(shape), dtype)
+        return cls(buffer, tuple(shape), dtype, label)
 
     @classmethod
-    def upload(cls, ctx: moderngl.Context, values: np.ndarray, dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
+    def upload(
+        cls,
+        ctx: moderngl.Context,
+        values: np.ndarray,
+        dtype: np.typing.DTypeLike = np.float32,
+        label: str = "",
+    ) -> GpuArray:
         """A copy of `values`, stored as `dtype`. Raises GpuMemoryError as `empty`."""
         values = np.ascontiguousarray(values, dtype)
-        array = cls.empty(ctx, values.shape, dtype)
+        array = cls.empty(ctx, values.shape, dtype, label)
         array.buffer.write(values)
         return array
 

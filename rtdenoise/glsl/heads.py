@@ -38,7 +38,9 @@ class Heads:
         """The rows of these heads one after the other, uploaded on the first call."""
         if (scale, names) not in self._layers:
             weights, biases = zip(*(self._rows[scale][name] for name in names), strict=True)
-            self._layers[scale, names] = head_layer(self._ctx, np.concatenate(weights, axis=1), np.concatenate(biases))
+            self._layers[scale, names] = head_layer(
+                self._ctx, np.concatenate(weights, axis=1), np.concatenate(biases), f"heads.{scale}.{'+'.join(names)}"
+            )
         return self._layers[scale, names]
 
 
@@ -46,13 +48,17 @@ def head_layer(
     ctx: moderngl.Context,
     weight: np.ndarray,  # [cells, rows, inputs]: a matrix for each pixel of a cell
     bias: np.ndarray,  # [rows]
+    label: str,  # of its arrays
 ) -> Layer:
     """Rows of the last layer, packed for `include/head.glsl`."""
     packed = filled(filled(weight, 1, 4), 2, 4)
     cells, rows, inputs = packed.shape
     packed = packed.reshape(cells, rows // 4, 4, inputs // 4, 4).transpose(0, 1, 3, 4, 2)
     return Layer(
-        GpuArray.upload(ctx, packed), GpuArray.upload(ctx, filled(bias, 0, 4)), (inputs // 4,), weight.shape[1]
+        GpuArray.upload(ctx, packed, label=f"{label}.weight"),
+        GpuArray.upload(ctx, filled(bias, 0, 4), label=f"{label}.bias"),
+        (inputs // 4,),
+        weight.shape[1],
     )
 
 

@@ -30,19 +30,22 @@ class Layer:
 
 def conv_layer(
     ctx: moderngl.Context,
-    weight: np.ndarray,  # [outputs, inputs, kernel, kernel]
-    bias: np.ndarray,  # [outputs]
+    tensors: Mapping[str, np.ndarray],  # a state dict
+    name: str,  # of the layer in it: NAME.weight [outputs, inputs, kernel, kernel], NAME.bias [outputs]
     sources: tuple[int, ...],  # channels of the tensors that are concatenated into the input
     blocks: int = 1,  # pad the groups out to a multiple of this
+    order: Sequence[int] | None = None,  # of the input channels, where the shader has another
 ) -> Layer:
     """A convolution, packed for `conv3x3` and `stem`."""
+    weight, bias = tensors[f"{name}.weight"], tensors[f"{name}.bias"]
+    weight = weight if order is None else weight[:, order]
     outputs, taps = weight.shape[0], weight.shape[2] * weight.shape[3]
     parts = np.split(weight.reshape(outputs, -1, taps), np.cumsum(sources)[:-1], axis=1)
     inputs = np.concatenate([filled(part, 1, 4) for part in parts], axis=1)
     packed = filled(inputs, 0, 4 * blocks).reshape(-1, 4, inputs.shape[1] // 4, 4, taps)  # og, out, ig, in, taps
     return Layer(
-        GpuArray.upload(ctx, packed.transpose(0, 2, 4, 3, 1)),
-        GpuArray.upload(ctx, filled(bias, 0, 4 * blocks).reshape(-1, 4)),
+        GpuArray.upload(ctx, packed.transpose(0, 2, 4, 3, 1), label=f"{name}.weight"),
+        GpuArray.upload(ctx, filled(bias, 0, 4 * blocks).reshape(-1, 4), label=f"{name}.bias"),
         tuple(-(-n // 4) for n in sources),
         outputs,
     )
@@ -69,7 +72,7 @@ class UNet:
 
         def double(name: str, sources: tuple[int, ...], width: int) -> tuple[Layer, Layer]:
             first, second = (
-                conv_layer(ctx, tensors[f"unet.{name}.{i}.weight"], tensors[f"unet.{name}.{i}.bias"], channels, BLOCKS)
+                conv_layer(ctx, tensors, f"unet.{name}.{i}", channels, BLOCKS)
                 for i, channels in ((0, sources), (2, (width,)))
             )
             return first, second
@@ -128,7 +131,7 @@ class HalfSizeUNet:
         widths: tuple[int, ...],
     ) -> None:
         self._scratch, self._unet = scratch, UNet(scratch, tensors, widths[0], widths)
-        self._stem = conv_layer(scratch.ctx, tensors["stem.weight"][:, order], tensors["stem.bias"], (len(order),))
+        self._stem = conv_layer(scratch.ctx, tensors, "stem", (len(order),), order=order)
 
     def __call__(self, features: GpuArray, groups: int) -> list[GpuArray]:
         """As `UNet`, at half size. Only the first `groups` of four features are read; the others are zero."""

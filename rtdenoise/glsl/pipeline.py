@@ -71,7 +71,7 @@ class Pipeline:
         """
         try:
             with self._stage("upload"):
-                layers = self._upload(frame, history)
+                layers = self.upload(frame, history)
             result, history = self.run(layers, history, known)
         except GpuMemoryError as error:
             H, W = frame.size
@@ -86,7 +86,7 @@ class Pipeline:
     def mismatch(self, frame: Frame, history: History) -> float:
         """Share of the pixels with history on the screen that find another surface there, as `history.mismatch`: above
         `frame.MAX_CUT_MISMATCH` it is another shot, to start with `history=None`. Waits for the GPU."""
-        layers = self._upload(frame, history)
+        layers = self.upload(frame, history)
         surface = self.passes.prepare(layers).surface
         return self.passes.mismatch(self.passes.vectors(layers), surface, history.surface)
 
@@ -125,8 +125,9 @@ class Pipeline:
         kept = (mean, means.mean_albedo) if self.accumulates else (None, None)
         return result, History(denoised, inputs.surface, vectors, *kept)
 
-    def _upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
-        """The layers that a step reads. Raises InputError where one is missing, or history is of another size."""
+    def upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
+        """The layers that a step reads, for `run`. Raises InputError where one is missing, or history is of another
+        size."""
         if not isinstance(frame, Frame):
             raise InputError(
                 f"step takes a rtdenoise.Frame of numpy arrays [1, C, H, W], got {type(frame).__name__}; "

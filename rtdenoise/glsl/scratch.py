@@ -21,7 +21,7 @@ class Scratch:
         """The array `name` with whatever was written to it last. Raises GpuMemoryError as `GpuArray.empty`."""
         array = self._arrays.get(name)
         if array is None or array.shape != shape or array.dtype != dtype:
-            self._arrays[name] = array = GpuArray.empty(self.ctx, shape, dtype)
+            self._arrays[name] = array = GpuArray.empty(self.ctx, shape, dtype, name)
         return array
 
     def image(self, name: str, size: tuple[int, int]) -> GpuArray:

@@ -23,6 +23,8 @@ from pathlib import Path
 
 from .shared import SHARED
 
+Constant = int | float | tuple[float, ...]
+
 MAX_BUFFERS = 8  # of one shader, which is what OpenGL 4.3 guarantees
 _QUALIFIERS = {"reads": "readonly ", "writes": "writeonly ", "changes": ""}
 _PRAGMA = re.compile(r"^\s*#\s*pragma\s+(constants|parameters|reads|writes|changes)\b([^/]*)")
@@ -42,6 +44,9 @@ class Source:
     origin: list[str]  # for each line "file:line" where it comes from
     buffers: tuple[str, ...]  # in the order of their bindings, 0, 1, …
     parameters: tuple[str, ...]
+    access: tuple[str, ...]  # of each buffer: "reads", "writes" or "changes"
+    types: tuple[str, ...]  # of each parameter: "ivec2"
+    constants: dict[str, Constant]  # all of them, also those of `shared.SHARED`
 
 
 def expand(name: str, /, *, folder: Traversable | None = None, **constants: int | float) -> Source:
@@ -62,7 +67,10 @@ def expand(name: str, /, *, folder: Traversable | None = None, **constants: int 
     head = [f"#define {key} {_literal(value)}" for key, value in values.items()] + found.parameter_lines()
     text = [found.lines[0], *head, *found.lines[1:]]
     origin = [found.origin[0], *[f"{file}:constants"] * len(head), *found.origin[1:]]
-    return Source("\n".join(text) + "\n", origin, tuple(found.buffers), tuple(found.parameters))
+    return Source(
+        "\n".join(text) + "\n", origin, tuple(found.buffers), tuple(found.parameters), tuple(found.access.values()),
+        tuple(found.parameters.values()), values,
+    )  # fmt: skip
 
 
 def expect_names(shader: str, kind: str, given: Iterable[str], declared: Iterable[str]) -> None:
@@ -100,6 +108,7 @@ class _Declarations:
     constants: set[str] = field(default_factory=set)
     parameters: dict[str, str] = field(default_factory=dict)  # name -> type
     buffers: dict[str, int] = field(default_factory=dict)  # name -> binding
+    access: dict[str, str] = field(default_factory=dict)  # name of a buffer -> "reads", "writes" or "changes"
     files: set[str] = field(default_factory=set)
 
     def add(self, file: str, stack: tuple[str, ...] = ()) -> None:
@@ -140,16 +149,18 @@ class _Declarations:
                 if self.parameters.setdefault(name, kind) != kind:
                     raise ShaderError(f"{where}: parameter {name} is {self.parameters[name]} elsewhere, here {kind}")
             return ""
-        return " ".join(self._buffer(_QUALIFIERS[pragma], *pair) for pair in pairs)
+        return " ".join(self._buffer(pragma, *pair) for pair in pairs)
 
-    def _buffer(self, qualifier: str, kind: str, name: str) -> str:
+    def _buffer(self, pragma: str, kind: str, name: str) -> str:
         """A buffer that is declared in two branches of an #if has one binding."""
         binding = self.buffers.setdefault(name, len(self.buffers))
+        self.access[name] = pragma
         block = "".join(word.capitalize() for word in name.split("_"))
-        return f"layout(std430, binding = {binding}) {qualifier}restrict buffer {block} {{ {kind} {name}[]; }};"
+        layout = f"layout(std430, binding = {binding}) {_QUALIFIERS[pragma]}restrict"
+        return f"{layout} buffer {block} {{ {kind} {name}[]; }};"
 
 
-def _literal(value: int | float | tuple[float, ...]) -> str:
+def _literal(value: Constant) -> str:
     """A constant as GLSL spells it."""
     if isinstance(value, tuple):
         return f"vec{len(value)}({', '.join(map(repr, value))})"

@@ -11,14 +11,10 @@ from matplotlib.figure import Figure
 from .readings import METRICS, POOL
 
 PANELS = ("psnr", "relmse", "flip")
-NETWORKS = "#e8590c", "#ffa94d", "#c2255c", "#f783ac", "#862e9c", "#cc5de8", "#7f4f24", "#b08968"  # two shades of each
-FAMILIES = {  # marker, colours of its methods in turn
-    "network": ("o", NETWORKS),
-    "ablation": ("o", NETWORKS),
-    "oidn": ("s", ("#1864ab", "#4dabf7", "#74c0fc", "#7048e8", "#15aabf", "#0b7285")),
-    "filter": ("^", ("#8ce99a", "#2b8a3e")),
-    "accumulation": ("D", ("#ffd43b", "#997404")),
-}
+COLOURS = {  # one a family
+    "network": "#e8590c", "ablation": "#c9a08b", "oidn": "#1c7ed6", "filter": "#2f9e44", "accumulation": "#b8960c",
+}  # fmt: skip
+MARKERS = "os^Dvp*XP<>h"  # one a method of it
 
 
 def chart(data: dict) -> bytes:
@@ -53,13 +49,11 @@ def _shown(data: dict) -> list[dict]:
 
 
 def _looks(rows: list[dict], methods: dict[str, dict]) -> dict[str, dict]:
-    """label -> marker and colours."""
-    colours, looks = {family: cycle(of_family) for family, (_, of_family) in FAMILIES.items()}, {}
+    """label -> marker and colour."""
+    markers, looks = {family: cycle(MARKERS) for family in COLOURS}, {}
     for row in rows:
         family = methods[row["method"]]["family"]
-        colour = next(colours[family])
-        face = "white" if family == "ablation" else colour
-        looks[row["label"]] = {"marker": FAMILIES[family][0], "color": colour, "markerfacecolor": face}
+        looks[row["label"]] = {"marker": next(markers[family]), "color": COLOURS[family]}
     return looks
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import importlib.util
 from dataclasses import asdict
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from PIL import Image
 
 from ..data.exr import read_channels
 from ..errors import InputError
@@ -22,8 +24,10 @@ from .pictures import encode_map, encode_motion, encode_picture, pack
 
 ASSETS = resources.files("rtdenoise") / "report" / "assets"
 SCRIPTS = (
-    "format.js", "verdict.js", "chart.js", "scatter.js", "tables.js", "lines.js", "picture.js", "compare.js", "main.js",
+    "format.js", "marks.js", "verdict.js", "chart.js", "scatter.js", "tables.js", "lines.js", "picture.js",
+    "playback.js", "compare.js", "main.js",
 )  # fmt: skip
+PEERS = 2  # families beside ours that are played
 
 
 def page(
@@ -31,10 +35,14 @@ def page(
 ) -> str:
     """The page for `data` (`payload`), with the pictures in `folder` of these methods and sequences (empty: all)."""
     blobs = _pictures(document, folder, pictures, sequences)
-    data = data | {"pictures": {name: sorted({key.split("/")[1] for key in found}) for name, found in blobs.items()}}
+    strips = _strips(document, folder, pictures, sequences)
+    data = data | {
+        "pictures": {name: sorted({key.split("/")[1] for key in found}) for name, found in blobs.items()},
+        "playback": {name: [key.split("/")[1] for key in found] for name, found in strips.items()},
+    }
     parts = [
         f'<script type="text/plain" data-key="{html.escape(key)}">{blob}</script>'
-        for found in blobs.values()
+        for found in (*blobs.values(), *strips.values())
         for key, blob in found.items()
     ]
     scripts = "\n".join((ASSETS / name).read_text() for name in SCRIPTS)
@@ -117,6 +125,51 @@ def _pictures(
                     blobs[f"{name}/{method}/flip"] = encode_map(_flip(image, truth, exposure))
         found[name] = blobs
     return found
+
+
+def _strips(
+    document: Document, folder: Path, wanted: tuple[str, ...], sequences: tuple[str, ...]
+) -> dict[str, dict[str, str]]:
+    """sequence -> "sequence/method/strip" -> WebP of its frames; of noisy, `PEERS` of other families, ours and the
+    reference unless `wanted` says otherwise."""
+    found: dict[str, dict[str, str]] = {}
+    for name, sequence in document.sequences.items():
+        if "playback" not in sequence or (sequences and name not in sequences):
+            continue
+        size = (
+            sequence["playback"]["window"][3],
+            len(sequence["playback"]["frames"]) * sequence["playback"]["window"][2],
+        )
+        paths = {
+            method: folder / "playback" / name / f"{method}.webp"
+            for method in (*(wanted or _to_play(document, name)), "reference")
+        }
+        blobs = {
+            f"{name}/{method}/strip": base64.b64encode(path.read_bytes()).decode()
+            for method, path in paths.items()
+            if path.is_file() and _size(path) == size  # an older run may have kept fewer frames
+        }
+        if f"{name}/reference/strip" in blobs and len(blobs) > 1:
+            found[name] = blobs
+    return found
+
+
+def _to_play(document: Document, sequence: str) -> list[str]:
+    """noisy, the best methods of `PEERS` other families, and the best network, by PSNR at the fewest samples."""
+    rows = [row for row in document.results if row["sequence"] == sequence and row["precision"] == "fp32"]
+    fewest = min((row["spp"] for row in rows), default=1)
+    psnr = {row["method"]: row["errors"]["frame"].get("psnr") or 0.0 for row in rows if row["spp"] == fewest}
+    best: dict[str, str] = {}  # family -> method
+    for method in sorted(psnr, key=psnr.get, reverse=True):
+        best.setdefault(document.methods[method]["family"], method)
+    ours = "default" if "default" in psnr else best.get("network")
+    peers = sorted((m for f, m in best.items() if f not in ("input", "network", "ablation")), key=psnr.get)[-PEERS:]
+    return [name for name in ("noisy" if "noisy" in psnr else None, *peers, ours) if name]
+
+
+def _size(path: Path) -> tuple[int, int]:
+    with Image.open(path) as image:
+        return image.size
 
 
 def _read(path: Path, channels: tuple[str, ...] | str) -> np.ndarray | None:

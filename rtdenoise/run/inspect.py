@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -154,12 +157,27 @@ def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
     return "none: without motion_next and depth, history follows traditional motion"
 
 
-def render_text(found: Inspection, width: int = 120) -> str:
-    """The inspection as text for a terminal `width` characters wide."""
+def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProxyType({})) -> str:
+    """The next thing to do: a layer to add, motion to mend, or the command that denoises the sequence. `options` are
+    those of `inspect` that were not the defaults."""
+    needed = ("albedo", "normal", "depth", *(("motion",) if found.files > 1 else ()))
+    if absent := [layer for layer in needed if layer in found.missing]:
+        return f"add {absent[0]}, which denoising needs: {found.missing[absent[0]]}"
+    if found.convention and found.convention.status == "wrong":
+        return "mend the motion vectors as said above: with these, history comes from wrong places"
+    words = ["rtdenoise", "denoise", found.source, "--out", "clean/"]
+    for name, value in options.items():
+        words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+    return shlex.join(words)
+
+
+def render_text(found: Inspection, width: int = 120, verbose: bool = False) -> str:
+    """The inspection as text for a terminal `width` characters wide; `verbose` also lists the work that nothing
+    spares."""
     console = Console(width=width, highlight=False, no_color=True)
     with console.capture() as capture:
         console.print(f"[bold]{found.source}[/bold]", soft_wrap=True)
-        for label, text in _summary(found):
+        for label, text in _summary(found, verbose):
             console.print(f"  {label:<12} {text}", markup=False, soft_wrap=True)
         table = Table(box=None, padding=(0, 2, 0, 0), title="layers", title_justify="left")
         for column in ("layer", "stored as", "from channels", "used for"):
@@ -173,7 +191,7 @@ def render_text(found: Inspection, width: int = 120) -> str:
     return capture.get().rstrip("\n")
 
 
-def _summary(found: Inspection) -> list[tuple[str, str]]:
+def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
     """(label, text) pairs, a line each."""
     (H, W), (first, last) = found.size, found.numbers
     missing = sum(end - start + 1 for start, end in found.gaps)
@@ -204,7 +222,8 @@ def _summary(found: Inspection) -> list[tuple[str, str]]:
     else:
         compared = f" (compared: {found.convention.feature})" if found.convention.feature else ""
         lines.append(("convention", f"{found.convention.status.upper()}: {found.convention.message}{compared}"))
-    for i, decision in enumerate(found.plan.decisions):
+    decisions = [d for d in found.plan.decisions if verbose or not d.left_out.startswith(("0 of", "never"))]
+    for i, decision in enumerate(decisions):
         lines.append(("" if i else "left out", f"{decision.what}: {decision.left_out} ({decision.why})"))
     return lines
 

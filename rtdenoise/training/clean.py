@@ -68,14 +68,15 @@ def _clean(path: Path, out: Path, oidn: Oidn) -> None:
     if "references" in facts:
         raise InputError(f"{path}: its references are denoised already; give the folder that was rendered")
     layers = {name: torch.from_numpy(layer) for name, layer in read_layers(path).items()}
-    for signal in SIGNALS.values():
+    signals = [name for name, signal in SIGNALS.items() if signal["radiance"] in layers]
+    for signal in map(SIGNALS.get, signals):
         cleaned = torch.cat([_filtered(layers, signal["reference"], i, oidn) for i in range(len(layers["depth"]))])
         layers[signal["reference"]] = layers[signal["reference_half"]] = cleaned
     frames = [
         {key: layer[i].permute(1, 2, 0).numpy() for key, layer in layers.items()} for i in range(len(layers["depth"]))
     ]
     facts |= {"references": f"denoised by pyoidn {importlib.metadata.version('pyoidn')}"}
-    write_clip(out, frames, facts, [name for name in OPTIONAL if name in layers])
+    write_clip(out, frames, facts, [name for name in OPTIONAL if name in layers], signals)
 
 
 def _filtered(layers: dict[str, Tensor], reference: str, i: int, oidn: Oidn) -> Tensor:

@@ -1,4 +1,17 @@
-// Axes and marks, for both charts.
+// Axes, for both charts. A chart is drawn at the width that the page has for it, so that its text stays readable.
+
+const chartWidth = (id) => Math.max(320, Math.floor(byId(id).clientWidth));
+
+/** An SVG of this size in the figure `id`. */
+function chart(id, width, height, title, ...content) {
+  byId(id).replaceChildren(shape("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": title }, ...content));
+}
+
+/** The ticks whose texts, `room` wide, do not touch. */
+function spaced(ticks, at, room) {
+  let last = -Infinity;
+  return ticks.filter((tick) => at(tick) - last >= room && (last = at(tick), true));
+}
 
 /** A scale: value to pixel, with ticks; `log` for values over several orders of magnitude. */
 function scale(values, [from, to], { log = false, pad = 0.08 } = {}) {
@@ -33,7 +46,7 @@ function logTicks(low, high) {
 function axes({ x, y, box, xLabel, yLabel, xText, yText }) {
   const { left, right, top, bottom } = box;
   return shape("g", { class: "axis" },
-    ...x.ticks.flatMap((tick) => [
+    ...spaced(x.ticks, x.at, 58).flatMap((tick) => [
       shape("line", { class: "grid", x1: x.at(tick), x2: x.at(tick), y1: top, y2: bottom }),
       shape("text", { x: x.at(tick), y: bottom + 18, "text-anchor": "middle" }, xText(tick))]),
     ...y.ticks.flatMap((tick) => [
@@ -51,19 +64,4 @@ const isLog = (metric) => !DATA.metrics[metric].higher;
 function axisTitle(metric, region) {
   const { label, unit, higher } = DATA.metrics[metric];
   return `${label}${unit ? `, ${unit}` : ""} (${REGIONS[region]}), better ${higher ? "↑" : "↓"}`;
-}
-
-/** The mark of a method around (x, y). */
-function mark(label, x, y, size = 7) {
-  const { colour, mark: kind } = STYLE[label];
-  const paths = {
-    square: `M${x - size},${y - size}h${2 * size}v${2 * size}h${-2 * size}z`,
-    triangle: `M${x},${y - 1.2 * size}l${1.2 * size},${2.1 * size}h${-2.4 * size}z`,
-    diamond: `M${x},${y - 1.35 * size}l${1.35 * size},${1.35 * size}l${-1.35 * size},${1.35 * size}l${-1.35 * size},${-1.35 * size}z`,
-    cross: `M${x - size},${y - size}l${2 * size},${2 * size}m0,${-2 * size}l${-2 * size},${2 * size}`,
-  };
-  if (kind === "circle") return shape("circle", { class: "mark", cx: x, cy: y, r: size * 1.15, fill: colour });
-  if (kind === "ring") return shape("circle", { class: "mark", cx: x, cy: y, r: size, fill: "#1d1d1d", stroke: colour, "stroke-width": 3 });
-  if (kind === "cross") return shape("path", { class: "mark", d: paths.cross, stroke: colour, "stroke-width": 3 });
-  return shape("path", { class: "mark", d: paths[kind], fill: colour });
 }

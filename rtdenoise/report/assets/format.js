@@ -46,33 +46,6 @@ const REGIONS = {
   "uncovered-2": "uncovered two frames ago, M²",
 };
 
-// Each family has a mark and hues of its own; networks have two shades of each hue.
-const NETWORKS = ["#ff7849", "#ffc078", "#ff4f81", "#faa2c1", "#b65cf0", "#dcb3f7", "#c98f52", "#e8c9a0"];
-const FAMILIES = {
-  network: { colours: NETWORKS, mark: "circle" },
-  ablation: { colours: NETWORKS, mark: "ring" },
-  oidn: { colours: ["#4dabf7", "#74c0fc", "#a5d8ff", "#9775fa", "#3bc9db", "#66d9e8"], mark: "square" },
-  filter: { colours: ["#69db7c", "#2f9e5a"], mark: "triangle" },
-  accumulation: { colours: ["#d9c35a", "#a08b3a"], mark: "diamond" },
-  input: { colours: ["#a6a6a6"], mark: "cross" },
-};
-
-const STYLE = {};
-{
-  const used = {};
-  const labels = [...new Set(DATA.rows.map((row) => row.label))];
-  for (const label of labels) {
-    const { family } = DATA.methods[DATA.rows.find((row) => row.label === label).method];
-    const { colours, mark } = FAMILIES[family];
-    used[family] = (used[family] ?? -1) + 1;
-    STYLE[label] = { colour: colours[used[family] % colours.length], mark, family };
-  }
-}
-
-const isOurs = (label) => ["network", "ablation"].includes(STYLE[label].family);
-
-const swatch = (label) => element("span", { class: "swatch", style: `background:${STYLE[label].colour}` });
-
 function select(title, options, value, changed) {
   const list = element("select", { change: (event) => changed(event.target.value), "aria-label": title },
     ...Object.entries(options).map(([key, text]) => element("option", { value: key, selected: key === String(value) }, text)));

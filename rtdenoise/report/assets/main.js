@@ -51,6 +51,8 @@ function drawLegend() {
 
 function drawAll() {
   hideTip();
+  drawPlayback();
+  drawPictures();
   drawLegend();
   drawVerdict();
   drawScatter();
@@ -58,7 +60,6 @@ function drawAll() {
   drawTable();
   drawFrames();
   drawRegions();
-  drawPictures();
 }
 
 function drawSummary() {
@@ -69,6 +70,12 @@ function drawSummary() {
     + `sequence${count > 1 ? "s" : ""} (${sizes}), ${DATA.signal === "indirect" ? "indirect light" : "beauty"}; `
     + `${Object.values(run.devices).join(", ")}; commit ${run.commit}, ${run.date}.`;
 }
+
+let resized = null;
+addEventListener("resize", () => {
+  clearTimeout(resized);
+  resized = setTimeout(() => { drawScatter(); drawFrames(); }, 100);
+});
 
 toolbar();
 drawSummary();

@@ -1,7 +1,5 @@
 // The chart: error against time, with the Pareto front.
 
-const BOX = { left: 64, right: 1170, top: 40, bottom: 470 };
-
 function drawScatter() {
   const sample = DATA.sample_ms[state.sequence] ?? null;
   if (sample === null) state.time = "denoiser";
@@ -17,36 +15,34 @@ function drawScatter() {
   const shown = total ? rows : rows.filter((row) => !input.includes(row));
   if (!shown.length) return byId("scatter-chart").replaceChildren(element("p", { class: "hint" }, "No such errors were measured, or every method is switched off."));
 
+  const width = chartWidth("scatter-chart"), height = Math.round(Math.min(520, Math.max(340, 0.5 * width)));
+  const box = { left: 52, right: width - 14, top: 34, bottom: height - 50 };
   const denoising = (row) => (STYLE[row.label].family === "input" ? 0 : row.ms.median);
   const time = (row) => (total ? row.spp * sample + denoising(row) : row.ms.median);
   const log = isLog(state.metric) && rows.every((row) => error(row) > 0);
-  const x = scale(shown.map(time), [BOX.left, BOX.right], { log: true });
-  const y = scale(rows.map((row) => error(row)), [BOX.bottom, BOX.top], { log });
+  const x = scale(shown.map(time), [box.left, box.right], { log: true });
+  const y = scale(rows.map((row) => error(row)), [box.bottom, box.top], { log });
   const points = shown.map((row) => ({ row, x: x.at(time(row)), y: y.at(error(row)) }));
 
-  byId("scatter-chart").replaceChildren(shape("svg", { viewBox: "0 0 1240 520", role: "img", "aria-label": "Error against time" },
+  chart("scatter-chart", width, height, "Error against time",
     axes({
-      x, y, box: BOX, xText: milliseconds, yText: plain, yLabel: axisTitle(state.metric, state.region),
+      x, y, box, xText: milliseconds, yText: plain, yLabel: axisTitle(state.metric, state.region),
       xLabel: total ? "rendering and denoising a frame" : "denoising a frame",
     }),
-    ...(total ? curves(points) : levels(input, y)),
+    ...(total ? curves(points) : input.map((row) => level(y.at(error(row)), box))),
     frontLine(points, total),
-    ...labels(total ? ends(points) : points),
+    ...labels(total ? ends(points) : points, points, box, total ? [] : input.map((row) => ({ row, y: y.at(error(row)) }))),
     ...points.map(({ row, x, y }) => {
-      const node = mark(row.label, x, y, total ? 4.5 : 7);
+      const node = mark(row.label, x, y, total ? 4.5 : 6.5);
       node.dataset.method = row.label;
       node.addEventListener("mousemove", (event) => showTip(event, ...description(row, time(row))));
       node.addEventListener("mouseleave", hideTip);
       return node;
-    })));
+    }));
 }
 
 /** The input as a horizontal line: it takes no time. */
-function levels(input, y) {
-  return input.flatMap((row) => [
-    shape("line", { class: "level", x1: BOX.left, x2: BOX.right, y1: y.at(error(row)), y2: y.at(error(row)) }),
-    shape("text", { x: BOX.right, y: y.at(error(row)) - 6, "text-anchor": "end" }, `${row.label}: ${DATA.methods[row.method].what}`)]);
-}
+const level = (y, box) => shape("line", { class: "level", x1: box.left, x2: box.right, y1: y, y2: y });
 
 /** One line a method through its inputs, marked with their samples. */
 function curves(points) {
@@ -69,23 +65,42 @@ function frontLine(points, total) {
   return shape("polyline", { class: "front", points: steps.join(" ") });
 }
 
-/** Names beside the marks, moved up or down until they do not overlap. */
-function labels(points) {
-  const placed = [];
-  return [...points].sort((a, b) => a.y - b.y).flatMap(({ row, x, y }) => {
-    const width = 7 * row.label.length + 14, left = x + width + 14 > 1236;
-    const box = (at) => ({ l: left ? x - 12 - width : x + 12, r: left ? x - 12 : x + 12 + width, t: at - 8, b: at + 8 });
-    const free = (at) => placed.every((p) => box(at).r < p.l || box(at).l > p.r || box(at).b <= p.t || box(at).t >= p.b)
-      && points.every((p) => p.x === x && p.y === y || p.x < box(at).l - 8 || p.x > box(at).r + 8 || Math.abs(p.y - at) > 13);
-    const offset = [0, -15, 15, -30, 30, -45, 45, -60, 60, -75, 75].find((d) => free(y + d)) ?? 0;
-    placed.push(box(y + offset));
-    return [
-      offset ? shape("line", { class: "leader", x1: x, y1: y, x2: left ? x - 12 : x + 12, y2: y + offset }) : "",
-      shape("text", {
-        x: left ? x - 14 : x + 14, y: y + offset + 4, "text-anchor": left ? "end" : "start",
-        "font-weight": row.label === DATA.ours ? 700 : 400,
-      }, row.label)].filter(Boolean);
-  });
+// Where a name may stand: beside its mark, then further away, with a line that leads to it.
+const PLACES = [[1, 0], [-1, 0], ...[18, 32, 46, 62, 78].flatMap((d) => [[1, -d], [1, d], [-1, -d], [-1, d]])];
+
+/** Names beside the marks and on the lines of the input, where they touch neither each other nor a mark; without such a
+ *  place a name is left to the legend. */
+function labels(named, points, box, lines) {
+  const taken = points.map(({ x, y }) => ({ l: x - 10, r: x + 10, t: y - 10, b: y + 10 }));
+  const free = (a) => a.l >= box.left && a.r <= box.right && a.t >= box.top - 6 && a.b <= box.bottom
+    && taken.every((b) => a.r < b.l || a.l > b.r || a.b < b.t || a.t > b.b);
+  const text = (row, area, anchor) => shape("text", {
+    class: "label", x: anchor === "end" ? area.r : area.l, y: area.t + 12, "text-anchor": anchor,
+    "font-weight": row.label === DATA.ours ? 700 : 400,
+  }, row.label);
+  const width = (row) => 7.4 * row.label.length;
+  const found = [];
+  for (const { row, y } of lines) {
+    const areas = [...Array(24)].flatMap((_, i) => [-17, 2].map((dy) => {
+      const right = box.right - 4 - (i * (box.right - box.left)) / 26;
+      return { l: right - width(row), r: right, t: y + dy, b: y + dy + 15 };
+    }));
+    const area = areas.find(free);
+    if (area) taken.push(area) && found.push(text(row, area, "end"));
+  }
+  for (const { row, x, y } of [...named].sort((a, b) => (b.row.label === DATA.ours) - (a.row.label === DATA.ours) || a.y - b.y)) {
+    const place = (side, d) => {
+      const [l, r] = side > 0 ? [x + 14, x + 14 + width(row)] : [x - 14 - width(row), x - 14];
+      return { l, r, t: y + d - 8, b: y + d + 8 };
+    };
+    const at = PLACES.find(([side, d]) => free(place(side, d)));
+    if (!at) continue;
+    const [side, d] = at, area = place(side, d);
+    taken.push(area);
+    if (d) found.push(shape("line", { class: "leader", x1: x, y1: y, x2: side > 0 ? area.l - 2 : area.r + 2, y2: y + d }));
+    found.push(text(row, area, side > 0 ? "start" : "end"));
+  }
+  return found;
 }
 
 function description(row, time) {

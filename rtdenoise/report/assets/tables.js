@@ -52,7 +52,7 @@ function drawTable() {
       title: `against ${DATA.ours}`, value: (row) => row.ms.median / our,
       cell: (row) => timeCell(row, ratio(row.ms.median / our)),
     }] : []),
-    ...Object.entries(DATA.metrics).map(([metric, { label, higher }]) =>
+    ...Object.entries(DATA.metrics).filter(([metric]) => rows.some((row) => error(row, metric) !== null)).map(([metric, { label, higher }]) =>
       metricColumn(rows, `${label} ${higher ? "↑" : "↓"}`, metric, state.region, true)),
   ];
   byId("table-table").replaceChildren(sortable("table", columns, rows, drawTable));
@@ -66,8 +66,8 @@ function drawRegions() {
     { title: "method", value: (row) => row.label, cell: nameCell },
     ...["frame", ...shown].map((region) =>
       metricColumn(rows, `${DATA.metrics[state.metric].label}, ${region === "frame" ? "frame" : REGIONS[region].split(", ")[1]}`, state.metric, region)),
-    { title: "ghost length", value: (row) => row.ghost_length,
-      cell: (row) => element("td", {}, row.ghost_length === null ? "–" : row.ghost_length.toFixed(1)) },
+    ...(rows.some((row) => row.ghost_length !== null) ? [{ title: "ghost length", value: (row) => row.ghost_length,
+      cell: (row) => element("td", {}, row.ghost_length === null ? "–" : row.ghost_length.toFixed(1)) }] : []),
   ];
   byId("regions-table").replaceChildren(sortable("regions", columns, rows, drawRegions));
 }
@@ -75,8 +75,9 @@ function drawRegions() {
 function drawReadings() {
   const rows = DATA.comparisons.filter((row) =>
     row.sequence === state.sequence && row.device === state.device && row.metric === state.metric);
-  byId("readings").hidden = rows.length === 0;
-  if (!rows.length) return;
+  const known = rows.some((row) => row.equal_error || row.equal_time || row.area);  // else one input alone was measured
+  byId("readings").hidden = !known;
+  if (!known) return;
   const sample = DATA.sample_ms[state.sequence] ?? null;
   const own = selected({ spp: null }).filter((row) => row.label === DATA.ours).sort((a, b) => a.spp - b.spp)[0];
   const ours = sample === null ? null : own.spp * sample + own.ms.median;
@@ -115,14 +116,13 @@ function drawLeftOut() {
     inputs.add(`${sequence} at ${spp} spp`);
   }
   const planned = Object.entries(DATA.sequences).flatMap(([name, { plan }]) => (plan?.decisions ?? [])
-    .filter((decision) => !/^(never|0 of)/.test(decision.left_out))
+    .filter((decision) => !/^(never|0 of|in first frames)/.test(decision.left_out))
     .map(({ what, left_out: where, why }) => [`${name}: ${what} (${where})`, why]));
   const rows = [...planned, ...Object.entries(groups).map(([reason, { methods, inputs }]) =>
     [`${[...methods].join(", ")} (${[...inputs].join(", ")})`, reason])];
-  byId("skipped-list").replaceChildren(rows.length
-    ? element("table", {}, element("tbody", {}, ...rows.map(([what, why]) => element("tr", {},
-      element("td", { class: "text long" }, what), element("td", { class: "text long" }, why)))))
-    : element("p", {}, "Nothing: every method ran on every input."));
+  byId("skipped").hidden = rows.length === 0;
+  byId("skipped-list").replaceChildren(element("table", {}, element("tbody", {}, ...rows.map(([what, why]) => element("tr", {},
+    element("td", { class: "text long" }, what), element("td", { class: "text long" }, why))))));
 }
 
 function drawOrigin() {

@@ -1,0 +1,210 @@
+"""Training clips from frames on disk: windows of shots that were rendered with references."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from .. import __version__
+from ..data.clips import SHOT, clip_path, read_facts, write_clip
+from ..data.layers import SIGNALS
+from ..errors import InputError
+from ..evaluate.inputs import Source
+from ..evaluate.measure import check_references
+from ..evaluate.sequence import uncovered
+from ..files import dumps, lock, remove_unfinished, write_atomically
+from ..frame import Frame
+from ..sanitise import sanitise
+
+NEEDED = ("albedo", "normal", "depth", "motion", "motion_next")
+AT_ONCE = 64  # clips that are cut in one pass over the frames, which bounds memory
+CARD = """# Training clips
+
+{count} clips of {frames} frames, {width}×{height}, cut from {shots} shots by `{command}`.
+
+{lines}
+
+References are those of the shots. Where a shot has no halves of its references, both halves here are the whole
+reference and say nothing about its error.
+"""
+
+
+@dataclass(frozen=True)
+class CutOptions:
+    """What is cut from shots."""
+
+    count: int  # clips at most
+    size: tuple[int, int]  # (H, W) of a clip
+    frames: int  # of a clip
+    seed: int = 0  # of the choice, where shots have more windows than `count`
+    preset: str = "auto"
+
+
+@dataclass(frozen=True)
+class Window:
+    """A clip's place: consecutive frames of a shot, and a rectangle."""
+
+    shot: int
+    first: int  # index of its first frame
+    top: int
+    left: int
+
+
+def cut_clips(
+    shots: tuple[str, ...],
+    out: Path,
+    options: CutOptions,
+    references: tuple[Path, ...] = (),  # a folder a shot with converged frames; (): the layers of the shots
+    on_clip: Callable[[int, int], None] = lambda done, total: None,
+    say: Callable[[str], None] = print,
+) -> int:
+    """Cut shots into clips in the folder `out`, and describe them in DATA.md and dataset.json. Returns their number.
+
+    Windows lie side by side, in space and in time; where there are more than `options.count`, a random choice is taken.
+    Clips that are there are kept. Raises InputError where a shot lacks references or features, is smaller or shorter
+    than a clip, or `out` holds clips of other shots or options.
+    """
+    if references and len(references) != len(shots):
+        raise InputError(f"--reference: expected a folder for each of {len(shots)} shots, got {len(references)}")
+    opened = [_open(shot, options.preset, *references[i : i + 1]) for i, shot in enumerate(shots)]
+    windows = [window for i, sources in enumerate(opened) for window in _windows(i, sources, options)]
+    chosen = np.random.default_rng(options.seed).permutation(len(windows))[: options.count]
+    clips = [windows[i] for i in sorted(chosen)]
+    for i, sources in enumerate(opened):
+        taken = sum(window.shot == i for window in clips)
+        say(f"{shots[i]}: {' and '.join(sources)}; {len(_first(sources).base)} frames, {taken} clips")
+    out.mkdir(parents=True, exist_ok=True)
+    with lock(out):
+        remove_unfinished(out)
+        missing = [i for i, window in enumerate(clips) if not _is_there(out, i, _facts(window, opened, options))]
+        on_clip(0, len(missing))
+        done = 0
+        for _, group in groupby(missing, key=lambda i: (clips[i].shot, clips[i].first)):
+            numbers = list(group)
+            for start in range(0, len(numbers), AT_ONCE):
+                part = {i: clips[i] for i in numbers[start : start + AT_ONCE]}
+                _cut(out, part, opened, options)
+                done += len(part)
+                on_clip(done, len(missing))
+        _describe(out, clips, shots, options)
+    return len(clips)
+
+
+def _open(shot: str, preset: str, reference: Path | None = None) -> dict[str, Source]:
+    """Signal -> the shot; only the signals that it has with references. Raises InputError where it has neither."""
+    found, errors = {}, []
+    for signal in SIGNALS:
+        try:
+            source = Source.open(shot, signal, preset, None, reference)
+            source.base.require(*NEEDED)
+            found[signal] = source
+        except InputError as error:
+            errors.append(error)
+    if not found:
+        raise errors[0]
+    return found
+
+
+def _first(sources: dict[str, Source]) -> Source:
+    return next(iter(sources.values()))
+
+
+def _windows(shot: int, sources: dict[str, Source], options: CutOptions) -> list[Window]:
+    """All windows of a shot, in the order of their frames."""
+    source, (height, width) = _first(sources), options.size
+    H, W = source.base.size
+    if height > H or width > W:
+        raise InputError(f"{source.folder}: frames are {W}×{H}, clips {width}×{height}; take a smaller --size")
+    firsts = range(0, len(source.base) - options.frames + 1, options.frames)
+    if not firsts:
+        raise InputError(f"{source.folder}: has {len(source.base)} frames, clips {options.frames}; take fewer --frames")
+    rows, columns = H // height, W // width
+    top, left = (H - rows * height) // 2, (W - columns * width) // 2
+    return [
+        Window(shot, first, top + row * height, left + column * width)
+        for first in firsts
+        for row in range(rows)
+        for column in range(columns)
+    ]
+
+
+def _facts(window: Window, opened: list[dict[str, Source]], options: CutOptions) -> dict:
+    """The facts of a clip that are known before it is cut."""
+    sources = opened[window.shot]
+    source = _first(sources)
+    return {
+        "kind": SHOT, "source": str(source.folder.resolve()), "signals": list(sources), "seed": options.seed,
+        "first": source.base.numbers[window.first], "frames": options.frames, "size": list(options.size),
+        "window": [window.top, window.left],
+    }  # fmt: skip
+
+
+def _is_there(out: Path, number: int, facts: dict) -> bool:
+    """Whether the clip is cut already. Raises InputError where another clip has its name."""
+    path = clip_path(out, number)
+    if not path.exists():
+        return False
+    if facts.items() <= read_facts(path).items():
+        return True
+    raise InputError(f"{path}: is another clip; choose another --out, or the shots and options of that run")
+
+
+def _cut(out: Path, clips: dict[int, Window], opened: list[dict[str, Source]], options: CutOptions) -> None:
+    """Cut clips that share their frames: number -> window."""
+    started, one = time.process_time(), next(iter(clips.values()))
+    sources = opened[one.shot]
+    layers: dict[int, list[dict[str, np.ndarray]]] = {number: [] for number in clips}
+    crops: dict[int, list[Frame]] = {number: [] for number in clips}  # of the first signal
+    for i in range(one.first, one.first + options.frames):
+        frames = {signal: _read(source, i) for signal, source in sources.items()}
+        for number, window in clips.items():
+            parts = {name: frame.crop(window.top, window.left, *options.size) for name, frame in frames.items()}
+            layers[number].append(_layers(parts))
+            crops[number].append(next(iter(parts.values())).map(torch.clone))
+    for number, window in clips.items():
+        facts = _facts(window, opened, options) | {
+            "index": number, "halves": crops[number][0].reference_half is not None,
+            "uncovered": float(torch.cat(uncovered(crops[number])).float().mean()),
+            "seconds": (time.process_time() - started) / len(clips), "versions": {"rtdenoise": __version__},
+        }  # fmt: skip
+        write_clip(clip_path(out, number), layers[number], facts, signals=list(sources))
+
+
+def _read(source: Source, i: int) -> Frame:
+    """Frame i with its references, valid; fireflies stay, for they are part of the noise to learn."""
+    frame = replace(source.base[i], **source.references(i))
+    check_references([frame])
+    radiance = torch.nan_to_num(frame.radiance, nan=0.0, posinf=0.0, neginf=0.0).clamp(min=0)
+    return replace(sanitise(frame), radiance=radiance)
+
+
+def _layers(parts: dict[str, Frame]) -> dict[str, np.ndarray]:
+    """Layer of a clip -> [H, W, C], from a frame for each signal. All surfaces are one object: nothing reads ids."""
+    one = next(iter(parts.values()))
+    tensors = {name: getattr(one, name) for name in NEEDED} | {"id": (one.depth > 0).float()}
+    for signal, frame in parts.items():
+        for field, name in SIGNALS[signal].items():
+            tensors[name] = frame.reference if getattr(frame, field) is None else getattr(frame, field)
+    return {name: np.ascontiguousarray(tensor[0].permute(1, 2, 0).numpy()) for name, tensor in tensors.items()}
+
+
+def _describe(out: Path, clips: list[Window], shots: tuple[str, ...], options: CutOptions) -> None:
+    counts = {shot: sum(window.shot == i for window in clips) for i, shot in enumerate(shots)}
+    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    height, width = options.size
+    card = {"clips": len(clips), "frames_per_clip": options.frames, "size": [height, width], "sources": counts,
+            "command": command}  # fmt: skip
+    text = CARD.format(
+        count=len(clips), frames=options.frames, width=width, height=height, shots=len(shots), command=command,
+        lines="\n".join(f"- {shot}: {count} clips" for shot, count in counts.items()),
+    )  # fmt: skip
+    write_atomically(out / "dataset.json", dumps(card, indent=2).encode())
+    write_atomically(out / "DATA.md", text.encode())

@@ -1,0 +1,5 @@
+# Somebody in passing: what is it, and what does it look like?
+set -eu
+rtdenoise --version
+rtdenoise --help | grep -i denois
+rtdenoise demo --out demo --source "$1"

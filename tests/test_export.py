@@ -1,0 +1,138 @@
+"""`rtdenoise export`: a player that knows nothing but the exported files reproduces the frames."""
+
+import importlib.util
+import json
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtdenoise.cli.main import main
+from rtdenoise.frame import CHANNELS
+from rtdenoise.glsl import Pipeline
+from rtdenoise.glsl.export import export
+from rtdenoise.glsl.sample import sample_frames
+
+PLAYER = Path(__file__).parent.parent / "examples" / "engines" / "player.py"
+SIZE = (19, 34)
+
+
+@pytest.fixture(scope="module")
+def player():
+    spec = importlib.util.spec_from_file_location("player", PLAYER)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    out = tmp_path_factory.mktemp("export") / "out"
+    export(out, "default", SIZE)
+    return out
+
+
+def document(folder):
+    return json.loads((folder / "export.json").read_text())
+
+
+def test_the_player_needs_no_rtdenoise_and_finds_every_pass_the_same(exported):
+    code = f"import sys, runpy; sys.modules['rtdenoise'] = None; sys.argv = ['player', {str(exported)!r}]"
+    code += f"; runpy.run_path({str(PLAYER)!r}, run_name='__main__')"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    passes = sum(len(frame) for frame in document(exported)["frames"].values())
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert f"{passes} passes same" in run.stdout
+
+
+@pytest.mark.parametrize("model, half", [("paper", False), ("fast", True)])
+def test_other_networks_and_float16(tmp_path, gl, player, model, half):
+    export(tmp_path, model, SIZE, half)
+    assert player.check(player.Player(tmp_path, gl))
+
+
+def test_the_player_denoises_other_frames_as_the_pipeline_does(exported, gl, player):
+    """Four of them: history changes hands three times; then a cut."""
+    played, pipeline, history = player.Player(exported, gl), Pipeline.load("default"), None
+    for number, frame in enumerate(sample_frames(SIZE, 6)[2:]):
+        history = history if number != 3 else None
+        layers = {name: array.tobytes() for name, array in frame.layers()}
+        found = played.play("following" if history else "first", layers)
+        expected, history = pipeline.step(frame, history)
+        assert np.array_equal(found, expected[0]), number
+
+
+def test_the_player_sees_what_differs(exported, gl, player, tmp_path):
+    broken = shutil.copytree(exported, tmp_path / "broken")
+    weights = bytearray((broken / "weights.bin").read_bytes())
+    offset = document(broken)["buffers"]["unet.encoder.1.0.bias"]["offset"]
+    weights[offset : offset + 16] = struct.pack("4f", 9, 9, 9, 9)
+    (broken / "weights.bin").write_bytes(weights)
+    assert not player.check(player.Player(broken, gl))
+
+
+def test_another_rounding_is_close(exported, gl, player, tmp_path, capsys):
+    rounded = shutil.copytree(exported, tmp_path / "rounded")
+    weights = np.fromfile(rounded / "weights.bin", np.float32) * np.float32(1 + 1e-6)
+    weights.tofile(rounded / "weights.bin")
+    assert player.check(player.Player(rounded, gl))
+    same, close = (int(number) for number in re.findall(r"(\d+) passes (?:same|close)", capsys.readouterr().out))
+    assert same > 10 and close > 10
+
+
+def test_everything_named_is_there(exported):
+    found = document(exported)
+    weights = (exported / "weights.bin").stat().st_size
+    for shader in found["shaders"].values():
+        assert (exported / shader["glsl"]).is_file()
+        assert shader["push_constant_bytes"] <= 128  # which Vulkan guarantees
+    for buffer in found["buffers"].values():
+        assert buffer["kind"] != "weights" or buffer["offset"] + buffer["bytes"] <= weights
+    assert {n for n, b in found["buffers"].items() if b["kind"] == "input"} < set(CHANNELS)
+    for steps in found["frames"].values():
+        for step in steps:
+            slots = found["shaders"][step["shader"]]["buffers"]
+            assert [slot["name"] for slot in slots] == list(step["buffers"])
+            assert set(step["buffers"].values()) <= found["buffers"].keys()
+
+
+def test_offsets_are_those_of_push_constants(exported):
+    """std430: an ivec3 starts at a multiple of 16 bytes."""
+    shader = document(exported)["shaders"]["network-conv3x3-1"]["parameters"]
+    types = {name: (parameter["type"], parameter["offset"]) for name, parameter in shader.items()}
+    assert types == {"groups": ("ivec3", 0), "size": ("ivec2", 16)}
+
+
+def test_every_pass_compiles_to_spirv(exported):
+    files = [*exported.glob("spirv/*.spv")]
+    assert files, "glslang is missing: apt install glslang-tools"
+    assert {path.stem for path in files} == {path.stem for path in exported.glob("glsl/*.comp")}
+    assert all(path.read_bytes()[:4] == struct.pack("<I", 0x07230203) for path in files)
+
+
+def test_without_glslang_glsl_alone_is_written(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    main(["export", "--out", str(tmp_path / "out"), "--size", "9x5", "--model", "fast"])
+    assert not (tmp_path / "out" / "spirv").exists()
+    assert all("spirv" not in shader for shader in document(tmp_path / "out")["shaders"].values())
+    assert "apt install glslang-tools" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("options, told", [
+    (["--size", "1280"], "expected WIDTHxHEIGHT such as 1280x720, got '1280'"),
+    (["--model", "fats"], "no model 'fats'"),
+    (["--out", "{used}"], "is not an empty folder"),
+])  # fmt: skip
+def test_wrong_options_are_one_line(tmp_path, capsys, options, told):
+    (tmp_path / "used").mkdir()
+    (tmp_path / "used" / "file").touch()
+    options = [word.format(used=tmp_path / "used") for word in options]
+    with pytest.raises(SystemExit) as stop:
+        main(["export", "--out", str(tmp_path / "out"), *options])
+    error = capsys.readouterr().err
+    assert stop.value.code == 2 and told in error and error.count("\n") == 1

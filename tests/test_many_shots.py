@@ -1,0 +1,55 @@
+"""`rtdenoise denoise` with several shots: each by a process, into a folder of its own, resumable."""
+
+import numpy as np
+import pytest
+from synthetic import make_frames, write_sequence
+
+from rtdenoise.cli.denoise import find_shots
+from rtdenoise.cli.main import main
+from rtdenoise.data.exr import read_channels
+from rtdenoise.errors import InputError
+from rtdenoise.run.denoise import Options, denoise
+
+
+def test_shots_go_on_where_one_fails_and_where_they_stopped(tmp_path, capsys):
+    for name, count in (("a", 2), ("b", 3)):
+        write_sequence(tmp_path / "shots" / name, make_frames(count))
+    (tmp_path / "shots" / "empty").mkdir()
+    command = ["denoise", str(tmp_path / "shots" / "*"), "--out", str(tmp_path / "out"), "--model", "fast"]
+    denoise(str(tmp_path / "shots" / "a"), tmp_path / "out" / "a", Options(model="fast"))
+    with pytest.raises(SystemExit) as stop:
+        main([*command, "--workers", "1"])
+    said = capsys.readouterr()
+    assert stop.value.code == 2
+    assert "1 of 3 shots failed, as told above" in said.err
+    assert "a: 0 frames written, 2 were there" in said.out and "b: 3 frames written" in said.out
+    assert "empty: failed:" in said.out and "no .exr file in this folder" in said.out
+    alone = tmp_path / "alone"
+    denoise(str(tmp_path / "shots" / "b"), alone, Options(model="fast"))
+    for path in alone.glob("*.exr"):
+        found, expected = (read_channels(file, "RGB") for file in (tmp_path / "out" / "b" / path.name, path))
+        for name in "RGB":  # another number of threads sums in another order, and half floats round
+            assert np.allclose(found[name], expected[name], rtol=2**-9, atol=1e-4)
+
+
+def test_names_of_shots(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("shots/a/beauty", "shots/b/beauty", "shots/clean"):
+        (tmp_path / folder).mkdir(parents=True)
+    out = tmp_path / "shots" / "clean"
+    assert find_shots(("shots/a",), out) is None
+    assert find_shots(("shots/a/*.exr",), out) is None  # a glob of files
+    assert find_shots(("shots/*",), out) == {"a": "shots/a", "b": "shots/b"}  # without the output
+    assert find_shots(("shots/[a]",), out) == {"a": "shots/a"}  # one shot today, more tomorrow
+    both = {"a/beauty": "shots/a/beauty", "b/beauty": "shots/b/beauty"}
+    assert find_shots(("shots/*/beauty",), out) == find_shots(("shots/a/beauty", "shots/b/beauty"), out) == both
+    with pytest.raises(InputError, match="is named twice"):
+        find_shots(("shots/a", "shots/a/"), out)
+    with pytest.raises(InputError, match="no sequence: name a folder"):
+        find_shots((), out)
+
+
+def test_workers_below_one(capsys):
+    with pytest.raises(SystemExit):
+        main(["denoise", "shot", "--out", "out", "--workers", "0"])
+    assert "--workers: expected 1 or more, got 0" in capsys.readouterr().err

@@ -1,0 +1,116 @@
+"""`rtdenoise clips SHOT …`: training clips from frames on disk."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from synthetic import make_frames, with_bad_pixels, write_sequence
+
+from rtdenoise.cli.main import main
+from rtdenoise.data.clips import ClipDataset
+from rtdenoise.data.exr import write_layers
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.errors import InputError
+
+SMALL = ["--size", "12", "--frames", "4"]
+
+
+def cut(out, *shots, options=()):
+    main(["clips", *map(str, shots), "--out", str(out), *SMALL, *options])
+    return ClipDataset(out)
+
+
+def error_of(capsys, *arguments):
+    with pytest.raises(SystemExit) as stop:
+        main(["clips", *map(str, arguments)])
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
+
+
+@pytest.fixture
+def shot(tmp_path):
+    return write_sequence(tmp_path / "shot", make_frames(9, H=26, W=36))
+
+
+def test_clips_are_windows_of_the_frames(tmp_path, shot):
+    data = cut(tmp_path / "clips", shot)
+    assert len(data) == 2 * 2 * 3  # twice four frames, two rows and three columns of windows
+    for index in (0, 11):
+        top, left = (facts := data.facts(index))["window"]
+        for signal in ("color", "indirect"):
+            sequence = open_sequence(shot, signal=signal, layers=("reference", "reference_half"))
+            for i, found in enumerate(data.load(index, signal=signal)):
+                expected = sequence[facts["first"] + i].crop(top, left, 12, 12)
+                for layer in ("radiance", "albedo", "normal", "depth", "motion", "motion_next", "reference"):
+                    a, b = getattr(found, layer), getattr(expected, layer)
+                    assert torch.allclose(a, b, rtol=2**-10, atol=1e-6), (index, layer)
+    assert data.facts(0)["halves"] and data.scenes() == {str(shot.resolve())}
+    card = json.loads((tmp_path / "clips" / "dataset.json").read_text())
+    assert card["clips"] == 12 and card["sources"] == {str(shot): 12}
+
+
+def test_an_interrupted_cut_goes_on(tmp_path, shot):
+    paths = cut(tmp_path / "clips", shot).paths
+    whole = [path.read_bytes() for path in paths]
+    paths[3].unlink()
+    before = paths[4].stat().st_mtime_ns
+    again = cut(tmp_path / "clips", shot).paths
+    assert paths[4].stat().st_mtime_ns == before
+    assert len(again[3].read_bytes()) == pytest.approx(len(whole[3]), abs=64)  # the header holds the seconds it took
+
+
+def test_count_chooses_by_the_seed(tmp_path, shot):
+    chosen = [
+        [data.facts(i)["window"] for i in range(len(data))]
+        for seed in ("0", "0", "1")
+        for data in [
+            cut(tmp_path / f"{seed}{len(list(tmp_path.iterdir()))}", shot, options=["--count", "5", "--seed", seed])
+        ]
+    ]
+    assert len(chosen[0]) == 5 and chosen[0] == chosen[1] != chosen[2]
+
+
+def test_references_in_other_files_and_one_signal(tmp_path, capsys):
+    frames = make_frames(4, H=26, W=36)
+    for folder, image in (("noisy", "radiance"), ("converged", "reference")):
+        (tmp_path / folder).mkdir()
+        for frame in frames:
+            names = ("albedo", "normal", "depth", "motion", "motion_next")
+            layers = {name: getattr(frame, name)[0].permute(1, 2, 0).numpy() for name in names}
+            layers["color"] = getattr(frame, image)[0].permute(1, 2, 0).numpy()
+            write_layers(tmp_path / folder / f"f.{frame.number}.exr", layers)
+    data = cut(tmp_path / "clips", tmp_path / "noisy", options=["--reference", str(tmp_path / "converged")])
+    (first, *_) = data.load(0, signal="color")
+    top, left = data.facts(0)["window"]
+    assert torch.allclose(first.reference, frames[0].reference[..., top : top + 12, left : left + 12], rtol=2**-10)
+    assert torch.equal(first.reference, first.reference_half) and not data.facts(0)["halves"]
+    with pytest.raises(InputError, match="has no signal 'indirect'; train with --signal color"):
+        data.load(0, signal="indirect")
+    assert "expected a folder for each of 1 shots, got 2" in error_of(
+        capsys, tmp_path / "noisy", "--out", tmp_path / "c", "--reference", tmp_path / "a", tmp_path / "b"
+    )
+
+
+def test_bad_pixels_do_not_get_into_clips(tmp_path):
+    frames = [with_bad_pixels(frame) for frame in make_frames(4, H=26, W=36)]
+    data = cut(tmp_path / "clips", write_sequence(tmp_path / "bad", frames))
+    assert all(t.isfinite().all() for i in range(len(data)) for f in data.load(i) for _, t in f.layers())
+
+
+def test_what_cannot_be_cut_is_one_line(tmp_path, shot, capsys):
+    out = tmp_path / "clips"
+    assert "frames are 36×26, clips 128×128; take a smaller --size" in error_of(capsys, shot, "--out", out)
+    many = (shot, "--out", out, "--size", "8", "--frames", "10")
+    assert "has 9 frames, clips 10; take fewer --frames" in error_of(capsys, *many)
+    assert "--spp: is for rendering" in error_of(capsys, shot, "--out", out, "--spp", "4")
+    assert "--preset: goes with SHOT" in error_of(capsys, "--out", out, "--preset", "native")
+    for layer in ("reference", "motion_next"):
+        without = ("indirect_reference", layer) if layer == "reference" else (layer,)
+        frames = [replace(frame, **{layer: None}) for frame in make_frames(4, H=26, W=36)]
+        lacking = write_sequence(tmp_path / layer, frames, without)
+        assert f"no layer '{layer}'" in error_of(capsys, lacking, "--out", out, *SMALL)
+    cut(out, shot)
+    other = error_of(capsys, shot, "--out", out, "--size", "13", "--frames", "4")
+    assert "is another clip; choose another --out" in other
