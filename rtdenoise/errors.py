@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 MAX_MESSAGE = 2000  # characters
+INSTALL_TORCH = "type: pip install 'rtdenoise[torch]'"
 
 
 class InputError(ValueError):

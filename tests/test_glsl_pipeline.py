@@ -29,7 +29,7 @@ from rtdenoise.run.plan import look
 from rtdenoise.sanitise import sanitise
 
 # Small models, by the preset of the same architecture.
-SMALL = {"paper": TINY, "default": AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3)}
+SMALL = {"paper": TINY, "default": AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3, detail=True)}
 
 
 @pytest.fixture(autouse=True)
@@ -352,7 +352,7 @@ def test_weights_that_do_not_fit_are_named(weights, tmp_path):
         return str(error.value)
 
     assert "heads.0.bias is (51,), expected (19,)" in refused(kernel=3)
-    assert "expected an architecture of temporal_kpn, accumulated_kpn, got 'mltd'" in refused("mltd")
+    assert "expected an architecture of temporal_kpn, accumulated_kpn, combiner, got 'mltd'" in refused("mltd")
     assert "unknown field 'pool'" in refused("accumulated_kpn")
     assert "expected motion 'dual' or 'traditional', got 'none'" in refused(motion="none")
     with pytest.raises(InputError, match=r"sales: not an override of model 'paper'.*its configuration has widths"):
@@ -452,14 +452,33 @@ def test_the_pipeline_is_imported_without_torch(weights):
     assert run.stdout == "accumulated_kpn\n", run.stderr
 
 
+def test_everything_around_denoising_runs_without_torch(weights, tmp_path):
+    """The same files and pictures with torch and without: the denoised beauty, and the preview."""
+    shot, model = write_sequence(tmp_path / "shot", make_frames(2)), weights(TINY)
+    main = "from rtdenoise.cli.main import main; main()"
+    common = ("--signal", "indirect", "--recombine", "--preview", "--model", model, "--float32", "--backend", "glsl")
+    for name, start in (("without", NO_TORCH), ("with", "import sys\n")):
+        command = [sys.executable, "-c", start + main, "denoise", shot, "--out", tmp_path / name, *common]
+        run = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+        assert (run.returncode, "preview.png" in run.stdout) == (0, True), run.stderr
+    for name in ("frame.0001.exr", "preview.png"):
+        assert (tmp_path / "without" / name).read_bytes() == (tmp_path / "with" / name).read_bytes()
+
+
+def test_inspect_without_torch_leaves_out_the_motion(tmp_path):
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    run = without_torch("from rtdenoise.cli.main import main; main()", "inspect", shot)
+    assert run.returncode == 0, run.stderr
+    assert "not checked: it takes PyTorch; type: pip install 'rtdenoise[torch]'" in run.stdout
+
+
 def test_what_needs_torch_says_so(weights, tmp_path):
     shot = write_sequence(tmp_path / "shot", make_frames(1))
-    common = ("denoise", shot, "--out", tmp_path / "out", "--model", weights(TINY))
-    for options, message in (
-        (("--backend", "torch"), "--backend torch: PyTorch is not installed"),
-        (("--recombine",), "--recombine needs PyTorch"),
-        (("--preview",), "this needs PyTorch"),
+    for words, message in (
+        (("denoise", shot, "--out", tmp_path / "out", "--model", weights(TINY), "--backend", "torch"), "backend torch"),
+        (("evaluate", shot, "--out", tmp_path / "out"), "this needs PyTorch"),
+        (("demo", "--out", tmp_path / "out"), "this needs PyTorch"),
     ):
-        run = without_torch("from rtdenoise.cli.main import main; main()", *common, *options)
+        run = without_torch("from rtdenoise.cli.main import main; main()", *words)
         assert (run.returncode, run.stderr.count("\n")) == (2, 1), run.stderr
-        assert message in run.stderr
+        assert message in run.stderr and "type: pip install 'rtdenoise[torch]'" in run.stderr

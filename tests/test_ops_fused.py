@@ -13,9 +13,6 @@ from pathlib import Path
 import pytest
 import torch
 
-if not torch.cuda.is_available():
-    os.environ["TRITON_INTERPRET"] = "1"  # read when rtdenoise.ops.triton is imported
-
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.ops import dispatch, pixels
@@ -330,6 +327,7 @@ def test_pyramid(both, assert_images_close, size, pool):
     for plain, fused in (
         both(ops.downsample, fine, pool),
         both(ops.compose, fine, torch.randn(2, 3, *coarse), alpha, pool),
+        both(ops.soften, torch.randn(2, 3, *size), fine, torch.rand(2, 1, *size)),
     ):
         assert_images_close(fused, plain, "float32")
 
@@ -405,6 +403,7 @@ from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 from rtdenoise.ops.triton.apply_kernel import _backward, _forward
 from rtdenoise.ops.triton.compose import _compose
+from rtdenoise.ops.triton.soften import _soften
 from rtdenoise.ops.triton.downsample import _downsample
 from rtdenoise.ops.triton.fetch import _fetch
 from rtdenoise.ops.triton.reproject import _reproject
@@ -427,6 +426,7 @@ for cubic in (False, True):
     build(_warp, dict(CUBIC=cubic, **C), **sizes)
 build(_downsample, dict(MAXIMUM=False, BLOCK=128), **sizes)
 build(_compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
+build(_soften, dict(C=3, BLOCK=128), **sizes)
 build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1e6), valid="*u8",
       depth_tolerance="fp32", normal_tolerance="fp32", **sizes)
 """

@@ -24,13 +24,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from ..camera import homogeneous, pixel_motion
 from ..errors import InputError
 from ..files import open_regular
 from ..frame import OFF_SCREEN
 from .exr_format import ExrHeader
 from .files import FrameFiles, check_gaps, find_files, number_files
 from .layout import Layout, rules
-from .scene_motion import homogeneous, pixel_motion
 
 CAMERA = (1080, 1920)  # height and width of SampleSet v1's camera, which files of crops do not record
 COMPONENTS = {

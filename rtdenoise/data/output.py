@@ -16,22 +16,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import InputError
 from ..frame import Frame
-from ..sanitise import sanitise
+from ..sanitise import valid
 from .exr import read_channels, write_layers, write_like
 from .layout import Rule
 from .sequences import Sequence, convert
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 LAYOUTS = ("plain", "source")
 PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
@@ -45,8 +40,6 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
         raise InputError(f"{sequence.paths[0]}: layout 'source' copies EXR files, this is none: choose 'plain'")
     if layout == "source" and keep:
         raise InputError("layout 'source' passes every channel on: leave --keep out")
-    if recombine and find_spec("torch") is None:
-        raise InputError("--recombine needs PyTorch, which is not installed; leave it out")
     if recombine and sequence.signal != "color" and "radiance" not in sequence.layout.resolve(sequence.header, "color"):
         raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has {sequence.header.summary}; "
                          f"{sequence.layout.hint('radiance', 'color')}")  # fmt: skip
@@ -104,35 +97,32 @@ def _files(sequence: Sequence, layout: str, recombine: bool) -> Iterator[list[tu
         yield [(_name(file, path), file) for file in files.locate(channels)]
 
 
-def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> Tensor:
+def recombined(sequence: Sequence, index: int, frame: Frame, image: np.ndarray) -> np.ndarray:
     """The beauty `[1, 3, H, W]` with the denoised signal `image` in it; the equation stands above. Never negative;
     where the input is not finite, the rest counts as 0."""
-    import torch
-
-    albedo = sanitise(frame).albedo if sequence.demodulated else torch.ones_like(image)
+    albedo = valid("albedo", frame.albedo) if sequence.demodulated else np.ones_like(image)
     if sequence.signal == "color":
         return image * albedo
     rule = sequence.layout.resolve(sequence.header, "color")["radiance"]
-    color = torch.from_numpy(convert(rule, sequence.files[index].read(rule.channels), "radiance"))
-    rest = torch.nan_to_num(color - frame.radiance * albedo, nan=0.0, posinf=0.0, neginf=0.0)
-    return (rest + image * albedo).clamp(min=0)
+    color = convert(rule, sequence.files[index].read(rule.channels), "radiance")
+    with np.errstate(invalid="ignore"):
+        rest = np.nan_to_num(color - frame.radiance * albedo, nan=0.0, posinf=0.0, neginf=0.0)
+    return (rest + image * albedo).clip(min=0)
 
 
 def read_result(
     out: Path, sequence: Sequence, index: int, layout: str = "plain", recombine: bool = False
-) -> Tensor:  # [1, 3, H, W]
+) -> np.ndarray:  # [1, 3, H, W]
     """The denoised signal, or the beauty, that `write_frame` wrote with these options."""
-    import torch
-
     path = sequence.paths[index]
     if layout == "plain":
         plain = read_channels(out / sequence.names[index], PLAIN.channels)
-        return torch.from_numpy(convert(PLAIN, plain, "radiance"))
+        return convert(PLAIN, plain, "radiance")
     beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
     rule = beauty or _place(sequence)
     ((file, names),) = sequence.files[index].locate(rule.channels).items()
     stored = read_channels(out / _name(file, path), tuple(names))
-    return torch.from_numpy(convert(rule, {full: stored[name] for name, full in names.items()}, "radiance"))
+    return convert(rule, {full: stored[name] for name, full in names.items()}, "radiance")
 
 
 def write_frame(
@@ -157,11 +147,7 @@ def write_frame(
 
     Raises InputError where the result is not finite, and where the file cannot be written.
     """
-    beauty = None
-    if recombine:
-        import torch
-
-        beauty = recombined(sequence, index, frame.map(torch.from_numpy), torch.from_numpy(image)).numpy()
+    beauty = recombined(sequence, index, frame, image) if recombine else None
     path = sequence.paths[index]
     for result in (image, beauty):
         if result is not None and (bad := int((~np.isfinite(result)).any(1).sum())):

@@ -119,10 +119,12 @@ def open_sequence(
     layers: Collection[str] | None = None,  # layers of `Frame` to read beside DEFAULT_LAYERS, where the files have them
     allow_gaps: bool = False,  # accept missing frame numbers; `Sequence.gaps` lists them
 ) -> Sequence:
-    """Find the files and check all their headers: one size, one set of layers, complete files, consecutive numbers.
+    """The EXR files of a folder, a glob or one name as a `Sequence` of `Frame`s: `[1, C, H, W]` float32 tensors.
 
-    The frame number is the last run of digits in a file's name, or where a layout's pattern has it. Raises `InputError`
-    for whatever does not fit.
+    `signal` is what becomes `radiance`: 'color', the beauty, or 'indirect' light. `preset` is the files' layout; 'auto'
+    finds it. All headers are checked at once: one size, one set of layers, complete files, consecutive numbers. The
+    frame number is the last run of digits in a file's name, or where a layout's pattern has it. Missing numbers are an
+    error unless `allow_gaps`. Raises InputError, in one line, for whatever does not fit.
     """
     if signal not in SIGNALS:
         raise InputError(f"unknown signal '{signal}': known are {', '.join(SIGNALS)}")

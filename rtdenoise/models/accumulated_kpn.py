@@ -22,8 +22,9 @@ from torch.nn import functional as F
 
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
-from ..ops import apply_kernel, compose, downsample, pick, reproject, warp
+from ..ops import apply_kernel, compose, downsample, pick, reproject, soften, warp
 from ..ops.blend_history import blend_history
+from ..ops.even_sky import even_sky
 from ..ops.features import features
 from ..ops.pixels import accumulate, demodulate, modulate, nearness
 from ..ops.shares import shares
@@ -60,6 +61,8 @@ class Heads:
         tuple[Tensor, Tensor]
     ]  # (scales - 1) × logits of the pick kernels [B, P², H/2^s, W/2^s], and the weight
     # [B, 1, H/2^s, W/2^s] in [0, 1] of the picked light; empty where the network has none
+    detail: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1]: how much of the finest detail of a scale is
+    # kept; empty where the network does not predict it
     temporal: Tensor  # [B, 2, 2, L², H/2, W/2] logits of the temporal kernel
     edge: Tensor | None  # [B, 2, 2, E², H/2, W/2] logits of the edge kernel; None where the network has none
     alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
@@ -89,7 +92,12 @@ class AccumulatedKPN(nn.Module):
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """As `Denoiser.step`."""
+        """Denoise one frame: `[B, 3, H, W]` linear radiance ≥ 0, and the history for the next frame.
+
+        `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
+        shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
+        another size, or `frame` is no Frame of tensors.
+        """
         frame = admit(frame, history and history.radiance, known)
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance, but for what is not diffuse
 
@@ -116,6 +124,8 @@ class AccumulatedKPN(nn.Module):
         output = filtered[-1]
         for s in reversed(range(self.config.scales - 1)):
             coarse, output = output, compose(filtered[s], output, heads.alpha[s])
+            if heads.detail:
+                output = soften(output, filtered[s], heads.detail[s])
             if heads.picks:
                 output = pick(output, coarse, *heads.picks[s])
 
@@ -126,6 +136,7 @@ class AccumulatedKPN(nn.Module):
         if heads.edge is not None:
             output = apply_kernel(output, heads.edge)
         output = blend_history(output, past.output, past.on_screen, heads.temporal, heads.alpha_temporal)
+        output = even_sky(output, frame.radiance, frame.depth)
         return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
 
     def reprojected(self, frame: Frame, history: History | None, known: Known = NOTHING_KNOWN) -> Past:
@@ -172,9 +183,11 @@ class AccumulatedKPN(nn.Module):
         alphas = [scale["alpha"].float().sigmoid() for scale in coarser]
         picks = [(full["pick"], shares(full["pick_share"], (H, W)))] if "pick" in full else []
         picks += [(scale["pick"], scale["pick_share"].float().sigmoid()) for scale in coarser if "pick" in scale]
+        detail = [shares(full["detail"], (H, W))] if "detail" in full else []
+        detail += [scale["detail"].float().sigmoid() for scale in coarser if "detail" in scale]
         spatial = [scale["spatial"] for scale in (full, *coarser)]
         each = shares(full["shares"], (H, W)).split(1, dim=1)
-        return Heads(spatial, alphas, picks, full["temporal"], full.get("edge"), *each)
+        return Heads(spatial, alphas, picks, detail, full["temporal"], full.get("edge"), *each)
 
     def loss(
         self,

@@ -5,17 +5,21 @@ from __future__ import annotations
 import contextlib
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, ImageDraw
-from torch import Tensor
 
 from ..color import display, display_exposure
 from ..data.output import read_result, recombined
 from ..data.sequences import Sequence
 from ..files import replacing
-from ..sanitise import sanitise
+from ..sanitise import valid
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 FRAMES_PER_SECOND = 12
 WIDEST = 1920  # pixels of an animation, which bounds its memory too
@@ -33,7 +37,8 @@ def preview(
     """
     scale, strips = None, []
     for i in reversed(range(min(len(sequence), most_frames))):
-        frame, image = sanitise(sequence[i]), read_result(out, sequence, i, layout, recombine)
+        frame, image = sequence.read(i), read_result(out, sequence, i, layout, recombine)
+        frame = replace(frame, radiance=valid("radiance", frame.radiance))
         shown = {"noisy": frame.radiance} | ({} if frame.reference is None else {"reference": frame.reference})
         if recombine:
             shown = {label: recombined(sequence, i, frame, signal) for label, signal in shown.items()}
@@ -67,7 +72,7 @@ def animate(pictures: list[Image.Image], path: Path) -> Path:
     return path.with_suffix(".gif")
 
 
-def strip(panels: dict[str, Tensor], scale: Tensor | float) -> Image.Image:
+def strip(panels: dict[str, Tensor | np.ndarray], scale: Tensor | float) -> Image.Image:
     """Images `[1, 3, H, W]` of linear radiance side by side, display-transformed at one exposure, each with its
     label."""
     gap = 4
@@ -81,6 +86,7 @@ def strip(panels: dict[str, Tensor], scale: Tensor | float) -> Image.Image:
     return canvas
 
 
-def to_picture(image: Tensor) -> Image.Image:
+def to_picture(image: Tensor | np.ndarray) -> Image.Image:
     """`[1, 3, H, W]` in [0, 1] to 8 bits."""
-    return Image.fromarray(np.round(image[0].permute(1, 2, 0).cpu().numpy() * 255).astype(np.uint8))
+    values = np.moveaxis(np.asarray(image[0] if isinstance(image, np.ndarray) else image[0].cpu()), 0, 2)
+    return Image.fromarray(np.round(values * 255).astype(np.uint8))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import logging
 import os
 import platform
 import re
@@ -20,6 +21,7 @@ from . import cache
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
+COMPILE_SECONDS = 10  # of all files that a model needs, on one core
 THREADS = "-fopenmp"  # finds the OpenMP that torch has loaded: both share one pool of threads
 WIDE_VECTORS = "-mprefer-vector-width=512"  # x86: by default compilers use half the width
 
@@ -44,6 +46,13 @@ def library(name: str, **constants: int | float) -> ctypes.CDLL:
         raise NotCompiled(f"{error.filename}: {error.strerror}" if error.filename else str(error)) from None
 
 
+@functools.cache
+def _announce() -> None:
+    """Say once a process why the first frame takes long."""
+    message = "rtdenoise: compiling kernels for this CPU once, about %d s; they are kept in %s"
+    logging.getLogger("rtdenoise").warning(message, COMPILE_SECONDS, cache.folder())
+
+
 def pointer(tensor: Tensor | None) -> ctypes.c_void_p:
     """The address of a tensor's first value; null for None."""
     return ctypes.c_void_p(tensor.data_ptr() if tensor is not None else None)
@@ -54,6 +63,7 @@ def _literal(value: int | float) -> str:
 
 
 def _compile(command: list[str], source: str, path: Path) -> None:
+    _announce()
     command = [*command, "-x", "c", "-", "-o", str(path), "-lm"]
     result = subprocess.run(command, input=source, capture_output=True, text=True, errors="replace")
     if result.returncode != 0:
