@@ -56,10 +56,10 @@ def main(kinds: tuple[str, ...] = KINDS, kills: int = 50, executions: int = 20_0
         raise InputError(f"unknown kind {min(unknown)!r}; expected some of {', '.join(KINDS)}")
     run = {"kills": lambda: _kills(kills), "fuzz": lambda: _fuzz(executions), "sanitizers": _sanitizers,
            "memory": _memory, "files": _files}  # fmt: skip
-    rows = json.loads(RESULT.read_text())["kinds"] if RESULT.is_file() else {}
     broken = []
     for kind in kinds:
         found = run[kind]()
+        rows = json.loads(RESULT.read_text())["kinds"] if RESULT.is_file() else {}  # another run may do other kinds
         rows[kind] = {"date": date.today().isoformat(), "rows": found}
         harness.publish(RESULT, {"kinds": {k: rows[k] for k in KINDS if k in rows}}, pages=PAGES, tables=tables)
         broken += [f"{kind}: {row['attack']}: {row['result']}" for row in found if not row["held"]]
