@@ -60,12 +60,13 @@ def write_atomically(path: Path, content: bytes | memoryview, sync: bool = False
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove the files that killed processes of this program were writing. Call it while holding the folder's lock.
+    """Remove the files that killed processes of this program were writing, in the folders inside too; links are not
+    followed. Call it while holding the folder's lock.
 
     Whether a process still runs is known of this machine alone. Files from other machines, which may write there too,
     are removed when they are a day old.
     """
-    for path in folder.iterdir():
+    for path in (Path(place) / name for place, _, names in os.walk(folder) for name in names):
         match = UNFINISHED.fullmatch(path.name)
         if not match:
             continue
