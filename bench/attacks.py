@@ -1,6 +1,6 @@
 """Attacks: commands killed at random moments, fuzzed files, sanitizers over the C ops, little memory, hostile files.
 
-python bench/attacks.py [--kinds kills fuzz ...] [--kills 50] [--executions 20000]
+python bench/attacks.py [--kinds kills fuzz ...] [--kills 50] [--commands train ...] [--executions 10000]
 
     kills       every command that takes long, killed `--kills` times and resumed (tests/attack_kills.py)
     fuzz        `--executions` inputs for each kind of file, mutated by atheris (tools/fuzz.py, tests/fuzz_targets.py)
@@ -8,7 +8,7 @@ python bench/attacks.py [--kinds kills fuzz ...] [--kills 50] [--executions 2000
     memory      denoise under ever smaller limits of its address space (tests/attack_memory.py)
     files       the tests that feed hostile files, folders, caches and consoles, counted
 
-Kinds that are left out keep their rows. `make fuzz` runs all kinds; fuzz needs atheris (extra `fuzz`).
+Kinds and commands that are left out keep their rows. `make fuzz` runs all kinds; fuzz needs atheris (extra `fuzz`).
 """
 
 from __future__ import annotations
@@ -51,16 +51,20 @@ CASES = {  # file of tests -> what it attacks
 KINDS = ("kills", "fuzz", "sanitizers", "memory", "files")
 
 
-def main(kinds: tuple[str, ...] = KINDS, kills: int = 50, executions: int = 20_000) -> None:
+def main(
+    kinds: tuple[str, ...] = KINDS, kills: int = 50, commands: tuple[str, ...] = COMMANDS, executions: int = 10_000
+) -> None:
     if unknown := set(kinds) - set(KINDS):
         raise InputError(f"unknown kind {min(unknown)!r}; expected some of {', '.join(KINDS)}")
-    run = {"kills": lambda: _kills(kills), "fuzz": lambda: _fuzz(executions), "sanitizers": _sanitizers,
+    run = {"kills": lambda: _kills(commands, kills), "fuzz": lambda: _fuzz(executions), "sanitizers": _sanitizers,
            "memory": _memory, "files": _files}  # fmt: skip
     broken = []
     for kind in kinds:
         found = run[kind]()
         rows = json.loads(RESULT.read_text())["kinds"] if RESULT.is_file() else {}  # another run may do other kinds
-        rows[kind] = {"date": date.today().isoformat(), "rows": found}
+        known = {row["attack"]: row for row in rows.get(kind, {}).get("rows", [])}
+        known |= {row["attack"]: row for row in found}
+        rows[kind] = {"date": date.today().isoformat(), "rows": list(known.values())}
         harness.publish(RESULT, {"kinds": {k: rows[k] for k in KINDS if k in rows}}, pages=PAGES, tables=tables)
         broken += [f"{kind}: {row['attack']}: {row['result']}" for row in found if not row["held"]]
     print(f"did not hold: {broken or 'nothing'}")
@@ -73,14 +77,16 @@ def _row(attack: str, count: int, held: bool, result: str, **counts: int) -> dic
     return {"attack": attack, "count": count, "held": held, "result": result, **counts}
 
 
-def _kills(kills: int) -> list[dict]:
+def _kills(commands: tuple[str, ...], kills: int) -> list[dict]:
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     rows = []
-    for command in COMMANDS:
+    for command in commands:
         result = subprocess.run([sys.executable, TESTS / "attack_kills.py", f"{command}={kills}"], capture_output=True,
                                 text=True, env=environment, cwd=ROOT)  # fmt: skip
         if result.returncode:
-            rows.append(_row(f"`{command}` killed", kills, False, result.stderr.strip().splitlines()[-1]))
+            rows.append(
+                _row(f"`{command}` killed at random moments", kills, False, result.stderr.strip().splitlines()[-1])
+            )
             continue
         found = json.loads(result.stdout)
         at = found["files_at_kill"]

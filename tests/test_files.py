@@ -58,6 +58,8 @@ def test_only_our_own_unfinished_files_are_removed(tmp_path):
         assert files.UNFINISHED.fullmatch(temporary.name)[2] == here
         temporary.touch()
     files.remove_unfinished(tmp_path)
+    assert any((tmp_path / "inside").iterdir())
+    files.remove_unfinished(tmp_path, inside=True)
     assert {path.name for path in tmp_path.iterdir()} == {*others, "a", "inside"}
     assert not any((tmp_path / "inside").iterdir())
 
