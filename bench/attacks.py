@@ -1,6 +1,7 @@
 """Attacks: commands killed at random moments, fuzzed files, sanitizers over the C ops, little memory, hostile files.
 
 python bench/attacks.py [--kinds kills fuzz ...] [--kills 50] [--commands train ...] [--executions 10000]
+                        [--formats exr ...]
 
     kills       every command that takes long, killed `--kills` times and resumed (tests/attack_kills.py)
     fuzz        `--executions` inputs for each kind of file, mutated by atheris (tools/fuzz.py, tests/fuzz_targets.py)
@@ -8,7 +9,8 @@ python bench/attacks.py [--kinds kills fuzz ...] [--kills 50] [--commands train 
     memory      denoise under ever smaller limits of its address space (tests/attack_memory.py)
     files       the tests that feed hostile files, folders, caches and consoles, counted
 
-Kinds and commands that are left out keep their rows. `make fuzz` runs all kinds; fuzz needs atheris (extra `fuzz`).
+Kinds, commands and formats that are left out keep their rows. `make fuzz` runs all kinds; fuzz needs atheris (extra
+`fuzz`).
 """
 
 from __future__ import annotations
@@ -52,12 +54,16 @@ KINDS = ("kills", "fuzz", "sanitizers", "memory", "files")
 
 
 def main(
-    kinds: tuple[str, ...] = KINDS, kills: int = 50, commands: tuple[str, ...] = COMMANDS, executions: int = 10_000
+    kinds: tuple[str, ...] = KINDS,
+    kills: int = 50,
+    commands: tuple[str, ...] = COMMANDS,
+    executions: int = 10_000,
+    formats: tuple[str, ...] = tuple(FORMATS),
 ) -> None:
     if unknown := set(kinds) - set(KINDS):
         raise InputError(f"unknown kind {min(unknown)!r}; expected some of {', '.join(KINDS)}")
-    run = {"kills": lambda: _kills(commands, kills), "fuzz": lambda: _fuzz(executions), "sanitizers": _sanitizers,
-           "memory": _memory, "files": _files}  # fmt: skip
+    run = {"kills": lambda: _kills(commands, kills), "fuzz": lambda: _fuzz(formats, executions),
+           "sanitizers": _sanitizers, "memory": _memory, "files": _files}  # fmt: skip
     broken = []
     for kind in kinds:
         found = run[kind]()
@@ -100,11 +106,11 @@ def _kills(commands: tuple[str, ...], kills: int) -> list[dict]:
     return rows
 
 
-def _fuzz(executions: int) -> list[dict]:
+def _fuzz(formats: tuple[str, ...], executions: int) -> list[dict]:
     if find_spec("atheris") is None:
         raise InputError("atheris is not installed: pip install 'rtdenoise[fuzz]', or leave fuzz out of --kinds")
     rows = []
-    for kind, what in FORMATS.items():
+    for kind in formats:
         with tempfile.TemporaryDirectory() as folder:
             command = [sys.executable, ROOT / "tools" / "fuzz.py", kind, "--runs", str(executions)]
             result = subprocess.run(command, capture_output=True, text=True, cwd=folder, errors="replace")
@@ -112,10 +118,12 @@ def _fuzz(executions: int) -> list[dict]:
         count = int(said[1]) if said else 0
         held = result.returncode == 0 and count >= executions
         error = re.search(r"Uncaught Python exception: ===\n(.*)", result.stderr)
-        outcome = "read, or refused in one line" if held else (error[1] if error else f"exit {result.returncode}")
+        outcome = (
+            "read, or refused in one line" if held else (error[1] if error else result.stderr.strip().splitlines()[-1])
+        )
         tracebacks = int("Uncaught Python exception" in result.stderr)
         finite = {"not_finite": 0} if kind in ("state", "weights") and held else {}
-        rows.append(_row(f"fuzzed {what}", count, held, outcome, tracebacks=tracebacks, **finite))
+        rows.append(_row(f"fuzzed {FORMATS[kind]}", count, held, outcome, tracebacks=tracebacks, **finite))
         print(f"{kind}: {rows[-1]}", flush=True)
     return rows
 

@@ -60,8 +60,8 @@ def write_atomically(path: Path, content: bytes | memoryview, sync: bool = False
 
 
 def remove_unfinished(folder: Path, inside: bool = False) -> None:
-    """Remove the files that killed processes of this program were writing, with `inside` in inner folders too (links are
-    not followed). Call it while holding the folder's lock.
+    """Remove the files that killed processes of this program were writing, with `inside` in inner folders too, but not
+    beyond links. Call it while holding the folder's lock.
 
     Whether a process still runs is known of this machine alone. Files from other machines, which may write there too,
     are removed when they are a day old.
