@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-MAX_MESSAGE = 2000  # characters
 INSTALL_TORCH = "type: pip install 'rtdenoise[torch]'"
+MAX_MESSAGE = 2000  # characters
 
 
 class InputError(ValueError):
