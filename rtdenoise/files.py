@@ -59,13 +59,15 @@ def write_atomically(path: Path, content: bytes | memoryview, sync: bool = False
         raise InputError(f"{path}: cannot be written: {error.strerror}; run again when that is solved") from None
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Remove the files that killed processes of this program were writing. Call it while holding the folder's lock.
+def remove_unfinished(folder: Path, inside: bool = False) -> None:
+    """Remove the files that killed processes of this program were writing, with `inside` in inner folders too, but not
+    beyond links. Call it while holding the folder's lock.
 
     Whether a process still runs is known of this machine alone. Files from other machines, which may write there too,
     are removed when they are a day old.
     """
-    for path in folder.iterdir():
+    walk = os.walk(folder) if inside else [next(os.walk(folder), (folder, [], []))]
+    for path in (Path(place) / name for place, _, names in walk for name in names):
         match = UNFINISHED.fullmatch(path.name)
         if not match:
             continue

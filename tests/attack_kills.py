@@ -56,12 +56,16 @@ class Outcome:
     refused: list[str] = field(default_factory=list)  # lines of runs that ended with another code than 0
     tracebacks: int = 0
     left: list[str] = field(default_factory=list)  # unfinished files in the folder of a completed run
+    lost: list[str] = field(default_factory=list)  # files that were there at a kill and not at the end
+    outside: list[str] = field(default_factory=list)  # files that appeared or changed beside the output folder
     files_at_kill: list[int] = field(default_factory=list)
     seconds: float = 0.0  # of an undisturbed run
 
     @property
     def held(self) -> bool:
-        return self.completed > 0 and not (self.different or self.refused or self.tracebacks or self.left)
+        return self.completed > 0 and not (
+            self.different or self.refused or self.tracebacks or self.left or self.lost or self.outside
+        )
 
 
 def attack(command: str, kills: int, seed: int, folder: Path, warm_up: bool = True) -> Outcome:
@@ -73,23 +77,39 @@ def attack(command: str, kills: int, seed: int, folder: Path, warm_up: bool = Tr
     started = time.monotonic()
     run([*arguments, "--out", str(folder / "whole")], None, outcome)
     outcome.seconds = time.monotonic() - started
-    expected = contents(folder / "whole")
+    expected, input_files, seen = contents(folder / "whole"), beside(folder), set()
     for _ in range(MOST_RUNS * kills):
         if outcome.kills == kills:
             break
         finished = run([*arguments, "--out", str(out)], rng.uniform(0.01, 1.0) * outcome.seconds, outcome)
         if finished:
-            compare(out, contents, expected, outcome)
-            shutil.rmtree(out)
-        elif out.exists():
-            outcome.files_at_kill.append(sum(1 for path in out.rglob("*") if path.is_file() and path.name[0] != "."))
+            compare(out, contents, expected, seen, outcome)
+            shutil.rmtree(out, ignore_errors=True)
+            seen = set()
+        else:
+            seen |= (now := visible(out))
+            outcome.files_at_kill.append(len(now))
     if outcome.kills == kills and run([*arguments, "--out", str(out)], None, outcome):
-        compare(out, contents, expected, outcome)
+        compare(out, contents, expected, seen, outcome)
+    outcome.outside = sorted(name for name, _ in beside(folder) ^ input_files)
     return outcome
 
 
-def compare(out: Path, contents: Callable, expected: object, outcome: Outcome) -> None:
+def visible(out: Path) -> set[str]:
+    return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file() and path.name[0] != "."}
+
+
+def beside(folder: Path) -> set[tuple[str, int]]:
+    """Name and time of every file that is not in the output folder."""
+    return {(str(path.relative_to(folder)), path.stat().st_mtime_ns) for path in folder.rglob("*")
+            if path.is_file() and path.relative_to(folder).parts[0] != "out"}  # fmt: skip
+
+
+def compare(out: Path, contents: Callable, expected: object, seen: set[str], outcome: Outcome) -> None:
+    if not out.exists():  # refused before it began
+        return
     outcome.completed += 1
+    outcome.lost += sorted(seen - visible(out))
     outcome.different += contents(out) != expected
     outcome.left += [path.name for path in out.rglob(".*") if path.is_file() and "lock" not in path.name
                      and path.name != ".rtdenoise-state.safetensors"]  # fmt: skip

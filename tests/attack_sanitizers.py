@@ -67,9 +67,11 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops import pixels
     from rtdenoise.ops.blend_history import blend_history
     from rtdenoise.ops.block_luminance import block_luminance
+    from rtdenoise.ops.even_sky import even_sky
     from rtdenoise.ops.features import features
     from rtdenoise.ops.logits import cells
     from rtdenoise.ops.shares import shares
+    from rtdenoise.ops.soften import soften
     from rtdenoise.splat import history_motion
 
     small = H * W <= SMALL
@@ -97,6 +99,9 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     yield "modulate", pixels.modulate(other, other, other, share, depth)
     yield "accumulate", pixels.accumulate(image, image, share * 9, share, 32.0)
     yield "nearness", pixels.nearness(depth, torch.ones(1, 1, 1, 1))
+    yield "soften", soften(image, other, share)
+    for sky in (depth, torch.zeros_like(depth), torch.where(seen, 1.0, 0.0)):
+        yield "even_sky", even_sky(other, torch.where(seen, other, 0.5), sky)
     yield "within", pixels.within(image, 0.0, 1.0)
     yield "block_luminance", block_luminance(image, 8)
     like = torch.zeros(1, 1, 1, 1).contiguous(memory_format=torch.channels_last)

@@ -32,6 +32,7 @@ from rtdenoise.models.weights import read_model
 from rtdenoise.run import denoise as run
 from rtdenoise.run.backends import TorchBackend
 
+FINGERPRINT = "0" * 64
 LONGEST_MESSAGE = 2000  # characters
 CORPUS = Path(__file__).parent / "corpus"
 
@@ -92,7 +93,8 @@ def scene(data: bytes) -> None:
 
 def state(data: bytes) -> None:
     """A saved history, and a frame denoised with it."""
-    sequence, options, backend, fingerprints, out = _resumable()
+    sequence, options, backend, out, _ = _resumable()
+    fingerprints = [FINGERPRINT] * (len(sequence) + 1)  # a real one depends on the time
     (out / run.STATE).write_bytes(safetensors(data))
 
     def resume():
@@ -184,8 +186,9 @@ def _resumable() -> tuple:
         run.denoise(str(_shot()), out, options, on_frame=stop)
     except Stop:
         (out / "later").mkdir()
-    sequence = open_sequence(_shot())
-    return sequence, options, TorchBackend(options.model, "cpu", "auto"), run._fingerprints(sequence, options), out
+    sequence, seed = open_sequence(_shot()), unpacked((out / run.STATE).read_bytes())
+    seed = seed.replace(run._fingerprints(sequence, options)[2].encode(), FINGERPRINT.encode())
+    return sequence, options, TorchBackend(options.model, "cpu", "auto"), out, seed
 
 
 ODD = (None, True, False, 0, 1, -1, 2, 2**31, 2**63, -(2**63), 10**400, 0.5, -0.0, 1e30, 1e308, "", "x", "1", "\n",
@@ -247,7 +250,7 @@ def seeds(kind: str) -> list[bytes]:
         return [json.dumps({"format": "rtdenoise-scene-1", "width": 7, "height": 9, "objects": {"1": "wall"},
                             "frames": frames}).encode()]  # fmt: skip
     if kind == "state":
-        return [unpacked((_resumable()[-1] / run.STATE).read_bytes())]
+        return [_resumable()[-1]]
     if kind == "weights":
         return [unpacked(_model().read_bytes())]
     if kind == "clip":

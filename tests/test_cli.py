@@ -177,3 +177,10 @@ def test_other_errors_are_not_hidden(monkeypatch):
     monkeypatch.setattr(commands, "parse", lambda arguments: Broken())
     with pytest.raises(RuntimeError, match="a defect"):
         entry.main(["inspect", "x"])
+
+
+def test_an_unknown_choice_of_ops_is_one_line(tmp_path):
+    shot = write_sequence(tmp_path / "shot", make_frames(1))
+    found = process("denoise", shot, "--out", tmp_path / "o", env=os.environ | {"RTDENOISE_OPS": "quick"})
+    assert found.returncode == 2 and found.stderr.count("\n") == 1
+    assert "RTDENOISE_OPS or ops.use: expected one of auto, plain, fused, got 'quick'" in found.stderr

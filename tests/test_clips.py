@@ -156,3 +156,11 @@ def test_halves_under_their_old_names_are_read(tmp_path, signal):
     half = open_sequence(tmp_path, signal=signal, layers=["reference_half"])[0].reference_half
     name = {"color": "reference_half", "indirect": "indirect_reference_half"}[signal]
     np.testing.assert_array_equal(half, images(frame, name))
+
+
+@pytest.mark.parametrize("facts", [{}, {"generator": 3}, {"kind": "scene file", "seed": 1}])
+def test_facts_that_do_not_name_the_scene_are_one_line(tmp_path, facts):
+    write_clip(path := clip_path(tmp_path, 0), make_frames(), {})
+    save_file(load_file(path), path, {"clip": json.dumps(facts)})
+    with pytest.raises(InputError, match=r"clip_000000\.safetensors: its facts lack '(seed|source)'"):
+        ClipDataset(tmp_path).scenes()

@@ -18,6 +18,7 @@ from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.inputs import reference_errors
 from rtdenoise.evaluate.registry import DEFAULTS
 from rtdenoise.evaluate.run import NEEDS, Options, run
+from rtdenoise.files import lock
 from rtdenoise.models import available, find, load
 from rtdenoise.report import report
 
@@ -232,6 +233,13 @@ def test_a_run_measures_and_leaves_out_with_reasons(shot, tmp_path, capsys):
     still = out / "pictures" / "shot" / f"{document.sequences['shot']['stills'][0]:04d}"
     assert {path.stem for path in still.glob("*.exr")} == {*PLAIN, "reference"}
     assert "no input at 8 spp" in capsys.readouterr().out
+
+
+def test_two_runs_do_not_measure_into_one_folder(shot, tmp_path):
+    (tmp_path / "out").mkdir()
+    with lock(tmp_path / "out"), pytest.raises(InputError, match="another run is writing there"):
+        run([str(shot)], tmp_path / "out", Options(("noisy",)))
+    run([str(shot)], tmp_path / "out", Options(("noisy",)))
 
 
 def test_what_was_measured_is_not_measured_again(shot, tmp_path, monkeypatch):

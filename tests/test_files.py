@@ -48,6 +48,8 @@ def test_only_our_own_unfinished_files_are_removed(tmp_path):
     running = [f".rtdenoise-{os.getppid()}-{here}89abcdef.tmp", f".rtdenoise-1-{elsewhere}89abcdef.tmp"]
     old = [f".rtdenoise-1-{elsewhere}{k}9abcdef.tmp" for k in range(2)]  # of machines that have long finished
     others = [".other.tmp", ".a.exr.123.tmp", ".rtdenoise-1.tmp", ".rtdenoise-state.safetensors", *running]
+    (tmp_path / "inside").mkdir()
+    ours.append(f"inside/{ours[0]}")
     for name in (*ours, *others, *old):
         (tmp_path / name).touch()
     for name in (*old, *others):
@@ -56,7 +58,10 @@ def test_only_our_own_unfinished_files_are_removed(tmp_path):
         assert files.UNFINISHED.fullmatch(temporary.name)[2] == here
         temporary.touch()
     files.remove_unfinished(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {*others, "a"}
+    assert any((tmp_path / "inside").iterdir())
+    files.remove_unfinished(tmp_path, inside=True)
+    assert {path.name for path in tmp_path.iterdir()} == {*others, "a", "inside"}
+    assert not any((tmp_path / "inside").iterdir())
 
 
 def test_one_lock_at_a_time(tmp_path):

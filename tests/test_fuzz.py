@@ -3,6 +3,7 @@
 import json
 import struct
 
+import fuzz_targets
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -123,3 +124,21 @@ def test_a_scene_with_odd_values_anywhere(tmp_path, data):
 @given(noise=st.binary(max_size=600), magic=st.booleans())
 def test_noise(tmp_path, noise, magic):
     survives(tmp_path / "frame.0001.exr", (b"\x76\x2f\x31\x01\x02\0\0\0" if magic else b"") + noise)
+
+
+@pytest.mark.parametrize("kind", fuzz_targets.TARGETS)
+def test_the_fuzzers_inputs_are_survived(kind):
+    """Inputs that tools/fuzz.py found, each of which reaches further lines; findings of before among them."""
+    inputs = sorted((fuzz_targets.CORPUS / kind).iterdir())
+    assert inputs
+    for path in inputs:
+        fuzz_targets.TARGETS[kind](path.read_bytes())
+
+
+@pytest.mark.parametrize("kind", fuzz_targets.TARGETS)
+def test_the_fuzzer_begins_with_files_that_are_read(kind, monkeypatch):
+    refused, found = fuzz_targets.refused, []
+    monkeypatch.setattr(fuzz_targets, "refused", lambda read: found.append(refused(read)) or found[-1])
+    for seed in fuzz_targets.seeds(kind):
+        fuzz_targets.TARGETS[kind](seed)
+    assert found and not any(found)

@@ -10,6 +10,7 @@ import pytest
 from rtdenoise.data.clips import FEATURES, RADIANCE, ClipDataset, clip_path, read_facts
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.errors import InputError
+from rtdenoise.files import lock
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.render import stage
 from rtdenoise.render.clips import render_clips
@@ -277,7 +278,21 @@ def test_sequence_resumes_where_it_stopped(shot, tmp_path):
     assert "reference" not in again
     for layer in ("color", "indirect", "albedo", "normal", "depth", "motion"):
         assert np.array_equal(again[layer], once[layer]), f"{layer} depends on what was rendered before"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["frame.0004.exr", "frame.0005.exr", "scene.json"]
+    visible = sorted(p.name for p in tmp_path.iterdir() if p.name[0] != ".")
+    assert visible == ["frame.0004.exr", "frame.0005.exr", "scene.json"]
+
+
+def test_two_runs_do_not_render_into_one_folder(tmp_path):
+    with lock(tmp_path), pytest.raises(InputError, match="another run is writing there"):
+        render_sequence(small_room(), tmp_path, 1, OPTIONS)
+
+
+@pytest.mark.parametrize("content", ["[]", "{}", '{"frames": 3}', '{"frames": [1]}', "{"])
+def test_a_damaged_scene_json_of_an_earlier_run_is_one_line(tmp_path, content):
+    (tmp_path / "scene.json").write_text(content)
+    with pytest.raises(InputError, match=r"scene\.json: ") as caught:
+        render_sequence(small_room(), tmp_path, 1, OPTIONS)
+    assert "\n" not in str(caught.value) and (tmp_path / "scene.json").read_text() == content
 
 
 TINY = ClipOptions(count=1, size=(16, 24), frames=3, seed=2, reference_spp=4, workers=1, generator=1)

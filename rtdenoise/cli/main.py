@@ -11,7 +11,11 @@ import sys
 from ..errors import INSTALL_TORCH, InputError
 
 INTERRUPTED = "interrupted; run the same command again to go on"
-OUT_OF_MEMORY = ("out of memory", "can't allocate memory", "not enough memory")  # how torch and its drivers say it
+OUT_OF_MEMORY = (  # how torch, its drivers and the system's loader say it
+    "out of memory", "can't allocate memory", "not enough memory", "bad_alloc", "failed to map segment",
+    "cannot allocate memory",
+)  # fmt: skip
+MIN_ADDRESS_SPACE = 700e6  # bytes; with less, libraries abort while they are loaded
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -45,6 +49,8 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         _stop(2, _out_of_memory(error))
     except ImportError as error:  # compiled modules turn Ctrl-C during their import into an ImportError
+        if any(words in str(error).lower() for words in OUT_OF_MEMORY):
+            _stop(2, _out_of_memory(error))
         if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise
         _stop(130, INTERRUPTED)
@@ -62,11 +68,24 @@ def _run(arguments: list[str]) -> None:
         print(f"rtdenoise {__version__}")
         return
     refuse_old_spelling(arguments)
+    _refuse_low_limit()
     set_defaults()
 
     from .commands import parse
 
     parse(arguments).run()
+
+
+def _refuse_low_limit() -> None:
+    """Raise InputError where the system grants this process too little memory to start (ulimit -v)."""
+    try:
+        from resource import RLIMIT_AS, getrlimit
+    except ImportError:  # Windows
+        return
+    limit = getrlimit(RLIMIT_AS)[0]
+    if 0 <= limit < MIN_ADDRESS_SPACE:
+        raise InputError(f"out of memory: this process is limited to {limit / 1e6:.0f} MB (ulimit -v), it needs at "
+                         f"least {MIN_ADDRESS_SPACE / 1e6:.0f} MB")  # fmt: skip
 
 
 def _stop(code: int, message: str) -> None:

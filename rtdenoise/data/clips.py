@@ -140,7 +140,7 @@ class ClipDataset:
     def scenes(self) -> set[str]:
         """The scenes that the clips show: the name of a scene file, the folder of a shot, or the version and seed of a
         generator. A generator draws textures and objects from its seed, so scenes of different seeds share nothing."""
-        return {_scene(self.facts(index)) for index in range(len(self))}
+        return {_scene(path, read_facts(path)) for path in self.paths}
 
     def load(
         self,
@@ -271,10 +271,13 @@ def _from_header(path: Path, clip, key: str) -> dict:
     return value
 
 
-def _scene(facts: dict) -> str:
-    if facts.get("kind") in ("scene file", SHOT):
-        return facts["source"]
-    return f"generator {facts.get('generator')}, seed {facts.get('scene_seed', facts['seed'])}"
+def _scene(path: Path, facts: dict) -> str:
+    try:
+        if facts.get("kind") in ("scene file", SHOT):
+            return str(facts["source"])
+        return f"generator {facts.get('generator')}, seed {facts.get('scene_seed', facts['seed'])}"
+    except KeyError as missing:
+        raise InputError(f"{path}: its facts lack {missing}; delete it and render it again") from None
 
 
 def _opened(path: Path):

@@ -25,12 +25,13 @@ import OpenEXR
 from ..errors import InputError
 from ..files import open_regular, read_bytes, write_atomically
 from .exr_chunks import single_part
-from .exr_format import ExrHeader
+from .exr_format import ExrHeader, Part
 from .exr_header import parse_file
 from .layers import LAYERS
 
 NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}
 HALF_MAX = 65504.0
+DECODER_NEEDS = 3  # times the decoded pixels: the file, OpenEXR's buffers, the result
 
 GEOMETRY = {name: layer.components for name, layer in LAYERS.items() if layer.components != "RGB"}
 STRUCTURE = {"channels", "chunkCount", "name", "tiles", "type", "version"}  # attributes that the encoder makes itself
@@ -179,6 +180,16 @@ def _decode(path: Path, header: ExrHeader, index: int) -> dict[str, np.ndarray]:
     return {name: channel.pixels for name, channel in _open(path, header, index).channels().items()}
 
 
+def _refuse_without_memory(path: Path, part: Part) -> None:
+    """Raise InputError where there is too little memory for the decoded part: OpenEXR does not tell it from damage."""
+    needed = 4 * part.size[0] * part.size[1] * len(part.channels)
+    try:
+        np.empty(DECODER_NEEDS * needed, np.uint8)
+    except MemoryError:
+        raise InputError(f"{path}: out of memory, or damaged: {needed / 1e6:.0f} MB of pixels could not be "
+                         "decoded") from None  # fmt: skip
+
+
 def _open(path: Path, header: ExrHeader, index: int) -> OpenEXR.File:
     """One part of a file, decoded, as a file of its own."""
     try:
@@ -190,5 +201,6 @@ def _open(path: Path, header: ExrHeader, index: int) -> OpenEXR.File:
         decoded.channels()
     except (RuntimeError, ValueError, OSError, MemoryError):
         # OpenEXR drops a part that it cannot decode, then complains that there is no part: not worth passing on.
+        _refuse_without_memory(path, header.parts[index])
         raise InputError(f"{path}: damaged: the pixels cannot be decoded") from None
     return decoded

@@ -77,7 +77,7 @@ def run(
         raise InputError(f"two sequences are called {twice[0]!r}: results go by the folder's name; rename one")
     out.mkdir(parents=True, exist_ok=True)
     with lock(out):
-        remove_unfinished(out)
+        remove_unfinished(out, inside=True)
         return _measure(opened, chosen, out, options, say, on_step)
 
 

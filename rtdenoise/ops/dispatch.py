@@ -33,7 +33,7 @@ from importlib import import_module
 import torch
 from torch import Tensor
 
-from ..errors import NotCompiled
+from ..errors import InputError, NotCompiled
 
 CHOICES = ("auto", "plain", "fused")
 MAX_PIXELS = 2**31 - 1  # of a plane: fused ops number pixels by 32-bit integers
@@ -47,7 +47,7 @@ _choice = os.environ.get("RTDENOISE_OPS", "auto")
 def use(choice: str) -> Iterator[None]:
     """`with ops.use("plain"): ...` chooses 'auto', 'plain' or 'fused' for everything inside.
 
-    Raises ValueError for another choice.
+    Raises InputError for another choice.
     """
     global _choice
     before, _choice = _choice, _checked(choice)
@@ -179,5 +179,5 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
 
 def _checked(choice: str) -> str:
     if choice not in CHOICES:
-        raise ValueError(f"RTDENOISE_OPS or ops.use: expected one of {', '.join(CHOICES)}, got {choice!r}")
+        raise InputError(f"RTDENOISE_OPS or ops.use: expected one of {', '.join(CHOICES)}, got {choice!r}")
     return choice

@@ -7,11 +7,12 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..constants import SKY_BLOCK, SKY_TOLERANCE
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused("even_sky", native=Support())
 
 
+@falls_back
 def even_sky(
     image: Tensor,  # [B, 3, H, W] the filtered picture
     radiance: Tensor,  # [B, 3, H, W] ≥ 0, finite: the picture before

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 from .downsample import downsample
 from .upsample import upsample
 
 FUSED = Fused("soften", native=Support(), triton=Support())
 
 
+@falls_back
 def soften(
     composed: Tensor,  # [B, C, H, W] of `compose`
     fine: Tensor,  # [B, C, H, W] the finer of the two images that were composed
