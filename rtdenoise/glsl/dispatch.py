@@ -17,7 +17,7 @@ def dispatch(
     size: tuple[int, ...],  # (x, y) or (x, y, z): how many invocations are needed
     buffers: Mapping[str, GpuArray],  # all of one context
     parameters: Mapping[str, int | float | tuple[int | float, ...]] | None = None,
-    group: tuple[int, ...] = GROUP,  # work group size in x, y; () where the shader does not have it as constants
+    group: tuple[int, ...] = GROUP,  # work group size in x, y; () if the shader fixes its own
     **constants: int,
 ) -> None:
     """Run the shader for at least `size` invocations, in whole work groups; the next dispatch sees its results.

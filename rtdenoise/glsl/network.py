@@ -33,7 +33,7 @@ def conv_layer(
     weight: np.ndarray,  # [outputs, inputs, kernel, kernel]
     bias: np.ndarray,  # [outputs]
     sources: tuple[int, ...],  # channels of the tensors that are concatenated into the input
-    blocks: int = 1,  # pad the groups out to a multiple of this
+    blocks: int = 1,  # pad the groups of outputs to a multiple of this
 ) -> Layer:
     """A convolution, packed for `conv3x3` and `stem`."""
     outputs, taps = weight.shape[0], weight.shape[2] * weight.shape[3]
@@ -82,7 +82,7 @@ class UNet:
 
     @property
     def cell(self) -> int:
-        """Both sides of the input must be multiples of this."""
+        """Height and width of the input must be multiples of this."""
         return 2 ** (len(self._encoder) - 1)
 
     def __call__(self, features: GpuArray) -> list[GpuArray]:
@@ -118,7 +118,7 @@ class UNet:
 class HalfSizeUNet:
     """A U-Net behind a stem, a strided convolution that halves the image."""
 
-    cell = 2  # both sides of the input must be multiples of this
+    cell = 2  # height and width of the input must be multiples of this
 
     def __init__(
         self,

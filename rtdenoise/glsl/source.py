@@ -143,7 +143,7 @@ class _Declarations:
         return " ".join(self._buffer(_QUALIFIERS[pragma], *pair) for pair in pairs)
 
     def _buffer(self, qualifier: str, kind: str, name: str) -> str:
-        """A buffer that is declared in two branches of an #if has one binding."""
+        """The declaration of a buffer. One that is declared in two branches of an #if has one binding."""
         binding = self.buffers.setdefault(name, len(self.buffers))
         block = "".join(word.capitalize() for word in name.split("_"))
         return f"layout(std430, binding = {binding}) {qualifier}restrict buffer {block} {{ {kind} {name}[]; }};"
