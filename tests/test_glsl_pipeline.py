@@ -29,7 +29,10 @@ from rtdenoise.run.plan import look
 from rtdenoise.sanitise import sanitise
 
 # Small models, by the preset of the same architecture.
-SMALL = {"paper": TINY, "default": AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3, detail=True)}
+SMALL = {
+    "paper": TINY,
+    "default": AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3, detail=True),
+}
 
 
 @pytest.fixture(autouse=True)
