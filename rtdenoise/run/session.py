@@ -17,9 +17,9 @@ from .backends import open_backend
 if TYPE_CHECKING:
     from torch import Tensor
 
-# What stands in for a missing layer, the same in every pixel.
+# Values that replace a missing layer, the same in every pixel.
 STAND_INS = {"albedo": (1.0, 1.0, 1.0), "normal": (0.0, 0.0, 1.0), "depth": (1.0,)}
-# What a missing layer costs on the bundled sequence (python bench/missing_layers.py).
+# Cost of a missing layer on the bundled sequence (python bench/missing_layers.py).
 COSTS = {
     "albedo": "textures blur, by about 4 dB of PSNR on the bundled sequence",
     "normal": "edges between surfaces blur, by up to 0.3 dB of PSNR on the bundled sequence",
@@ -113,7 +113,7 @@ class Denoiser:
         self._history = None
 
     def _completed(self, radiance: np.ndarray | Tensor, layers: dict[str, np.ndarray | Tensor]) -> Frame:
-        """The frame, with a stand-in for each missing layer that the networks read."""
+        """The frame, with each missing layer that the networks read replaced by a constant."""
         B, _, H, W = radiance.shape
         for name, value in STAND_INS.items():
             if name not in layers:
