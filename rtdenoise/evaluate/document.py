@@ -11,7 +11,7 @@ from ..files import dumps, read_json, write_atomically
 NAME = "evaluation.json"
 FORMAT = "rtdenoise-evaluation-1"
 KEY = ("sequence", "spp", "method", "precision", "device")
-# What each part must hold for a report; older files lack the other keys.
+# Keys that a report needs in each part; older files lack the others.
 RESULT = {*KEY, "run", "fingerprint", "ms", "errors", "ghost_length", "frames"}
 SKIPPED = {*KEY, "reason"}
 SEQUENCE = {"size", "frames", "sample_ms", "exposure", "uncovered_share", "stills"}
@@ -26,7 +26,7 @@ class Document:
 
     runs        origin of the numbers (`origin.origin`); a result names its run by the index
     sequences   name -> size [H, W], frames, exposure, share of uncovered pixels, relMSE and PSNR of the reference
-                itself, time of a sample, stills; with a "plan", its "decisions" have what, left_out and why
+                itself, time of a sample, stills; a "plan" has "decisions", each with what, left_out and why
     methods     name -> what it is, family
     results     one row for each sequence, spp, method, precision and device
     skipped     rows with the same key and a reason
@@ -41,7 +41,7 @@ class Document:
 
     @classmethod
     def read(cls, folder: Path) -> Document:
-        """Raises InputError where the file is missing, or is not one that `write` wrote."""
+        """The document of a folder. Raises InputError where the file is missing, or `write` did not write it."""
         path = Path(folder) / NAME
         if not path.exists():
             raise InputError(f"{path}: not there; `rtdenoise evaluate SEQ --out {folder}` writes it")
@@ -54,7 +54,7 @@ class Document:
         return cls(**content)
 
     def write(self, folder: Path) -> None:
-        """Never half a file."""
+        """Write the file whole or not at all."""
         text = dumps({"format": FORMAT, **vars(self)}, indent=1) + "\n"
         write_atomically(Path(folder) / NAME, text.encode())
 
@@ -71,7 +71,7 @@ class Document:
 
 
 def _fault(content: dict) -> str:
-    """The first thing that a document cannot have or lacks, in words; empty if there is none."""
+    """The first key that is unknown, missing or wrong, in words; empty if there is none."""
     known = [f.name for f in fields(Document)]
     if foreign := sorted(content.keys() - set(known)):
         return f"unknown key {foreign[0]!r}; expected {', '.join(known)}"
