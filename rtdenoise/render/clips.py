@@ -40,7 +40,7 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
         raise InputError(
             f"clips of {options.size[1]}×{options.size[0]}: sides must be multiples of {COARSE}, from 32 on"
         )
-    start_mitsuba()  # what is wrong here and below is told in one line, before any process starts
+    start_mitsuba()  # errors here and below end the run in one line, before any process starts
     if options.textures:
         find_pictures(options.textures)
     if options.assets:

@@ -14,9 +14,9 @@ from .procedural import log_uniform
 from .scene import Scene
 
 MAX_TRIES = 80
-MIN_CLEARANCE = 0.12  # of the distance to the subject: nothing is nearer to the camera
-MIN_SIGHT = 0.6  # share of the way to the subject that is free
-MAX_PITCH = 40.0  # degrees that a camera looks down
+MIN_CLEARANCE = 0.12  # least free distance around the camera, as a share of the distance to the subject
+MIN_SIGHT = 0.6  # least free share of the way to the subject
+MAX_PITCH = 40.0  # degrees by which a camera looks down
 CAMERA_SPEED = (0.4, 14)  # pixels a frame
 OBJECT_SPEED = (1, 20)
 PASSING_SHARE = 0.45  # of the takes, in which something crosses the view near the camera
