@@ -57,7 +57,7 @@ class Browser:
         self.wait("document.readyState === 'complete'")
 
     def value(self, expression):
-        """What JavaScript makes of it."""
+        """The value of a JavaScript expression."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")

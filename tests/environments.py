@@ -1,4 +1,4 @@
-"""The wheel, installed into fresh virtual environments that hold its requirements and nothing else."""
+"""The wheel, installed into fresh virtual environments with only its requirements."""
 
 import importlib.util
 import os

@@ -93,7 +93,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, model):
 
 
 def test_appended_frames_continue_a_finished_run(tmp_path, model):
-    """As if all frames had been there at once: also with the growing scene.json of a renderer beside them."""
+    """As if all frames had been there at once, also beside a scene.json that grows with them."""
 
     def scene(last):
         entry = {"world_to_pixel": np.diag([1.0, 1, 1, 1])[[0, 1, 3, 2]].tolist(), "camera_origin": [0, 0, 0]}

@@ -1,4 +1,4 @@
-"""What the one-frame step promises, whatever the weights."""
+"""Promises of the one-frame step for any weights."""
 
 import math
 from dataclasses import replace

@@ -1,7 +1,7 @@
 """Recorded steps give what the denoiser gives, and nothing that a caller holds changes under it.
 
-CUDA graphs are recorded where there is a GPU. Everywhere there is a recorder that is as unforgiving: what it has
-recorded is written only when it is played, and playing one recording spoils what all others have written.
+CUDA graphs are recorded where there is a GPU. Elsewhere a recorder stands in that is as strict: the
+tensors of a recording are written only when it is played, and playing one recording spoils those of all others.
 """
 
 import contextlib
@@ -318,7 +318,7 @@ def test_the_benchmark_times_what_was_recorded(denoiser, monkeypatch):
 
 
 class Capturable(TorchDispatchMode):
-    """Refuses what a CUDA graph cannot hold. Meta tensors have no values: what would wait for one raises already."""
+    """Refuse operations that a CUDA graph cannot hold. Meta tensors have no values: operations that read one raise."""
 
     def __torch_dispatch__(self, function, types, args=(), kwargs=None):
         if function in (torch.ops.aten.index.Tensor, torch.ops.aten.index_put_.default):
