@@ -11,7 +11,7 @@ INSTALL_TORCH = "type: pip install 'rtdenoise[torch]'"
 class InputError(ValueError):
     """Something outside the program is wrong: a file, a layer, a size, an option, a missing driver.
 
-    The message is one line that names the thing, what was found, what was expected and what to do. The command line
+    The message is one line that names the thing, the value found, the value expected and the remedy. The command line
     prints it and exits with 2; library users catch it as a `ValueError`. Control characters, as in file names, are
     escaped.
     """

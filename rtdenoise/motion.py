@@ -14,7 +14,7 @@ def dual_motion(
     motion: Tensor,  # [B, 2, H, W] previous - current
     motion_next_previous: Tensor,  # [B, 2, H, W] next - current, of the previous frame
 ) -> Tensor:  # [B, 2, H, W]
-    """Motion that leads an uncovered pixel to background instead of to what covered it (eq. 2; Zeng et al. 2021).
+    """Motion that leads an uncovered pixel to background instead of to its occluder (eq. 2; Zeng et al. 2021).
 
     The surface at x was at y = x + motion(x). If it was hidden there, y held the occluder, which has since moved to
     z = y + motion_next_previous(y). The background that is now as far from the occluder as x is from z was at y + (x -

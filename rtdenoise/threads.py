@@ -11,8 +11,8 @@ CGROUPS = Path("/sys/fs/cgroup")
 
 
 def set_defaults() -> None:
-    """Choose how OpenMP's threads wait and how many there are, through its environment variables. What the user has set
-    stays. Without effect once torch is loaded, so call it before.
+    """Choose how OpenMP's threads wait and how many there are, through its environment variables. Variables that the
+    user has set stay. Without effect once torch is loaded, so call it before.
 
     `OMP_WAIT_POLICY=passive`: by default threads spin while they wait and slow each other down wherever other
     processes run too. A frame took 271 ms with spinning threads and 48 ms with waiting ones on a busy two-core machine.

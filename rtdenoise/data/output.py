@@ -140,7 +140,7 @@ def write_frame(
     """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in each
     channel that is passed on unchanged and has some.
 
-    plain    the signal in `R,G,B`, with `recombine` the beauty instead, and what is kept
+    plain    the signal in `R,G,B`, with `recombine` the beauty instead, and the channels of `keep`
     source   every channel of the input under its name and in its part; the denoised signal replaces the noisy one,
              with `recombine` also the new beauty the renderer's. Where buffers are files of their own, only changed
              files are written.

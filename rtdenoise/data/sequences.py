@@ -98,7 +98,7 @@ class Sequence:
     def require(self, *layers: str) -> Sequence:
         """The sequence itself, if it has these layers of `Frame`.
 
-        Raises `InputError` naming the file, the first missing layer, what there is, and what to switch on.
+        Raises `InputError` naming the file, the first missing layer, the channels there are, and the remedy.
         """
         missing = [layer for layer in layers if layer not in self.available and not self._derivable(layer)]
         if missing:

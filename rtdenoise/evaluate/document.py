@@ -27,7 +27,7 @@ class Document:
     runs        origin of the numbers (`origin.origin`); a result names its run by the index
     sequences   name -> size [H, W], frames, exposure, share of uncovered pixels, relMSE and PSNR of the reference
                 itself, time of a sample, stills; a "plan" has "decisions", each with what, left_out and why
-    methods     name -> what it is, family
+    methods     name -> a line about it, family
     results     one row for each sequence, spp, method, precision and device
     skipped     rows with the same key and a reason
     """

@@ -38,7 +38,7 @@ NEEDS = {"flip": ("flip_evaluator", "'rtdenoise[bench]'"), "fovvideovdp": ("pyfv
 
 @dataclass(frozen=True)
 class Options:
-    """What `run` measures."""
+    """The measurements that `run` makes."""
 
     methods: tuple[str, ...] = ()  # for `registry.choose`; (): its default
     precisions: tuple[str, ...] = ("fp32",)  # of PRECISIONS

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from .shared import SHARED
 
-MAX_BUFFERS = 8  # of one shader, which is what OpenGL 4.3 guarantees
+MAX_BUFFERS = 8  # of one shader: OpenGL 4.3 guarantees 8
 _QUALIFIERS = {"reads": "readonly ", "writes": "writeonly ", "changes": ""}
 _PRAGMA = re.compile(r"^\s*#\s*pragma\s+(constants|parameters|reads|writes|changes)\b([^/]*)")
 _INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"')

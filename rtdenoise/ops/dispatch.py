@@ -73,7 +73,7 @@ class Support:
 
 
 class Fused:
-    """The fused implementations of one op, and what each of them takes."""
+    """The fused implementations of one op, and the arguments that each takes."""
 
     def __init__(self, op: str, **support: Support):
         """`op` is the name of function and file, or 'file.function'; `support` is by folder."""

@@ -30,7 +30,7 @@ BEFORE = {"calm": 0.0}  # options that clips of older versions do not record
 
 
 def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, str], None]) -> dict:
-    """Render the missing clips of this shard into a folder, and write its data card. Returns what is in the card.
+    """Render the missing clips of this shard into a folder, and write its data card. Returns the content of the card.
 
     `progress(done, total, line)` is called before the first clip, with the disk use, and after every clip.
     Raises InputError where the disk is too small, a worker is killed, another run renders the same shard, or the

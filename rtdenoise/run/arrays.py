@@ -32,7 +32,7 @@ def to_planes(
 ) -> tuple[np.ndarray | Tensor, Form]:
     """A float32 copy `[B, C, H, W]`, a tensor where `array` is one, and the form of `array`.
 
-    Raises InputError for anything else, with what was expected.
+    Raises InputError for anything else, naming the expected form.
     """
     if not is_tensor(array):
         array = _as_numpy(name, array)

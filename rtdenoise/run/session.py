@@ -47,9 +47,9 @@ class Denoiser:
     | motion      | 2 | (x, y) in pixels, previous minus current: where the surface was, seen from here           |
     | motion_next | 2 | (x, y) in pixels, next minus current: where it will be                                    |
 
-    Only `color` is required; a warning says once what a missing layer costs. `rtdenoise.screen_motion` computes motion
-    from positions and cameras. History starts anew after `reset()`, after a cut (`detect_cuts`), where a frame has
-    another size than the one before, and where it has no motion. Arguments are copied, results are yours to change.
+    Only `color` is required; a warning names the cost of a missing layer once. `rtdenoise.screen_motion` computes
+    motion from positions and cameras. History starts anew after `reset()`, after a cut (`detect_cuts`), where a frame
+    has another size than the one before, and where it has no motion. Arguments are copied, results are yours to change.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Denoiser:
         motion: np.ndarray | Tensor | None = None,
         motion_next: np.ndarray | Tensor | None = None,
     ) -> np.ndarray | Tensor:
-        """The next frame, denoised: an array like `color`. See `help(rtdenoise.Denoiser)` for what goes in.
+        """The next frame, denoised: an array like `color`. See `help(rtdenoise.Denoiser)` for the arguments.
 
         Raises InputError, in one line, for arrays of other shapes, integers, and layers of another size than `color`.
         """

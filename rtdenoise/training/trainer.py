@@ -23,7 +23,7 @@ from .tasks import task_of
 
 
 class Trainer:
-    """Model, optimisers, averaged weights and the step counter: what a checkpoint holds."""
+    """Model, optimisers, averaged weights and the step counter: the state in a checkpoint."""
 
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
