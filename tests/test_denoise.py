@@ -390,7 +390,7 @@ def test_a_run_killed_anywhere_is_resumed_to_the_same_files(tmp_path, model):
         assert run.returncode == -signal.SIGKILL
     denoise(str(shot), tmp_path / "out", Options(model=model))
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.exr")} == expected
-    assert not list((tmp_path / "out").glob("*.tmp"))  # what the killed runs left is gone
+    assert not list((tmp_path / "out").glob("*.tmp"))  # files that the killed runs left are gone
 
 
 def test_a_disk_that_fills_up_is_one_line_and_resumable(tmp_path, model):
