@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-# Set before torch is loaded: by default its idle threads spin, which on a busy CPU slows whatever is measured.
+# Set before torch is loaded: by default its idle threads spin, which slows measurements on a busy CPU.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 ROOT = Path(__file__).resolve().parents[1]

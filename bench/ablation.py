@@ -5,8 +5,8 @@ python bench/ablation.py --data data/train-clean --val data/val --single 700 --s
 Trains the `paper` network on single frames first, where motion and occlusions do not matter; then continues on clips in
 each setting with each seed (unfinished runs resume, finished ones are kept). Measures all on the validation clips: over
 the frame, and in regions uncovered in it, one and two frames before (M⁰, M¹, M²). A, B and C are the paper's settings
-(§5.3). C-max uses max pooling for D, as the paper prints it, from the single frames on; C-bright takes the loss in
-another domain. Writes bench/results/ablation.json and the table of docs/reference/models/paper.md.
+(§5.3). C-max uses max pooling for D, as the paper prints it, from the single frames on; C-bright takes the loss on
+log(1 + 4·s·x). Writes bench/results/ablation.json and the table of docs/reference/models/paper.md.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Do combiners correct what denoisers made, at every sample count, and never make it worse?
+"""Do combiners improve denoised frames at every sample count, and never make them worse?
 
 python bench/combine.py CLIPS [--combiners combiner]
 
 CLIPS/spp01, CLIPS/spp04 ... hold the same frames at several sample counts (`combine_clips.py --held-out`). Corrected
 MSE (`metrics.image.mse_corrected`) of the noisy frames y, of each denoiser's z, and of every combiner's frames, for
 both signals. A *failure* is a combiner's error above 1.02 of z's. The slope is that of log MSE over log spp from 16 on:
-noise alone has -1. `svgf` made no frame that the combiner was trained on. Writes bench/results/combine.json and the
+-1 for noise alone. The combiner was trained on no frame of `svgf`. Writes bench/results/combine.json and the
 tables of docs/results/combine.md.
 """
 

@@ -2,11 +2,11 @@
 
 python bench/combine_clips.py --out DIR --scenes SCENES [--motions examples/motions] [--held-out]
 
-DIR/spp01, DIR/spp02 ... hold a clip file each for every window of a scene; half of the scenes are files, half are
+DIR/spp01, DIR/spp02 ... each hold a clip file for every window of a scene; half of the scenes are files, half are
 generated. Sample counts are nested: the frame at 4 spp is the mean of the first 4 samples of the frame at 32.
 References have samples of their own, in two halves, and are not cleaned: a combiner that trains against references
 cleaned by a denoiser learns to return that denoiser's frames. With --held-out the clips show the scene files that
-training leaves out. Run again, it goes on where it stopped. `rtdenoise estimates DIR/spp*` denoises them.
+training leaves out. An interrupted run continues. `rtdenoise estimates DIR/spp*` denoises them.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from rtdenoise.render.windows import candidates, choose, look_through
 
 WINDOWS = 2  # clips of one scene
 HELD_OUT = ("street", "dining-room", "staircase2", "bathroom")
-ACTIVE_SHARE = 0.5  # of the windows that have most activity; the others are any
+ACTIVE_SHARE = 0.5  # of the windows, chosen for activity; the others are random
 NOISY = 0  # random stream of a frame
 
 
 def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int, options: ClipOptions) -> dict:
     """Sample count -> all layers of frame `number`, [H, W, C] float32.
 
-    One wavefront traces every sample of the frame: its first max(levels) samples are the noisy frames', the others
-    those of the reference's two halves.
+    One wavefront traces every sample of the frame: its first max(levels) samples make the noisy frames, the others
+    the two halves of the reference.
     """
     start_mitsuba()
     import drjit as dr
@@ -140,7 +140,7 @@ def main(
         frames: Frames of a clip.
         levels: Samples per pixel of the noisy frames.
         half: Samples per pixel of each half of the reference.
-        seed: Of everything.
+        seed: Seed of scenes, windows and noise.
         shard: (i, n): scenes g with g mod n = i.
     """
     start_mitsuba(1)

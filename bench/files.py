@@ -1,4 +1,4 @@
-"""Files under fire: runs killed at random moments, and long sequences in constant memory.
+"""Robustness of files: runs killed at random moments, and long sequences in constant memory.
 
 python bench/files.py [--kills 50] [--frames 2000]
 

@@ -41,7 +41,7 @@ class Options:
     sizes: tuple[str, ...] = ("720p",)
     """Some of 360p, 720p, 1080p, 1440p, 4k."""
     scaling: tuple[str, ...] = ("360p", "1080p", "1440p", "4k")
-    """Further sizes, where only `default` in half precision is timed, against OIDN high."""
+    """Further sizes, at which only `default` in half precision and OIDN high are timed."""
     presets: tuple[str, ...] = ()
     """Some of the models (default: all). Weights do not matter to the time; models without any get random ones."""
     calls: int = 10

@@ -4,9 +4,9 @@ python bench/plan.py
 
 The scenes are made from the bundled sequence: for torch repeated to twice its height (320×360), for the shaders a
 quarter of it (160×90). One is a single picture; `still` does not move, `pan` moves as a whole, `objects` keeps its own
-motion, each also without motion_next; `night` and `sky`, twice as high again, have black or evenly lit upper three
-quarters. For each, one step that runs everything and one with the plan, in CPU time, in rotation. Their outputs are
-compared first, to the bit or within float32's tolerance; a difference ends the run.
+motion, each also without motion_next. In `night` and `sky`, twice as high again, the upper three quarters are black or
+evenly lit. Each scene is timed with everything and with the plan, in CPU time, in rotation. Their outputs are compared
+first, to the bit or within float32's tolerance; a difference ends the run.
 
 Layers: time to read a multi-part file, one part per layer, with and without the layers that a single frame does not
 need. Direct light without noise: the beauty denoised as a whole, against its indirect part alone. Two omissions that

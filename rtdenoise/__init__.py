@@ -19,7 +19,7 @@ from .errors import InputError
 __version__ = "0.1.0"
 __all__ = ["Denoiser", "Frame", "History", "InputError", "load", "open_sequence", "pinhole_camera", "screen_motion"]
 
-# Imported when they are asked for: `rtdenoise.glsl` is to run where there is no torch.
+# Imported on first use: `rtdenoise.glsl` runs without torch.
 _HOMES = {
     "Denoiser": "run.session", "Frame": "frame", "History": "frame", "load": "models",
     "open_sequence": "data.sequences", "pinhole_camera": "data.camera", "screen_motion": "data.camera",

@@ -2,8 +2,8 @@
 
 LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)  # of red, green and blue, Rec. 709
 
-# Light is divided by its texture, but never by less than these: light from mirrors and gloss does not have the albedo's
-# colour (`color.albedo_divisor`).
+# Least divisors where radiance is divided by albedo: light from mirrors and gloss does not have the albedo's colour
+# (`color.albedo_divisor`).
 MIN_ALBEDO = 0.1
 MIN_ALBEDO_SHARE = 0.25  # of the brightest channel of the pixel's albedo
 
@@ -15,13 +15,13 @@ MIN_HISTORY_WEIGHT = 1e-2
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
 
 # The brightness of a frame, and pixels that are too bright for it (`exposure`).
-BRIGHTNESS_BLOCK = 8  # side in pixels of the blocks that brightness is measured in
-BRIGHTNESS_SHARE = 0.9  # of the blocks, the darkest ones, that count
+BRIGHTNESS_BLOCK = 8  # side in pixels of the blocks over which brightness is measured
+BRIGHTNESS_SHARE = 0.9  # share of the blocks that count, the darkest ones
 MIN_BRIGHTNESS = 1e-8  # darker frames count as black
-FIREFLY_LIMIT = 5.0  # times the brightness that the neighbourhood or the frame explains
+FIREFLY_LIMIT = 5.0  # times the brightest neighbour or the usual brightness in the frame
 
 # A sky without noise (`ops.even_sky`).
 SKY_BLOCK = 8  # side in pixels of the blocks that are compared
-SKY_TOLERANCE = 1e-3  # share of its radiance by which an even sky differs; half floats round by half of that
+SKY_TOLERANCE = 1e-3  # largest relative difference in an even sky; half floats round by half of that
 
-MIN_DISTANCE = 1e-12  # of a frame's mean depth: never zero (`frame.mean_distance`)
+MIN_DISTANCE = 1e-12  # least mean depth of a frame: never zero (`frame.mean_distance`)

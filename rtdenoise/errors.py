@@ -12,7 +12,7 @@ MAX_MESSAGE = 2000  # characters
 class InputError(ValueError):
     """Something outside the program is wrong: a file, a layer, a size, an option, a missing driver.
 
-    The message is one line that names the thing, what was found, what was expected and what to do. The command line
+    The message is one line that names the thing, the value found, the value expected and the remedy. The command line
     prints it and exits with 2; library users catch it as a `ValueError`. Control characters, as in file names, are
     escaped, and long messages, as when a damaged file is quoted, lose their middle.
     """

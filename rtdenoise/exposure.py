@@ -31,8 +31,8 @@ def limit_fireflies(radiance: Tensor, limit: float = FIREFLY_LIMIT, block: int =
         bound = limit · max(brightest of the 8 neighbours, k-th brightest block maximum),    k = 2 + ⌊blocks / 50⌋
 
     in luminance. Several adjacent bright pixels are a light: kept. Bright pixels all over the frame are the noise of a
-    heavy-tailed estimator and carry the picture's energy: kept, dimming them would darken it. A frame with fewer than
-    `k` blocks that are not black says nothing about the usual brightness: kept. Scales with the radiance.
+    heavy-tailed estimator and carry the picture's energy: kept, dimming them would darken it. With fewer than `k`
+    blocks that are not black the usual brightness is unknown: kept. Scales with the radiance.
     """
     _, maxima = block_luminance(radiance, block)
     count = min(2 + maxima.shape[1] // 50, maxima.shape[1])

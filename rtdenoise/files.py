@@ -31,7 +31,7 @@ NO_WAITING = getattr(os, "O_NONBLOCK", 0)
 
 @contextlib.contextmanager
 def replacing(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
-    """A fresh file name in the folder of `path`: what the block has written there becomes `path` when it ends.
+    """A fresh file name in the folder of `path`: the file that the block writes there becomes `path` as the block ends.
 
     A link at `path` is replaced, never followed. Nothing is left behind where the block raises.
     """
@@ -63,8 +63,8 @@ def remove_unfinished(folder: Path, inside: bool = False) -> None:
     """Remove the files that killed processes of this program were writing, with `inside` in inner folders too, but not
     beyond links. Call it while holding the folder's lock.
 
-    Whether a process still runs is known of this machine alone. Files from other machines, which may write there too,
-    are removed when they are a day old.
+    Only processes of this machine can be checked for life. Files from other machines, which may write there too, are
+    removed when they are a day old.
     """
     walk = os.walk(folder) if inside else [next(os.walk(folder), (folder, [], []))]
     for path in (Path(place) / name for place, _, names in walk for name in names):
@@ -79,7 +79,7 @@ def remove_unfinished(folder: Path, inside: bool = False) -> None:
 
 
 def _machine() -> str:
-    """Tells the machines apart that write to one folder."""
+    """A name for this machine, to tell apart the machines that write to one folder."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
@@ -126,8 +126,8 @@ def lock(folder: Path, name: str = ".rtdenoise-lock") -> Iterator[None]:
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading. Raises InputError for what is missing, unreadable, a folder, a FIFO or a device:
-    reading one of the latter could wait for ever."""
+    """Open a regular file for reading. Raises InputError for a missing or unreadable file, a folder, a FIFO or a
+    device: reading one of the last two could wait for ever."""
     try:
         file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | NO_WAITING))  # noqa: SIM115
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
@@ -170,7 +170,7 @@ def _refuse_constant(name: str) -> None:
 
 
 def dumps(value: object, digits: int | None = None, **options) -> str:
-    """`json.dumps`, with null for numbers that are not finite, and the others rounded to `digits` significant ones."""
+    """`json.dumps`, with null for numbers that are not finite, the others rounded to `digits` significant digits."""
     return json.dumps(_plain(value, digits), allow_nan=False, **options)
 
 

@@ -35,7 +35,7 @@ MAX_CUT_MISMATCH = 0.3
 # (bench/calibration/occlusion_threshold.py): at 0.5, 98 % of the marked pixels were hidden before; a lower threshold
 # soon marks more noise than occlusions, a higher one gains little.
 OCCLUSION_THRESHOLD = 0.5
-HIDDEN = "hidden."  # begins the names of hidden features in `History.layers`
+HIDDEN = "hidden."  # prefix of the names of hidden features in `History.layers`
 CHANNELS = {
     "radiance": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
     "position": 3, "id": 1, "samples": 1, "components": None, "reference": 3, "reference_half": 3,
@@ -59,7 +59,7 @@ class Frame:
     components        [B, 3K, H, W] the noisy signal split into K parts that add up to it
     reference         [B, 3, H, W]  the converged signal, for training and evaluation only
     reference_half    [B, 3, H, W]  the mean of one half of the reference's samples
-    number, name      of the frame: its number, and where it came from, for messages
+    number, name      the frame's number, and its origin for messages
 
     `step` needs radiance, albedo, normal, depth and, with a history, motion. Arrays `[H, W, C]` go into
     `rtdenoise.Denoiser` instead. Raises InputError where radiance has no four axes, ValueError where another layer does
@@ -141,7 +141,7 @@ class History:
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None for models that do not count
     mean: Tensor | None = None  # [B, 3, H, W] running mean of irradiance; None for models that keep none
     mean_albedo: Tensor | None = None  # [B, 3, H, W] running mean of albedo, likewise
-    hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features that the model hands itself, at any scale
+    hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features for the next step of the model, at any scale
 
     def layers(self) -> dict[str, Tensor]:
         """name -> tensor of every field that is there; hidden features are `hidden.0`, `hidden.1` ..."""
@@ -164,8 +164,8 @@ class History:
 
 @dataclass(frozen=True)
 class Known:
-    """Facts about a frame that spare a step the work of finding them out. They are trusted, never checked; `run.plan`
-    and `run.tiles` fill them in."""
+    """Facts about a frame that a step need not find out itself. They are trusted, never checked; `run.plan` and
+    `run.tiles` fill them in."""
 
     first: bool = False  # there is no history
     still: bool = False  # motion, and motion_next of the frame before, are zero everywhere

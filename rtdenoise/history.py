@@ -80,10 +80,10 @@ def load_history(path: Path, device: str | torch.device = "cpu") -> tuple[Histor
 
 
 def from_arrays(stored: Mapping[str, np.ndarray], device: str | torch.device) -> History:
-    """A history from its arrays (`data.stored.read_history`). Raises InputError where they are not those of one."""
+    """A history from its arrays (`data.stored.read_history`). Raises InputError where they do not form one."""
     if "radiance" not in stored:
         raise InputError(f"not a history of this version: it holds {', '.join(sorted(stored))}")
     try:
         return History.from_layers({name: torch.from_numpy(array).to(device) for name, array in stored.items()})
     except ValueError as error:
-        raise InputError(f"{error}; it is of another version") from None
+        raise InputError(f"{error}; another version wrote it") from None

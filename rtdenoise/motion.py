@@ -1,4 +1,4 @@
-"""Dual motion vectors, where they come from, occlusion masks and history validity (the paper, §3.2 and §4.4)."""
+"""Dual motion vectors, occlusion masks and history validity (the paper, §3.2 and §4.4)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def dual_motion(
     motion: Tensor,  # [B, 2, H, W] previous - current
     motion_next_previous: Tensor,  # [B, 2, H, W] next - current, of the previous frame
 ) -> Tensor:  # [B, 2, H, W]
-    """Motion that leads an uncovered pixel to background instead of to what covered it (eq. 2; Zeng et al. 2021).
+    """Motion that leads an uncovered pixel to background instead of to its occluder (eq. 2; Zeng et al. 2021).
 
     The surface at x was at y = x + motion(x). If it was hidden there, y held the occluder, which has since moved to
     z = y + motion_next_previous(y). The background that is now as far from the occluder as x is from z was at y + (x -
@@ -28,7 +28,7 @@ def dual_motion(
 
 
 def on_screen(motion: Tensor) -> Tensor:
-    """Whether p + motion(p) lies on the image, `[B, 1, H, W]` bool. A motion that is not finite does not."""
+    """Whether p + motion(p) lies on the image, `[B, 1, H, W]` bool. False for a motion that is not finite."""
     _, _, H, W = motion.shape
     u = motion[:, 0:1] + torch.arange(W, device=motion.device, dtype=motion.dtype)
     v = motion[:, 1:2] + torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]
@@ -42,7 +42,7 @@ def occlusion_mask(dual: Tensor, motion: Tensor, threshold: float = OCCLUSION_TH
 
 
 def uncovered(frame: Frame, motion_next_previous: Tensor | None) -> Tensor:
-    """`occlusion_mask` of a frame by `motion_next` of the one before; nothing is marked where that is None."""
+    """`occlusion_mask` of a frame by `motion_next` of the frame before; empty if that is None."""
     if motion_next_previous is None:
         return torch.zeros_like(frame.radiance[:, :1], dtype=torch.bool)
     return occlusion_mask(dual_motion(frame.motion, motion_next_previous), frame.motion)

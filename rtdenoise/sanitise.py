@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 FAR = 1e9  # depth of a miss: renderers write inf, FLT_MAX or 1e10 there
 BRIGHTEST = 1e15  # radiance; its square is finite in float32
-# Beyond valid values, and small: Cycles' denoising albedo of a mirror reaches 41, and with the former limit of 16 the
-# network in bfloat16 differed from float32 by 15 % there, with 2 by 0.5 % (99.9th percentile).
+# Above valid values, but not far: Cycles' denoising albedo of a mirror reaches 41. With albedo clipped at 16 bfloat16
+# and float32 differed by 15 % there, clipped at 2 by 0.5 % (99.9th percentile).
 GREATEST_ALBEDO, LONGEST_NORMAL = 2.0, 2.0
 FINITE = (-3.4028234663852886e38, 3.4028234663852886e38)
 VALID = {  # smallest and largest value of a layer; `sanitise` replaces the others
@@ -83,7 +83,7 @@ def sanitise(frame: Frame) -> Frame:
 
 
 def valid(layer: str, array: np.ndarray) -> np.ndarray:
-    """`sanitise` of one layer as a numpy array, but for fireflies; without torch. Not for depth and motion."""
+    """`sanitise` of one layer as a numpy array, except for fireflies; without torch. Not for depth and motion."""
     low, high = VALID[layer]
     return np.nan_to_num(array, nan=0.0, posinf=0.0, neginf=0.0).clip(low, high)
 

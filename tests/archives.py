@@ -8,7 +8,7 @@ STEP = np.array([0.05, -0.02, 0.0])  # of the tile in a picture 64 pixels wide, 
 
 
 def camera(number, size):
-    """What the format says about the camera of a picture of `size` = (H, W); it moves by some pixels a frame."""
+    """The camera arrays of a picture of `size` = (H, W); the camera moves by some pixels a frame."""
     speed = 64 / size[1]
     eye = np.array([0.12, 0.07, 0.02]) * number * speed - [0, 0, 2]
     target, up = eye + np.array([0.02 * number * speed, 0, 1]), np.array([0.0, 1.0, 0.0])

@@ -1,8 +1,8 @@
 """Commands that are killed at random moments and run again: python tests/attack_kills.py COMMAND=KILLS ... [--seed N]
 
-An undisturbed run gives the expected files and its time. Then the command is killed (SIGKILL, it and its workers)
-after a random share of that time and started again, until KILLS have fallen. Whenever a run ends by itself,
-its files are compared with the expected ones, and the folder is emptied. Prints an outcome a line, as JSON.
+An undisturbed run gives the expected files and its time. Then the command is killed (SIGKILL, it and its workers) after
+a random share of that time and started again, until it has been killed KILLS times. Whenever a run ends by itself, its
+files are compared with the expected ones, and the folder is emptied. Prints an outcome a line, as JSON.
 
 Every run is a fork of this process, which has imported the program, so that kills fall into the work and not into the
 start. Files are compared to the last bit, but for the times that they hold.
@@ -47,7 +47,7 @@ OF_CLIPS = "--generator 1 --count 4 --size 32 --frames 2 --reference-spp 8 --wor
 
 @dataclass
 class Outcome:
-    """What came of an attack."""
+    """The outcome of an attack."""
 
     command: str
     kills: int = 0
@@ -155,7 +155,7 @@ def run(arguments: list[str], seconds: float | None, outcome: Outcome) -> bool:
 
 
 def prepare(command: str, folder: Path) -> tuple[list[str], Callable[[Path], object]]:
-    """The command without --out, on small input, and what reads the files that have to be the same."""
+    """The command without --out, on small input, and the function that reads the files to compare."""
     torch.manual_seed(0)
     PRESETS["tiny"] = TINY
     save(TemporalKPN(TINY), model := folder / "tiny.safetensors")

@@ -57,7 +57,7 @@ def seed():
 
 @pytest.fixture(scope="session")
 def gl():
-    """The OpenGL context of the tests. Where there is none, tests that need it fail with what to install."""
+    """The OpenGL context of the tests. Without one, tests that need it fail and name the packages to install."""
     from rtdenoise import glsl
 
     return glsl.default_context()

@@ -1,4 +1,4 @@
-"""The wheel, installed into fresh virtual environments that hold its requirements and nothing else."""
+"""The wheel, installed into fresh virtual environments with only its requirements."""
 
 import importlib.util
 import os
@@ -15,7 +15,7 @@ PIP = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
 
 
 def run(*command, **options):
-    """What the command prints. A command that fails is an AssertionError with all its words."""
+    """The output of a command. AssertionError with all of it if the command fails."""
     result = subprocess.run(list(map(str, command)), capture_output=True, text=True, **options)
     assert result.returncode == 0, f"{command}\n{result.stdout}\n{result.stderr}"
     return result.stdout
@@ -29,7 +29,7 @@ def build_wheel(folder):
 
 
 class Environment:
-    """A virtual environment with a wheel and what it requires, as `pip install 'wheel[extras]'` would make it. The
+    """A virtual environment with a wheel and its requirements, as `pip install 'wheel[extras]'` would make it. The
     requirements are links to the packages of this environment, so nothing is downloaded."""
 
     def __init__(self, folder, wheel, extras=(), also=()):
@@ -46,7 +46,7 @@ class Environment:
             self._add(Requirement(name), ())
 
     def run(self, *words, cwd=None, **variables):
-        """A program of the environment, away from the source tree. Returns what it prints."""
+        """A program of the environment, away from the source tree. Returns its output."""
         keep = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "VIRTUAL_ENV"))}
         program, *arguments = words
         return run(self.folder / "bin" / program, *arguments, cwd=cwd or self.folder, env=keep | variables)
@@ -56,7 +56,7 @@ class Environment:
         return run(*PIP, "--python", self.python, "check")
 
     def _add(self, requirement, extras):
-        """Link a requirement of a package that is installed with `extras`, and what it requires itself."""
+        """Link a requirement of a package that is installed with `extras`, and its own requirements."""
         if requirement.marker and not any(requirement.marker.evaluate({"extra": e}) for e in ("", *extras)):
             return
         name = requirement.name.lower().replace("_", "-")

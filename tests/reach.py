@@ -18,7 +18,7 @@ def network_reach(denoiser) -> int:
     """
     copy, width, furthest = deepcopy(denoiser).float(), 1024, 0
     convolutions = [module for module in copy.modules() if isinstance(module, nn.Conv2d | nn.ConvTranspose2d)]
-    for offset in (0, CELL - 1):  # in a cell, what is pooled reaches further to one side
+    for offset in (0, CELL - 1):  # pooling reaches further to one side of a cell
         column, extents = width // 2 + offset, []
 
         def light(_module, _inputs, output: Tensor, column: int = column) -> Tensor:

@@ -1,8 +1,8 @@
-"""What the denoiser promises where input is stiff or broken: one table of cases, for the tests and bench/stability.py.
+"""Promises of the denoiser for extreme and broken input: one table of cases, for the tests and bench/stability.py.
 
 A case plays frames through a `Subject` (a denoiser at some precision, or in training) and returns what was measured, to
-be compared with what is promised. Whatever the case, no value that is not finite may leave a step, enter a history or
-come out of the loss: the subject counts those.
+be compared with what is promised. In all cases the outputs, histories and losses of steps must be finite: the subject
+counts other values.
 """
 
 from __future__ import annotations

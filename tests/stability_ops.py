@@ -1,4 +1,4 @@
-"""Promises of the kernel-apply operations for extreme input, the same on every backend: the second table of cases.
+"""Promises of the operations in `ops` for extreme input, the same on every backend: the second table of cases.
 
 A case gets a backend's operations by name, numpy in and out, and returns the greatest difference from its promise.
 Values that are not finite count as an infinite difference.

@@ -1,4 +1,4 @@
-"""One description of every network: what configurations say is what torch builds, and impossible ones are refused."""
+"""One description of every network: torch builds what configurations describe; impossible ones are refused."""
 
 import json
 from dataclasses import asdict

@@ -62,7 +62,7 @@ def test_the_convention_check_is_right(signal):
     assert found.motion.uncovered > 0.01
 
 
-# What is done to Vector (X, Y = previous - current, Z, W = current - next, y up), and the words that name it.
+# Changes to Vector (X, Y = previous - current, Z, W = current - next, y up), and the words that name it.
 WRONG = {
     "negated": (lambda x, y, z, w: (-x, -y, -z, -w), "current - previous: negate it"),
     "y down": (lambda x, y, z, w: (x, -y, z, -w), "y up: flip y"),
@@ -127,7 +127,7 @@ def test_recombined_in_source_layout_is_the_sum_of_the_lights(tmp_path, model):
     out = denoise(tmp_path, model, "--signal", "indirect", "--layout", "source", "--recombine", "--float32")
     for path in SHOT.glob("*.exr"):
         (combined,) = passes(out / path.name, "Combined")
-        (noisy,) = passes(path, "Combined")  # what was rounded to half, before the noise was taken out of it
+        (noisy,) = passes(path, "Combined")  # the values that were rounded to half, before denoising
         assert (np.abs(sum_of_lights(out / path.name) - combined) <= 4 * HALF * noisy + 1e-4).all()
 
 

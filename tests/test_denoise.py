@@ -93,7 +93,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, model):
 
 
 def test_appended_frames_continue_a_finished_run(tmp_path, model):
-    """As if all frames had been there at once: also with the growing scene.json of a renderer beside them."""
+    """As if all frames had been there at once, also beside a scene.json that grows with them."""
 
     def scene(last):
         entry = {"world_to_pixel": np.diag([1.0, 1, 1, 1])[[0, 1, 3, 2]].tolist(), "camera_origin": [0, 0, 0]}
@@ -390,7 +390,7 @@ def test_a_run_killed_anywhere_is_resumed_to_the_same_files(tmp_path, model):
         assert run.returncode == -signal.SIGKILL
     denoise(str(shot), tmp_path / "out", Options(model=model))
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.exr")} == expected
-    assert not list((tmp_path / "out").glob("*.tmp"))  # what the killed runs left is gone
+    assert not list((tmp_path / "out").glob("*.tmp"))  # files that the killed runs left are gone
 
 
 def test_a_disk_that_fills_up_is_one_line_and_resumable(tmp_path, model):

@@ -1,4 +1,4 @@
-"""What the one-frame step promises, whatever the weights."""
+"""Promises of the one-frame step for any weights."""
 
 import math
 from dataclasses import replace
@@ -108,7 +108,7 @@ def history_of(frame):
 def test_dual_and_traditional_motion_differ_only_where_something_was_uncovered():
     motion = torch.zeros(1, 2, 24, 32)
     occluder = torch.zeros(1, 2, 24, 32)
-    occluder[:, 0, :, 16:] = 3.0  # what was in the right half has moved on by three pixels
+    occluder[:, 0, :, 16:] = 3.0  # the right half has moved on by three pixels
     frame = replace(make_frame(), motion=motion)
     history = history_of(replace(make_frame(seed=3), motion_next=occluder))
     assert torch.equal(history_motion(frame, history, "traditional")[0], motion)
@@ -116,7 +116,7 @@ def test_dual_and_traditional_motion_differ_only_where_something_was_uncovered()
 
 
 def test_dual_motion_is_approximated_without_motion_next():
-    """A nearer square moves right by three pixels; what it leaves behind gets its motion from the splat."""
+    """A nearer square moves right by three pixels; the pixels that it uncovers get their motion from the splat."""
     here, before = make_frame(), torch.full((1, 1, 24, 32), 9.0)
     now, motion = before.clone(), torch.zeros(1, 2, 24, 32)
     before[..., 8:16, 8:16] = now[..., 8:16, 11:19] = 4.0
@@ -284,8 +284,8 @@ def test_a_static_pixel_averages_what_it_saw():
 
 
 def test_the_divisor_has_no_glaring_complement():
-    """Gloss on a deep red is white: divided by that red it must not become so cyan that a filter would tint what is
-    beside it. Continuous, and 1 where nothing was hit."""
+    """Gloss on a deep red is white: divided by that red it must not become so cyan that a filter would tint its
+    neighbours. Continuous, and 1 where nothing was hit."""
     red = torch.tensor([0.8, 0.01, 0.0]).reshape(1, 3, 1, 1).expand(1, 3, 1, 2)
     hit, missed = albedo_divisor(red, torch.tensor([[[[2.0, 0.0]]]])).unbind(-1)
     assert torch.equal(hit.flatten(), torch.tensor([0.8, 0.2, 0.2])) and torch.equal(missed.flatten(), torch.ones(3))
@@ -296,8 +296,8 @@ def test_the_divisor_has_no_glaring_complement():
 
 
 def test_textures_pass_unfiltered():
-    """Even light on any albedo comes out as that albedo: the spatial filters do not blur what is divided out. The edge
-    kernel alone sees it."""
+    """Even light on any albedo comes out as that albedo: the spatial filters do not blur the divided-out albedo. The
+    edge kernel alone sees it."""
     model, frame = create(SMALL["accumulated_kpn"]).eval().requires_grad_(False), make_frame()
     model.full_head.weight[:, -3], model.full_head.bias[-3] = 0.0, 50.0  # the current frame alone
     frame = replace(frame, radiance=0.7 * albedo_divisor(frame.albedo, frame.depth))

@@ -1,4 +1,4 @@
-"""The pages quote what was measured, and what they name exists."""
+"""Numbers on the pages are measured ones, and names on them exist."""
 
 import importlib
 import json

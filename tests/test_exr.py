@@ -1,4 +1,4 @@
-"""Reading and writing OpenEXR: what goes in comes out, and nothing broken passes for a picture."""
+"""Reading and writing OpenEXR: values survive, and broken files are refused."""
 
 from __future__ import annotations
 
@@ -154,8 +154,8 @@ def test_tiled_parts(tmp_path):
 
 
 def test_only_the_wanted_parts_are_decoded(tmp_path):
-    """Rubbish in the pixels of one part does not concern who reads another."""
-    flat = np.ones((H, W), np.float32)  # compresses; what does not is stored as it is, and rubbish in it goes unnoticed
+    """Damaged pixels of one part do not affect the reading of another."""
+    flat = np.ones((H, W), np.float32)  # compresses; in pixels stored uncompressed damage goes unnoticed
     write_parts(tmp_path / "a.exr", {"L.A": {"X": noise(H, W)}, "L.B": {"X": flat}})
     data = bytearray((tmp_path / "a.exr").read_bytes())
     data[-10:] = b"\xff" * 10  # inside the last chunk, which belongs to the last part

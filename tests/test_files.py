@@ -1,4 +1,4 @@
-"""Files are complete or absent, locks exclude, links are not followed, and what cannot be read is one line."""
+"""Files are complete or absent, locks exclude, links are not followed, and unreadable files are refused in one line."""
 
 from __future__ import annotations
 

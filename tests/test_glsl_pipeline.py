@@ -50,7 +50,7 @@ def weights(tmp_path_factory):
             denoiser = models.create(config)
             for name, parameter in denoiser.named_parameters():
                 if name.startswith("full_head"):
-                    parameter.data.normal_()  # a fresh edge kernel is the same everywhere
+                    parameter.data.normal_()  # a fresh edge kernel is constant
                 elif "head" in name:
                     parameter.data.mul_(3)
                     parameter.data[config.kernel**2 + 1 :].normal_()  # and so is a pick kernel

@@ -1,7 +1,7 @@
-"""Recorded steps give what the denoiser gives, and nothing that a caller holds changes under it.
+"""Recorded steps give the outputs of the denoiser, and tensors in a caller's hands do not change.
 
-CUDA graphs are recorded where there is a GPU. Everywhere there is a recorder that is as unforgiving: what it has
-recorded is written only when it is played, and playing one recording spoils what all others have written.
+CUDA graphs are recorded where there is a GPU. Elsewhere a recorder stands in that is as strict: the
+tensors of a recording are written only when it is played, and playing one recording spoils those of all others.
 """
 
 import contextlib
@@ -41,14 +41,14 @@ DEVICES = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
 
 
 class Rehearsal:
-    """Records without a GPU: playing is calling the function and writing what it returns into what it has returned."""
+    """Records without a GPU: to play is to call the function again and copy its results into the first ones."""
 
     def __init__(self):
         self.written = []
 
     def __call__(self, function):
         warm_up, result = function(), function()
-        passed_on = {id(tensor) for tensor in self._tensors(warm_up)}  # what it has read and hands on as it is
+        passed_on = {id(tensor) for tensor in self._tensors(warm_up)}  # tensors that the function reads and passes on
         self.written += [tensor for tensor in self._tensors(result) if id(tensor) not in passed_on]
         self.spoil()  # a capture computes nothing
 
@@ -103,7 +103,7 @@ def clip():
 
 
 def play(step, device, rounds=3):
-    """All images and histories of some rounds of the clip, each with what it held when it was handed out."""
+    """All images and histories of some rounds of the clip, each with its content at the time."""
     held = []
     for _ in range(rounds):
         history = None
@@ -239,7 +239,7 @@ def test_a_missing_layer_is_named_as_without_recordings(denoiser, caplog):
 
 
 def on(device):
-    """What looks like a denoiser there."""
+    """A stand-in for a denoiser."""
     parameter = SimpleNamespace(device=torch.device(device))
     return SimpleNamespace(parameters=lambda: iter([parameter]), step=f"its own on {device}")
 
@@ -318,7 +318,7 @@ def test_the_benchmark_times_what_was_recorded(denoiser, monkeypatch):
 
 
 class Capturable(TorchDispatchMode):
-    """Refuses what a CUDA graph cannot hold. Meta tensors have no values: what would wait for one raises already."""
+    """Refuse operations that a CUDA graph cannot hold. Meta tensors have no values: operations that read one raise."""
 
     def __torch_dispatch__(self, function, types, args=(), kwargs=None):
         if function in (torch.ops.aten.index.Tensor, torch.ops.aten.index_put_.default):

@@ -1,4 +1,4 @@
-"""Networks that are grown compute what they did, and their new channels can learn."""
+"""Grown networks compute the outputs of the old ones, and their new channels can learn."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def test_a_grown_network_predicts_the_same(small):
 
 
 def test_new_channels_learn(small):
-    """What reads a new channel has a gradient at once; what makes it, as soon as somebody reads it."""
+    """Weights that read a new channel have a gradient at once; weights that make it, as soon as it is read."""
     torch.manual_seed(0)
     model = grow(small, WIDE)
     inputs = torch.rand(1, FEATURES, 32, 32)

@@ -1,4 +1,4 @@
-"""What a newcomer does with the installed wheel, in a fresh environment: arrays, Mitsuba in memory, no torch at all."""
+"""A newcomer's first scripts with the installed wheel, in a fresh environment: arrays, Mitsuba in memory, no torch."""
 
 import re
 from pathlib import Path

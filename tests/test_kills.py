@@ -1,6 +1,6 @@
 """Commands killed at random moments, mid-sequence too, end with the files of an undisturbed run.
 
-A few kills each; `make fuzz` does fifty, of `clips` too.
+A few kills each; `python tests/attack_kills.py denoise=50 clips=50` kills more often.
 """
 
 import json

@@ -102,7 +102,7 @@ def test_corrected_mse_is_the_error_against_the_truth(noisy_reference, masked):
     pixels = (display(image) - display(reference)).square() - (display(half) - display(2 * reference - half)) ** 2 / 4
     pixels = pixels[mask.expand_as(pixels)] if masked else pixels
     standard_error = (pixels.std() / math.sqrt(pixels.numel())).item()
-    # What the curve of the display does to noise is left: below 1 % of the references' error here.
+    # The bias of the display curve remains: below 1 % of the references' error here.
     assert abs(corrected - true) < 3 * standard_error + 0.01 * (naive - true)
     assert naive - true > 20 * standard_error and naive > 5 * true
     own = mse(reference, truth, 1.0, mask)

@@ -33,7 +33,7 @@ def test_the_remains_of_a_momentum_come_to_nothing():
 
 
 def test_a_layer_that_nothing_comes_through_comes_to_rest():
-    """Its momentum dies away; steps of full length along what is left of it would lead anywhere, and in the end to
+    """Its momentum dies away; steps of full length along its remains would lead anywhere, and in the end to
     NaN."""
     weight = torch.nn.Parameter(torch.zeros(8, 8))
     optimiser = Muon([weight], lr=0.01)

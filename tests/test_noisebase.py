@@ -1,4 +1,4 @@
-"""Noisebase's zip files: values as its own loaders give them, both formats, and what is wrong with a file."""
+"""Noisebase's zip files: values as its own loaders give them, both formats, and refusals of broken files."""
 
 import sys
 import zipfile

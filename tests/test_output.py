@@ -1,4 +1,4 @@
-"""What `denoise` writes for native sequences: recombination, layouts, and what it refuses."""
+"""Output of `denoise` for native sequences: recombination, layouts, refusals."""
 
 import json
 import math
@@ -46,7 +46,7 @@ def test_native_indirect_light_contains_the_albedo(tmp_path):
 
 
 def test_direct_light_passes_through(tmp_path):
-    """What is not indirect light comes out as it was: to the bit where that is black, within rounding elsewhere."""
+    """Direct light passes unchanged: to the bit where indirect light is black, within rounding elsewhere."""
     random = np.random.default_rng(0).random
     direct, noisy = random((H, W, 3), np.float32), random((H, W, 3), np.float32) * 4
     noisy[:, : W // 2] = 0

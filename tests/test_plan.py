@@ -1,4 +1,4 @@
-"""What the plan leaves out changes nothing: to the bit, or within the tolerance of float32."""
+"""Omissions of the plan change nothing: to the bit, or within the tolerance of float32."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def planned(denoiser, frames):
 
 
 def play(denoiser, frames):
-    """What is left out of a first frame, which rounds, is left out whoever plays, and has a test of its own."""
+    """Omissions in a first frame round; they are made with and without the plan, and have a test of their own."""
     history, images = None, []
     for frame in frames:
         image, history = denoiser.step(frame, history, Known(first=history is None))
@@ -209,7 +209,7 @@ def test_no_tile_of_the_sky_is_filtered(denoiser, monkeypatch):
 
 
 def test_a_colour_that_changes_is_filtered(denoiser):
-    """What was there before is another colour, so history is not plain."""
+    """The history has another colour than the frame, so it is not plain."""
     frames = [*sky(1, 1.0), *sky(2, 1.5)[1:]]
     plan = planned(denoiser, frames)
     assert_same(play(plan, frames), play(denoiser, frames), close)

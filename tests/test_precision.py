@@ -1,4 +1,4 @@
-"""A network made ready to run against the network as it was trained; memory kept, and what is said when it runs out."""
+"""A network made ready to run against the network as it was trained; memory kept, and the message when it runs out."""
 
 import copy
 import ctypes

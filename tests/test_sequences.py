@@ -1,4 +1,4 @@
-"""Sequences: which files belong to one, how each renderer's layers become frames, and what is said when they do not."""
+"""Sequences: their files, the layers of each renderer as frames, and messages about layers that are missing."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def frames():
 
 @pytest.fixture(scope="module")
 def expected(frames):
-    """What `step` makes of them, `[1, 3, H, W]` each."""
+    """The outputs of `step` for them, `[1, 3, H, W]` each."""
     network, history, images = models.load("fast"), None, []
     with torch.inference_mode():
         for frame in frames:

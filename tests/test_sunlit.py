@@ -1,4 +1,4 @@
-"""A sun on generated scenes: where it comes from, what it comes through, and that its light and shadows are right."""
+"""A sun on generated scenes: its direction, the openings it shines through, its light and its shadows."""
 
 from dataclasses import replace
 

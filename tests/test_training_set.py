@@ -226,7 +226,7 @@ OUTDOOR_OF_VERSION_2 = [
     "moving prism",
     "moving disc",
     "moving disc",
-]  # bench/standard.py renders it
+]  # bench/harness/standard.py renders it
 
 FIRST_OF_SEED_5 = [
     "floor",

@@ -1,5 +1,5 @@
-"""Choose `DEPTH_TOLERANCE` of rtdenoise/splat.py: dual motion from a splat of backward motion, against the exact one
-from `motion_next`.
+"""Choose `DEPTH_TOLERANCE` of rtdenoise/constants.py: dual motion from a splat of backward motion, against exact dual
+motion from `motion_next`.
 
 python bench/calibration/approximate_dual.py CLIPS [SEQUENCE ...]    # a training set; folders of EXR files
 

@@ -4,8 +4,8 @@ python bench/calibration/cuts.py CLIPS [CLIPS ...]    # training sets
 
 Within shots: every pair of consecutive frames. Cuts: every frame of a clip after a frame of the next clip, keeping the
 motion vectors of its own shot, as in spliced files. Mirrored cuts, the hard ones: every frame after its own mirror
-image, so that depths, materials and brightness are alike. Jumps: pairs with frames left out within a shot; restarting
-there is right as far as history no longer fits, so they are counted but neither right nor wrong.
+image, so that depths, materials and brightness are alike. Jumps: pairs with frames left out within a shot; a
+restart there is right if history no longer fits, so jumps are counted as neither right nor wrong.
 """
 
 from __future__ import annotations

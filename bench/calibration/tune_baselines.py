@@ -3,9 +3,9 @@
 python bench/calibration/tune_baselines.py CLIPS    # a set that no model was trained on
 
 Every fourth clip, indirect light, a coarse grid. The greatest mean PSNR over the frame wins: one objective for all
-methods. Each stage starts from the best of the stage before, so that parameters for edges and for history are not
-multiplied out. Clamping keeps to the windows and ranges in use: small k with large windows turns history into a box
-filter of the current frame, which gains PSNR but is no accumulation any more.
+methods. Each stage starts from the best of the stage before, so that the grids for edges and for history are not
+multiplied. Clamping is searched over usual windows and ranges: small k with large windows turns history into a box
+filter of the current frame, which gains PSNR but no longer accumulates.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rtdenoise.data.clips import ClipDataset
 from rtdenoise.evaluate import METRICS, REGIONS
 from rtdenoise.frame import Frame
 
-EVERY = 4  # one clip in so many
+EVERY = 4  # one clip in EVERY is used
 EDGES = {"sigma_l": (4.0, 8.0, 16.0, 32.0), "sigma_n": (4.0, 16.0, 64.0), "sigma_z": (1.0, 3.0, 10.0)}
 HISTORY = {"alpha": (0.1, 0.2, 0.4), "clamp": (None, 1.0, 2.0)}
 GRIDS = {

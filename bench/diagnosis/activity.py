@@ -1,8 +1,8 @@
-"""Which channels of a network are ever active, that is above zero after their ReLU in some pixel?
+"""Which channels of a network are ever active: above zero after their ReLU in some pixel?
 
 python bench/diagnosis/activity.py CLIPS [CLIPS ...]
 
-A channel that is zero everywhere costs arithmetic and gets no gradient. It may only wait for content that a sequence
+A channel that is zero everywhere costs arithmetic and gets no gradient. It may be waiting for content that a sequence
 lacks, so the bundled sequence stands beside `COUNT` evenly spaced clips of each folder. Writes
 bench/results/activity.json and the table of docs/results/training.md.
 """

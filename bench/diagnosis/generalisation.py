@@ -2,8 +2,8 @@
 
 python bench/diagnosis/generalisation.py CLIPS [CLIPS ...]
 
-A lead on training clips that is lost on others is overfitting. A lead on training clips and on validation clips of
-their kind that is lost elsewhere means that the training clips lack something. PSNR in dB of `COUNT` evenly spaced
+A lead on training clips alone is overfitting. A lead on training and validation clips of one kind, but not on other
+scenes, means that the training clips lack something. PSNR in dB of `COUNT` evenly spaced
 clips of each folder, first frames and later ones apart, for both signals. Writes bench/results/generalisation.json and
 the table of docs/results/training.md.
 """

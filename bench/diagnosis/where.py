@@ -2,10 +2,10 @@
 
 python bench/diagnosis/where.py [SEQUENCE ...]
 
-The corrected error (squared, on the display transform, less the reference's own) of the bundled sequence and of others,
-split by a pixel's 3×3 neighbourhood: an edge of geometry (depths differ by more than a tenth, or normals by more than
-half a unit), else a texture (albedos differ by more than a tenth), else neither. Sequences without half references are
-left out. Writes bench/results/where.json and the table of docs/results/quality.md.
+The corrected error (squared, on the display transform, minus the reference's own) of the bundled sequence and of
+others, split by a pixel's 3×3 neighbourhood: an edge of geometry (depths differ by more than a tenth, or normals by
+more than half a unit), else a texture (albedos differ by more than a tenth), else neither. Sequences without half
+references are left out. Writes bench/results/where.json and the table of docs/results/quality.md.
 """
 
 from __future__ import annotations

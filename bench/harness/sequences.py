@@ -38,7 +38,7 @@ def denoise(step: Step, frames: Iterable[Frame]) -> list[Tensor]:
 def mean_errors(
     step: Step, sequences: Iterable[list[Frame]], metrics: Sequence[str], regions: Sequence[str]
 ) -> dict[str, dict[str, float]]:
-    """region -> metric -> mean over the sequences of the error that `evaluate` reports; a sequence in which a region is
-    empty does not count there."""
+    """region -> metric -> mean over the sequences of the error that `evaluate` reports, without sequences in which the
+    region is empty."""
     found = [evaluate(frames, {"it": step}, metrics=metrics, regions=regions)[0].errors for frames in sequences]
     return {r: {m: float(np.nanmean([errors[r][m] for errors in found])) for m in metrics} for r in regions}

@@ -55,7 +55,7 @@ def add_samples() -> None:
     for name, wanted in SEQUENCES.items():
         folder = DATA / name
         costs = folder / "samples.json"
-        for spp in () if costs.exists() else SPP:  # render again what an interrupted run did not time
+        for spp in () if costs.exists() else SPP:  # render inputs again that an interrupted run did not time
             shutil.rmtree(folder / f"spp{spp}", ignore_errors=True)
         seconds = {spp: _render(wanted, folder / f"spp{spp}", spp, 0) for spp in SPP}
         if not costs.exists():

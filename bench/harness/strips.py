@@ -40,7 +40,7 @@ def compose(still: Path, methods: dict[str, str], exposure: float) -> Image.Imag
 
 def most_uncovered(mask: np.ndarray) -> tuple[int, int, int, int]:
     """(top, left, height, width) of the window, 1 / `ENLARGED` as high and wide as `mask` [H, W], that holds most of
-    it; the most central one of several that hold as much."""
+    it; of equal ones the most central."""
     height, width = (side // ENLARGED for side in mask.shape)
     shares = F.avg_pool2d(torch.from_numpy(mask)[None, None].float(), (height, width), stride=1)[0, 0]
     best = (shares >= shares.max() - 1e-6).nonzero().float()

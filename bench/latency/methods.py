@@ -79,8 +79,8 @@ def recorded(method: Method, reference: np.ndarray, tolerance: str) -> list[Meth
 
 
 def shader_methods(preset: str, frame: Frame) -> list[Method]:
-    """The model as compute shaders. They are compared on a small frame: in a large one of noise some pixel always lies
-    so near a threshold of reprojection that rounding decides its side."""
+    """The model as compute shaders. They are compared on a small frame: in a large noisy one some pixel always lies so
+    near a threshold of reprojection that rounding decides its side."""
     methods, small = [], synthetic_frame(36, 64)
     _, history = fresh(preset).step(small)
     expected = fresh(preset).step(small, history)[0].double().numpy()
@@ -124,7 +124,7 @@ def network_flop(preset: str, frame: Frame) -> int:
 
 
 def synthetic_frame(H: int, W: int) -> Frame:
-    """Noise under smooth motion of some pixels: the time depends on where a frame looks, not on what it shows."""
+    """Noise under smooth motion of some pixels: the time depends on the motion, not on the picture."""
     g = torch.Generator().manual_seed(0)
     y, x = torch.meshgrid(torch.arange(H) / H, torch.arange(W) / W, indexing="ij")
     motion = 6 * torch.stack([torch.sin(6 * y + 2 * x), torch.cos(5 * x)])[None]

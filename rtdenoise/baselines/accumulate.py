@@ -16,8 +16,8 @@ from .clamp import clamp_to_neighbourhood
 
 @dataclass(frozen=True)
 class Accumulate:
-    """`out = a · noisy + (1 - a) · history`, a = max(1 / n, α) in the n-th frame of a pixel; pixels from off the screen
-    start anew."""
+    """`out = a · noisy + (1 - a) · history`, a = max(1 / n, α) in the n-th frame of a pixel; pixels that were off
+    the screen start anew."""
 
     alpha: float = 0.1
     clamp: float | None = None  # k: history is clamped to mean ± k·σ of the noisy window; None: not clamped

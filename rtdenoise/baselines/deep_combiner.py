@@ -25,11 +25,11 @@ from ..ops import apply_kernel
 WIDTH, LAYERS, SIDE = 100, 6, 5
 KERNEL = 15
 FEATURES = 13  # y 3, z 3, albedo 3, normal 3, depth 1
-STRIP = 64  # rows whose 225 weights a pixel exist at a time
+STRIP = 64  # rows at a time: each pixel has 225 weights
 
 
 class DeepCombiner(nn.Module):
-    """The network; `combine` as that of `models.Combiner`."""
+    """The network, with `combine` as in `models.Combiner`."""
 
     def __init__(self, softmax: bool = False) -> None:
         super().__init__()
@@ -42,7 +42,7 @@ class DeepCombiner(nn.Module):
 
     @classmethod
     def load(cls, path: str | Path, softmax: bool = False) -> DeepCombiner:
-        """With the weights of a file. Raises InputError where it is not one of this network."""
+        """The network with weights from a file. Raises InputError if they are not of this network."""
         network = cls(softmax)
         try:
             network.load_state_dict(load_file(path))

@@ -1,6 +1,6 @@
 """Intel Open Image Denoise (OIDN): the frame-by-frame denoiser that renderers ship.
 
-`Oidn` is the method, `OidnFilter` one committed filter, for whoever times the filter alone.
+`Oidn` is the method, `OidnFilter` one committed filter, to time the filter alone.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Oidn:
     def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History | None]:
         """As `TemporalKPN.step`, for batches of one. There is a history only where something is accumulated.
 
-        The first frame sets the filters up; later ones take the time of filtering alone. Raises InputError where
+        The first frame sets the filters up; later ones only filter. Raises InputError where
         `pyoidn` is not installed, and where albedo or normal is missing.
         """
         frame = sanitise(frame)
@@ -63,7 +63,7 @@ class Oidn:
 
 
 def filter_inputs(frame: Frame) -> dict[str, Tensor]:
-    """The images that OIDN filters a (sanitised) frame from, in OIDN's ranges and under its names."""
+    """OIDN's input for a (sanitised) frame, in OIDN's ranges and under its names."""
     return {"color": frame.radiance, "albedo": frame.albedo.clamp(0, 1), "normal": frame.normal.clamp(-1, 1)}
 
 
@@ -115,7 +115,7 @@ class OidnFilter:
         return self.images["output"].permute(2, 0, 1)[None].contiguous()
 
     def fits(self, images: Mapping[str, Tensor]) -> bool:
-        """Whether these have its size and device."""
+        """Whether these images have the filter's size and device."""
         image, own = next(iter(images.values())), self.images["output"]
         return image.shape[2:] == own.shape[:2] and image.device == own.device
 

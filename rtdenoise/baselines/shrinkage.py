@@ -1,4 +1,4 @@
-"""The combiner that needs no training: shrink each pixel's residual by how much of it is error of the denoiser.
+"""The combiner that needs no training: scale each pixel's residual by the denoiser's estimated share of the error.
 
 With two independent halves y₁, y₂ of the noisy samples, y = (y₁ + y₂) / 2, and a denoised z,
 
@@ -9,8 +9,8 @@ With two independent halves y₁, y₂ of the noisy samples, y = (y₁ + y₂) /
 with means over a neighbourhood and the channels. This w has the least squared error if the noises of y and z are
 uncorrelated (James and Stein 1961). z was made from y, so E is a little too small and w errs towards z.
 
-Without halves, E and V come from the residuals in the neighbourhood alone: their squared mean, less the variance that
-chance gives a mean, and their variance. An error of z that changes within the neighbourhood counts as noise of y there.
+Without halves, E and V come from the residuals in the neighbourhood alone: E is their squared mean less the variance of
+that mean, V their variance. An error of z that changes within the neighbourhood counts as noise of y there.
 """
 
 from __future__ import annotations
@@ -52,6 +52,6 @@ class Shrinkage:
         return mean.square().mean(1, keepdim=True) - variance / count, variance
 
     def _mean(self, image: Tensor) -> Tensor:
-        """Over the neighbourhood and the channels, `[B, 1, H, W]`."""
+        """Mean over the neighbourhood and the channels, `[B, 1, H, W]`."""
         image = image.mean(1, keepdim=True)
         return F.avg_pool2d(image, self.side, 1, self.side // 2, count_include_pad=False)

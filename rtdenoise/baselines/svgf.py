@@ -41,7 +41,7 @@ class SvgfState:
 
 @dataclass(frozen=True)
 class Svgf:
-    """The filter and its parameters; the defaults are what bench/tune_baselines.py chose."""
+    """The filter and its parameters; bench/calibration/tune_baselines.py chose the defaults."""
 
     alpha: float = 0.2  # minimum weight of the current frame
     sigma_z: float = 3.0  # tolerance of depth, in slopes of the surface

@@ -10,7 +10,7 @@ from .svgf import Svgf
 
 @dataclass(frozen=True)
 class Trmv(Svgf):
-    """Uncovered pixels take the history of the background beside the occluder; `Svgf` finds none there and starts anew.
+    """Uncovered pixels take the history of the background beside the occluder; there `Svgf` starts anew.
 
     The reused signal is demodulated irradiance, without the texture of the background. On diffuse surfaces this equals
     the publication's reuse of incident radiance; its lobes for glossy surfaces and its motion vectors for shadows and

@@ -40,13 +40,13 @@ def pinhole_camera(
 
 
 def screen_motion(
-    position: np.ndarray,  # [H, W, 3] world space, of what each pixel shows in this frame
+    position: np.ndarray,  # [H, W, 3] world space, of the surface in each pixel of this frame
     camera: np.ndarray,  # [3, 4] or [4, 4] of this frame
     other: np.ndarray,  # [3, 4] or [4, 4] of the frame before (for `motion`) or after (for `motion_next`)
     *,
     hit: np.ndarray | None = None,  # [H, W] bool: where a surface was hit; None: where `position` is not 0
     ids: np.ndarray | None = None,  # [H, W] number of the object in each pixel
-    poses: Mapping[int, np.ndarray] | None = None,  # number -> object-to-world [4, 4] in this frame, of what moves
+    poses: Mapping[int, np.ndarray] | None = None,  # number -> object-to-world [4, 4] in this frame, of moving objects
     other_poses: Mapping[int, np.ndarray] | None = None,  # the same in the other frame
 ) -> np.ndarray:  # [H, W, 2] float32, (x, y) in pixels, the other frame minus this one; x right, y down
     """Exact screen motion of rigidly moving objects under a moving camera: `[H, W, 2]` float32, (x, y) in pixels, the

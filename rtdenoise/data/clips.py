@@ -33,7 +33,7 @@ FEATURES = tuple(name for name, layer in LAYERS.items() if layer.in_every_clip a
 OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_clip)
 SHOT = "shot"  # kind of the clips that are cut from frames on disk
 HALF_MAX = float(np.finfo(np.float16).max)
-FLOAT_TYPES, ID_TYPES = ("F16", "F32"), ("U16", "U8", "F32")  # of clips of any age, as safetensors names them
+FLOAT_TYPES, ID_TYPES = ("F16", "F32"), ("U16", "U8", "F32")  # names of safetensors; older clips have the later ones
 MAX_SCALE = 1024.0  # more would leave half precision no digits for dark pixels; beyond it values are clamped
 
 
@@ -83,13 +83,13 @@ def bytes_per_clip(size: tuple[int, int], frames: int, layers: Collection[str] =
 
 
 def read_facts(path: Path) -> dict:
-    """The facts of a clip: seed, samples, uncovered share and so on. Raises InputError for what is no clip."""
+    """The facts of a clip: seed, samples, uncovered share and so on. Raises InputError if the file is no clip."""
     with _opened(path) as clip:
         return _from_header(path, clip, "clip")
 
 
 def read_layers(path: Path) -> dict[str, np.ndarray]:
-    """Every layer of a clip, `[T, C, H, W]` float32. Raises InputError for what is no clip."""
+    """Every layer of a clip, `[T, C, H, W]` float32. Raises InputError if the file is no clip."""
     with _opened(path) as clip:
         scales, names = _scales(path, clip), clip.keys()
         _size(path, clip, {name for name in names if name in LAYERS})
@@ -112,7 +112,7 @@ def write_estimates(clip: Path, method: str, estimates: Mapping[str, np.ndarray]
 
 
 def estimated_signals(clip: Path, method: str) -> tuple[str, ...]:
-    """The signals of a clip that a method's file has denoised frames of."""
+    """The signals for which a method's file has denoised frames of a clip."""
     path = estimate_path(clip, method)
     if not path.is_file():
         return ()
@@ -242,7 +242,7 @@ def _unscaled(stored: Tensor, scale: float | None) -> Tensor:
 
 
 def _stacked(tensors: list[Tensor]) -> Tensor:
-    """Along the channels; one tensor is not copied."""
+    """The tensors joined along the channels; a single one is not copied."""
     import torch
 
     return tensors[0] if len(tensors) == 1 else torch.cat(tensors, 1)

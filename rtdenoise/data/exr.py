@@ -8,8 +8,8 @@ Python API of OpenEXR 3.5.3:
   chunk table is checked against the file's size first, and a part that cannot be decoded is an `InputError`.
 - It decodes every part. Cycles writes one part for each pass, and a denoiser wants few of them: here only the wanted
   parts are read from the disk and handed over, each as a single-part file in memory (1 of 13 parts of a 960×540 file:
-  15 ms against 270 ms). The channels of one part share the compressed blocks, so that selecting among them saves next
-  to nothing (7 ms for 1 of 29 channels, 8 ms for all): all are decoded and the rest is dropped.
+  15 ms against 270 ms). The channels of one part share compressed blocks, so all are decoded and the rest is dropped;
+  decoding one alone would save next to nothing (7 ms for 1 of 29 channels, 8 ms for all).
 """
 
 from __future__ import annotations
@@ -89,9 +89,10 @@ def write_layers(
 ) -> None:
     """Write layers under their native names and types (`layers.py`), as one part.
 
-    `color` becomes `R,G,B`, `normal` `normal.{X,Y,Z}`; layers that the table lacks become `name.{R,G,B}` (4 channels:
-    and `A`; 2: `X,Y`; 1: `V`), stored as half. `dtypes` overrides the types. A key with an array of two axes is a
-    complete channel name and is kept. Half clamps values beyond ±65504, infinity too; NaN stays NaN.
+    `color` becomes `R,G,B`, `normal` becomes `normal.{X,Y,Z}`. A layer that the table lacks becomes `name.{R,G,B}`,
+    with 4 channels `name.{R,G,B,A}`, with 2 `name.{X,Y}`, with 1 `name.V`, stored as half. `dtypes` overrides the
+    types. A key with an array of two axes is a complete channel name and is kept. Half clamps values beyond ±65504,
+    infinity too; NaN stays NaN.
 
     The file appears under its name only when it is complete: an interrupted run leaves no half file. Raises
     `InputError` where it cannot be written.
@@ -117,8 +118,8 @@ def write_like(
     *,
     dtype: str | None = None,  # of the changed channels: "half" or "float"; None: as in the source
 ) -> dict[str, int]:
-    """Write a copy of `source` with other pixels in some of its channels. Returns the number of NaNs in the others, by
-    full channel name, where there are any.
+    """Write a copy of `source` with other pixels in some of its channels. Returns the number of NaNs in each unchanged
+    channel that has some, by full channel name.
 
     Parts, channel names, pixel types and attributes stay; pixels are stored as scan lines with ZIP compression. Raises
     `InputError` as `read_channels` and `write_layers` do.

@@ -27,7 +27,7 @@ def find_table_end(
 
 
 def _chunk_layout(part: Part, flags: int) -> str:
-    """struct layout of what stands in front of a chunk's data; the last number is the data's size."""
+    """struct layout of a chunk's leader; its last number is the size of the data."""
     return "<" + "i" * bool(flags & MULTI_PART) + ("iiiii" if part.tiled else "ii")
 
 

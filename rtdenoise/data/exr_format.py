@@ -1,4 +1,4 @@
-"""The format of OpenEXR files, as far as it is read here without decoding pixels; `exr.py` says why.
+"""The parts of the OpenEXR format that are read without decoding pixels; `exr.py` says why.
 
 A file is: magic, version and flags, one header (a list of named attributes) for each part, one table of chunk offsets
 for each part, chunks. A chunk is some scanlines or one tile of one part: a leader (part number in multi-part files,
@@ -35,7 +35,7 @@ class Part:
 
 @dataclass(frozen=True)
 class ExrHeader:
-    """What a file holds. Channels of multi-part files carry their part's name in front: `ViewLayer.Combined.R`."""
+    """The content of a file. Channels of multi-part files carry their part's name in front: `ViewLayer.Combined.R`."""
 
     path: Path
     width: int  # of the data window of the first part

@@ -108,7 +108,7 @@ def describe_gap(gap: tuple[int, int]) -> str:
 
 
 def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Path]:
-    """The files of a folder or glob, in no order, without hidden ones: unfinished files have hidden names."""
+    """The files of a folder or glob, unordered, without hidden ones: unfinished files have hidden names."""
     path = Path(path_or_glob)
     if path.is_dir():
         found = [p for p in path.iterdir() if p.suffix.lower() == suffix and not p.name.startswith(".")]

@@ -1,6 +1,7 @@
 """The layers that files hold. A layer has one name in EXR files, in clips and in `Frame`; this table lists them all.
 
-Only the signal has several: `Frame.radiance`, `reference` and `reference_half` come from other layers for each signal.
+Only layers of the signal have several: the layers of `Frame.radiance`, `reference` and `reference_half` depend on the
+signal.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Layer:
         return len(self.components)
 
 
-# Half precision would cost depth and motion subpixels, and positions overflow it.
+# Not half: depth and motion would lose subpixel precision, and positions overflow.
 LAYERS = {
     "color": Layer("RGB"),  # the noisy beauty
     "indirect": Layer("RGB"),  # the noisy indirect light

@@ -15,9 +15,9 @@ SCALES = ("pixels", "uv")  # uv: fractions of the picture's width and height
 
 @dataclass(frozen=True)
 class Rule:
-    """How channels make a layer: component i is `signs[i]` × the channel `channels[i]`, for motion in `scale`."""
+    """How channels make a layer: component i is `signs[i]` × the channel `channels[i]`; motion is in `scale`."""
 
-    channels: tuple[str, ...]  # one with a `*` stands for the first channel that fits
+    channels: tuple[str, ...]  # a name with a `*` stands for the first channel that matches
     signs: tuple[int, ...]
     miss: float = float("inf")  # depth only: nothing was hit from this distance on
     scale: str = "pixels"  # motion only: one of SCALES

@@ -1,4 +1,4 @@
-"""The layouts that are known: how renderers name and scale their channels, converted to the conventions of `frame.py`.
+"""The layout presets: how renderers name and scale their channels, converted to the conventions of `frame.py`.
 
 native   This project's: `R,G,B` (or `color.{R,G,B}`, as in a part named color), and `layers.py` for the others:
          `indirect.{R,G,B}`, `albedo.{R,G,B}`, `normal.{X,Y,Z}`, `depth.Z`, …
@@ -6,7 +6,7 @@ cycles   Blender/Cycles 3.x-5.x, multilayer EXR: `<ViewLayer>.<Pass>.<Channel>`.
          X,Y and current − next in Z,W, in pixels with y up. `Diffuse Indirect` is already divided by `Diffuse Color`.
          `Denoising Normal` is in camera space and `Normal` in world space, so `Normal` is preferred.
 mitsuba  Mitsuba 3's `aov` integrator: `R,G,B` is the picture of the inner integrator, an AOV `name:type` becomes
-         `name.{R,G,B}` (albedo), `name.{X,Y,Z}`, `name.T` (depth) or `name.I` (index). Names that are usual are found.
+         `name.{R,G,B}` (albedo), `name.{X,Y,Z}`, `name.T` (depth) or `name.I` (index). Usual names are recognised.
 falcor   One file for each buffer, named by Falcor's frame capture (`*.GBufferRT.mvec.12.exr`) or renamed
          (`mvec_0012.exr`).
          `mvec` is previous − current in fractions of the picture, y down; `linearZ` is FLT_MAX or 0 for misses.
@@ -170,8 +170,8 @@ NAMES = ("native", "cycles", "mitsuba", "falcor", "bmfr", "oidn", "noisebase")
 
 
 def choose(name: str, source: str | os.PathLike) -> Layout | None:
-    """The layout, as far as its name and the names of the files in `source` (folder or glob) decide it; None: the first
-    header will, see `find`. A name that ends in .toml is a file that describes a layout.
+    """The layout, if its name or the names of the files in `source` (folder or glob) decide it; None: the first header
+    decides (`find`). A name that ends in .toml is a file that describes a layout.
 
     Raises `InputError` for an unknown name, and as `read_layout` does.
     """
@@ -220,7 +220,7 @@ def detect(header: ExrHeader) -> Layout:
         layout.name: set().union(*(layout.resolve(header, signal) for signal in SIGNALS))
         for layout in (NATIVE, MITSUBA)
     }
-    best = max((NATIVE, MITSUBA), key=lambda layout: len(found[layout.name]))  # native where both find as much
+    best = max((NATIVE, MITSUBA), key=lambda layout: len(found[layout.name]))  # ties go to native
     if "radiance" not in found[best.name]:
         raise InputError(f"{header.path}: no known layout (presets: {', '.join(NAMES)}): no R,G,B, no indirect.R,G,B, "
                          f"no <ViewLayer>.Combined.R,G,B among {header.summary}")  # fmt: skip

@@ -1,8 +1,8 @@
 """Noisebase's data sets (SampleSet v1, and others in its format): Zarr arrays in zip files.
 
-Its documentation calls them "Sample Test Format v1", one file for each frame (`frame0012.zip`), and "Sample Training
-Format v1", one file for each sequence: its arrays have one more axis in front, the frames of a crop that moves along
-with the picture. C components, H×W pixels and S samples a pixel make arrays `[C, H, W, S]`:
+Its documentation names two formats: "Sample Test Format v1", one file for each frame (`frame0012.zip`), and "Sample
+Training Format v1", one file for each sequence: its arrays have one more axis in front, the frames of a crop that moves
+along with the picture. C components, H×W pixels and S samples a pixel make arrays `[C, H, W, S]`:
 
     color             uint8 RGBE, decoded with exposure `[2]` = (a, b):   rgb / 255 · exp(a + (b − a) (e + 1) / 256)
     reference         float32 `[3, H, W]`

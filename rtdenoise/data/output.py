@@ -1,5 +1,5 @@
-"""A denoised frame as a file: in `R,G,B`, or where the renderer's own file has the signal; alone, or recombined with
-the rest of the light.
+"""A denoised frame as a file: in `R,G,B`, or in the channels where the renderer's file has the signal; alone, or
+recombined with the rest of the light.
 
 With S the noisy signal, D the denoised one, C the noisy beauty and A the albedo if the renderer has divided the signal
 by it (else 1), the recombined beauty is
@@ -8,8 +8,8 @@ by it (else 1), the recombined beauty is
     signal indirect   C + (D − S) · A
 
 The second replaces the noisy indirect light in the sum of all lights: Cycles' Combined is Σ (direct + indirect) · color
-over diffuse, glossy and transmission, plus emission and environment, and everything but S · A cancels out. It needs
-none of those passes, and stays right where a scene has more of them (volumes).
+over diffuse, glossy and transmission, plus emission and environment: all terms but S · A cancel out. So the formula
+needs none of those passes, and holds for scenes with further ones (volumes).
 """
 
 from __future__ import annotations
@@ -137,13 +137,13 @@ def write_frame(
     keep: tuple[str, ...] = (),  # layers or channels of the input to pass on, or "all"; plain layout only
     float32: bool = False,
 ) -> dict[str, int]:
-    """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in channels
-    that are passed on as they are, by channel, where there are any.
+    """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in each
+    channel that is passed on unchanged and has some.
 
-    plain    the signal in `R,G,B`, with `recombine` the beauty instead, and what is kept
+    plain    the signal in `R,G,B`, with `recombine` the beauty instead, and the channels of `keep`
     source   every channel of the input under its name and in its part; the denoised signal replaces the noisy one,
-             with `recombine` also the beauty the renderer's. Where buffers are files of their own, only those that
-             have changed.
+             with `recombine` also the new beauty the renderer's. Where buffers are files of their own, only changed
+             files are written.
 
     Raises InputError where the result is not finite, and where the file cannot be written.
     """

@@ -13,15 +13,15 @@ from ..files import read_json, read_text
 from .exr_format import ExrHeader
 
 FORMAT = "rtdenoise-scene-1"
-MAX_ID = 2**32 - 1  # what EXR's unsigned integers hold
+MAX_ID = 2**32 - 1  # the largest unsigned integer in EXR
 
 
 def read_scene(path: Path, header: ExrHeader) -> dict | None:
     """The scene, checked, in the form of scene.json; None where there is no such file.
 
-    Raises `InputError` for a file that cannot be read, and for the first value that does not fit: a scene for pictures
-    of another size than those of `header`, a camera that is not one of perspective, an object's transform without an
-    inverse, two entries for one frame.
+    Raises `InputError` for a file that cannot be read, and for the first value that does not fit: another picture size
+    than that of `header`, a camera that is not a perspective one, an object's transform without an inverse, two entries
+    for one frame.
     """
     if not path.exists():
         return None

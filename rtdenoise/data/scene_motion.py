@@ -32,7 +32,7 @@ def motion_between(
 
 
 def complete(frame: Frame, scene: Mapping) -> Frame:
-    """The frame (numpy arrays, B = 1) with the depth, motion and motion_next that it lacks and `scene` gives.
+    """The frame (numpy arrays, B = 1), with missing depth, motion and motion_next computed from `scene`.
 
     `scene` is the checked content of scene.json (`scene_file.read_scene`). Motion needs the entry of the frame before,
     motion_next that of the frame after. Where a scene has no objects and a frame no ids, all that was hit (position

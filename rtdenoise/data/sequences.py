@@ -27,8 +27,8 @@ DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_nex
 class Sequence:
     """Frames in order of their numbers: `len(s)`, `s[i]`, `for frame in s`. Every access reads the file anew.
 
-    Layers that the files do not have are None in the frames, except that `motion` and `motion_next` are computed where
-    `position`, `id` and a `scene.json` allow it.
+    Layers that the files lack are None in the frames. Exceptions are `motion` and `motion_next`, which are computed
+    where `position`, `id` and a `scene.json` allow it.
     """
 
     files: tuple[FrameFiles, ...]  # of each frame, their numbers ascending
@@ -54,7 +54,7 @@ class Sequence:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the output of each frame is called."""
+        """The file name of each frame's output."""
         return tuple(files.output_name(path) for files, path in zip(self.files, self.paths, strict=True))
 
     @property
@@ -87,7 +87,7 @@ class Sequence:
         return complete(frame, self.scene) if missing and self.scene else frame
 
     def only(self, layers: Collection[str]) -> Sequence:
-        """The sequence without the layers of `Frame` that are not among `layers`, and what they are computed from.
+        """The sequence with only these layers of `Frame` and the layers that they are computed from.
 
         Parts of a multi-part file that nothing needs are not even read from the disk.
         """
@@ -98,7 +98,7 @@ class Sequence:
     def require(self, *layers: str) -> Sequence:
         """The sequence itself, if it has these layers of `Frame`.
 
-        Raises `InputError` naming the file, the first missing layer, what there is, and what to switch on.
+        Raises `InputError` naming the file, the first missing layer, the channels there are, and the remedy.
         """
         missing = [layer for layer in layers if layer not in self.available and not self._derivable(layer)]
         if missing:
@@ -121,10 +121,10 @@ def open_sequence(
 ) -> Sequence:
     """The EXR files of a folder, a glob or one name as a `Sequence` of `Frame`s: `[1, C, H, W]` float32 tensors.
 
-    `signal` is what becomes `radiance`: 'color', the beauty, or 'indirect' light. `preset` is the files' layout; 'auto'
-    finds it. All headers are checked at once: one size, one set of layers, complete files, consecutive numbers. The
-    frame number is the last run of digits in a file's name, or where a layout's pattern has it. Missing numbers are an
-    error unless `allow_gaps`. Raises InputError, in one line, for whatever does not fit.
+    `signal` chooses the light in `radiance`: 'color', the beauty, or 'indirect' light. `preset` is the files' layout;
+    'auto' finds it. All headers are checked at once: one size, one set of layers, complete files, consecutive numbers.
+    The frame number is the last run of digits in a file's name, or where a layout's pattern has it. Missing numbers are
+    an error unless `allow_gaps`. Raises InputError, in one line, for whatever does not fit.
     """
     if signal not in SIGNALS:
         raise InputError(f"unknown signal '{signal}': known are {', '.join(SIGNALS)}")
@@ -176,7 +176,7 @@ def _check_like_first(header: ExrHeader, first: ExrHeader, rules: dict[str, Rule
 
 
 def _check_entries(files: tuple[FrameFiles, ...], scene: dict, path: Path) -> None:
-    """Motion is to be computed: the scene must describe every frame."""
+    """Raise InputError unless the scene, from which motion is computed, describes every frame."""
     numbers = {entry["number"] for entry in scene["frames"]}
     for frame in files:
         if frame.number not in numbers:

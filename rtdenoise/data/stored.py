@@ -21,7 +21,7 @@ LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motio
 
 
 def write_history(path: Path, fields: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
-    """Write the fields of a history, none before the first frame. Raises InputError where they cannot be written."""
+    """Write the fields of a history (none before the first frame). Raises InputError where they cannot be written."""
     write_atomically(path, save(dict(fields), metadata=dict(metadata)))
 
 
@@ -29,7 +29,7 @@ def read_history(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """The fields `[B, C, H, W]` and metadata that `write_history` wrote.
 
     Raises InputError where the file cannot be read, for fields of another name, type or shape than those of a
-    history, and for values that are not finite or too large to be one's.
+    history, and for values that are not finite or beyond `LARGEST`.
     """
     open_regular(path).close()
     try:

@@ -1,5 +1,5 @@
-"""Error and time: `registry` lists methods, `sequence` runs one, `measure` measures several on frames, `run` on
-sequences on disk."""
+"""Error and time: `registry` lists methods, `sequence` runs one, `measure` measures several on frames, `run` measures
+them on sequences on disk."""
 
 from .measure import ALL_METRICS, ALL_REGIONS, METRICS, REGIONS, WHOLE_METRICS, Result, evaluate
 from .registry import Method, choose, methods

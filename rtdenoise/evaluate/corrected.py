@@ -15,8 +15,8 @@ from .sequence import Step
 
 @dataclass(frozen=True)
 class Corrected:
-    """`denoise`, and then `combine` on windows of `offsets`, frame numbers relative to the corrected frame. The image
-    of a frame comes `delay` frames later; the history holds what the window still needs."""
+    """`denoise`, then `combine` on windows of `offsets`, frame numbers relative to the corrected frame. The image of a
+    frame comes `delay` frames later; the history holds the frames of the window."""
 
     denoise: Step
     combine: Callable[[Window], Combined]
@@ -24,11 +24,11 @@ class Corrected:
 
     @property
     def delay(self) -> int:
-        """Frames that it looks ahead."""
+        """Frames that the step looks ahead."""
         return self.offsets[-1]
 
     def step(self, frame: Frame | None, history: Any = None) -> tuple[Tensor | None, Any]:
-        """Of the frame `delay` before the image; None as `sequence` has it."""
+        """The corrected image of the frame `delay` before `frame`; None as `sequence` says."""
         before, held = history or (None, ((None, None),) * len(self.offsets))
         item = None, None
         if frame is not None:

@@ -11,7 +11,7 @@ from ..files import dumps, read_json, write_atomically
 NAME = "evaluation.json"
 FORMAT = "rtdenoise-evaluation-1"
 KEY = ("sequence", "spp", "method", "precision", "device")
-# What each part must hold for a report; older files lack the other keys.
+# Keys that a report needs in each part; older files lack the others.
 RESULT = {*KEY, "run", "fingerprint", "ms", "errors", "ghost_length", "frames"}
 SKIPPED = {*KEY, "reason"}
 SEQUENCE = {"size", "frames", "sample_ms", "exposure", "uncovered_share", "stills"}
@@ -42,7 +42,7 @@ class Document:
 
     @classmethod
     def read(cls, folder: Path) -> Document:
-        """Raises InputError where the file is missing, or is not one that `write` wrote."""
+        """The document of a folder. Raises InputError where the file is missing, or `write` did not write it."""
         path = Path(folder) / NAME
         if not path.exists():
             raise InputError(f"{path}: not there; `rtdenoise evaluate SEQ --out {folder}` writes it")
@@ -55,7 +55,7 @@ class Document:
         return cls(**content)
 
     def write(self, folder: Path) -> None:
-        """Never half a file."""
+        """Write the file whole or not at all."""
         text = dumps({"format": FORMAT, **vars(self)}, indent=1) + "\n"
         write_atomically(Path(folder) / NAME, text.encode())
 
@@ -72,7 +72,7 @@ class Document:
 
 
 def _fault(content: dict) -> str:
-    """The first thing that a document cannot have or lacks, in words; empty if there is none."""
+    """The first key that is unknown, missing or wrong, in words; empty if there is none."""
     known = [f.name for f in fields(Document)]
     if foreign := sorted(content.keys() - set(known)):
         return f"unknown key {foreign[0]!r}; expected {', '.join(known)}"

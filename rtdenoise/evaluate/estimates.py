@@ -21,8 +21,8 @@ def write_all(
     signals: Sequence[str] = tuple(SIGNALS),
     on_clip: OnClip = lambda done, total: None,
 ) -> int:
-    """Denoise every clip of the folders with every method, from its first frame on. Estimates that are there already
-    are kept. Returns how many were written.
+    """Denoise every clip of the folders with every method, from its first frame on. Existing estimates are
+    kept. Returns how many were written.
 
     Each method sees the clip's own noisy frames, because y - z depends on z having been made from y. Raises InputError
     for a folder without clips and for an unknown or missing method.

@@ -3,7 +3,7 @@
 shot/               frames with references: the input at the base spp
 shot/spp4/          the same frames at 4 spp with features; references are read from shot/
 shot/samples.json   {"spp": 1, "sample_ms": 38.5}: the base spp (default 1), and the time in ms that one more sample per
-                    pixel takes to render, by which samples count as time; both are optional
+                    pixel takes to render, to convert samples to time; both are optional
 converged/          with `reference`: the same frames, converged, where shot/ holds no references
 """
 
@@ -49,7 +49,7 @@ class Source:
         """`reference`: a folder with the same frames, converged; None: `folder` has the references as layers.
 
         Raises InputError where frames, references or (between frames) motion are missing, the frames of `reference` are
-        others, or samples.json is not as above.
+        other ones, or samples.json is not as above.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -86,12 +86,12 @@ class Source:
     def references(self, i: int) -> dict[str, Tensor | None]:
         """`reference` and `reference_half` of frame i, as fields of `Frame`."""
         frame = (self.converged or self.base)[i]
-        if self.converged and frame.reference is None:  # a converged render shows the truth as its own signal
+        if self.converged and frame.reference is None:  # a converged render holds the truth in its noisy layers
             return {"reference": frame.radiance, "reference_half": None}
         return {layer: getattr(frame, layer) for layer in LAYERS}
 
     def fingerprint(self, spp: int) -> str:
-        """Differs between inputs that can give other errors."""
+        """A string that differs between inputs whose errors may differ."""
         sequences = [self.base, self.at(spp), *([self.converged] if self.converged else [])]
         paths = [path for sequence in sequences for f in sequence.files for path in f.files.values()]
         facts = [[*path.parts[-2:], path.stat().st_size, path.stat().st_mtime_ns] for path in paths]

@@ -20,7 +20,7 @@ from ..metrics.image import decibels, masked_mean
 from .registry import choose
 from .sequence import Step, outputs, uncovered
 
-# Where errors are taken: the frame; pixels uncovered in it, one and two frames before (M⁰, M¹, M² of the paper).
+# Regions of errors: the frame; pixels uncovered in it, one and two frames before (M⁰, M¹, M² of the paper).
 ALL_REGIONS = ("frame", "uncovered", "uncovered-1", "uncovered-2")
 ALL_METRICS = (
     "psnr", "psnr_corrected", "ssim", "relmse", "flip", "smape", "l1", "mse", "mse_corrected", "tpsnr",
@@ -111,14 +111,14 @@ def check_references(frames: Sequence[Frame]) -> None:
 
 
 def warm_up(step: Step, frames: Sequence[Frame], device: str | torch.device = "cpu", delay: int = 0) -> None:
-    """Run two frames through a method; whatever it refuses is raised here."""
+    """Run two frames through a method; errors of the method are raised here."""
     for _ in outputs(step, [frame.to(device) for frame in frames[:2]], delay):
         pass
 
 
 @dataclass(frozen=True)
 class _Judge:
-    """The truth about a sequence, and what to measure against it."""
+    """The references of a sequence, and the metrics and regions to measure."""
 
     frames: Sequence[Frame]
     masks: list[Tensor]  # `uncovered` of the frames

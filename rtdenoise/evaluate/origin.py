@@ -19,7 +19,7 @@ LIBRARIES = ("torch", "numpy", "moderngl")
 
 
 def origin(command: str, devices: dict[str, str], libraries: Sequence[str] = LIBRARIES) -> dict[str, object]:
-    """The origin as a file of results states it, now and for this process."""
+    """The origin of results measured now by this process."""
     return {
         "command": command,
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),

@@ -1,4 +1,6 @@
-"""Every method that can be measured: its name, what it is, how it starts, and why it may be missing."""
+"""Every method that can be measured: its name, a line about it, its start, and the reason if it is missing.
+
+A new baseline is a class with `step` in `baselines/`, its export there, and a row in `methods`."""
 
 from __future__ import annotations
 
@@ -49,7 +51,7 @@ class Method:
         return self.start(device, precision)
 
     def unavailable(self, precision: str = "auto") -> str:
-        """Why it cannot run at that precision; empty where it can."""
+        """Why the method cannot run at that precision; empty if it can."""
         if self.start is None:
             return self.missing
         return "" if precision in ("auto", *self.precisions) else f"has no {precision} version"
@@ -125,7 +127,7 @@ def _oidn() -> list[Method]:
 
 
 def _network(name: str) -> list[Method]:
-    """Shipped weights: as they are, on traditional motion, and without history."""
+    """The methods of shipped weights: unchanged, on traditional motion, and without history."""
     start = partial(_start, name)
     return [
         Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name),
@@ -137,7 +139,7 @@ def _network(name: str) -> list[Method]:
 
 
 def _corrected(base: Method, combiner: str) -> Method:
-    """A method with every frame corrected. Raises InputError for a combiner that is none."""
+    """A method whose frames a combiner corrects. Raises InputError if `combiner` names none."""
     weights, offsets, family, name = combiner.removeprefix("dc:"), (0,), "filter", combiner
     if combiner == "shrinkage":
         weights, make, what = "", lambda device, precision: Shrinkage(), "shrunk residuals"

@@ -40,7 +40,7 @@ NEEDS = {"flip": ("flip_evaluator", "'rtdenoise[bench]'"), "fovvideovdp": ("pyfv
 
 @dataclass(frozen=True)
 class Options:
-    """What `run` measures."""
+    """The measurements that `run` makes."""
 
     methods: tuple[str, ...] = ()  # for `registry.choose`; (): its default
     precisions: tuple[str, ...] = ("fp32",)  # of PRECISIONS
@@ -61,7 +61,7 @@ def run(
     on_step: OnStep = lambda label, done, total: None,
 ) -> Document:
     """Measure, and write after every input. An input, a method or a precision that is missing is skipped with its
-    reason. `say` is told a line for each input, `on_step` what is running (`measure.evaluate`).
+    reason. `say` gets a line for each input, `on_step` the running method (`measure.evaluate`).
 
     Raises InputError for unknown methods, metrics and precisions, and for sequences that cannot be measured.
     """
@@ -127,7 +127,7 @@ def _open_document(out: Path, signal: str) -> Document:
 
 @dataclass
 class _Input:
-    """One sequence at one number of samples per pixel, and the measurements asked for."""
+    """One sequence at one number of samples per pixel, and its requested measurements."""
 
     document: Document
     source: Source
@@ -206,7 +206,7 @@ class _Input:
         return steps
 
     def _covers(self, known: dict, method: Method) -> bool:
-        """Whether a result is of this input and these weights, and has all metrics asked for."""
+        """Whether a result has this input, these weights and all requested metrics."""
         return (
             known["fingerprint"] == self._fingerprint(method) and set(self._metrics) <= known["errors"]["frame"].keys()
         )
@@ -226,7 +226,7 @@ class _Input:
         return self.source.fingerprint(self.spp)
 
     def _fingerprint(self, method: Method) -> str:
-        """Of the input and of the weights."""
+        """Changes with the input and with the weights."""
         if not method.weights:
             return self._of_input
         return f"{self._of_input}-{hashlib.sha256(models.find(method.weights).read_bytes()).hexdigest()[:16]}"

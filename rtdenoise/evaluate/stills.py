@@ -1,4 +1,4 @@
-"""The pictures that an evaluation keeps: of each sequence one frame, by every method, with its reference."""
+"""The pictures that an evaluation keeps: one frame of each sequence, by every method, with its reference."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .sequence import uncovered
 
 
 def stills(masks: list[torch.Tensor]) -> list[int]:
-    """Indices of the frames to look at: the one with the largest uncovered share, else the last."""
+    """Indices of the frames to keep: the one with the largest uncovered share, else the last."""
     shares = [float(mask.float().mean()) for mask in masks]
     return [int(np.argmax(shares)) if max(shares) > 0 else len(masks) - 1]
 

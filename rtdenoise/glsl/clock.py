@@ -16,7 +16,7 @@ class Clock:
         pipeline.step(frame, history)
         pipeline.clock.read()      # {"upload": 0.0021, "features": 0.0003, …} seconds
 
-    Mesa's software renderer does not count in these: there the clock waits for each stage and times it on the CPU.
+    Mesa's software renderer returns nonsense for them: there the clock waits for each stage and times it on the CPU.
     """
 
     def __init__(self, ctx: moderngl.Context) -> None:

@@ -1,4 +1,4 @@
-"""The heads of a network, its predictions at each scale, by name: weights for `include/head.glsl`."""
+"""The weights of a network's heads, by scale and name, for `include/head.glsl`."""
 
 from __future__ import annotations
 

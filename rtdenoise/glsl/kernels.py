@@ -1,5 +1,5 @@
-"""The passes of a frame that apply the network's predictions. Each multiplies the decoder's features by the rows of the
-heads that it needs, where it needs them."""
+"""The passes of a frame that apply the network's predictions. Each pass computes its heads from the decoder's features,
+at the pixel where it uses them: logits never reach memory."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Kernels:
         return mean
 
     def filter(self, levels: list[GpuArray], image: GpuArray) -> GpuArray:
-        """Filter every scale with its own kernels; then, from coarse to fine, compose the scales and pick."""
+        """Filter every scale with its own kernels; then, from coarse to fine, compose, soften and pick."""
         filtered = [self._filter(levels, 0, ("spatial",), image, "filtered.0")]
         for s in range(1, self._config.scales):
             # accumulated_kpn filters the filtered finer scale, temporal_kpn a pyramid of the noise
@@ -49,7 +49,7 @@ class Kernels:
         return coarse
 
     def texture(self, levels: list[GpuArray], composed: GpuArray, guide: GpuArray, mean_albedo: GpuArray) -> GpuArray:
-        """The filtered light with its texture; where the model has an edge kernel, with smooth edges."""
+        """The filtered light times its texture, with edges smoothed if the model has an edge kernel."""
         now = self._scratch.image("now", composed.shape[:2])
         buffers = {"composed": composed, "guide": guide, "mean_albedo": mean_albedo, "now": now}
         self._predict("accumulated_kpn/texture", levels, 0, ("shares",), buffers)
@@ -101,7 +101,7 @@ class Kernels:
         parameters: Mapping[str, float] | None = None,
         **constants: int,
     ) -> None:
-        """A pass that computes rows of the last layer where it needs them."""
+        """A pass that computes rows of the last layer at the pixel where it uses them."""
         head = self._heads.layer(scale, *heads)
         cell = 2 if head.weights.shape[0] == 4 else 1  # side of the square of pixels that one feature predicts
         features = levels[max(0, scale - 1) if self._accumulates else scale]  # accumulated_kpn runs at half size

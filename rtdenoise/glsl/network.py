@@ -85,7 +85,7 @@ class UNet:
 
     @property
     def cell(self) -> int:
-        """Both sides of the input must be multiples of this."""
+        """Height and width of the input must be multiples of this."""
         return 2 ** (len(self._encoder) - 1)
 
     def __call__(self, features: GpuArray) -> list[GpuArray]:
@@ -121,7 +121,7 @@ class UNet:
 class HalfSizeUNet:
     """A U-Net behind a stem, a strided convolution that halves the image."""
 
-    cell = 2  # both sides of the input must be multiples of this
+    cell = 2  # height and width of the input must be multiples of this
 
     def __init__(
         self,

@@ -75,8 +75,8 @@ class Passes:
         return Inputs(light, surface, guide, statistics)
 
     def vectors(self, layers: Mapping[str, GpuArray]) -> GpuArray | None:
-        """Sanitised motion and motion_next as one image. Where one is missing the other stands in, and nobody reads
-        it; None where both are missing."""
+        """Sanitised motion and motion_next as one image; None if both are missing. If one is missing, the other fills
+        its place, which nobody reads."""
         motion, motion_next = layers.get("motion"), layers.get("motion_next")
         there = motion or motion_next
         if there is None:
@@ -97,7 +97,7 @@ class Passes:
         return int(wrong) / max(1, int(seen))
 
     def history_motion(self, vectors: GpuArray, surface: GpuArray, history: History) -> GpuArray:
-        """The motion that fetches history: dual, with a flag, where a pixel has been uncovered."""
+        """The motion that fetches history: traditional, or dual, with a flag, where a pixel has been uncovered."""
         before = history.vectors or self._splat(vectors, surface, history.surface)
         chosen = self._scratch.image("chosen", surface.shape[:2])
         buffers = {"vectors": vectors, "vectors_before": before, "chosen": chosen}
@@ -105,7 +105,7 @@ class Passes:
         return chosen
 
     def no_past(self, inputs: Inputs) -> GpuArray:
-        """In a first frame: the noisy radiance in place of the previous output."""
+        """For a first frame: the noisy radiance in place of the previous output."""
         past = self._scratch.image("past", inputs.light.shape[:2])
         dispatch("frame/first", past.shape[1::-1], {"light": inputs.light, "guide": inputs.guide, "past": past})
         return past
@@ -119,7 +119,7 @@ class Passes:
         return past
 
     def reproject(self, chosen: GpuArray, inputs: Inputs, history: History) -> Means:
-        """The running means where this frame needs them, from the same surfaces only."""
+        """The running means, reprojected to this frame from the same surfaces only."""
         size = inputs.surface.shape[:2]
         means = Means(self._scratch.image("running", size), self._scratch.fresh(size))
         buffers = {"chosen": chosen, "surface": inputs.surface, "guide": inputs.guide}

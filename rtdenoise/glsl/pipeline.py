@@ -29,8 +29,8 @@ from .state import History
 
 
 class Pipeline:
-    """A denoiser like those of `rtdenoise.models`, for one context and thread. State is explicit: what `step` returns
-    goes into the next `step`."""
+    """A denoiser like those of `rtdenoise.models`, for one context and thread. State is explicit: the history
+    that `step` returns goes into the next `step`."""
 
     def __init__(
         self,

@@ -18,7 +18,7 @@ class Scratch:
         self._arrays: dict[str, GpuArray] = {}
 
     def __call__(self, name: str, shape: tuple[int, ...], dtype: np.typing.DTypeLike = np.float32) -> GpuArray:
-        """The array `name` with whatever was written to it last. Raises GpuMemoryError as `GpuArray.empty`."""
+        """The array `name` with its last content. Raises GpuMemoryError as `GpuArray.empty`."""
         array = self._arrays.get(name)
         if array is None or array.shape != shape or array.dtype != dtype:
             self._arrays[name] = array = GpuArray.empty(self.ctx, shape, dtype, name)

@@ -116,7 +116,7 @@ def smape(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor 
     """Symmetric mean absolute percentage error, mean of |a - r| / (|a| + |r| + 0.01) on linear, exposed radiance; in
     [0, 1).
 
-    With the ε = 0.01 of Vogels et al. 2018, so that black pixels count little instead of fully.
+    ε = 0.01 (Vogels et al. 2018) keeps black pixels from counting fully.
     """
     a, r = image * scale, reference * scale
     return masked_mean((a - r).abs() / (a.abs() + r.abs() + 0.01), mask)

@@ -68,8 +68,8 @@ def ghost_length(
 
         ghost length = min{k : E(j) ≤ 1.1 · E(∞) for all ages j with k ≤ j < settled}
 
-    and `settled` where E(settled - 1) is still higher. NaN where no pixel has an age ≥ `settled`, or none has a
-    smaller one. Ages without pixels are skipped.
+    and `settled` if E(settled - 1) is still higher. NaN if no pixel has an age ≥ `settled`, or no pixel a smaller one.
+    Ages without pixels are skipped.
     """
     total, count = torch.zeros(settled + 1, dtype=torch.float64), torch.zeros(settled + 1, dtype=torch.float64)
     for image, reference, age in zip(images, references, ages(motions, masks), strict=True):

@@ -1,6 +1,6 @@
 """Denoisers: a name or a file -> configuration -> network with its weights.
 
-Each name is imported when it is asked for: `config` and `weights` are read where there is no torch.
+Each name is imported on first use: `config` and `weights` need no torch.
 """
 
 from importlib import import_module

@@ -3,11 +3,12 @@
 It shares with `temporal_kpn` (the paper) dual motion vectors, per-pixel kernels at several scales that are composed
 from coarse to fine, a temporal kernel, and one explicit step. Its changes:
 
-- Albedo is divided out before anything is filtered, and multiplied in before a small kernel smooths edges and the
+- Albedo is divided out before filtering and multiplied back after it. Then an edge kernel smooths edges, and the
   previous output, fetched by a cubic lookup, is blended in.
 - Noisy light is averaged along tested reprojections before it is filtered, as far as the network trusts the average.
-- The network runs at half size. Five scales reach far enough for light as sparse as one sample a pixel leaves it.
-- A model with pick kernels keeps light that was averaged at a coarser scale on its own side of an edge.
+- The network runs at half size. Five scales reach far enough for the sparse light of one sample a pixel.
+- Optional heads: pick kernels keep light of a coarser scale on its own side of an edge (`ops.pick`), `detail` takes
+  noise out of the finest detail of a scale (`ops.soften`).
 
 Read `AccumulatedKPN.step` first.
 """
@@ -40,29 +41,28 @@ FIRST_FRAME = slice(0, 3), slice(6, 19)  # input channels that are not zero ever
 
 @dataclass(frozen=True)
 class Past:
-    """What the frames before say of each pixel. Zero where they say nothing."""
+    """The history of each pixel, reprojected. Zero where there is none."""
 
     light: Tensor  # [B, 3, H, W] running mean of irradiance
     albedo: Tensor  # [B, 3, H, W] running mean of albedo
     length: Tensor  # [B, 1, H, W] frames in these means
     output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where it was off the screen
-    on_screen: Tensor  # [B, 1, H, W] bool: where it was not
+    on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
 
 
 @dataclass(frozen=True)
 class Heads:
-    """What the network predicts for one frame. Lists run from the finest scale to the coarsest; at the finest scale
-    logits lie by cells, `[B, 2, 2, channels, H/2, W/2]` (`ops.apply_kernel`)."""
+    """The predictions of the network for one frame. Lists run from the finest scale to the coarsest; at the finest
+    scale logits lie by cells, `[B, 2, 2, channels, H/2, W/2]` (`ops.apply_kernel`)."""
 
     spatial: list[Tensor]  # `scales` × [B, K², H/2^s, W/2^s] logits of the spatial kernels
     alpha: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1], for s = 1 ...: weight of the coarser scale
-    picks: list[
-        tuple[Tensor, Tensor]
-    ]  # (scales - 1) × logits of the pick kernels [B, P², H/2^s, W/2^s], and the weight
-    # [B, 1, H/2^s, W/2^s] in [0, 1] of the picked light; empty where the network has none
-    detail: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1]: how much of the finest detail of a scale is
-    # kept; empty where the network does not predict it
+    # (scales - 1) × logits of the pick kernels [B, P², H/2^s, W/2^s], and the weight [B, 1, H/2^s, W/2^s] in [0, 1] of
+    # the picked light; empty if the network has none
+    picks: list[tuple[Tensor, Tensor]]
+    # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1]: share of the finest detail that is kept; empty if not predicted
+    detail: list[Tensor]
     temporal: Tensor  # [B, 2, 2, L², H/2, W/2] logits of the temporal kernel
     edge: Tensor | None  # [B, 2, 2, E², H/2, W/2] logits of the edge kernel; None where the network has none
     alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
@@ -101,7 +101,7 @@ class AccumulatedKPN(nn.Module):
         another size, or `frame` is no Frame of tensors.
         """
         frame = admit(frame, history and history.radiance, known)
-        noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance, but for what is not diffuse
+        noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance where the surface is diffuse
 
         past = self.reprojected(frame, history, known)
         most, kept = self.config.longest - 1, torch.zeros_like(past.length)
@@ -142,7 +142,7 @@ class AccumulatedKPN(nn.Module):
         return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
 
     def reprojected(self, frame: Frame, history: History | None, known: Known = NOTHING_KNOWN) -> Past:
-        """History where this frame needs it: means from the same surface only, the previous output from wherever."""
+        """History, reprojected to this frame: means from the same surface only, the previous output from any."""
         if history is None:
             nothing = torch.zeros_like(frame.radiance)
             never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
@@ -169,7 +169,7 @@ class AccumulatedKPN(nn.Module):
         return features((noisy, past.light, past.output), (*geometry, *time), scale, self.stem.weight)
 
     def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
-        """As `Denoiser.statistics`; the exposure is that of demodulated light."""
+        """As `Denoiser.statistics`, with the exposure of demodulated light."""
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
         return exposure(noisy), mean_distance(frame.depth)
 

@@ -1,4 +1,4 @@
-"""Correct a denoised animation by the noisy frames that it was made from (deep residual combiner).
+"""Correct a denoised animation by its noisy frames (deep residual combiner).
 
 After W. Zhou, E. Hughes and T. Hachisuka. y is a noisy, unbiased estimate of a frame, z a denoised, biased one; any
 denoiser may have made z from y. The image is z and a weighted sum of residuals y - z of neighbours in space, time and
@@ -9,13 +9,13 @@ scale:
 over scales l, frames j (reprojected to the current one) and taps i. Where y = z the image is z to the bit. The kernels
 are softmax-normalised for each frame, and so are the shares of the frames. The preset `combiner` adds to the paper:
 
-- a share for no correction, so that weights sum to at most 1: forced to 1, a pixel averages noise that it has no use
-  for;
-- residuals over the albedo: those of textures do not align between neighbours;
+- a share for no correction, so that weights sum to at most 1: a sum of 1 would average noise into pixels that need no
+  correction;
+- residuals divided by the albedo: residuals of textures do not match between neighbours;
 - means of residuals in units of their standard errors as input, and a network at half size.
 
-The preset `drc` is the paper's network as far as its text says: the sections on the head and the pyramid were not
-found. Their equations, 15×15 taps and three scales are reconstructed from the text around them.
+The preset `drc` is the paper's network as far as its available text goes. It lacks the sections on the head and the
+pyramid: their equations, 15×15 taps and three scales are reconstructed from the text around them.
 
 Read `Combiner.combine` first.
 """
@@ -43,7 +43,7 @@ from .inference import as_weights
 from .losses import smape_ratio
 from .unet import ConvRelu, UNet
 
-MAX_LOGITS = 1 << 25  # at once; more are predicted and applied strip by strip, and again on the way back
+MAX_LOGITS = 1 << 25  # in memory at once; beyond it, strip by strip, recomputed in the backward pass
 STATISTICS = (5, 15)  # sides in pixels of the neighbourhoods over which residuals are averaged
 MIN_VARIANCE = 1e-8  # of exposed residuals, so that none is divided by zero
 
@@ -52,7 +52,7 @@ MIN_VARIANCE = 1e-8  # of exposed residuals, so that none is divided by zero
 class Window:
     """Consecutive frames, noisy and denoised; None where there is no frame, or one of another shot."""
 
-    frames: tuple[Frame | None, ...]  # radiance y, and the features; motion of all but the first, motion_next likewise
+    frames: tuple[Frame | None, ...]  # radiance y, features, motion, motion_next
     estimates: tuple[Tensor | None, ...]  # z of each frame, [B, 3, H, W]
 
     def to(self, device: str | torch.device) -> Window:
@@ -79,7 +79,7 @@ class Aligned:
 
     @property
     def residual(self) -> Tensor:
-        """y - z, `[B, 3, H, W]`: zero where there is nothing, because y and z are."""
+        """y - z, `[B, 3, H, W]`: zero where the frame is not valid, since y and z are zero there."""
         return self.noisy - self.estimate
 
 
@@ -111,8 +111,8 @@ class Combiner(nn.Module):
     def combine(self, window: Window) -> Combined:
         """Correct the current frame of a window of `config.frames` frames: the middle one, the last one if causal.
 
-        Layers that are missing are done without: no albedo, no demodulation; without motion only the current frame is
-        used. A neighbour that is None, or lies beyond one, gets no weight. Raises ValueError where the window has
+        Layers may be missing: without albedo nothing is demodulated, without motion only the current frame is used. A
+        neighbour that is None, or lies beyond one, gets no weight. Raises ValueError where the window has
         another length or no current frame.
         """
         frame, estimate = self._current(window)
@@ -269,7 +269,7 @@ class Combiner(nn.Module):
 
 
 def completed(frame: Frame) -> Frame:
-    """A frame with valid features; those that it lacks are those of a white, flat surface. Radiance stays as it is."""
+    """A frame with valid features: missing ones become a white, flat surface's. Radiance stays as it is."""
     nothing = torch.zeros_like(frame.radiance)
     albedo = torch.ones_like(nothing) if frame.albedo is None else frame.albedo
     normal = nothing if frame.normal is None else frame.normal
@@ -281,8 +281,8 @@ def completed(frame: Frame) -> Frame:
 def comparable(noisy: Tensor, estimate: Tensor) -> tuple[Tensor, Tensor]:
     """y and z as the network takes them, `[B, 3, H, W]` each: finite and not negative.
 
-    A pixel that is not finite in one has the values of the other, and so no residual. A firefly of y that z has not
-    is dimmed (`exposure.limit_fireflies`); what y and z share stays as it is.
+    A pixel that is not finite in one image takes the other's value, so its residual is 0. A firefly in y alone is
+    dimmed (`exposure.limit_fireflies`); a firefly in both stays.
     """
     good, known = noisy.isfinite().all(1, keepdim=True), estimate.isfinite().all(1, keepdim=True)
     y, z = (torch.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0).clamp(min=0) for x in (noisy, estimate))
@@ -310,8 +310,8 @@ def statistics(
     aligned: Sequence[Aligned],
     scale: Tensor,  # [B, 1, 1, 1] exposure
 ) -> Tensor:  # [B, 13, H, W]
-    """How sure the residuals are of an error of z: over each neighbourhood of `STATISTICS`, of all frames together,
-    their mean m (3 channels) and m over its standard error (3), compressed; and the log of their variance (1)."""
+    """Evidence in the residuals for an error of z. Over each neighbourhood of `STATISTICS`, all frames together: their
+    mean m (3 channels) and m divided by its standard error (3), compressed. Then the log of their variance (1)."""
     valid = sum(one.valid for one in aligned)
     residuals = [scale * one.residual for one in aligned]
     first, second = sum(residuals), sum(r.square() for r in residuals)

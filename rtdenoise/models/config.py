@@ -1,7 +1,8 @@
 """The one description of every network: torch, GLSL, `growing` and the plan read it. Needs no torch.
 
-A configuration lists, for each scale, the heads by name: the parts of what the network predicts there. A new head is a
-row in that list, the op that applies it, its shader, and the line of the model's `step` that calls it.
+A configuration lists the heads of each scale, the network's predictions there, by name. A new head is a row in that
+list; its op and the op's shader; a line each in the model's `Heads`, `predict` and `step`; its pass in `glsl.kernels`,
+with a shader in `shaders/frame/`; and its value in `growing.WITHOUT`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ MAX_WIDTH, MAX_KERNEL = 1024, 31  # larger networks are refused before memory is
 
 @dataclass(frozen=True)
 class Head:
-    """One part of what the network predicts at a scale: logits of a kernel, or weights."""
+    """One prediction of the network at a scale: logits of a kernel, or blend weights."""
 
     name: str
     channels: int
@@ -27,10 +28,10 @@ class Head:
 
 
 class _Config:
-    """What the configurations of all architectures share."""
+    """The base of the configurations of all architectures."""
 
     architecture: ClassVar[str]  # stored in weights files; the name of the module with the network
-    carries: ClassVar[tuple[str, ...]]  # fields of `History` that the network fills in, beside the frame's geometry
+    carries: ClassVar[tuple[str, ...]]  # fields of `History` that the network computes
     features: ClassVar[int]  # channels of the network's input
     max_levels: ClassVar[int]  # of the U-Net: the coarsest pixels are `CELL` wide at most
 
@@ -63,12 +64,12 @@ class _Config:
 
     @property
     def network_reach(self) -> int:
-        """Pixels, a multiple of `CELL`: what lies farther away cannot influence an output."""
+        """Pixels, a multiple of `CELL`: input farther away cannot influence an output."""
         raise NotImplementedError
 
     @property
     def light_reach(self) -> int:
-        """Pixels, a multiple of `CELL`: the kernels spread light no farther in one frame."""
+        """Pixels, a multiple of `CELL`: the greatest distance over which kernels spread light in one frame."""
         raise NotImplementedError
 
     def channels(self, scale: int) -> list[int]:
@@ -102,7 +103,7 @@ class TemporalKPNConfig(_Config):
     pool: str = "mean"
     """D of eq. 4: 'mean', or 'max' as the paper prints it."""
     motion: str = "dual"
-    """What history is fetched with: 'dual' or 'traditional' motion vectors (setting A of the paper)."""
+    """Motion vectors that fetch history: 'dual', or 'traditional' (setting A of the paper)."""
 
     def __post_init__(self) -> None:
         self._check("kernel")
@@ -164,9 +165,9 @@ class AccumulatedKPNConfig(_Config):
     detail: bool = False
     """Whether the network predicts how much of the finest detail of each scale is kept (`ops.soften`)."""
     longest: float = 16.0
-    """Frames after which the running mean forgets: its least weight of a new frame is 1 / longest."""
+    """Frames after which the running mean forgets: a new frame weighs 1 / longest at least."""
     motion: str = "dual"
-    """What history is fetched with: 'dual' or 'traditional' motion vectors."""
+    """Motion vectors that fetch history: 'dual' or 'traditional'."""
 
     def __post_init__(self) -> None:
         self._check("kernel", "temporal_kernel", "edge_kernel", "pick_kernel")
@@ -194,7 +195,7 @@ class AccumulatedKPNConfig(_Config):
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """As `_Config.shapes`. The head at full size is a transposed convolution, four pixels for one of the stem."""
+        """As `_Config.shapes`. The head at full size is a transposed convolution: four pixels per stem pixel."""
         shapes = self._unet_shapes(self.widths[0])
         for scale, width in enumerate(self.widths[: self.scales - 1], start=1):
             shapes[f"heads.{scale - 1}.weight"] = (sum(self.channels(scale)), width, 1, 1)
@@ -218,7 +219,7 @@ class AccumulatedKPNConfig(_Config):
 
 @dataclass(frozen=True)
 class CombinerConfig(_Config):
-    """A network that corrects denoised frames by the noisy frames they were made from (`combiner`)."""
+    """A network that corrects denoised frames by their noisy originals (`combiner`)."""
 
     architecture: ClassVar[str] = "combiner"
     carries: ClassVar[tuple[str, ...]] = ()
@@ -272,8 +273,8 @@ class CombinerConfig(_Config):
 
     @property
     def heads(self) -> tuple[tuple[Head, ...], ...]:
-        """At every scale a kernel for each frame and the shares of the frames and, if there is one, of nothing; at all
-        but the coarsest the pick kernel with its weight. The share of nothing starts at 0.6 for five frames."""
+        """At every scale a kernel and a share for each frame and, with `nothing`, a share for no correction; at all but
+        the coarsest a pick kernel with its weight. The share for no correction starts at 0.6 for five frames."""
         kernels = [Head(f"taps{offset:+d}", self.kernel**2) for offset in self.offsets]
         shares = [Head("shares", self.frames), *([Head("nothing", 1, start=2.0)] if self.nothing else [])]
         pick = Head("pick", self.pick_kernel**2), Head("pick_share", 1, start=0.0)
@@ -296,7 +297,7 @@ class CombinerConfig(_Config):
 
     @property
     def network_reach(self) -> int:
-        """As `_Config.network_reach`, but for motion between frames. The statistics look 7 pixels far."""
+        """As `_Config.network_reach`, without motion between frames. The statistics reach 7 pixels."""
         return _up(3 * 2 ** (len(self.widths) + self.half_size) + 8) + self.light_reach
 
     @property
@@ -317,7 +318,7 @@ PRESETS: dict[str, Config] = {
     "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3),
     "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
 }
-"""Name of a denoiser -> its configuration, for training. The weights that ship hold theirs."""
+"""Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
 
 COMBINERS: dict[str, CombinerConfig] = {
     "combiner": CombinerConfig(),
@@ -327,7 +328,7 @@ COMBINERS: dict[str, CombinerConfig] = {
         statistics=False,
     ),
 }  # fmt: skip
-"""Name of a combiner -> its configuration: ours, ours without frames to come, and the paper's."""
+"""Name of a combiner -> its configuration: ours, ours without future frames, and its paper's."""
 
 
 def from_stored(architecture: str, values: Mapping[str, object]) -> Config:

@@ -54,7 +54,7 @@ def load_combiner(
     """A combiner with its weights, ready to run; arguments and errors as those of `load`."""
     dtype, network = resolve(precision, device), read(model, **overrides)
     if not isinstance(network, Combiner):
-        raise InputError(f"{model}: is a denoiser; expected a combiner, which corrects what a denoiser made")
+        raise InputError(f"{model}: is a denoiser; expected a combiner, which corrects frames that a denoiser made")
     return prepare(network, dtype).to(device)
 
 

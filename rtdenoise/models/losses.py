@@ -78,6 +78,6 @@ def smape(image: Tensor, reference: Tensor, scale: Tensor | float = 1.0) -> Tens
 
 
 def smape_ratio(image: Tensor, estimate: Tensor, reference: Tensor, scale: Tensor | float = 1.0) -> Tensor:
-    """Mean over the batch of `smape` of an image as a share of that of `estimate`: frames of many samples, whose errors
-    are small, count as much as those of few."""
+    """`smape` of the image divided by that of `estimate`, mean over the batch: frames of many samples, whose errors are
+    small, count as much as frames of few."""
     return (smape(image, reference, scale) / smape(estimate, reference, scale).clamp(min=0.01)).mean()

@@ -27,7 +27,7 @@ from .unet import UNet, by_name
 
 @dataclass(frozen=True)
 class Heads:
-    """What the network predicts for one frame. Lists run from the finest scale to the coarsest."""
+    """The predictions of the network for one frame. Lists run from the finest scale to the coarsest."""
 
     spatial: list[Tensor]  # 3 × [B, K², H/2^s, W/2^s] logits of the spatial kernels
     alpha: list[Tensor]  # 2 × [B, 1, H/2^s, W/2^s] in [0, 1], for s = 1, 2: weight of the coarser scale

@@ -45,7 +45,7 @@ class UNet(nn.Module):
         ⌈H/2^l⌉, ⌈W/2^l⌉]`."""
         H, W = x.shape[2:]
         cell = 2 ** (len(self.encoder) - 1)
-        if H % cell or W % cell:  # a copy otherwise too
+        if H % cell or W % cell:  # F.pad would copy even if it adds nothing
             x = F.pad(x, (0, -W % cell, 0, -H % cell), mode="replicate")
 
         skips = []

@@ -46,7 +46,7 @@ def _shipped() -> list[str]:
 
 
 def find(model: str | Path) -> Path:
-    """The file of a model that ships, or else of a path. Raises InputError where there is neither."""
+    """The file of a model that ships, or else the file at this path. Raises InputError where there is neither."""
     name = str(model)
     path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in _shipped() else Path(name)
     if not path.is_file():
@@ -73,7 +73,7 @@ def read_model(model: str | Path, **overrides: object) -> StoredModel:
     except (SafetensorError, OSError, TypeError) as error:  # numpy has no bfloat16: TypeError
         raise InputError(f"{path}: not a readable safetensors file ({error})") from None
     for name, tensor in tensors.items():
-        if not (np.abs(tensor) <= MAX_WEIGHT).all():  # NaN neither
+        if not (np.abs(tensor) <= MAX_WEIGHT).all():  # False for NaN too
             raise InputError(f"{path}: {name} holds values that are not finite or beyond ±{MAX_WEIGHT:g}; the file is "
                              "damaged: train or download it again")  # fmt: skip
     return StoredModel(path, config, tensors)

@@ -1,9 +1,9 @@
-"""The kernel-apply operations, with gradients.
+"""Operations on images and their kernels, with gradients.
 
 An op has one name in four places: `ops/NAME.py` holds its index equation and the plain torch code that specifies it,
 `ops/native/NAME.py` and `.c` its fused twin for the CPU, `ops/triton/NAME.py` for CUDA, `shaders/ops/NAME.comp.glsl`
-for OpenGL. `dispatch` chooses between plain and fused. Only the public ops are exported here; the files without a
-shader (`features`, `pixels`, `shares`, ...) serve the models and the preparation of frames.
+for OpenGL, which `glsl/ops.py` calls. `dispatch` chooses between plain and fused. Only the public ops are exported
+here; the files without a shader (`features`, `pixels`, `shares`, ...) serve the models and the preparation of frames.
 
 Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, x right, y down.
 """

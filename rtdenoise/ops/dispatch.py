@@ -73,7 +73,7 @@ class Support:
 
 
 class Fused:
-    """The fused implementations of one op, and what each of them takes."""
+    """The fused implementations of one op, and the arguments that each takes."""
 
     def __init__(self, op: str, **support: Support):
         """`op` is the name of function and file, or 'file.function'; `support` is by folder."""
@@ -84,7 +84,7 @@ class Fused:
         """The implementation for these arguments, or None where the plain one has to run. Sequences are joined along
         channels; None is ignored.
 
-        Raises RuntimeError where 'fused' is chosen, the device has one and it does not take the arguments.
+        Raises RuntimeError where 'fused' is chosen and the device's implementation does not take the arguments.
         """
         if plain():
             return None
@@ -102,8 +102,8 @@ class Fused:
 
 
 def falls_back(op: Callable) -> Callable:
-    """Decorates an op: plain from now on, with one warning, where its fused implementation does not compile after all,
-    as on a disk that has filled up since the start."""
+    """Decorate an op: where its fused implementation does not compile after all, as on a disk that has filled up since
+    the start, one warning is logged and the plain op runs from then on."""
 
     @functools.wraps(op)
     def run(*arguments, **options):

@@ -15,14 +15,14 @@ FUSED = Fused("even_sky", native=Support())
 @falls_back
 def even_sky(
     image: Tensor,  # [B, 3, H, W] the filtered picture
-    radiance: Tensor,  # [B, 3, H, W] ≥ 0, finite: the picture before
+    radiance: Tensor,  # [B, 3, H, W] ≥ 0, finite: the unfiltered picture
     depth: Tensor,  # [B, 1, H, W], 0 where nothing was hit
 ) -> Tensor:  # [B, 3, H, W]
     """`radiance` where the sky shows and is even, `image` elsewhere.
 
     A pixel is *open* where it and its 8 neighbours hit nothing; beside a silhouette it may be an edge to smooth. An
     open pixel with radiance x is even where the open pixels of its `SKY_BLOCK`² block and of the 8 blocks around it
-    are all within x · (1 ± `SKY_TOLERANCE`): light as sparse as in a fog, a gradient or a picture is not.
+    are all within x · (1 ± `SKY_TOLERANCE`): sparse light as in fog, a gradient or a picture is not even.
     """
     if depth.device.type == "cpu" and bool((depth > 0).all()):
         return image  # on a GPU, looking would mean waiting

@@ -1,4 +1,4 @@
-"""A network's input: all that it sees of a frame, in one tensor."""
+"""A network's input, in one tensor."""
 
 from __future__ import annotations
 

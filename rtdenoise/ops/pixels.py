@@ -50,7 +50,7 @@ def accumulate(
     reset: Tensor,  # [B, 1, H, W] in [0, 1]: share of the mean that the new frame replaces; 1 restarts it
     max_length: float,
 ) -> tuple[Tensor, Tensor]:  # [B, C, H, W], [B, 1, H, W]
-    """A running mean and its length, one frame on:
+    """A running mean and its length, updated with one frame:
 
     w = 1 / (1 + length),  a = w + reset · (1 - w),  mean' = a · new + (1 - a) · mean,  length' = min(1/a, max_length)
     """

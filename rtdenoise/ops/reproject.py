@@ -26,7 +26,7 @@ def reproject(
     depth_tolerance: float = DEPTH_TOLERANCE,
     normal_tolerance: float = MIN_NORMAL_COSINE,
 ) -> tuple[Tensor, Tensor]:  # [B, C, H, W], [B, 1, H, W] bool
-    """`warp` without taps from other surfaces or from off the screen; the second value is False where no tap is left.
+    """`warp` without taps from other surfaces or from off the screen; the second result is False where no tap is left.
 
         out(p) = Σ_t b_t v_t stored(t) / Σ_t b_t v_t          over the four pixels t around p + motion(p)
 

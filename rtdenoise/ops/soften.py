@@ -22,8 +22,8 @@ def soften(
         out = composed - (1 - share) · (fine - U[D fine])
 
     Eq. 4 replaces low frequencies of `fine` and leaves fine - U[D fine] whole, whatever α is. On a flat wall that
-    detail is noise: a K×K kernel averages K² samples, and no coarser scale can take the rest out. A share of 1 is eq.
-    4.
+    detail is noise: a K×K kernel averages K² samples, and no coarser scale can take the rest out. A share of 1 leaves
+    eq. 4 as it is.
 
     Raises ValueError where the sizes do not fit.
     """

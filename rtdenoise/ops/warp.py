@@ -1,4 +1,4 @@
-"""Bilinear or cubic reprojection, for radiance and whatever else may be interpolated."""
+"""Bilinear or cubic reprojection, for radiance and other layers that may be interpolated."""
 
 from __future__ import annotations
 

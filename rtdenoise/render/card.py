@@ -15,7 +15,7 @@ GENERATED = "program"  # source of clips without third-party data
 
 
 def write_card(folder: Path, command: str) -> dict:
-    """Write the card for the clips that are in the folder now. Returns what is in `dataset.json`."""
+    """Write the card for the clips that are in the folder now. Returns the content of `dataset.json`."""
     folder = Path(folder)
     facts = [read_facts(path) for path in ClipDataset(folder).paths]
     shares = np.array([f["uncovered"] for f in facts])
@@ -125,7 +125,7 @@ Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
 
 
 def _scenes(card: dict) -> str:
-    """What kinds of scenes the clips show."""
+    """The kinds of scenes in the clips."""
     lines = []
     if generated := card["sources"].get(GENERATED, 0):
         generators = ", ".join(map(str, card["generators"]))

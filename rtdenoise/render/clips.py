@@ -30,7 +30,7 @@ BEFORE = {"calm": 0.0}  # options that clips of older versions do not record
 
 
 def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, str], None]) -> dict:
-    """Render the missing clips of this shard into a folder, and write its data card. Returns what is in the card.
+    """Render the missing clips of this shard into a folder, and write its data card. Returns the content of the card.
 
     `progress(done, total, line)` is called before the first clip, with the disk use, and after every clip.
     Raises InputError where the disk is too small, a worker is killed, another run renders the same shard, or the
@@ -40,7 +40,7 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
         raise InputError(
             f"clips of {options.size[1]}×{options.size[0]}: sides must be multiples of {COARSE}, from 32 on"
         )
-    start_mitsuba()  # what is wrong here and below is told in one line, before any process starts
+    start_mitsuba()  # errors here and below end the run in one line, before any process starts
     if options.textures:
         find_pictures(options.textures)
     if options.assets:

@@ -1,4 +1,4 @@
-"""Draw the scenes of training clips: seeds are drawn until a scene is fit to be seen, judged from features alone."""
+"""Draw the scenes of training clips: seeds are drawn until features show a usable scene."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ VIEWS = ((720, 1280), (810, 1440), (900, 1600), (1080, 1920))  # pictures of set
 MAX_TAKES = 4  # drawings of a take; the last one is taken if it shows anything
 MAX_ATTEMPTS = {1: 12, 2: 8, 3: 8}  # drawings of a generator's scene; the last one is taken as it is
 HELD_OUT = range(2_000_000, 2_000_100)  # seeds of generated scenes to evaluate on: no training set draws them
-MIN_UNCOVERED = 0.015  # share of pixels, mean over a clip of generator 1 that is meant to uncover
+MIN_UNCOVERED = 0.015  # share of uncovered pixels, mean over a clip of generator 1 whose kind uncovers
 MIN_UNCOVERED_IN_WINDOW = {"uncovering": 0.015, "entering": 0.01, "dark to light": 0.01}  # in the best one, by kind
 
 
@@ -143,7 +143,7 @@ def _source(file: str, scene: Scene) -> dict:
 
 
 def _draw_file(group: int, options: ClipOptions, calm: bool, rng: np.random.Generator) -> Take:
-    """One of the scene files; unless it is calm, with objects more that cross the view."""
+    """One of the scene files; unless it is calm, with further objects that cross the view."""
     file, motion = options.scenes[rng.integers(len(options.scenes))]
     frames = 2 * options.frames
     opened = open_file(Path(file), motion or None)

@@ -32,7 +32,7 @@ LAYERS = (
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """What is rendered for every frame."""
+    """The options of rendering a frame."""
 
     size: tuple[int, int] = (180, 320)  # height, width
     spp: int = 1  # samples per pixel of the noisy frames

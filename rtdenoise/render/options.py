@@ -1,4 +1,4 @@
-"""What a set of training clips is made of."""
+"""The options of a set of training clips."""
 
 from __future__ import annotations
 

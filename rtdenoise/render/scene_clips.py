@@ -1,4 +1,4 @@
-"""The clips of one scene: load it once, choose windows in which something happens, render each and write it."""
+"""The clips of one scene: load it once, choose windows with activity, render each and write it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .stage import Stage
 from .windows import candidates, choose, look_through
 
 ACTIVE_SHARE = 0.75  # of the clips whose window is the one with most activity; the others take any window
-MORE_SAMPLES = (2, 4, 8, 16, 32, 64)  # times the samples of the other half of a set with assets
+MORE_SAMPLES = (2, 4, 8, 16, 32, 64)  # factors on the samples of half of the clips, in sets with assets
 PILOT_SPP = 16  # samples a pixel from which a reference's error is estimated
 
 
@@ -42,7 +42,7 @@ def _render_whole(out: Path, index: int, options: ClipOptions) -> list[dict]:
 
 
 def _render_windows(out: Path, group: int, options: ClipOptions) -> list[dict]:
-    """The missing clips of a scene's takes; a take's windows depend on each other, and on nothing else."""
+    """The missing clips of a scene's takes; windows depend only on other windows of their take."""
     first = group * options.clips_per_scene
     members = range(first, min(first + options.clips_per_scene, options.count))
     missing = [i for i in members if not clip_path(out, i).exists()]
@@ -132,7 +132,7 @@ def _render_clip(path: Path, stage: Stage, numbers: range, facts: dict, render: 
 
 
 def versions() -> dict[str, str]:
-    """Of the packages that make a clip."""
+    """Versions of the packages that make a clip."""
 
     def installed(name: str) -> str:
         try:

@@ -73,7 +73,7 @@ class Stage:
         owner = {name: o for o in scene.objects for name in (o.shapes or (f"object_{o.id}",))}
         moving = {name: o for name, o in owner.items() if o.motion is not None}
 
-        # A ray reports Mitsuba's registry id of the shape, which changes with every load.
+        # A ray reports the shape by its id in Mitsuba's registry, which changes with every load.
         numbers = {dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]: s.id() for s in self.mitsuba.shapes()}
         table = np.zeros(max(1 << 12, max(numbers) + 1), np.uint32)  # mostly the same size, for the kernel cache
         for number, name in numbers.items():

@@ -1,4 +1,4 @@
-"""Windows for training clips: where in a picture, and when, something happens, found from first hits alone."""
+"""Windows for training clips: parts of a picture and of time with activity, found from first hits alone."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from .frames import features, uncovered
 from .stage import Stage
 
 COARSE = 4  # pixels of the picture to a pixel of the survey, in each direction
-MOTION_WEIGHT = 0.002  # a pixel a frame of motion counts as much as this share of uncovered pixels,
-MAX_MOTION = 10  # up to so many pixels a frame
+MOTION_WEIGHT = 0.002  # share of uncovered pixels that counts as much as a motion of one pixel a frame,
+MAX_MOTION = 10  # up to this many pixels a frame
 MAX_OVERLAP = 0.5  # share of pixels and frames that two windows of a scene may have in common
 
 
@@ -77,8 +77,8 @@ def candidates(found: Survey, size: tuple[int, int], frames: int) -> list[Window
 
 
 def choose(windows: list[Window], taken: list[Window], size, frames: int, active: bool, rng) -> Window:
-    """The window with the most activity, or (not `active`) a random one; while there are any, one that overlaps none
-    of those `taken` by MAX_OVERLAP. Activity is the share of uncovered pixels, and a little for motion."""
+    """The window with the most activity, or (not `active`) a random one. Windows that overlap one of those `taken` by
+    MAX_OVERLAP come last. Activity is the share of uncovered pixels, and a little for motion."""
     fresh = [w for w in windows if all(_overlap(w, t, size, frames) < MAX_OVERLAP for t in taken)] or windows
     if not active:
         return fresh[rng.integers(len(fresh))]

@@ -1,4 +1,4 @@
-"""Rendering processes: run jobs, yield results, tell in one line when a process dies or a folder is in use."""
+"""Rendering processes: run jobs, yield results, raise one line when a process dies or a folder is in use."""
 
 from __future__ import annotations
 

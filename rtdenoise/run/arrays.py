@@ -1,4 +1,4 @@
-"""Arrays of a caller's program as planes `[B, C, H, W]`, and planes back as such arrays. numpy and torch alike."""
+"""Convert the caller's arrays, numpy or torch, to planes `[B, C, H, W]` and back."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HALF_MAX = 65504.0  # the largest half float
 
 @dataclass(frozen=True)
 class Form:
-    """How a caller holds a picture, so that the result comes back alike."""
+    """The layout, dtype and device of the caller's picture, for the result."""
 
     last: bool  # channels last, [H, W, C]; else [B, C, H, W]
     dtype: Any
@@ -32,7 +32,7 @@ def to_planes(
 ) -> tuple[np.ndarray | Tensor, Form]:
     """A float32 copy `[B, C, H, W]`, a tensor where `array` is one, and the form of `array`.
 
-    Raises InputError for anything else, with what was expected.
+    Raises InputError for anything else, naming the expected form.
     """
     if not is_tensor(array):
         array = _as_numpy(name, array)
@@ -105,7 +105,7 @@ def _expected(channels: int) -> str:
 
 
 def _advice(shape: tuple[int, ...], channels: int) -> str:
-    """What to do about some shapes that are often meant."""
+    """Advice for shapes that are common mistakes."""
     if len(shape) == 3 and shape[0] == channels:
         return "; add the batch axis: array[None]"
     if len(shape) == 3 and shape[2] == 4 and channels == 3:

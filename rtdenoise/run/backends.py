@@ -1,5 +1,5 @@
-"""The two ways to run a model: torch, or compute shaders where there is no torch. Both take and return frames, images
-and saved histories as numpy arrays."""
+"""The two backends that run a model: torch, or compute shaders without torch. Both take and return frames, images and
+saved histories as numpy arrays."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Backend(Protocol):
     """A model, ready to run. `history` is the backend's own; None starts anew."""
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
-        """Follow the plan (`plan.make_plan`) from now on; the frames are counted in `left_out`."""
+        """Follow the plan (`plan.make_plan`) from now on; `left_out` counts the frames that leave work out."""
 
     def prepare(self, frame: Frame) -> Frame:
         """A frame of arrays or tensors `[1, C, H, W]` as `mismatch` and `step` take it: shared work is done once."""
@@ -48,8 +48,7 @@ class Backend(Protocol):
 def open_backend(name: str, model: str, device: str, precision: str) -> Backend:
     """The backend `name` with a model in it; 'auto' is torch where it is installed.
 
-    Raises InputError for an unknown name, a device or precision that the backend does not have, and what loading the
-    model raises.
+    Raises InputError for an unknown name, a device or precision that the backend lacks, and as `load` for the model.
     """
     if name not in BACKENDS:
         raise InputError(f"unknown backend {name!r}; expected one of {', '.join(BACKENDS)}")

@@ -22,12 +22,12 @@ from torch import Tensor
 
 from ..frame import Frame
 
-MIN_MOTION = 0.25  # pixels: a pixel moves by more, and readings differ by more
-MIN_CONTRAST = 0.02  # of a feature in [0, 1] between neighbours: a textured pixel has more
+MIN_MOTION = 0.25  # pixels: least motion of a compared pixel, and least difference between readings there
+MIN_CONTRAST = 0.02  # least difference between neighbours at a textured pixel, of a feature in [0, 1]
 MIN_PIXELS = 200  # textured, moving pixels that a verdict needs
 MAX_SAMPLES = 20_000  # pixels that are examined in each pair of frames
 TILES = 8  # along each side of the picture; errors inside one tile count as dependent
-STANDARD_ERRORS, MARGIN = 3.0, 0.02  # by which a better reading leads, and by which share of the error
+STANDARD_ERRORS, MARGIN = 3.0, 0.02  # least lead of a better reading: in standard errors, and as a share of the error
 UNITS = {"pixels": (1.0, "", ""), "UV": (1.0, "W·", "H·"), "NDC": (0.5, "W/2·", "H/2·")}
 
 
@@ -45,7 +45,7 @@ class Reading:
         field: Tensor,  # [..., 2] of `source`, as stored
         size: tuple[int, int],  # (H, W) of the picture
     ) -> Tensor:  # [..., 2]
-        """Motion as this project means it."""
+        """Motion in this project's convention."""
         H, W = size
         factor = UNITS[self.unit][0]
         scale = (1, 1) if self.unit == "pixels" else (W * factor, H * factor)
@@ -53,7 +53,7 @@ class Reading:
 
     @property
     def changes(self) -> int:
-        """How far from this project's convention: among tied readings the nearest one is named."""
+        """Number of differences from this project's convention: among tied readings the one with fewest is named."""
         flips = 0 if self.signs == (1, 1) else 1 if self.signs in ((-1, -1), (1, -1)) else 2
         return flips + 2 * self.swapped + 2 * (self.unit != "pixels") + 3 * (self.source != "motion")
 
@@ -153,7 +153,7 @@ def _feature(frame: Frame, name: str) -> Tensor | None:
     """An image `[1, 3, H, W]` in [0, 1] in which corresponding pixels look alike.
 
     It is blurred, because at one sample a pixel features are noisy too: with the same jitter in every frame their noise
-    stays in place, which speaks for no motion; otherwise interpolation averages it, which speaks for any motion.
+    stays in place, which favours no motion; otherwise interpolation averages it, which favours any motion.
     """
     image = getattr(frame, name)
     if image is None:

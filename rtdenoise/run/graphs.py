@@ -6,7 +6,7 @@ the recording, and copies the results out: tensors in a caller's hands are never
 *kind* of step: the layers, their sizes and dtypes, whether there is a history, and the flags of `Known`. Everything
 else that a step depends on (weights, `ops.use`) stays as it was at the recording.
 
-Read `Graphed.step` first. docs/results/performance.md says which steps can be recorded.
+Read `Graphed.step` first. docs/reference/backends.md says which steps can be recorded.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Graphed:
             logging.getLogger("rtdenoise").warning("rtdenoise: slower without CUDA graphs: %s", why)
 
     def _room(self) -> bool:
-        """Whether one more may be recorded. The least recently used recording makes room if it is idle."""
+        """Whether one more step may be recorded. The least recently used recording makes room if it is idle."""
         if self._record is None:
             return False
         if len(self.recordings) < MAX_RECORDINGS:
@@ -148,7 +148,7 @@ class Recording:
             self._replay, self._written = record(lambda: denoiser.step(*arguments))
 
     def play(self, given: dict[str, Tensor]) -> tuple[Tensor, History]:
-        """Replay the step on the tensors `given`. Tensors that the step passes through are returned as given, results
+        """Replay the step on the tensors `given`. Tensors that the step only passes on are returned as given, results
         as copies."""
         for name, tensor in self.read.items():
             tensor.copy_(given[name])

@@ -1,4 +1,4 @@
-"""Inspect a sequence before denoising: its layers, their use, and whether its motion vectors can be right."""
+"""Inspect a sequence before denoising: its layers, their use, and the convention of its motion vectors."""
 
 from __future__ import annotations
 

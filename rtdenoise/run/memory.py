@@ -1,4 +1,4 @@
-"""Memory: reuse freed memory for the next frame; explain in one line when there is too little."""
+"""Reuse freed memory for the next frame; explain in one line when memory runs out."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def keep_freed() -> bool:
     """Have the C library keep freed memory for the next frame; returns whether it can do so (glibc only).
 
     By default it returns every large tensor to the system and requests it anew, page by page and zeroed: on a CPU that
-    costs about as much as the arithmetic of a frame. This holds for the whole process, so programs call
-    it, libraries do not: `rtdenoise denoise` does. Memory in use stays at its peak.
+    costs about as much as the arithmetic of a frame. The setting holds for the whole process: programs such as
+    `rtdenoise denoise` make it, libraries should not. Memory in use stays at its peak.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

@@ -1,5 +1,5 @@
-"""The plan of a sequence: work that would change nothing is left out. Decided from the headers and the first frames,
-checked again in every frame, counted.
+"""The plan of a sequence: work that would change nothing is left out. It is decided from the headers and the first
+frames, checked again in every frame, and counted.
 
 | left out                    | where                                                                | output  |
 |-----------------------------|----------------------------------------------------------------------|---------|
@@ -59,7 +59,7 @@ class Plan:
 def make_plan(
     size: tuple[int, int],  # (H, W)
     frames: int,  # how many
-    model_motion: str | None,  # what history is fetched with: 'dual', 'traditional'; None: the model reads no motion
+    model_motion: str | None,  # motion that fetches history: 'dual' or 'traditional'; None: the model reads no motion
     first: list[Frame],  # the frames to examine
     windows: bool = True,  # whether backend and model can denoise a frame in windows
 ) -> Plan:
@@ -102,7 +102,7 @@ def look(frame: Frame, motion_next_before: Tensor | None, history: bool = True) 
     if frame.motion is None:
         return Known()
     low, high = _extent(frame.motion)
-    if motion_next_before is None:  # it is splatted from motion (`motion_splat`), so dual motion is a value of motion
+    if motion_next_before is None:  # it is splatted from motion (`splat`), so dual motion is some value of motion
         next_low, next_high = [-v for v in high], [-v for v in low]
     else:
         next_low, next_high = _extent(motion_next_before)
@@ -123,17 +123,17 @@ def count(left_out: dict[str, int], known: Known, keeps_means: bool) -> None:
 
 
 def varied_rows(image: Tensor) -> tuple[int, int, Tensor]:
-    """First and last (excluded) row of `image` `[1, 3, H, W]` that is not all of one colour, and that colour
-    `[1, 3, 1, 1]`: a night above a street, an even sky. (0, 0) where every row is. The colour is that of the first or
-    the last pixel, whichever leaves fewer rows."""
+    """First and last (excluded) row of `image` `[1, 3, H, W]` that differs from a colour `[1, 3, 1, 1]`, and the
+    colour: a night above a street, an even sky. (0, 0) if no row differs. The colour is that of the first or the last
+    pixel, whichever leaves fewer rows."""
     corners = image[..., :1, :1], image[..., -1:, -1:]
     spans = [(*(rows_unlike(image, colour) or (0, 0)), colour) for colour in corners]
     return min(spans, key=lambda span: span[1] - span[0])
 
 
 def rows_unlike(image: Tensor, colour: Tensor, tolerance: float = 0.0) -> tuple[int, int] | None:
-    """First and last (excluded) row that is not all of `colour`, up to `tolerance`; None where every row is."""
-    differs = ~(abs(image - colour) <= tolerance)  # NaN too
+    """First and last (excluded) row that differs from `colour` by more than `tolerance`; None if no row does."""
+    differs = ~(abs(image - colour) <= tolerance)  # True for NaN too
     unlike = [row for row, found in enumerate(differs.any(1).any(2).any(0).tolist()) if found]
     return (unlike[0], unlike[-1] + 1) if unlike else None
 

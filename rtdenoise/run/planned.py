@@ -27,7 +27,7 @@ class Planned:
         self.left_out = {"network in plain rows": 0}
         self._tiled = Tiled(denoiser) if plan.tiled else None
         self._whole = self._tiled.step if self._tiled else whole or denoiser.step
-        # Plain rows stay plain where the history is the last image alone; a running mean has a past of its own.
+        # Only if the history is the last image alone: rows of a running mean may differ where that image is plain.
         self._image_alone = denoiser.config.carries == ("radiance",)
 
     def step(

@@ -32,7 +32,7 @@ def preview(
     these frames) and `preview.mp4`, or `preview.gif` where there is no ffmpeg, `WIDEST` pixels wide at most. Returns
     the files.
 
-    The exposure is that of the last frame shown, for all of them: what flickers is the picture, not the preview.
+    The exposure is that of the last frame shown, for all of them, so that the preview adds no flicker.
     With `recombine` every panel shows the beauty: its signal with the same noisy rest of the light.
     """
     scale, strips = None, []

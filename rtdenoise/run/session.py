@@ -17,9 +17,9 @@ from .threads import set_defaults
 if TYPE_CHECKING:
     from torch import Tensor
 
-# What stands in for a missing layer, the same in every pixel.
+# Values that replace a missing layer, the same in every pixel.
 STAND_INS = {"albedo": (1.0, 1.0, 1.0), "normal": (0.0, 0.0, 1.0), "depth": (1.0,)}
-# What a missing layer costs on the bundled sequence (python bench/missing_layers.py).
+# Cost of a missing layer on the bundled sequence (python bench/missing_layers.py).
 COSTS = {
     "albedo": "textures blur, by about 4 dB of PSNR on the bundled sequence",
     "normal": "edges between surfaces blur, by up to 0.3 dB of PSNR on the bundled sequence",
@@ -47,9 +47,9 @@ class Denoiser:
     | motion      | 2 | (x, y) in pixels, previous minus current: where the surface was, seen from here           |
     | motion_next | 2 | (x, y) in pixels, next minus current: where it will be                                    |
 
-    Only `color` is required; a warning says once what a missing layer costs. `rtdenoise.screen_motion` computes motion
-    from positions and cameras. History starts anew after `reset()`, after a cut (`detect_cuts`), where a frame has
-    another size than the one before, and where it has no motion. Arguments are copied, results are yours to change.
+    Only `color` is required; a warning names the cost of a missing layer once. `rtdenoise.screen_motion` computes
+    motion from positions and cameras. History starts anew after `reset()`, after a cut (`detect_cuts`), where a frame
+    has another size than the one before, and where it has no motion. Arguments are copied, results are yours to change.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Denoiser:
         motion: np.ndarray | Tensor | None = None,
         motion_next: np.ndarray | Tensor | None = None,
     ) -> np.ndarray | Tensor:
-        """The next frame, denoised: an array like `color`. See `help(rtdenoise.Denoiser)` for what goes in.
+        """The next frame, denoised: an array like `color`. See `help(rtdenoise.Denoiser)` for the arguments.
 
         Raises InputError, in one line, for arrays of other shapes, integers, and layers of another size than `color`.
         """
@@ -113,7 +113,7 @@ class Denoiser:
         self._history = None
 
     def _completed(self, radiance: np.ndarray | Tensor, layers: dict[str, np.ndarray | Tensor]) -> Frame:
-        """The frame, with a stand-in for each missing layer that the networks read."""
+        """The frame, with each missing layer that the networks read replaced by a constant."""
         B, _, H, W = radiance.shape
         for name, value in STAND_INS.items():
             if name not in layers:

@@ -1,4 +1,4 @@
-"""Threads of torch and of the C operations: how many, and how they wait. Torch reads it as it loads."""
+"""Threads of torch and of the C operations: their number, and how they wait. Torch reads both as it loads."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ CGROUPS = Path("/sys/fs/cgroup")
 
 
 def set_defaults() -> None:
-    """Choose how OpenMP's threads wait and how many there are, through its environment variables. What the user has set
-    stays. Without effect once torch is loaded, so call it before.
+    """Choose how OpenMP's threads wait and how many there are, through its environment variables. Variables that the
+    user has set stay. Without effect once torch is loaded, so call it before.
 
     `OMP_WAIT_POLICY=passive`: by default threads spin while they wait and slow each other down wherever other
     processes run too. A frame took 271 ms with spinning threads and 48 ms with waiting ones on a busy two-core machine.
-    `OMP_NUM_THREADS`: a container's share of the processors, which torch does not look at, where there is a limit.
+    `OMP_NUM_THREADS`: a container's share of the processors, if it is limited; torch does not look at that limit.
     """
     if "torch" in sys.modules:
         return

@@ -18,7 +18,7 @@ from ..models.config import CELL
 from ..motion import on_screen
 from ..sanitise import sanitise
 
-GEOMETRY = ("motion_next", "depth", "normal")  # fields that a history takes over from its frame
+GEOMETRY = ("motion_next", "depth", "normal")  # fields that a history copies from its frame
 Window = tuple[int, int, int, int]  # top, left, bottom, right
 
 
@@ -83,7 +83,7 @@ def carried(frame: Frame, history: History | None) -> Tensor | None:
     if history is None:
         return None
     lengths = torch.where(on_screen(frame.motion), frame.motion.abs(), 0.0)
-    if history.motion_next is None:  # splatted from motion, to where motion leads, and looked up there
+    if history.motion_next is None:  # splatted to the target of motion, and looked up there
         lengths = 2 * lengths
     else:
         dual = history.motion_next.abs()

@@ -14,16 +14,16 @@ from ..frame import Frame
 _COLOURS = ("radiance", "albedo", "reference", "reference_half")
 _LIGHT = ("radiance", "reference", "reference_half")
 _MOTIONS = ("motion", "motion_next")
-MAX_RELIGHT = 3.0  # stops: a patch of light is at most so much brighter or darker than its surroundings
+MAX_RELIGHT = 3.0  # stops between a patch of light and its surroundings, brighter or darker
 MAX_SPEED = 8.0  # of the patch, pixels a frame
-MAX_TINT = 0.5  # stops: a colour channel of the light is at most so much brightened or darkened
+MAX_TINT = 0.5  # stops by which a colour channel of the light is brightened or darkened
 
 
 def augment(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
     """The clip flipped, turned, reversed, tinted and with permuted colour channels: one draw for all its frames.
 
     In a reversed clip `motion` and `motion_next` change places; numbers and noise stay with their frames. World-space
-    normals stay: a mirrored picture shows a mirrored world, and they are as good as any there.
+    normals stay: a mirrored picture shows a mirrored world, in which they are plausible normals too.
     """
     flip_x, flip_y, transposed = rng.random(3) < 0.5
     order = torch.from_numpy(rng.permutation(3))

@@ -1,8 +1,8 @@
 """Cleaner references for training: each is denoised by Intel Open Image Denoise.
 
 At dozens of samples a pixel a filter removes most of the remaining noise in milliseconds, where a path tracer needs
-four times the samples to halve it (docs/notes/clean.md has figures). For training alone: as a measure, such references
-reward methods as smooth as the filter.
+four times the samples to halve it (docs/notes/clean.md has figures). Not for evaluation: such references reward methods
+as smooth as the filter.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ training, not for validation. The rest is as it was, and so are its licences:
 
 
 def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> int:
-    """Write the clips of `folder` to `out` with cleaned references; returns how many. Clips that are there are kept.
+    """Write the clips of `folder` to `out` with cleaned references; returns their number. Existing clips are kept.
 
-    Raises InputError where there are no clips, `out` is `folder` or has others in it, a clip was cleaned before, or
+    Raises InputError where there are no clips, `out` is `folder` or holds other clips, a clip was cleaned before, or
     `pyoidn` is missing.
     """
     out = Path(out)

@@ -1,4 +1,4 @@
-"""The options of a training run: what the command line shows, and what a run directory records."""
+"""The options of a training run, as the command line shows and a run directory records them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class TrainConfig:
     huber: float = 0.0
     """The loss is quadratic up to this error and absolute beyond; 0: L1, as in the paper."""
     frames: int = 9
-    """Consecutive frames a clip; the recurrence is back-propagated through all of them."""
+    """Consecutive frames a clip, through all of which the loss is back-propagated."""
     size: int = 128
     """Side of the random crop in pixels."""
     optimiser: str = "adam"

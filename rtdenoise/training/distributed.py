@@ -54,7 +54,7 @@ def means(values: dict[str, float]) -> dict[str, float]:
 
 
 def wait_for_all() -> None:
-    """Wait for all processes: one that ends while another still writes can end that one, too."""
+    """Wait for all processes: one that ends early could end another that still writes."""
     if distributed.is_initialized():
         distributed.barrier()
 

@@ -1,6 +1,6 @@
 """Train a denoiser: `rtdenoise train --data DIR --out RUN`. Resumable at any step, deterministic with a seed.
 
-A run directory explains itself: `config.json` (the options, but those of `NOT_COMPARED`), `log.jsonl` (a line per
+A run directory explains itself: `config.json` (the options except `NOT_COMPARED`), `log.jsonl` (a line per
 logged step and per validation), `checkpoint.pt` (everything needed to go on), `weights.safetensors` (the averaged
 weights of the best validation, ready for `rtdenoise denoise --model`).
 """
@@ -32,7 +32,7 @@ from .validate import open_validation
 OnStep = Callable[[int, int, float], None]  # step, steps in all, loss
 WEIGHTS, CHECKPOINT = "weights.safetensors", "checkpoint.pt"
 LOG_EVERY = 20  # steps
-MAX_SKIPPED_IN_TURN = 20  # steps without a finite loss: a poisoned clip costs one, broken weights all
+MAX_SKIPPED_IN_TURN = 20  # steps without a finite loss: a broken clip costs one, broken weights all
 NOT_COMPARED = ("data", "val", "out", "device", "init", "tensorboard", "checkpoint_minutes")  # may change on resuming
 
 
@@ -127,8 +127,8 @@ def _lead(
 def _steps(
     trainer: Trainer, share: tuple[int, int], data: ClipDataset, stopping: list[int]
 ) -> Iterator[dict[str, float]]:
-    """Take steps until the last one, or until a process was told to stop; a row for the log each. The next batch is
-    read meanwhile."""
+    """Take steps until the last one, or until a process is told to stop, and yield a log row for each. The next batch
+    is read meanwhile."""
     config = trainer.config
     with ThreadPoolExecutor(1) as reader:
         waiting = reader.submit(trainer.task.batch, data, config, trainer.step, share)

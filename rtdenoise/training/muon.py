@@ -13,8 +13,8 @@ from torch.nn import Parameter
 # al.); closer to 1 gains nothing.
 A, B, C = 3.4445, -4.7750, 2.0315
 ITERATIONS = 5
-# Steps fade out below this norm of the momentum. Otherwise a dead layer (its ReLUs are zero everywhere) would go on
-# taking steps of full length from the rest of its momentum.
+# Norm of the momentum below which steps fade out. Otherwise a dead layer (its ReLUs are zero everywhere) would take
+# steps of full length from the remains of its momentum.
 MIN_MOMENTUM = 1e-7
 
 
@@ -52,7 +52,7 @@ def orthogonal(matrix: Tensor) -> Tensor:
     falls to `MIN_MOMENTUM`."""
     wide = matrix.shape[0] <= matrix.shape[1]
     norm = matrix.norm()
-    x = (matrix if wide else matrix.T) / norm.clamp_min(1e-5 * MIN_MOMENTUM)  # squares of still less underflow
+    x = (matrix if wide else matrix.T) / norm.clamp_min(1e-5 * MIN_MOMENTUM)  # squares of smaller values underflow
     for _ in range(ITERATIONS):
         square = x @ x.T
         x = A * x + (B * square + C * square @ square) @ x

@@ -1,4 +1,4 @@
-"""What differs between architectures in training: batches, loss, validation. `TASKS` has a row for each."""
+"""Batches, loss and validation of each architecture: its row of `TASKS`, or else `DENOISING`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Task:
 
 
 def denoiser_loss(model: Denoiser, clip: list[Frame], config: TrainConfig, step: int) -> tuple[Tensor, Terms]:
-    """Mean loss of the frames of a batch of clips, through which history is passed on."""
+    """Mean loss over the frames of a batch of clips; history passes from frame to frame."""
     with_occlusion = config.occlusion_loss and step >= config.steps // 2
     terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
     total = 0.0

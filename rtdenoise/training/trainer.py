@@ -1,4 +1,4 @@
-"""One training step and everything that a checkpoint holds."""
+"""One training step, and the state that a checkpoint holds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .tasks import task_of
 
 
 class Trainer:
-    """Model, optimisers, averaged weights and the step counter: what a checkpoint holds."""
+    """Model, optimisers, averaged weights and the step counter: the state in a checkpoint."""
 
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
@@ -54,7 +54,7 @@ class Trainer:
             self.skipped_in_turn = 0
             for optimiser in self.optimisers:
                 optimiser.step()
-        else:  # a poisoned clip must not poison the weights
+        else:  # a broken clip must not break the weights
             self.skipped += 1
             self.skipped_in_turn += 1
         self.step += 1
@@ -79,7 +79,7 @@ class Trainer:
         write_atomically(path, content.getbuffer(), sync=True)
 
     def load(self, path: Path) -> None:
-        """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one.
+        """Continue from a checkpoint: clips depend on the step alone, so the curve is that of an uninterrupted run.
 
         Raises InputError for a file that is damaged or of another network or optimiser. Nothing in it is executed.
         """

@@ -16,7 +16,7 @@ from ..metrics import psnr
 from ..models import Combiner, Denoiser, Window
 from .config import TrainConfig
 
-MIN_UNCOVERED = 0.005  # share of a frame; the PSNR of fewer pixels says nothing
+MIN_UNCOVERED = 0.005  # share of a frame; the PSNR of fewer pixels is meaningless
 
 
 def open_validation(config: TrainConfig, data: ClipDataset) -> ClipDataset | None:
@@ -35,7 +35,7 @@ def open_validation(config: TrainConfig, data: ClipDataset) -> ClipDataset | Non
 
 @torch.inference_mode()
 def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[str, float]:
-    """Mean display PSNR in dB over all frames but the first: of the noisy frames, the denoised ones, and their
+    """Mean display PSNR in dB over all frames but the first: of noisy frames, of denoised frames, and of denoised
     uncovered regions. NaN without such frames."""
     rows: dict[str, list[float]] = {"noisy": [], "denoised": [], "denoised_uncovered": []}
 

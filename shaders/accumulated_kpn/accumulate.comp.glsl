@@ -1,5 +1,5 @@
 #version 430
-// The running mean of the noisy light. `reset`, which the network predicts, gives it up where the light has changed:
+// The running mean of the noisy light. The network predicts `reset`, which restarts the mean where light has changed:
 //
 //     w = 1 / (1 + length),    w' = w + reset · (1 - w),    mean' = w' · light + (1 - w') · mean,
 //     length' = min(1 / w', longest - 1)

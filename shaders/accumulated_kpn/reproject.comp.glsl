@@ -2,7 +2,7 @@
 // Reproject the running means of light and albedo, and their length (ops.reproject): bilinear, from taps that are on the screen
 // and show the same surface; 0 where these weigh too little.
 //
-// The mean of albedo includes this frame at once. The mean of light does not: the network first predicts how far to give it up.
+// The mean of albedo includes this frame at once. The mean of light does not: the network first predicts its `reset`.
 //
 //     mean_albedo = w · albedo + (1 - w) · mean_albedo_before,    w = 1 / (1 + length)
 #pragma constants DEPTH_TOLERANCE MIN_NORMAL_COSINE

@@ -1,7 +1,7 @@
 #version 430
 // Predict the kernel of every pixel and apply it: one scale of the spatial filter, or the edge kernel.
 #include "image.glsl"
-#include "kernel_head.glsl"  // and α: how far this scale replaces the low frequencies of the finer one
+#include "kernel_head.glsl"  // logits, and α: how far this scale replaces the low frequencies of the finer one
 
 #pragma reads vec4 image      // [H, W] rgb
 #pragma writes vec4 filtered  // [H, W] rgb, α in [0, 1]

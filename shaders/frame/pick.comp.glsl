@@ -4,7 +4,7 @@
 //     out = composed + share · (Σ_{dy,dx} w[k] · coarse(⌊x/2⌋ + dx - r, ⌊y/2⌋ + dy - r) - composed)
 #include "image.glsl"
 #include "pyramid.glsl"
-#include "kernel_head.glsl"  // and the share
+#include "kernel_head.glsl"  // logits, and the share
 #include "softmax.glsl"
 
 #pragma changes vec4 composed  // [H, W] rgb, α of this scale; its rgb is changed

@@ -8,7 +8,7 @@
 #pragma constants REPLACE
 #include "image.glsl"
 #include "past.glsl"
-#include "kernel_head.glsl"  // and α
+#include "kernel_head.glsl"  // logits, and α
 
 #pragma reads vec4 past       // [H, W] rgb, flags
 #pragma reads vec4 now        // [H, W] rgb

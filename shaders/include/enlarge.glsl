@@ -1,5 +1,5 @@
-// U of eq. 4: bilinear ×2. In each direction the cell that the pixel lies in weighs 3/4, the one it lies next to 1/4; beyond
-// the border that is the same cell again.
+// U of eq. 4: bilinear ×2. In each direction the pixel's own cell weighs 3/4 and the nearest other cell 1/4; borders are
+// repeated.
 //
 // TYPE and `TYPE coarse_value(ivec2 cell)` are defined before this file is included.
 #include "pyramid.glsl"

@@ -1,4 +1,4 @@
-// The inputs that every network has, and how it sees them.
+// The inputs that all networks share, and their encoding.
 #pragma parameters ivec2 image_size  // (W, H) of the image; the parameter `size` includes padding
 #pragma reads vec4 light, vec4 surface, vec4 guide, vec4 past  // [image_size]
 #pragma reads float statistics                                 // [2]: exposure, mean distance

@@ -1,4 +1,4 @@
-// Targets of motion: pixel (0, 0) is at (0, 0), its edges at ±½.
+// Whether a target of motion lies on the image: pixel (0, 0) is at (0, 0), its edges at ±½.
 bool on_screen(vec2 target) {
     return all(greaterThanEqual(target, vec2(-0.5))) && all(lessThanEqual(target, vec2(size) - 0.5));
 }

@@ -3,7 +3,7 @@
 //
 //     out[o, y, x] = max(0, bias[o] + Σ_{i; dy, dx ∈ 0..2} weight[o, i, dy, dx] · in[i, y + dy - 1, x + dx - 1])
 //
-// SOURCE says what `in` is, so that neither pooled nor concatenated tensors are ever written:
+// SOURCE chooses the input `in`, so that neither pooled nor concatenated tensors are ever written:
 //
 //     0   near
 //     1   near, of twice the size, in maxima of 2×2
@@ -19,7 +19,7 @@
 #include "activations.glsl"
 
 #pragma reads FOUR near, FOUR far
-#pragma reads mat4 weights  // [groups out, groups in, 9] 4×4 blocks: a column holds what one input adds to four outputs
+#pragma reads mat4 weights  // [groups out, groups in, 9] 4×4 blocks: a column holds the weights from one input to four outputs
 #pragma reads vec4 biases   // [groups out]
 #pragma writes FOUR result
 

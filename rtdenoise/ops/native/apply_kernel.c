@@ -67,7 +67,7 @@ typedef struct {
     int64_t plane;
 } Block;
 
-// Values for the pixels that an image lacks: `otherwise` where not `seen`. It lacks none where `seen` is null.
+// Pixels that are not `seen` take the values of `otherwise`. If `seen` is null, all pixels are seen.
 typedef struct { const uint8_t *seen; const float *otherwise; } Gaps;
 
 // Sets the rows of `image` (one of the batch) under pixels [from, to) of row y. Outside the image its border is repeated, by

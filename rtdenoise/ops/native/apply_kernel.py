@@ -61,5 +61,5 @@ def _kernels(image: Tensor, logits: Tensor) -> ctypes.CDLL:
 
 
 def _planes(logits: Tensor) -> Tensor:
-    """With every plane contiguous."""
+    """The logits with every plane contiguous."""
     return logits if in_planes(logits) and strides(logits)[3] == logits.shape[3] else logits.contiguous()

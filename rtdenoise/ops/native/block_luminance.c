@@ -1,5 +1,5 @@
 // Luminance of blocks of pixels in one pass. The specification is ops/block_luminance.py. RED, GREEN and BLUE are
-// color.LUMINANCE_WEIGHTS; a block is at most MAX_BLOCK wide, and as many columns are reduced at a time.
+// constants.LUMINANCE_WEIGHTS; a block is at most MAX_BLOCK wide, and as many columns are reduced at a time.
 #include "common.h"
 
 // radiance [B, 3, H, W], means, maxima [B, ⌈H/side⌉, ⌈W/side⌉], contiguous; side ≤ MAX_BLOCK. Columns are reduced first,

@@ -1,7 +1,7 @@
-"""The user's cache folder for compiled code. What is loaded from it runs, so it is loaded only where nobody else can
-have put it there, and only whole.
+"""The user's cache folder for compiled code. A loaded file runs, so a file is loaded only if it is whole and nobody
+else can have written it.
 
-A file is called NAME-KEY-CHECKSUM.so: KEY is of everything that decides the code, CHECKSUM of the file's content. It
+A file is called NAME-KEY-CHECKSUM.so: KEY is a hash of all that decides the code, CHECKSUM of the file's content. It
 appears under that name when it is complete and on the disk. A damaged file is removed and compiled again.
 """
 

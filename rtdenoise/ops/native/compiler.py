@@ -80,7 +80,7 @@ def _compiler() -> str:
 
 
 def machine() -> str:
-    """All that `-march=native` depends on: the processors of a shared home folder differ."""
+    """All that `-march=native` depends on: machines that share a home folder have different processors."""
     info = Path("/proc/cpuinfo")
     lines = set(info.read_text().splitlines()) if info.exists() else set()
     return "\0".join([platform.platform(), *sorted(s for s in lines if s.startswith(("flags", "model", "Features")))])

@@ -24,8 +24,8 @@ def layout(logits: Tensor) -> Array[c_int64]:
 
 
 def readable(logits: Tensor) -> Tensor:
-    """With neighbours along x or along k, as `read_logits` wants them. Planes, channels last and slices of their
-    channels are not copied."""
+    """Logits as `read_logits` wants them: values adjacent along x or along k. Planes, channels last and slices of
+    their channels are not copied."""
     if in_planes(logits) or strides(logits)[1] == 1 or logits.shape[-3] == 1:
         return logits
     return (whole(logits) if logits.ndim == 6 else logits).contiguous()

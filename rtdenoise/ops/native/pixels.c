@@ -1,5 +1,5 @@
 // Ops in which every pixel stands alone. The specification is ops/pixels.py. C is the number of channels; MIN_ALBEDO and
-// MIN_ALBEDO_SHARE are those of color.py. Images are contiguous: [B, C, H, W], but [B, 1, H, W] for depth, sharp, length and
+// MIN_ALBEDO_SHARE are those of constants.py. Images are contiguous: [B, C, H, W], but [B, 1, H, W] for depth, sharp, length and
 // reset.
 #include "common.h"
 

@@ -1,5 +1,5 @@
 // Bilinear reprojection that tests every tap, in one pass. The specification is ops/reproject.py. C is the number of
-// channels; MIN_HISTORY_WEIGHT and FAR_AWAY are those of ops/reproject.py.
+// channels; MIN_HISTORY_WEIGHT is that of constants.py, FAR_AWAY that of ops/reproject.py.
 #include "common.h"
 #include "alike.h"
 
@@ -9,7 +9,7 @@ static inline float bounded(float motion) {
 
 #define BLOCK 32  // pixels
 
-// Stored images and the geometry of the previous frame, whole; all other pointers to the start of a row of the current frame.
+// Stored images and the geometry of the previous frame are whole planes; all other pointers lead to a row of the current frame.
 typedef struct {
     const float *stored[C], *depth, *normal, *depth_before, *normal_before;
     float *out;

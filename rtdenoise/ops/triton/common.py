@@ -10,7 +10,7 @@ BLOCK = 128
 
 @triton.jit
 def place(H, W, BLOCK: tl.constexpr):
-    """Of a program: image, rows and columns of its pixels, and which of these exist."""
+    """Image, rows and columns of the pixels of a program, and which of them exist."""
     row = tl.program_id(1)
     x = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     return (row // H).to(tl.int64), row % H + tl.zeros([BLOCK], tl.int32), x, x < W

@@ -1,6 +1,6 @@
 """A library of assets by other people: a folder with models, environment maps and surface pictures.
 
-`index.json` lists them; docs/use/scenes.md explains its keys. Every asset has a licence, and cards carry its author.
+`index.json` lists them; docs/reference/assets.md explains its keys. Assets have licences, and cards name authors.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .scene import Principled
 
 KINDS = {"models": ("path", "category"), "hdris": ("file", "tags"), "textures": ("file", "kind")}  # file, class
 PLY_VERTEX = ("x", "y", "z", "nx", "ny", "nz", "u", "v")
-PALETTE_SCALE = 8  # palettes are enlarged, so that the filter of all textures leaves their colours apart
+PALETTE_SCALE = 8  # enlargement of palettes, so that texture filtering keeps their colours apart
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from .procedural import log_uniform, moved
 from .scene import Object, Scene
 from .surroundings import against_wall, ground, houses, open_air, picture_on_wall, shell
 
-VERSION = 1  # whoever changes the composition of a seed raises it
+VERSION = 1  # raise it with every change to the composition of a seed
 MOVERS = 6  # things that can move
-PARKED = -60.0  # height at which things wait that cross the view of a take
+PARKED = -60.0  # height of things that wait to cross the view of a take
 SMALL = ("kitchen", "food", "electronics", "toy", "tools", "bathroom", "clothing", "plant", "statue", "lamp", "picture",
          "misc", "animal", "rock")  # fmt: skip
 
@@ -181,7 +181,7 @@ KINDS = {
 def _finish(
     b: Composer, name: str, kind: str, light: dict, box, reach, fov, passing=("toy", "misc", "electronics", "food")
 ) -> Composition:
-    """Choose what can move, park what crosses the view, and add a glass thing in some."""
+    """Choose the things that can move, park those that cross the view, and add a glass thing to some compositions."""
     rng = b.rng
     things = list(b.things)
     if rng.uniform() < 0.35 and things:

@@ -1,4 +1,4 @@
-"""Objects added to a scene file: simple shapes, placed where nothing is in their way."""
+"""Objects added to a scene file: simple shapes, placed in free space."""
 
 from __future__ import annotations
 

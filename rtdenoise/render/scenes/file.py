@@ -1,9 +1,9 @@
 """Mitsuba XML scenes, set in motion by a TOML file. docs/use/scenes.md explains every key.
 
-    brightness = 0.5              # mean luminance of what is lit; without it the file's radiance is kept
+    brightness = 0.5              # mean luminance of lit surfaces; without it the file's radiance is kept
 
     [camera]
-    sensor = 0                    # number of the file's sensor that it starts from
+    sensor = 0                    # index of the file's sensor that it starts from
     distance = 4.0                # to the point that it looks at and orbits about
     velocity = [0.01, 0.0, 0.0]   # and pan, orbit, shake, start, seed: see `motions.CameraPath`
 
@@ -185,7 +185,7 @@ def _camera(entry: dict, loaded, where: str) -> CameraPath:
 
 
 def _arguments(cls, entry: dict, where: str) -> dict:
-    """Those entries that are fields of `cls` (but `keys`), checked for their count of numbers."""
+    """The entries that are fields of `cls` (except `keys`), checked for their count of numbers."""
     arguments = {}
     for field in fields(cls):
         if field.name in entry and field.name != "keys":

@@ -85,10 +85,10 @@ class Camera:
 
     to_world: np.ndarray  # [4, 4]; columns: right, down, forward, origin
     fov: float  # horizontal field of view, of the whole picture
-    shot: int = 0  # between frames of different shots lies a cut, which no motion crosses
-    window: tuple[int, int, int, int] | None = None  # the image is a part of a picture: (its height, width, top, left)
+    shot: int = 0  # frames of different shots have a cut between them, which no motion crosses
+    window: tuple[int, int, int, int] | None = None  # of a larger picture: (its height, width, top, left)
     aperture: float = 0.0  # radius of the lens; 0: everything is sharp
-    focus: float = 1.0  # distance along the axis of what is sharp
+    focus: float = 1.0  # distance of the sharp plane along the axis
 
     def _pinhole(self, size: tuple[int, int]) -> tuple[float, float, float]:
         """Distance of the image plane, and the column and row of the optical axis, in pixels of an image `size`."""
@@ -133,7 +133,7 @@ class CameraPath:
     seed: int = 0  # of the shake's phases
     keys: Keyframes | None = None  # (origin, target) in six numbers, instead of `origin` and `target`
     aperture: float = 0.0  # radius of the lens; 0: no depth of field
-    focus: float = 1.0  # distance of what is sharp
+    focus: float = 1.0  # distance of the sharp plane
 
     def slowed(self, factor: float) -> CameraPath:
         """The same path at `factor` times the speed; keyframes keep theirs."""

@@ -1,4 +1,4 @@
-"""Furnish a scene with the models of a library: choose, scale, turn and put them where nothing else stands."""
+"""Furnish a scene with models of a library: choose, scale, turn and place them on free ground."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LONGEST = {  # metres of the longest side of models whose unit is unknown, by ca
     "plant": 1.2, "rock": 0.7, "statue": 0.8, "thin": 2.0, "tools": 0.7, "toy": 0.3, "vehicle": 4.3,
 }  # fmt: skip
 TEXTURE_METRES = 1.5  # side of one period of a tileable surface picture
-FLAT_TOP = 0.5  # share of its base's area that a model's top has, for things to be put on it
+FLAT_TOP = 0.5  # least area of a flat top that carries things, as a share of the base's area
 MAX_TRIES = 12
 
 
@@ -115,7 +115,7 @@ class Composer:
     ) -> Thing | None:
         """Place a model's base at `place` [3], its front turned by `heading` degrees from +z towards +x.
 
-        Returns None, and places nothing, for no model and, with `claim`, where something else stands.
+        Returns None, and places nothing, without a model or, with `claim`, if the place is taken.
         """
         if asset is None:
             return None
@@ -174,7 +174,7 @@ class Composer:
         return things
 
     def _load(self, assets: list[Asset], load):
-        """`load` of a random asset; those that fail are remembered. Raises InputError where all do."""
+        """`load` of a random asset; assets that fail are remembered. Raises InputError if all fail."""
         assets = [a for a in assets if a.name not in self.skipped]
         while assets:
             asset = assets.pop(int(self.rng.integers(len(assets))))

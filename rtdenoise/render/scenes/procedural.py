@@ -9,7 +9,7 @@ from .meshes import Mesh
 from .motions import CameraPath, Motion
 from .scene import Material, Object, Scene
 
-VERSION = 1  # of the generator; whoever changes the scene of a seed raises it
+VERSION = 1  # of the generator; raise it with every change to the scene of a seed
 CLIP_FRAMES = 10  # trajectories are centred on the middle of a clip of this length
 PIXELS = 128  # screen speeds are stated for images of this width
 
@@ -203,13 +203,13 @@ def camera_path(b: Builder, size: np.ndarray, static: bool) -> CameraPath:
 
 
 def _mover(b: Builder, camera: CameraPath, size: np.ndarray, near: bool) -> None:
-    """One moving object. A near one crosses the view in front of everything else and uncovers what it hid."""
+    """One moving object. A near one crosses the view in front of everything else and uncovers background."""
     rng = b.rng
     view = camera(camera.start)
     right, forward, origin = view.to_world[:3, 0], view.to_world[:3, 2], view.to_world[:3, 3]
     reach = np.linalg.norm(np.subtract(camera.target, camera.origin))
     distance = rng.uniform(0.28, 0.5) * reach if near else rng.uniform(0.45, 0.95) * reach
-    half_view = distance * np.tan(np.radians(camera.fov / 2))  # half the width of what is seen at that distance
+    half_view = distance * np.tan(np.radians(camera.fov / 2))  # half the width of the view at that distance
     speed = log_uniform(rng, 4, 12) if near else log_uniform(rng, 0.3, 10)
     step = speed * 2 * half_view / PIXELS
     radius = half_view * (rng.uniform(0.3, 0.55) if near else rng.uniform(0.15, 0.4))

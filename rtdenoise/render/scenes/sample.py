@@ -1,6 +1,6 @@
 """The scene of the bundled sample: a sunlit room that training never sees, with textures of its own.
 
-The sun falls through a window onto the floor; what bounces off there, the sky and a dim lamp light the rest. A torus, a
+The sun falls through a window onto the floor; light from there, the sky and a dim lamp light the rest. A torus, a
 ball and a crate cross in front of a painted wall, 4 to 10 pixels a frame at 320×180, and uncover it again.
 """
 

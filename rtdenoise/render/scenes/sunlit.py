@@ -78,8 +78,8 @@ def _windows(objects: tuple[Object, ...], rng: np.random.Generator) -> tuple[Obj
 
 
 def _outside(mesh: Mesh, scene: Scene, towards: np.ndarray, rng: np.random.Generator) -> Mesh:
-    """A mesh that lies about the origin across the z axis, moved outside the room to between the sun and a place that
-    the camera sees."""
+    """A mesh about the origin, across the z axis, moved outside the room to a point between the sun and a place in the
+    camera's view."""
     walls = [o.mesh.vertices for o in scene.objects if o.name in ("floor", "back", *OPEN_TO)]
     corners = np.concatenate(walls) if walls else np.array([[-4.0] * 3, [4.0] * 3])
     low, high = corners.min(0), corners.max(0)

@@ -26,7 +26,7 @@ BLURRED_SHARE = 0.12  # of the takes, with depth of field
 
 @dataclass(frozen=True)
 class View:
-    """A camera path and what it looks at."""
+    """A camera path and its subject."""
 
     path: CameraPath
     distance: float  # to the subject

@@ -180,8 +180,8 @@ def add_mover(b: Builder, camera: CameraPath, role: Role, frames: int, width: in
 def _streams(seed: int, attempt: int, version: int) -> list[np.random.Generator]:
     """Random numbers for the kind of clip, and for everything else.
 
-    numpy takes keys that differ only in trailing zeros for the same. Version 2 has such keys: at the first attempt one
-    number draws both kind and place, so that objects cross the view in closed rooms only.
+    numpy treats keys that differ only in trailing zeros as equal. Version 2 has such keys: at the first attempt the
+    same number draws kind and place, so that objects cross the view in closed rooms only.
     """
     keys = ([seed], [seed, attempt]) if version == 2 else ([seed, 1], [seed, attempt + 2])
     return [np.random.default_rng([version, *key]) for key in keys]
