@@ -30,7 +30,7 @@ from rtdenoise.render.options import ClipOptions, find_scenes
 from rtdenoise.render.stage import Stage, start_mitsuba
 from rtdenoise.render.windows import candidates, choose, look_through
 
-WINDOWS = 2  # clips of one scene
+WINDOWS = 1  # clips of one scene
 HELD_OUT = ("street", "dining-room", "staircase2", "bathroom")
 ACTIVE_SHARE = 0.5  # of the windows that have most activity; the others are any
 NOISY = 0  # random stream of a frame
