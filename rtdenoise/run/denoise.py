@@ -7,12 +7,14 @@ import hashlib
 import json
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field, fields
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..data.output import check_output, write_frame
+from ..data.exr import read_header
+from ..data.output import check_output, output_names, protect_input, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
@@ -77,8 +79,9 @@ class Summary:
     skipped: int = 0
     seconds: float = 0.0  # in the denoiser alone
     replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`sanitise.faults`)
+    passed_on: dict[str, int] = field(default_factory=dict)  # channel copied from the input -> NaNs in it
     cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
-    gaps: list[int] = field(default_factory=list)  # numbers of the frames that are missing
+    gaps: list[tuple[int, int]] = field(default_factory=list)  # (first, last) missing frame number of each gap
     left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
     plan: Plan | None = None
 
@@ -103,7 +106,7 @@ def denoise(
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision)
-    out = _prepare(Path(out), sequence)
+    out = _prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
         return _run(sequence, out, options, backend, overwrite, on_frame)
@@ -124,6 +127,8 @@ def _run(
     if not done:  # so that the next run knows the first frame for its own
         _save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps = done, list(sequence.gaps)
+    names = output_names(sequence, options.layout, options.recombine)
+    written = _Written(out, names[:done])
     if options.plan:
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
         summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
@@ -144,9 +149,12 @@ def _run(
             history = None
         image, history = backend.step(prepared, history)
         summary.seconds += time.perf_counter() - started
-        write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
-                    keep=options.keep, float32=options.float32)  # fmt: skip
-        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options)
+        nans = write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
+                           keep=options.keep, float32=options.float32)  # fmt: skip
+        for channel, count in nans.items():
+            summary.passed_on[channel] = summary.passed_on.get(channel, 0) + count
+        written.add(names[i])
+        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options, written.digest)
         summary.written += 1
         on_frame(i + 1, len(sequence))
     _write_summary(out / SUMMARY, sequence, options, summary)
@@ -162,20 +170,15 @@ def _write_summary(path: Path, sequence: Sequence, options: Options, summary: Su
     write_atomically(path, (dumps(document, indent=1) + "\n").encode())
 
 
-def _prepare(out: Path, sequence: Sequence) -> Path:
+def _prepare(out: Path, sequence: Sequence, options: Options) -> Path:
     """The output folder, made if need be; never one that holds the input."""
-    if out.resolve() in {path.resolve().parent for path in _inputs(sequence)}:
-        raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
+    protect_input(sequence, out, options.layout, options.recombine)
     try:
         out.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=out).close()
     except OSError as error:
         raise InputError(f"{out}: cannot write there: {error.strerror}") from None
     return out
-
-
-def _inputs(sequence: Sequence) -> list[Path]:
-    return [path for frame in sequence.files for path in frame.files.values()]
 
 
 def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
@@ -200,8 +203,9 @@ def _resume(
     out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend, options: Options
 ) -> tuple[int, Any, Summary]:
     """How many frames are finished, the history after them, and what there was to say about them."""
+    names = output_names(sequence, options.layout, options.recombine)
     if not (out / STATE).exists():
-        clash = [name for name in sequence.names if (out / name).exists()]
+        clash = [name for name in chain(*names) if (out / name).exists()]
         if clash:
             raise InputError(
                 f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"
@@ -209,18 +213,64 @@ def _resume(
         return 0, None, Summary()
     try:
         stored, metadata = read_history(out / STATE)
-        done, so_far = int(metadata["done"]), json.loads(metadata["so_far"])
+        done, summary = int(metadata["done"]), _counts(json.loads(metadata["so_far"]))
+        before = dict(json.loads(metadata.get("options", "{}")))
         history = backend.restore(stored) if stored else None
-    except (InputError, KeyError, ValueError) as error:
+    except (InputError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
-    if not done:  # whatever is there is of a run that did not come as far as its second frame
+    if done <= 0:  # whatever is there is of a run that did not come as far as its second frame
         return 0, None, Summary()
     if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
-        other = _changed(json.loads(metadata.get("options", "{}")), options)
+        other = _changed(before, options)
         raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
-    if any(not (out / name).exists() for name in sequence.names[:done]):
+    finished = list(chain(*names[:done]))
+    if any(not (out / name).exists() for name in finished):
         return 0, None, Summary()
-    return done, history, Summary(**so_far)
+    for name in finished:
+        _refuse_junk(out / name, sequence.size)
+    if metadata.get("written", "") not in ("", _Written(out, names[:done]).digest):  # older states do not record it
+        raise InputError(f"{out}: a finished frame has another size in bytes than it was written with; pass "
+                         "--overwrite to denoise all of them again")  # fmt: skip
+    return done, history, summary
+
+
+class _Written:
+    """The finished files, as one digest of their names and sizes in bytes."""
+
+    def __init__(self, out: Path, frames: Iterable[list[str]]) -> None:
+        self._out, self._hash = out, hashlib.sha256()
+        for names in frames:
+            self.add(names)
+
+    def add(self, names: list[str]) -> None:
+        for name in names:
+            self._hash.update(f"{name}\0{(self._out / name).stat().st_size}\n".encode("utf-8", "surrogateescape"))
+
+    @property
+    def digest(self) -> str:
+        return self._hash.hexdigest()
+
+
+def _refuse_junk(path: Path, size: tuple[int, int]) -> None:
+    """Raise InputError where a finished frame is no complete EXR file of this size (height, width) any more."""
+    try:
+        header = read_header(path)
+        problem = None if (header.height, header.width) == size else f"{header.width}×{header.height} pixels"
+    except InputError as error:
+        problem = str(error).removeprefix(f"{path}: ")
+    if problem:
+        raise InputError(f"{path}: this frame was finished, and has been damaged or replaced since ({problem}); remove "
+                         "it, or pass --overwrite")  # fmt: skip
+
+
+def _counts(so_far: dict) -> Summary:
+    """The summary of an earlier run, from its saved state. Raises ValueError and others where it is not one's."""
+    summary = Summary(**{key: so_far[key] for key in ("replaced", "cuts", "left_out")})
+    summary.passed_on = dict(so_far.get("passed_on", {}))  # older states lack it
+    counts = (summary.replaced, summary.left_out, summary.passed_on)
+    if not all(type(n) is int for n in (*summary.cuts, *(n for count in counts for n in count.values()))):
+        raise ValueError("counts that are no integers")
+    return summary
 
 
 def _changed(before: dict, options: Options) -> str:
@@ -231,7 +281,9 @@ def _changed(before: dict, options: Options) -> str:
     return f"other options: {told}" if told else "other options or input"
 
 
-def _save_state(path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options) -> None:
-    so_far = {"replaced": summary.replaced, "cuts": summary.cuts, "left_out": summary.left_out}
-    metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far)}
+def _save_state(
+    path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options, written: str = ""
+) -> None:
+    so_far = {key: getattr(summary, key) for key in ("replaced", "passed_on", "cuts", "left_out")}
+    metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far), "written": written}
     write_history(path, history, metadata | {"options": json.dumps(asdict(options))})
