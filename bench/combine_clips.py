@@ -89,17 +89,18 @@ def render_scene(out: Path, group: int, levels: tuple[int, ...], half: int, opti
         return
     if held:
         rng = np.random.default_rng([options.seed, group])
-        stage, found, facts = draw._draw_file(group, replace(options, scenes=(options.scenes[group],)), False, rng)
+        take = draw._draw_file(group, replace(options, scenes=(options.scenes[group],)), False, rng)
     else:
-        stage, found, facts = draw.draw_scene(group, options)
-    whole, windows, taken = stage.scene, candidates(found, options.size, options.frames), []
+        ((_, take),) = draw.draw_takes(group, options, [0])
+    stage, facts = take.stage, take.facts
+    whole, windows, taken = stage.scene, candidates(take.found, options.size, options.frames), []
     for index in members:
         clock = time.time()
         rng = np.random.default_rng([options.seed, group, index])
         window = choose(windows, taken, options.size, options.frames, bool(rng.uniform() < ACTIVE_SHARE), rng)
         taken.append(window)
         stage.scene = whole
-        look_through(stage, window, options.view)
+        look_through(stage, window, take.view)
         seeded = replace(options, seed=int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0]))
         numbers = range(window.first, window.first + options.frames)
         frames = [render_levels(stage, n, levels, half, seeded) for n in numbers]
@@ -117,7 +118,7 @@ def render_scene(out: Path, group: int, levels: tuple[int, ...], half: int, opti
                 ["samples"],
             )
         print(f"clip {index}: {facts['kind']}, {facts.get('place', '')}, {time.time() - clock:.1f} s", flush=True)
-    del stage
+    del stage, take
     gc.collect()  # Mitsuba scenes are cycles; a left-over one would be part of the next one's kernels
 
 
