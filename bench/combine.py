@@ -2,10 +2,11 @@
 
 python bench/combine.py CLIPS [--combiners combiner]
 
-CLIPS/spp01, CLIPS/spp04 ... hold the same frames at several sample counts (`combine_clips.py --held-out`). Corrected
-MSE (`metrics.image.mse_corrected`) of the noisy frames y, of each denoiser's z, and of every combiner's frames, for
-both signals. A *failure* is a combiner's error above 1.02 of z's. The slope is that of log MSE over log spp from 16 on:
--1 for noise alone. The combiner was trained on no frame of `svgf`. Writes bench/results/combine.json and the
+CLIPS/spp01, CLIPS/spp04 ... hold the same frames at several sample counts (`combine_clips.py --held-out`), with
+denoised frames beside them (`rtdenoise estimates CLIPS/spp* --methods oidn default svgf`). Corrected MSE
+(`metrics.image.mse_corrected`) of the noisy frames y, of each denoiser's z, and of every combiner's frames, for both
+signals. A *failure* is a combiner's error above 1.02 of z's. The slope is that of log MSE over log spp from 16 on:
+noise alone has -1. `svgf` made no frame that the combiner was trained on. Writes bench/results/combine.json and the
 tables of docs/results/combine.md.
 """
 
@@ -27,7 +28,6 @@ from rtdenoise.baselines import Shrinkage
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.errors import InputError
-from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import Frame
 from rtdenoise.metrics.image import mse_corrected
 from rtdenoise.models import Combiner, Window, load_combiner
@@ -58,11 +58,13 @@ def main(
     for index in range(len(opened[levels[0]])):
         for signal in ("color", "indirect"):
             for spp in levels:
-                frames, halves = _frames(clips, opened, index, signal, spp)
+                halves = _halves(clips, index, signal, spp)
                 for method in methods:
+                    both = opened[spp].load(index, signal=signal, estimates=method)
+                    frames, estimates = both[: len(both) // 2], [frame.radiance for frame in both[len(both) // 2 :]]
                     rows.append(
                         {"sequence": _name(opened[spp], index), "signal": signal, "spp": spp, "method": method}
-                        | errors(frames, halves, method, networks)
+                        | errors(frames, estimates, halves, networks)
                     )
                     print(rows[-1], flush=True)
     document = {"max_ratio": MAX_RATIO, "rows": rows, "summary": summary(rows)}
@@ -71,10 +73,12 @@ def main(
 
 @torch.inference_mode()
 def errors(
-    frames: list[Frame], halves: list[torch.Tensor] | None, method: str, networks: dict[str, Combiner]
+    frames: list[Frame],
+    estimates: list[torch.Tensor],
+    halves: list[torch.Tensor] | None,  # means of one half of the noisy samples
+    networks: dict[str, Combiner],
 ) -> dict[str, float]:
     """Mean corrected MSE of the frames: of `noisy`, of z (`estimate`) and of each combiner."""
-    estimates = harness.denoise(choose([method])[0].step(), frames)
     scale = display_exposure(torch.cat([frame.reference for frame in frames]))
     found = defaultdict(list)
     for i in range(FIRST, len(frames)):
@@ -136,14 +140,12 @@ def tables(document: dict) -> dict[str, str]:
     return {"combine": "\n".join(lines), "combine-cells": "\n".join(cells)}
 
 
-def _frames(clips: Path, opened: dict[int, ClipDataset], index: int, signal: str, spp: int):
-    """The frames of a clip, and the means of one half of their samples where the clip has these."""
-    frames = opened[spp].load(index, signal=signal)
+def _halves(clips: Path, index: int, signal: str, spp: int) -> list[torch.Tensor] | None:
+    """The means of one half of the samples of a clip's frames, where there is the clip of half the samples."""
     try:
-        halves = [frame.radiance for frame in ClipDataset(clips / f"spp{spp // 2:02d}").load(index, signal=signal)]
+        return [frame.radiance for frame in ClipDataset(clips / f"spp{spp // 2:02d}").load(index, signal=signal)]
     except InputError:
-        halves = None
-    return frames, halves
+        return None
 
 
 def _name(clips: ClipDataset, index: int) -> str:

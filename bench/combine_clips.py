@@ -2,11 +2,11 @@
 
 python bench/combine_clips.py --out DIR --scenes SCENES [--motions examples/motions] [--held-out]
 
-DIR/spp01, DIR/spp02 ... each hold a clip file for every window of a scene; half of the scenes are files, half are
-generated. Sample counts are nested: the frame at 4 spp is the mean of the first 4 samples of the frame at 32.
-References have samples of their own, in two halves, and are not cleaned: a combiner that trains against references
-cleaned by a denoiser learns to return that denoiser's frames. With --held-out the clips show the scene files that
-training leaves out. An interrupted run continues. `rtdenoise estimates DIR/spp*` denoises them.
+DIR/spp01, DIR/spp02 ... hold a clip file each for every window of a scene; half of the scenes are files, half are
+generated. Sample counts are nested: the frame at 4 spp is the mean of the first 4 samples of the frame at 32. Its
+reference is the mean of all others, in two halves, and not cleaned: a combiner that trains against references cleaned
+by a denoiser learns to return that denoiser's frames. With --held-out the clips show the scene files that training
+leaves out. Run again, it goes on where it stopped. `rtdenoise estimates DIR/spp*` denoises them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rtdenoise.render.options import ClipOptions, find_scenes
 from rtdenoise.render.stage import Stage, start_mitsuba
 from rtdenoise.render.windows import candidates, choose, look_through
 
-WINDOWS = 2  # clips of one scene
+WINDOWS = 1  # clips of one scene
 HELD_OUT = ("street", "dining-room", "staircase2", "bathroom")
 ACTIVE_SHARE = 0.5  # of the windows, chosen for activity; the others are random
 NOISY = 0  # random stream of a frame
@@ -39,8 +39,8 @@ NOISY = 0  # random stream of a frame
 def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int, options: ClipOptions) -> dict:
     """Sample count -> all layers of frame `number`, [H, W, C] float32.
 
-    One wavefront traces every sample of the frame: its first max(levels) samples make the noisy frames, the others
-    the two halves of the reference.
+    One wavefront traces every sample of the frame, max(levels) + 2 · half a pixel. The first ones are the noisy frame,
+    all others its reference.
     """
     start_mitsuba()
     import drjit as dr
@@ -48,7 +48,7 @@ def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int,
     from rtdenoise.render import tracing
 
     stage.at(number)
-    size, noisy, total = options.size, levels[-1], levels[-1] + 2 * half
+    size, total = options.size, levels[-1] + 2 * half
     camera = stage.scene.camera(number)
     sampler = tracing.make_sampler(_stream(options.seed, number, NOISY), size[0] * size[1] * total)
     ray = tracing.primary_rays(sampler, size, total, camera)
@@ -67,13 +67,14 @@ def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int,
     frames = {n: describe_frame(stage.scene, n, size) for n in (number - 1, number, number + 1)}
     for layer, other in (("motion", number - 1), ("motion_next", number + 1)):
         shared[layer] = motion_between(shared["position"], shared["id"], frames[number], frames[other])
-    for name, image in (("reference", color), ("indirect_reference", indirect)):
-        shared[name] = image[:, :, noisy:].mean(2)
-        shared[f"{name}_half"] = image[:, :, noisy : noisy + half].mean(2)
     found = {}
     for spp in levels:
         seen = np.maximum(albedo[:, :, :spp].mean(2), emission[:, :, :spp].mean(2))
+        rest = (total - spp) // 2
         found[spp] = shared | {
+            "reference": color[:, :, -2 * rest :].mean(2), "reference_half": color[:, :, -rest:].mean(2),
+            "indirect_reference": indirect[:, :, -2 * rest :].mean(2),
+            "indirect_reference_half": indirect[:, :, -rest:].mean(2),
             "color": color[:, :, :spp].mean(2), "indirect": indirect[:, :, :spp].mean(2),
             "albedo": np.clip(seen, 0, 1), "normal": normal[:, :, :spp].mean(2),
             "samples": np.full((*size, 1), spp, np.float32),
@@ -88,30 +89,36 @@ def render_scene(out: Path, group: int, levels: tuple[int, ...], half: int, opti
         return
     if held:
         rng = np.random.default_rng([options.seed, group])
-        stage, found, facts = draw._draw_file(group, replace(options, scenes=(options.scenes[group],)), False, rng)
+        take = draw._draw_file(group, replace(options, scenes=(options.scenes[group],)), False, rng)
     else:
-        stage, found, facts = draw.draw_scene(group, options)
-    whole, windows, taken = stage.scene, candidates(found, options.size, options.frames), []
+        ((_, take),) = draw.draw_takes(group, options, [0])
+    stage, facts = take.stage, take.facts
+    whole, windows, taken = stage.scene, candidates(take.found, options.size, options.frames), []
     for index in members:
         clock = time.time()
         rng = np.random.default_rng([options.seed, group, index])
         window = choose(windows, taken, options.size, options.frames, bool(rng.uniform() < ACTIVE_SHARE), rng)
         taken.append(window)
         stage.scene = whole
-        look_through(stage, window, options.view)
+        look_through(stage, window, take.view)
         seeded = replace(options, seed=int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0]))
         numbers = range(window.first, window.first + options.frames)
         frames = [render_levels(stage, n, levels, half, seeded) for n in numbers]
         told = facts | {
             "index": index, "generator": options.generator, "seed": options.seed, "frames": options.frames,
-            "size": list(options.size), "reference_spp": 2 * half, "max_depth": options.max_depth,
+            "size": list(options.size), "max_depth": options.max_depth,
         }  # fmt: skip
         for spp in levels:
             path = clip_path(out / f"spp{spp:02d}", index)
             path.parent.mkdir(exist_ok=True)
-            write_clip(path, [frame[spp] for frame in frames], told | {"spp": spp}, ["samples"])
+            write_clip(
+                path,
+                [frame[spp] for frame in frames],
+                told | {"spp": spp, "reference_spp": levels[-1] + 2 * half - spp},
+                ["samples"],
+            )
         print(f"clip {index}: {facts['kind']}, {facts.get('place', '')}, {time.time() - clock:.1f} s", flush=True)
-    del stage
+    del stage, take
     gc.collect()  # Mitsuba scenes are cycles; a left-over one would be part of the next one's kernels
 
 
@@ -139,8 +146,8 @@ def main(
         size: Side of a clip in pixels.
         frames: Frames of a clip.
         levels: Samples per pixel of the noisy frames.
-        half: Samples per pixel of each half of the reference.
-        seed: Seed of scenes, windows and noise.
+        half: Half the samples per pixel that no noisy frame holds.
+        seed: Of everything.
         shard: (i, n): scenes g with g mod n = i.
     """
     start_mitsuba(1)

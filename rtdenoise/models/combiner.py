@@ -45,6 +45,7 @@ from .unet import ConvRelu, UNet
 
 MAX_LOGITS = 1 << 25  # in memory at once; beyond it, strip by strip, recomputed in the backward pass
 STATISTICS = (5, 15)  # sides in pixels of the neighbourhoods over which residuals are averaged
+LOSS_SCALES = 4  # at which the loss is taken: 1, 1/2 ... of the image size
 MIN_VARIANCE = 1e-8  # of exposed residuals, so that none is divided by zero
 
 
@@ -199,8 +200,17 @@ class Combiner(nn.Module):
         return correction
 
     def loss(self, combined: Combined, frame: Frame, estimate: Tensor) -> Tensor:
-        """SMAPE of the image as a share of that of z, against `frame.reference`."""
-        return smape_ratio(combined.image, estimate, frame.reference, exposure(frame.reference))
+        """SMAPE of the image as a share of that of z, against `frame.reference`; mean over `LOSS_SCALES` scales.
+
+        The paper takes full size alone. z's error extends over many pixels and the reference's noise does not, so
+        coarser scales show z's error more clearly.
+        """
+        scale, total = exposure(frame.reference), 0
+        image, reference = combined.image, frame.reference
+        for _ in range(LOSS_SCALES):
+            total = total + smape_ratio(image, estimate, reference, scale) / LOSS_SCALES
+            image, estimate, reference = (F.avg_pool2d(x, 2, ceil_mode=True) for x in (image, estimate, reference))
+        return total
 
     def _filtered(
         self, scale: int, level: Tensor, residuals: Sequence[Tensor | None], absent: Sequence[bool]

@@ -273,10 +273,10 @@ class CombinerConfig(_Config):
 
     @property
     def heads(self) -> tuple[tuple[Head, ...], ...]:
-        """At every scale a kernel and a share for each frame and, with `nothing`, a share for no correction; at all but
-        the coarsest a pick kernel with its weight. The share for no correction starts at 0.6 for five frames."""
+        """At every scale a kernel for each frame and the shares of the frames and, if there is one, of nothing; at all
+        but the coarsest the pick kernel with its weight. The share of no correction starts like that of a frame."""
         kernels = [Head(f"taps{offset:+d}", self.kernel**2) for offset in self.offsets]
-        shares = [Head("shares", self.frames), *([Head("nothing", 1, start=2.0)] if self.nothing else [])]
+        shares = [Head("shares", self.frames), *([Head("nothing", 1, start=0.0)] if self.nothing else [])]
         pick = Head("pick", self.pick_kernel**2), Head("pick_share", 1, start=0.0)
         return *[(*kernels, *shares, *pick)] * (self.scales - 1), (*kernels, *shares)
 

@@ -51,7 +51,9 @@ class TrainConfig:
     optimiser: str = "adam"
     """'adam', or 'muon' for the weights of convolutions, which learn faster with it at the same rates."""
     lr: float = 1e-3
-    """Peak learning rate: linear warm-up over 200 steps, then a cosine to zero."""
+    """Peak learning rate: linear warm-up, then a cosine to zero."""
+    warmup: int = 200
+    """Steps of the warm-up."""
     seed: int = 0
     """Seed of initial weights, order of clips, crops and augmentation."""
     device: str = "cpu"

@@ -42,7 +42,12 @@ class Trainer:
     def train_step(self, batch: Any) -> dict[str, float]:
         """One optimiser step on a batch of `Task.batch`; returns the numbers to log."""
         config = self.config
-        rate = config.lr * min(1.0, (self.step + 1) / 200) * 0.5 * (1 + math.cos(math.pi * self.step / config.steps))
+        rate = (
+            config.lr
+            * min(1.0, (self.step + 1) / config.warmup)
+            * 0.5
+            * (1 + math.cos(math.pi * self.step / config.steps))
+        )
         for optimiser in self.optimisers:
             optimiser.param_groups[0]["lr"] = rate
         total, terms = self.task.loss(self.model, batch, config, self.step)
@@ -151,7 +156,7 @@ def model_config(config: TrainConfig) -> Config:
 
 def check(config: TrainConfig) -> None:
     """Raise InputError for impossible options."""
-    for name in ("steps", "batch", "frames", "size", "validate_every"):
+    for name in ("steps", "batch", "frames", "size", "validate_every", "warmup"):
         if getattr(config, name) < 1:
             raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
     for name in ("cuts", "relight"):
