@@ -302,7 +302,7 @@ def test_textures_pass_unfiltered():
     model.full_head.weight[:, -3], model.full_head.bias[-3] = 0.0, 50.0  # the current frame alone
     frame = replace(frame, radiance=0.7 * albedo_divisor(frame.albedo, frame.depth))
     edge = torch.randn(9)
-    edges = slice(-22, -13)  # of the full head's rows, before those of the pick kernel and the shares
+    edges = slice(-23, -14)  # of the full head's rows, before those of the pick kernel, the detail and the shares
     model.full_head.bias[edges] = edge
     smoothed = apply_kernel(frame.radiance, edge.reshape(1, 9, 1, 1).expand(1, 9, *frame.size))
     torch.testing.assert_close(model.step(frame)[0], smoothed)

@@ -375,7 +375,7 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeyp
     launched = set()
     kernels = {
         "apply_kernel": "_forward", "compose": "_compose", "downsample": "_downsample", "fetch": "_fetch",
-        "reproject": "_reproject", "warp": "_warp",
+        "reproject": "_reproject", "soften": "_soften", "warp": "_warp",
     }  # fmt: skip
 
     class Kernel:
@@ -392,7 +392,7 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeyp
     with capturable(), ops.use("auto"):
         every_kind_of_step(model)
     expected = {"_forward", "_warp", "_fetch", "_downsample", "_compose"}
-    assert launched == expected | ({"_reproject"} if isinstance(denoiser, models.AccumulatedKPN) else set())
+    assert launched == expected | ({"_reproject", "_soften"} if isinstance(denoiser, models.AccumulatedKPN) else set())
 
 
 @pytest.mark.parametrize(
