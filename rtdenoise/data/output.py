@@ -14,8 +14,10 @@ S · A cancels out. It needs none of those passes, and stays right where a scene
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 LAYOUTS = ("plain", "source")
+NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
 PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
 
 
@@ -94,6 +97,7 @@ def write_frame(
     recombine: bool = False,
     keep: tuple[str, ...] = (),  # layers or channels of the input to pass on, or "all"; plain layout only
     float32: bool = False,
+    extra: Mapping[str, np.ndarray] = NOTHING,  # layer -> [1, C, H, W], written too; plain layout only
 ) -> None:
     """Write one frame under the name of the input file that holds the signal.
 
@@ -109,7 +113,8 @@ def write_frame(
         beauty = recombined(sequence, index, frame.map(torch.from_numpy), torch.from_numpy(image)).numpy()
     path = sequence.paths[index]
     if layout == "plain":
-        _write_plain(out / sequence.names[index], sequence, index, image if beauty is None else beauty, keep, float32)
+        shown = image if beauty is None else beauty
+        _write_plain(out / sequence.names[index], sequence, index, shown, keep, float32, extra)
         return
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
@@ -136,9 +141,15 @@ def _planes(rule: Rule, image: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _write_plain(
-    path: Path, sequence: Sequence, index: int, image: np.ndarray, keep: tuple[str, ...], float32: bool
+    path: Path,
+    sequence: Sequence,
+    index: int,
+    image: np.ndarray,
+    keep: tuple[str, ...],
+    float32: bool,
+    extra: Mapping[str, np.ndarray],
 ) -> None:
-    layers: dict[str, np.ndarray] = {"color": np.moveaxis(image[0], 0, 2)}
+    layers = {name: np.moveaxis(array[0], 0, 2) for name, array in {"color": image, **extra}.items()}
     dtypes = {"color": "float" if float32 else "half"}
     if keep:
         types = sequence.header.channels

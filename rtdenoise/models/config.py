@@ -35,7 +35,6 @@ class _Config:
     max_levels: ClassVar[int]  # of the U-Net: the coarsest pixels are `CELL` wide at most
 
     widths: tuple[int, ...]
-    motion: str
 
     def _check(self, *kernels: str) -> None:
         """Raise ValueError for fields that no network can have."""
@@ -49,7 +48,7 @@ class _Config:
             size = getattr(self, name)
             if size % 2 == 0 or not 1 <= size <= MAX_KERNEL:
                 raise ValueError(f"{name}: expected an odd size up to {MAX_KERNEL}, got {size}")
-        if self.motion not in ("dual", "traditional"):
+        if getattr(self, "motion", "dual") not in ("dual", "traditional"):
             raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
 
     @property
@@ -211,8 +210,61 @@ class AccumulatedKPNConfig(_Config):
         return _up(self.kernel // 2 * (cells - 1) + enlarged + self.edge_kernel // 2 + self.temporal_kernel // 2 + 1)
 
 
-Config = TemporalKPNConfig | AccumulatedKPNConfig
-CONFIGS: dict[str, type[Config]] = {kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig)}
+CANDIDATES = ("forward", "backward", "single", "second", "averaged")
+"""What `offline.Mix` combines, in the order of its weights: fields of `offline.Candidates`."""
+
+
+@dataclass(frozen=True)
+class MixConfig(_Config):
+    """The network that weighs what several denoisers made of a frame (`offline`)."""
+
+    architecture: ClassVar[str] = "mix"
+    carries: ClassVar[tuple[str, ...]] = ()
+    # Light of each candidate 3, noisy light 3, albedo 3, normal 3, nearness 1; history lengths of both passes 2,
+    # uncovered 2; whether OIDN's candidates are there 1.
+    features: ClassVar[int] = 3 * len(CANDIDATES) + 15
+    max_levels: ClassVar[int] = 5
+
+    widths: tuple[int, ...] = (24, 32, 48, 64)
+    """Channels of the U-Net at 1/2, 1/4, 1/8 ... of the image size."""
+    start: tuple[float, ...] = (0.38, 0.42, -0.44, 0.4, 0.24)
+    """Initial weights of the candidates: the constant combination with the least squared error (bench/offline.py)."""
+    longest: float = 16.0
+    """History lengths count in units of so many frames."""
+
+    def __post_init__(self) -> None:
+        self._check()
+        object.__setattr__(self, "start", tuple(self.start))
+        if len(self.start) != len(CANDIDATES):
+            raise ValueError(f"expected {len(CANDIDATES)} initial weights, got {self.start}")
+
+    @property
+    def heads(self) -> tuple[tuple[Head, ...], ...]:
+        """One weight for each candidate."""
+        return ((Head("weights", len(CANDIDATES)),),)
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """As `_Config.shapes`. The head is a transposed convolution, four pixels for one of the stem."""
+        shapes = self._unet_shapes(self.widths[0]) | {"stem.weight": (self.widths[0], self.features, 4, 4)}
+        full = len(CANDIDATES)
+        return _with_biases(shapes) | {"full_head.weight": (self.widths[0], full, 2, 2), "full_head.bias": (full,)}
+
+    @property
+    def network_reach(self) -> int:
+        """As `_Config.network_reach`. The U-Net works at half size."""
+        return _up(6 * 2 ** len(self.widths))
+
+    @property
+    def light_reach(self) -> int:
+        """As `_Config.light_reach`: a pixel is combined by itself."""
+        return 0
+
+
+Config = TemporalKPNConfig | AccumulatedKPNConfig | MixConfig
+CONFIGS: dict[str, type[Config]] = {
+    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, MixConfig)
+}
 
 PRESETS: dict[str, Config] = {
     "paper": TemporalKPNConfig(),

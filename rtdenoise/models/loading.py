@@ -11,13 +11,14 @@ from safetensors.torch import save as serialise
 
 from ..files import write_atomically
 from .accumulated_kpn import AccumulatedKPN
-from .config import Config
+from .config import Config, MixConfig
 from .denoiser import Denoiser
 from .inference import prepare, resolve
+from .offline import Mix
 from .temporal_kpn import TemporalKPN
 from .weights import read_model
 
-NETWORKS = {"temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN}
+NETWORKS = {"temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "mix": Mix}
 """`Config.architecture` -> the network."""
 
 
@@ -40,6 +41,13 @@ def load(
     """
     dtype = resolve(precision, device)
     return prepare(read(model, **overrides), dtype).to(device)
+
+
+def load_mix(device: str | torch.device = "cpu", precision: str = "auto") -> Mix:
+    """The network of `denoise --offline`, ready to run; arguments and errors as those of `load`."""
+    dtype = resolve(precision, device)
+    mix = create(MixConfig()).eval().requires_grad_(False)
+    return prepare(mix, dtype).to(device)
 
 
 def read(model: str | Path, **overrides) -> Denoiser:

@@ -3,12 +3,10 @@ stopped, and finished runs where frames were appended."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +14,11 @@ from ..data.output import check_output, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
-from ..files import dumps, lock, remove_unfinished, write_atomically
+from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH
-from ..models.weights import find
 from ..sanitise import faults
 from .backends import Backend, open_backend
+from .folder import digest, prepare, refuse_foreign, refuse_other, write_summary
 
 if TYPE_CHECKING:
     from .plan import Plan
@@ -60,13 +58,15 @@ class Options:
     """'torch', 'glsl' (OpenGL compute shaders, needs no PyTorch), or 'auto': torch where it is installed."""
     device: str = "auto"
     """Device of the torch backend: 'auto', 'cpu' or 'cuda'."""
+    offline: bool = False
+    """The best picture for frames on disk: uses the frames after as well as those before, and OIDN where it is
+    installed. Takes several times as long."""
+    confidence: bool = False
+    """With --offline: also write how far the candidates lie apart, in radiance, as the layer 'confidence' (small is
+    sure)."""
     precision: str = "auto"
     """Precision of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl, for stored activations), or 'auto' (torch: bf16
     where the hardware is faster with it; glsl: fp32)."""
-
-
-# Options that change the files.
-DECISIVE = tuple(f.name for f in fields(Options) if f.name not in ("backend", "device"))
 
 
 @dataclass
@@ -80,6 +80,7 @@ class Summary:
     cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
     gaps: list[int] = field(default_factory=list)  # numbers of the frames that are missing
     left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
+    notes: list[str] = field(default_factory=list)  # what else the user should know
     plan: Plan | None = None
 
 
@@ -97,13 +98,21 @@ def denoise(
     state, so the outcome is that of one undisturbed run: also where it was interrupted, and where frames have been
     appended to the input since. `on_frame(done, total)` is called at the start and after each frame.
 
+    With `options.offline` see `offline.denoise_offline`: there `total` counts the frames of both passes.
+
     Raises InputError for anything wrong with the input, the options or the output folder.
     """
+    if options.offline:
+        from .offline import denoise_offline
+
+        return denoise_offline(source, out, options, overwrite, on_frame)
+    if options.confidence:
+        raise InputError("--confidence: goes with --offline")
     sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision)
-    out = _prepare(Path(out), sequence)
+    out = prepare(Path(out), sequence)
     with lock(out):
         remove_unfinished(out)
         return _run(sequence, out, options, backend, overwrite, on_frame)
@@ -117,7 +126,7 @@ def _run(
     overwrite: bool,
     on_frame: Callable[[int, int], None],
 ) -> Summary:
-    fingerprints = _fingerprints(sequence, options)
+    fingerprints = digest(sequence, options)
     done, history, summary = (
         (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend, options)
     )
@@ -149,51 +158,8 @@ def _run(
         _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options)
         summary.written += 1
         on_frame(i + 1, len(sequence))
-    _write_summary(out / SUMMARY, sequence, options, summary)
+    write_summary(out / SUMMARY, sequence, options, summary)
     return summary
-
-
-def _write_summary(path: Path, sequence: Sequence, options: Options, summary: Summary) -> None:
-    plan = summary.plan and summary.plan.to_json()
-    document = {
-        "frames": len(sequence), "first": sequence.numbers[0], "last": sequence.numbers[-1], "size": sequence.size,
-        "options": asdict(options), **asdict(summary), "plan": plan,
-    }  # fmt: skip
-    write_atomically(path, (dumps(document, indent=1) + "\n").encode())
-
-
-def _prepare(out: Path, sequence: Sequence) -> Path:
-    """The output folder, made if need be; never one that holds the input."""
-    if out.resolve() in {path.resolve().parent for path in _inputs(sequence)}:
-        raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=out).close()
-    except OSError as error:
-        raise InputError(f"{out}: cannot write there: {error.strerror}") from None
-    return out
-
-
-def _inputs(sequence: Sequence) -> list[Path]:
-    return [path for frame in sequence.files for path in frame.files.values()]
-
-
-def _fingerprints(sequence: Sequence, options: Options) -> list[str]:
-    """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
-    parts = {name: getattr(options, name) for name in DECISIVE}
-    parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
-    parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
-    scene = sequence.scene or {}
-    parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
-    cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
-    digest = hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode())
-    fingerprints = [digest.hexdigest()]
-    for frame in sequence.files:
-        inputs = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in frame.files.values()]
-        seen = [cameras.get(frame.number + step) for step in (-1, 0, 1)]  # what its motion is computed from
-        digest.update(json.dumps([inputs, seen], sort_keys=True).encode())
-        fingerprints.append(digest.hexdigest())
-    return fingerprints
 
 
 def _resume(
@@ -201,11 +167,7 @@ def _resume(
 ) -> tuple[int, Any, Summary]:
     """How many frames are finished, the history after them, and what there was to say about them."""
     if not (out / STATE).exists():
-        clash = [name for name in sequence.names if (out / name).exists()]
-        if clash:
-            raise InputError(
-                f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"
-            )
+        refuse_foreign(out, sequence)
         return 0, None, Summary()
     try:
         stored, metadata = read_history(out / STATE)
@@ -215,20 +177,10 @@ def _resume(
         raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
     if not done:  # whatever is there is of a run that did not come as far as its second frame
         return 0, None, Summary()
-    if done > len(sequence) or metadata.get("fingerprint") != fingerprints[done]:
-        other = _changed(json.loads(metadata.get("options", "{}")), options)
-        raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
+    refuse_other(out, metadata, options, fingerprints[done] if done <= len(sequence) else "")
     if any(not (out / name).exists() for name in sequence.names[:done]):
         return 0, None, Summary()
     return done, history, Summary(**so_far)
-
-
-def _changed(before: dict, options: Options) -> str:
-    """The options that differ, in words; states of older runs do not record them."""
-    now = json.loads(json.dumps(asdict(options)))  # tuples become lists, as in `before`
-    changed = [key for key in DECISIVE if key in before and before[key] != now[key]]
-    told = ", ".join(f"{key.replace('_', '-')} {before[key]}, now {now[key]}" for key in changed)
-    return f"other options: {told}" if told else "other options or input"
 
 
 def _save_state(path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options) -> None:

@@ -1,0 +1,114 @@
+"""One frame of an animation on disk: what the passes over the sequence know of it, and their combination.
+
+The network runs over a sequence forward in time and backward. Read backward, a sequence is one whose `motion` and
+`motion_next` have changed places. `models.offline` combines both passes, the frame alone and OIDN's two opinions.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..baselines.oidn import Oidn
+from ..color import albedo_divisor
+from ..errors import InputError
+from ..frame import Frame, History
+from ..models.loading import load_mix
+from ..models.offline import Candidates, Mixed
+from ..ops.pixels import demodulate
+from ..splat import history_motion, splat_motion_next
+from .backends import TorchBackend
+
+WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds about 0.6 dB"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One pass's knowledge of a frame."""
+
+    image: Tensor  # [1, 3, H, W] the denoised frame
+    mean: Tensor  # [1, 3, H, W] irradiance averaged over time
+    mean_albedo: Tensor  # [1, 3, H, W] likewise
+    length: Tensor  # [1, 1, H, W] frames in these means
+    uncovered: Tensor  # [1, 1, H, W] 1 where a moving object has just uncovered the pixel
+    first: bool  # whether the pass begins a shot here: the image is that of the frame alone
+
+
+class Passes:
+    """The steps of both passes, and the combination. Frames are prepared once (`prepare`)."""
+
+    def __init__(self, model: str = "default", device: str = "auto", precision: str = "auto") -> None:
+        """Raises InputError for a model that keeps no running mean, and what loading it raises."""
+        self.backend = TorchBackend(model, device, precision)
+        if "mean" not in self.backend.config.carries:
+            raise InputError(f"--offline: model {model!r} does not average light over time; choose default, fast or "
+                             "quality")  # fmt: skip
+        self._mix = load_mix(self.backend.device, precision)
+        self.has_oidn = importlib.util.find_spec("pyoidn") is not None
+        self._second, self._averaged = Oidn(prefilter=True), Oidn()
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user should know, a line each."""
+        return [] if self.has_oidn else [WITHOUT_OIDN]
+
+    def step(self, frame: Frame, history: History | None) -> tuple[Estimate, Any]:
+        """One step of a pass over prepared frames."""
+        image, after = self.backend.step(frame, history)
+        uncovered = torch.zeros_like(frame.depth)
+        if history is not None:
+            with torch.inference_mode():
+                uncovered = history_motion(frame, history)[2].to(frame.depth.dtype)
+        image = torch.from_numpy(image).to(frame.radiance.device)
+        return Estimate(image, after.mean, after.mean_albedo, after.length, uncovered, history is None), after
+
+    @torch.inference_mode()
+    def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Mixed:
+        """The best picture of a prepared frame."""
+        second = averaged = None
+        if self.has_oidn:
+            light, albedo = two_sided(frame, forward, backward)
+            second, _ = self._second.step(frame)
+            averaged, _ = self._averaged.step(replace(frame, radiance=light, albedo=albedo))
+        return self._mix.combine(frame, Candidates(
+            forward.image, backward.image, self._single(frame, forward, backward), second, averaged,
+            torch.cat([forward.length, backward.length], dim=1), torch.cat([forward.uncovered, backward.uncovered], 1),
+        ))  # fmt: skip
+
+    def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
+        """The network's image of the frame alone; a pass that begins here has it already."""
+        for estimate in (forward, backward):
+            if estimate.first:
+                return estimate.image
+        return torch.from_numpy(self.backend.step(frame, None)[0]).to(frame.radiance.device)
+
+
+def reverse(frame: Frame, following: Frame | None) -> Frame:
+    """A frame as the backward pass sees it: motion and motion_next have changed places. `following` is the next frame
+    of the shot, None at its end; it gives an approximate `motion_next` to a frame that has none
+    (`splat.splat_motion_next`)."""
+    onward = frame.motion_next
+    if onward is None and following is not None:
+        onward = splat_motion_next(following.motion, following.depth, frame.depth)
+    return replace(frame, motion=onward, motion_next=frame.motion)
+
+
+def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor]:
+    """Radiance and albedo, `[1, 3, H, W]` each, averaged over the frames before and after.
+
+    With n frames in the forward mean m and n' in the backward mean m', which share the frame itself, y:
+    (n m + n' m' - y) / (n + n' - 1), of light over albedo; then multiplied by the averaged albedo.
+    """
+    noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
+    count = forward.length + backward.length - 1
+
+    def joined(before: Tensor, after: Tensor, now: Tensor) -> Tensor:
+        return ((forward.length * before + backward.length * after - now) / count).clamp(min=0)
+
+    light = joined(forward.mean, backward.mean, noisy)
+    albedo = joined(forward.mean_albedo, backward.mean_albedo, frame.albedo)
+    return light * albedo_divisor(albedo, frame.depth), albedo
