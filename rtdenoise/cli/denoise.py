@@ -60,6 +60,7 @@ def told(summary: Summary) -> list[str]:
     lines = [f"{summary.written} frames written, {summary.skipped} were there"]
     if summary.written:
         lines.append(f"denoiser: {1000 * summary.seconds / summary.written:.0f} ms a frame")
+    lines += summary.notes
     lines += [f"replaced: {what} in {count} pixels" for what, count in summary.replaced.items()]
     lines += [f"left out: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
     if summary.cuts:

@@ -17,6 +17,7 @@ from ..errors import InputError, did_you_mean
 from ..frame import Frame
 from ..models import available, load
 from ..run.graphs import stepper
+from ..run.passes import InMemory, Passes
 from ..sanitise import sanitise
 from .sequence import Step
 
@@ -66,7 +67,9 @@ def methods() -> dict[str, Method]:
         *(Method(name, what, family, partial(_plain, start)) for name, (what, family, start) in plain.items()),
         *_oidn(),
         *(method for name in available() for method in _network(name)),
-    ]
+        Method("offline", "denoise --offline: both directions in time, with OIDN", "network", _offline,
+               delay=InMemory.delay, weights="default"),
+    ]  # fmt: skip
     return {method.name: method for method in found}
 
 
@@ -140,6 +143,10 @@ def _of_file(name: str, file: str) -> Method:
 def _start(weights: str, device: str | torch.device, precision: str, history: bool = True, **overrides: str) -> Step:
     step = stepper(load(weights, device, precision, **overrides))
     return step if history else partial(_without_history, step)
+
+
+def _offline(device: str | torch.device, precision: str) -> Step:
+    return InMemory(Passes("default", str(device), precision)).step
 
 
 def _noisy(frame: Frame, history: None) -> tuple[Tensor, None]:

@@ -7,7 +7,8 @@ The network runs over a sequence forward in time and backward. Read backward, a 
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import dataclass, replace
+import sys
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -20,6 +21,7 @@ from ..frame import Frame, History
 from ..models.loading import load_mix
 from ..models.offline import Candidates, Mixed
 from ..ops.pixels import demodulate
+from ..sanitise import sanitise
 from ..splat import history_motion, splat_motion_next
 from .backends import TorchBackend
 
@@ -112,3 +114,41 @@ def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tens
     light = joined(forward.mean, backward.mean, noisy)
     albedo = joined(forward.mean_albedo, backward.mean_albedo, frame.albedo)
     return light * albedo_divisor(albedo, frame.depth), albedo
+
+
+class InMemory:
+    """Both passes as a step with a delay (`evaluate.sequence`), for short sequences: the frames of a shot are kept until
+    its end is known, then all images come out."""
+
+    delay = sys.maxsize
+
+    def __init__(self, passes: Passes) -> None:
+        self._passes = passes
+
+    def step(self, frame: Frame | None, history: Shot | None) -> tuple[Tensor | None, Shot]:
+        """None for a frame; the next image of the shot for None."""
+        shot = history or Shot([], [], None)
+        if frame is not None:
+            frame = sanitise(frame)
+            estimate, after = self._passes.step(frame, shot.history)
+            return None, Shot([*shot.frames, frame], [*shot.estimates, estimate], after)
+        images = shot.images or self._backward(shot)
+        return images[0], replace(shot, images=images[1:])
+
+    def _backward(self, shot: Shot) -> list[Tensor]:
+        images, history, following = [], None, None
+        for frame, forward in zip(reversed(shot.frames), reversed(shot.estimates), strict=True):
+            backward, history = self._passes.step(reverse(frame, following), history)
+            images.insert(0, self._passes.combine(frame, forward, backward).image)
+            following = frame
+        return images
+
+
+@dataclass(frozen=True)
+class Shot:
+    """The state of `InMemory`."""
+
+    frames: list[Frame]  # prepared
+    estimates: list[Estimate]  # of the forward pass
+    history: Any  # of the forward pass
+    images: list[Tensor] = field(default_factory=list)  # yet to be returned
