@@ -22,8 +22,9 @@ from rtdenoise.errors import InputError
 from rtdenoise.files import dumps
 from rtdenoise.models import PRESETS, load, read
 from rtdenoise.ops import warp
+from rtdenoise.training import tasks
 from rtdenoise.training.augment import MAX_RELIGHT, augment, relight
-from rtdenoise.training.batches import batch
+from rtdenoise.training.batches import clips as batch
 from rtdenoise.training.loop import train
 from rtdenoise.training.trainer import TrainConfig, Trainer
 
@@ -121,7 +122,7 @@ def test_a_run_explains_itself_and_its_weights_denoise(config):
 
 def test_what_is_not_a_number_is_null_in_the_log(config, monkeypatch):
     nothing = {"noisy": 10.0, "denoised": math.inf, "denoised_uncovered": math.nan}  # no frame has uncovered regions
-    monkeypatch.setattr("rtdenoise.training.loop.validate", lambda *_: nothing)
+    monkeypatch.setattr(tasks, "DENOISING", replace(tasks.DENOISING, validate=lambda *_: nothing))
     train(replace(config, steps=3))
     text = (config.out / "log.jsonl").read_text()
     assert "NaN" not in text and "Infinity" not in text
@@ -274,7 +275,8 @@ def test_the_best_validation_is_what_ships(config, monkeypatch):
     """A run that gets worse after its first validation keeps the weights of that one."""
     scores = iter([20.0, 19.0])
     found = {"noisy": 9.0, "denoised_uncovered": math.nan}
-    monkeypatch.setattr("rtdenoise.training.loop.validate", lambda *_: found | {"denoised": next(scores)})
+    scored = replace(tasks.DENOISING, validate=lambda *_: found | {"denoised": next(scores)})
+    monkeypatch.setattr(tasks, "DENOISING", scored)
     with safe_open(train(config), framework="np") as file:
         assert json.loads(file.metadata()["training"])["reached_step"] == 3
 

@@ -4,10 +4,8 @@ import gc
 import weakref
 
 import pytest
-from synthetic import make_frames
 
-from rtdenoise.evaluate.sequence import outputs
-from rtdenoise.run.windows import Delayed, windows
+from rtdenoise.run.windows import windows
 
 
 def numbered(count, begins=(0,)):
@@ -55,11 +53,3 @@ def test_two_thousand_frames_are_held_five_at_a_time(cuts):
         most = max(most, len(alive))
         del window
     assert count == 2000 and most <= 6  # five, and the one that the stream has just made
-
-
-def test_a_function_of_windows_is_a_step_with_a_delay():
-    """The loop of `evaluate` gives it the same windows as `windows`."""
-    frames = make_frames(6)
-    step = Delayed(lambda window: [frame and frame.number for frame in window], 2)
-    found = [output.image for output in outputs(step.step, frames, step.delay, cuts=(3,))]
-    assert found == [list(window) for window in windows(numbered(6, begins=(0, 3)), 2)]

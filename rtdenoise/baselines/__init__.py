@@ -1,8 +1,10 @@
 """Denoisers to compare with, with the same `step()`."""
 
 from .accumulate import Accumulate
+from .deep_combiner import DeepCombiner
 from .oidn import Oidn
+from .shrinkage import Shrinkage
 from .svgf import Svgf
 from .trmv import Trmv
 
-__all__ = ["Accumulate", "Oidn", "Svgf", "Trmv"]
+__all__ = ["Accumulate", "DeepCombiner", "Oidn", "Shrinkage", "Svgf", "Trmv"]

@@ -15,6 +15,7 @@ from .clean import Clean
 from .clips import Clips
 from .demo import Demo
 from .denoise import Denoise
+from .estimates import Estimates
 from .evaluate import Evaluate
 from .inspect import Inspect
 from .render import Render
@@ -28,6 +29,7 @@ Command = (
     | Annotated[Render, subcommand("render")]
     | Annotated[Clips, subcommand("clips")]
     | Annotated[Clean, subcommand("clean")]
+    | Annotated[Estimates, subcommand("estimates")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Report, subcommand("report")]

@@ -10,12 +10,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from safetensors.numpy import load_file, save
 
 from ..errors import InputError
 from ..files import write_atomically
@@ -86,6 +87,30 @@ def read_layers(path: Path) -> dict[str, np.ndarray]:
         return {n: _unscaled(clip.get_tensor(n), scales.get(n)).numpy() for n in names}
 
 
+def estimate_path(clip: Path, method: str) -> Path:
+    """The file with the denoised frames of a clip: CLIPS/METHOD/clip_000000.safetensors, a tensor `[T, 3, H, W]`
+    float16 for each signal."""
+    return clip.parent / method / clip.name
+
+
+def write_estimates(clip: Path, method: str, estimates: Mapping[str, np.ndarray]) -> None:
+    """Write the denoised frames of a clip, signal -> `[T, 3, H, W]`; signals that the file has already are kept."""
+    path = estimate_path(clip, method)
+    path.parent.mkdir(exist_ok=True)
+    before = load_file(path) if path.is_file() else {}
+    now = {signal: np.clip(z, 0, HALF_MAX).astype(np.float16) for signal, z in estimates.items()}
+    write_atomically(path, save(before | now))
+
+
+def estimated_signals(clip: Path, method: str) -> tuple[str, ...]:
+    """The signals of a clip that a method's file has denoised frames of."""
+    path = estimate_path(clip, method)
+    if not path.is_file():
+        return ()
+    with _opened(path) as file:
+        return tuple(file.keys())
+
+
 class ClipDataset:
     """The clips of one or more folders, folder by folder in the order of their names."""
 
@@ -117,8 +142,11 @@ class ClipDataset:
         frames: int | None = None,  # how many consecutive ones; None: all
         rng: np.random.Generator | None = None,  # draws window and first frame; None: centre and first
         layers: Collection[str] = (),  # layers of `Frame` to load too: "position"
+        estimates: str = "",  # method whose denoised frames to load too (`estimate_path`)
     ) -> list[Frame]:
         """Consecutive frames of clip `index`, tensors [1, C, H, W] float32, of one random window; no more is read.
+
+        With `estimates` as many frames follow whose radiance is the denoised one.
 
         `Frame.samples`, and for the signal `color` `Frame.components`, are loaded from the clips that have them. Raises
         InputError for an unknown signal, a clip that is too small, and a layer that the clip lacks.
@@ -143,10 +171,23 @@ class ClipDataset:
                 field: _stacked([_unscaled(clip.get_slice(n)[time, :, rows, columns], scales.get(n)) for n in names])
                 for field, names in _sources(path, set(clip.keys()), signal, layers).items()
             }
-        return [
+        loaded = [
             Frame(**{field: t[i : i + 1] for field, t in tensors.items()}, number=int(first) + i, name=path.name)
             for i in range(count)
         ]
+        if not estimates:
+            return loaded
+        denoised = _read_estimates(path, estimates, signal)[time, :, rows, columns].float()
+        return loaded + [replace(frame, radiance=denoised[i : i + 1]) for i, frame in enumerate(loaded)]
+
+
+def _read_estimates(clip: Path, method: str, signal: str):
+    path = estimate_path(clip, method)
+    if signal not in estimated_signals(clip, method):
+        raise InputError(f"{path}: has no denoised frames of the signal {signal}; make them: rtdenoise estimates "
+                         f"{clip.parent} --methods {method} --signal {signal}")  # fmt: skip
+    with _opened(path) as file:
+        return file.get_slice(signal)
 
 
 def _sources(path: Path, stored: set[str], signal: str, asked: Collection[str]) -> dict[str, tuple[str, ...]]:

@@ -12,18 +12,21 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ..baselines import Accumulate, Oidn, Svgf, Trmv
+from ..baselines import Accumulate, DeepCombiner, Oidn, Shrinkage, Svgf, Trmv
 from ..errors import InputError, did_you_mean
 from ..frame import Frame
-from ..models import available, load
+from ..models import CombinerConfig, available, available_combiners, load, load_combiner
+from ..models.weights import read_model
 from ..run.graphs import stepper
 from ..run.passes import InMemory, Passes
 from ..sanitise import sanitise
+from .corrected import Corrected
 from .sequence import Step
 
 PRECISIONS = ("fp32", "bf16")
 DEFAULTS = ("noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "quality")  # measured if none is named
 ALL = "all"
+CORRECTED = ("oidn", "default")  # methods that 'all' also has with every combiner
 
 
 @dataclass(frozen=True)
@@ -70,19 +73,26 @@ def methods() -> dict[str, Method]:
         Method("offline", "denoise --offline: both directions in time, with OIDN", "network", _offline,
                delay=InMemory.delay, weights="default"),
     ]  # fmt: skip
+    for base in [method for method in found if method.name in CORRECTED]:
+        found += [_corrected(base, combiner) for combiner in ("shrinkage", *available_combiners())]
     return {method.name: method for method in found}
 
 
 def choose(names: Iterable[str]) -> list[Method]:
     """The methods of these names, in order, each once; `DEFAULTS` if there are none, every method for 'all'. NAME=FILE
-    is the network of a weights file, under that name.
+    is the network of a weights file, under that name. METHOD+COMBINER is a method corrected by a combiner: `shrinkage`,
+    a model that ships, a weights file, or dc:FILE for a deep combiner.
 
     Raises InputError for an unknown name, a name that stands for two methods, and a missing file.
     """
     known, chosen = methods(), {}
     asked = list(names) or [name for name in DEFAULTS if name in known]
     for name in [n for a in asked for n in (known if a == ALL else [a])]:
-        method = _of_file(*name.split("=", 1)) if "=" in name else known.get(name)
+        base, plus, combiner = name.partition("+")
+        if plus and base in known and name not in known:
+            method = _corrected(known[base], combiner)
+        else:
+            method = _of_file(*name.split("=", 1)) if "=" in name else known.get(name)
         if method is None:
             raise InputError(f"unknown method {name!r}{did_you_mean(name, known)}; expected NAME=FILE of weights, or "
                              f"some of {', '.join(known)}")  # fmt: skip
@@ -127,6 +137,35 @@ def _network(name: str) -> list[Method]:
         Method(f"{name}-spatial", f"{name} without history: spatial kernels only", "ablation",
                partial(start, history=False), weights=name),
     ]  # fmt: skip
+
+
+def _corrected(base: Method, combiner: str) -> Method:
+    """A method with every frame corrected. Raises InputError for a combiner that is none."""
+    weights, offsets, family, name = combiner.removeprefix("dc:"), (0,), "filter", combiner
+    if combiner == "shrinkage":
+        weights, make, what = "", lambda device, precision: Shrinkage(), "shrunk residuals"
+    elif combiner.startswith("dc:"):
+        name, what = "dc", "Deep Combiner (2020)"
+        make = lambda device, precision: DeepCombiner.load(weights).to(device)  # noqa: E731
+    else:
+        stored = read_model(combiner)
+        if not isinstance(stored.config, CombinerConfig):
+            raise InputError(f"{base.name}+{combiner}: {stored.path} is no combiner")
+        name, what, family, offsets = (
+            stored.path.stem,
+            f"rtdenoise {stored.path.stem}",
+            "network",
+            stored.config.offsets,
+        )
+        make = partial(load_combiner, combiner)
+
+    def start(device: str | torch.device, precision: str) -> Step:
+        return Corrected(base.step(device, precision), make(device, precision).combine, offsets).step
+
+    return Method(
+        f"{base.name}+{name}", f"{base.what}, corrected: {what}", family, start if base.start else None, base.missing,
+        base.precisions, weights, delay=offsets[-1],
+    )  # fmt: skip
 
 
 def _of_file(name: str, file: str) -> Method:

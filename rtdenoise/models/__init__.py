@@ -6,9 +6,12 @@ Each name is imported when it is asked for: `config` and `weights` are read wher
 from importlib import import_module
 
 _HOMES = {
-    "AccumulatedKPN": "accumulated_kpn", "AccumulatedKPNConfig": "config", "Config": "config", "Denoiser": "denoiser",
-    "PRESETS": "config", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config", "available": "weights",
-    "create": "loading", "find": "weights", "grow": "growing", "load": "loading", "read": "loading", "save": "loading",
+    "AccumulatedKPN": "accumulated_kpn", "AccumulatedKPNConfig": "config", "COMBINERS": "config",
+    "Combined": "combiner", "Combiner": "combiner", "CombinerConfig": "config", "Config": "config",
+    "Denoiser": "denoiser", "PRESETS": "config", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config",
+    "Window": "combiner", "available": "weights", "available_combiners": "weights", "create": "loading",
+    "find": "weights", "grow": "growing", "load": "loading", "load_combiner": "loading", "read": "loading",
+    "save": "loading",
 }  # fmt: skip
 __all__ = [*_HOMES]
 

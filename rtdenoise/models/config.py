@@ -27,7 +27,7 @@ class Head:
 
 
 class _Config:
-    """What the configurations of both architectures share."""
+    """What the configurations of all architectures share."""
 
     architecture: ClassVar[str]  # stored in weights files; the name of the module with the network
     carries: ClassVar[tuple[str, ...]]  # fields of `History` that the network fills in, beside the frame's geometry
@@ -210,6 +210,97 @@ class AccumulatedKPNConfig(_Config):
         return _up(self.kernel // 2 * (cells - 1) + enlarged + self.edge_kernel // 2 + self.temporal_kernel // 2 + 1)
 
 
+@dataclass(frozen=True)
+class CombinerConfig(_Config):
+    """A network that corrects denoised frames by the noisy frames they were made from (`combiner`)."""
+
+    architecture: ClassVar[str] = "combiner"
+    carries: ClassVar[tuple[str, ...]] = ()
+    max_levels: ClassVar[int] = 5
+
+    widths: tuple[int, ...] = (32, 48, 64, 80)
+    """Channels of the U-Net, finest level first."""
+    half_size: bool = True
+    """The U-Net works at half the image size, behind a strided convolution; else at full size."""
+    frames: int = 5
+    """Frames in the window; an odd number unless `causal`."""
+    causal: bool = False
+    """The current frame is the window's last one, not its middle one."""
+    scales: int = 3
+    """Scales at which residuals are filtered: 1, 1/2, 1/4 ... of the image size."""
+    kernel: int = 5
+    """Side of the kernels over residuals, odd; one for each frame and scale."""
+    pick_kernel: int = 3
+    """Side of the kernels by which pixels pick from the next coarser scale, odd."""
+    nothing: bool = True
+    """A share for no correction competes with those of the frames; without it the weights of a pixel sum to 1."""
+    demodulate: bool = True
+    """Residuals are divided by the albedo."""
+    statistics: bool = True
+    """The input has means of residuals over neighbourhoods, in units of their standard errors."""
+
+    def __post_init__(self) -> None:
+        self._check("kernel", "pick_kernel")
+        if not isinstance(self.frames, int) or not 1 <= self.frames <= 9 or not (self.causal or self.frames % 2):
+            raise ValueError(f"expected 1 to 9 frames, an odd number unless causal, got {self.frames}")
+        most = len(self.widths) - 1 + self.half_size
+        if not isinstance(self.scales, int) or not 1 <= self.scales <= most:
+            raise ValueError(f"expected 1 to {most} scales for widths {self.widths}, got {self.scales}")
+
+    @property
+    def offsets(self) -> tuple[int, ...]:
+        """Frame numbers of the window relative to the current frame."""
+        first = 1 - self.frames if self.causal else -(self.frames // 2)
+        return tuple(range(first, first + self.frames))
+
+    @property
+    def current(self) -> int:
+        """Place of the current frame in the window."""
+        return self.offsets.index(0)
+
+    @property
+    def features(self) -> int:
+        """Input channels: of each frame y 3, z 3, residual 3, validity 1; albedo 3, normal 3, nearness 1 of the current
+        one; statistics 13."""
+        return 10 * self.frames + 7 + (13 if self.statistics else 0)
+
+    @property
+    def heads(self) -> tuple[tuple[Head, ...], ...]:
+        """At every scale a kernel for each frame and the shares of the frames and, if there is one, of nothing; at all
+        but the coarsest the pick kernel with its weight. The share of nothing starts at 0.6 for five frames."""
+        kernels = [Head(f"taps{offset:+d}", self.kernel**2) for offset in self.offsets]
+        shares = [Head("shares", self.frames), *([Head("nothing", 1, start=2.0)] if self.nothing else [])]
+        pick = Head("pick", self.pick_kernel**2), Head("pick_share", 1, start=0.0)
+        return *[(*kernels, *shares, *pick)] * (self.scales - 1), (*kernels, *shares)
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """As `_Config.shapes`. Behind a U-Net at half size the heads at full size predict for four pixels at once."""
+        shapes = self._unet_shapes(self.widths[0] if self.half_size else self.features)
+        if self.half_size:
+            shapes["stem.weight"] = (self.widths[0], self.features, 4, 4)
+        for scale, heads in enumerate(self.heads):
+            width, pixels = self.widths[self.level(scale)], 4 if self.half_size and scale == 0 else 1
+            shapes |= {f"heads.{scale}.{h.name}.weight": (pixels * h.channels, width, 1, 1) for h in heads}
+        return _with_biases(shapes)
+
+    def level(self, scale: int) -> int:
+        """The level of the U-Net that predicts the heads of a scale."""
+        return max(0, scale - 1) if self.half_size else scale
+
+    @property
+    def network_reach(self) -> int:
+        """As `_Config.network_reach`, but for motion between frames. The statistics look 7 pixels far."""
+        return _up(3 * 2 ** (len(self.widths) + self.half_size) + 8) + self.light_reach
+
+    @property
+    def light_reach(self) -> int:
+        """As `_Config.light_reach`: the kernel and the pick kernel of every scale, likewise without motion."""
+        cells = 2**self.scales
+        return _up((self.kernel // 2 + self.pick_kernel // 2 + 1) * (cells - 1))
+
+
+OFFLINE = "offline"  # name of the weights of `denoise --offline`
 CANDIDATES = ("forward", "backward", "single", "second", "averaged")
 """What `offline.Mix` combines, in the order of its weights: fields of `offline.Candidates`."""
 
@@ -261,9 +352,9 @@ class MixConfig(_Config):
         return 0
 
 
-Config = TemporalKPNConfig | AccumulatedKPNConfig | MixConfig
+Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | MixConfig
 CONFIGS: dict[str, type[Config]] = {
-    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, MixConfig)
+    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, MixConfig)
 }
 
 PRESETS: dict[str, Config] = {
@@ -272,7 +363,17 @@ PRESETS: dict[str, Config] = {
     "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3),
     "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
 }
-"""Name of a model -> its configuration, for training. The weights that ship hold theirs."""
+"""Name of a denoiser -> its configuration, for training. The weights that ship hold theirs."""
+
+COMBINERS: dict[str, CombinerConfig] = {
+    "combiner": CombinerConfig(),
+    "combiner-causal": CombinerConfig(frames=3, causal=True),
+    "drc": CombinerConfig(
+        widths=(48, 64, 96, 128), half_size=False, kernel=15, pick_kernel=5, nothing=False, demodulate=False,
+        statistics=False,
+    ),
+}  # fmt: skip
+"""Name of a combiner -> its configuration: ours, ours without frames to come, and the paper's."""
 
 
 def from_stored(architecture: str, values: Mapping[str, object]) -> Config:
@@ -309,6 +410,10 @@ def with_settings(config: Config, settings: Iterable[str]) -> Config:
 
 
 def _parsed(text: str, like: object) -> object:
+    if isinstance(like, bool):
+        if text not in ("True", "False"):
+            raise ValueError(text)
+        return text == "True"
     if isinstance(like, tuple):
         return tuple(int(part) for part in text.split(","))
     return type(like)(text)

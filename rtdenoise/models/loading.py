@@ -9,8 +9,10 @@ from pathlib import Path
 import torch
 from safetensors.torch import save as serialise
 
+from ..errors import InputError
 from ..files import write_atomically
 from .accumulated_kpn import AccumulatedKPN
+from .combiner import Combiner
 from .config import Config, MixConfig
 from .denoiser import Denoiser
 from .inference import prepare, resolve
@@ -18,12 +20,12 @@ from .offline import Mix
 from .temporal_kpn import TemporalKPN
 from .weights import read_model
 
-NETWORKS = {"temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "mix": Mix}
+NETWORKS = {"temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "mix": Mix}
 """`Config.architecture` -> the network."""
 
 
-def create(config: Config) -> Denoiser:
-    """A denoiser with random weights."""
+def create(config: Config) -> Denoiser | Combiner:
+    """A network with random weights."""
     return NETWORKS[config.architecture](config)
 
 
@@ -37,10 +39,12 @@ def load(
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
-    Raises InputError for an unknown precision, and as `read`.
+    Raises InputError for an unknown precision, for a combiner, and as `read`.
     """
-    dtype = resolve(precision, device)
-    return prepare(read(model, **overrides), dtype).to(device)
+    dtype, network = resolve(precision, device), read(model, **overrides)
+    if isinstance(network, Combiner):
+        raise InputError(f"{model}: is a combiner, which corrects frames that a denoiser made; expected a denoiser")
+    return prepare(network, dtype).to(device)
 
 
 def load_mix(device: str | torch.device = "cpu", precision: str = "auto") -> Mix:
@@ -50,8 +54,18 @@ def load_mix(device: str | torch.device = "cpu", precision: str = "auto") -> Mix
     return prepare(mix, dtype).to(device)
 
 
-def read(model: str | Path, **overrides) -> Denoiser:
-    """A denoiser with its weights as they were trained: float32, nothing fused. Arguments as those of `load`.
+def load_combiner(
+    model: str | Path = "combiner", device: str | torch.device = "cpu", precision: str = "auto", **overrides
+) -> Combiner:
+    """A combiner with its weights, ready to run; arguments and errors as those of `load`."""
+    dtype, network = resolve(precision, device), read(model, **overrides)
+    if not isinstance(network, Combiner):
+        raise InputError(f"{model}: is a denoiser; expected a combiner, which corrects what a denoiser made")
+    return prepare(network, dtype).to(device)
+
+
+def read(model: str | Path, **overrides) -> Denoiser | Combiner:
+    """A network with its weights as they were trained: float32, nothing fused. Arguments as those of `load`.
 
     Raises InputError for an unknown name, an unreadable file, an override that is no field, and weights that are not
     finite or do not fit their configuration.
@@ -62,7 +76,7 @@ def read(model: str | Path, **overrides) -> Denoiser:
     return denoiser.eval().requires_grad_(False)
 
 
-def save(denoiser: Denoiser, path: str | Path, **metadata: str) -> None:
+def save(denoiser: Denoiser | Combiner, path: str | Path, **metadata: str) -> None:
     """Write weights and configuration, whole or not at all. Raises InputError where they cannot be written."""
     tensors = {k: v.detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
     described = {"architecture": denoiser.config.architecture, "config": json.dumps(asdict(denoiser.config))}

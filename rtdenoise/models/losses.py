@@ -51,3 +51,20 @@ def temporal_kpn_loss(
     if occlusion is not None:
         occluded = distance(image * occlusion, reference * occlusion)
     return Loss(spatial, temporal, occluded)
+
+
+def smape(image: Tensor, reference: Tensor, scale: Tensor | float = 1.0) -> Tensor:
+    """Symmetric mean absolute percentage error of each image, `[B, 3, H, W] -> [B]` in [0, 1).
+
+    |R - I|₁ / (|R|₁ + |I|₁ + 0.01), the norms over the channels of a pixel, on linear radiance times `scale`
+    `[B, 1, 1, 1]`: the 0.01 means something only at a known exposure (Vogels et al. 2018; Zhou et al.).
+    """
+    image, reference = image * scale, reference * scale
+    error = (image - reference).abs().sum(1)
+    return (error / (image.abs().sum(1) + reference.abs().sum(1) + 0.01)).mean((1, 2))
+
+
+def smape_ratio(image: Tensor, estimate: Tensor, reference: Tensor, scale: Tensor | float = 1.0) -> Tensor:
+    """Mean over the batch of `smape` of an image as a share of that of `estimate`: frames of many samples, whose errors
+    are small, count as much as those of few."""
+    return (smape(image, reference, scale) / smape(estimate, reference, scale).clamp(min=0.01)).mean()

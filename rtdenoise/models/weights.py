@@ -15,7 +15,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from ..errors import InputError, did_you_mean
-from .config import Config, from_stored
+from .config import COMBINERS, OFFLINE, Config, from_stored
 
 MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
 _SHIPPED = resources.files("rtdenoise") / "weights"
@@ -31,7 +31,16 @@ class StoredModel:
 
 
 def available() -> list[str]:
-    """Names of the models that ship."""
+    """Names of the denoisers that ship."""
+    return [name for name in _shipped() if name not in (*COMBINERS, OFFLINE)]
+
+
+def available_combiners() -> list[str]:
+    """Names of the combiners that ship (`models.combiner`)."""
+    return [name for name in _shipped() if name in COMBINERS]
+
+
+def _shipped() -> list[str]:
     names = [path.name for path in _SHIPPED.iterdir()] if _SHIPPED.is_dir() else []
     return sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))
 
@@ -39,7 +48,7 @@ def available() -> list[str]:
 def find(model: str | Path) -> Path:
     """The file of a model that ships, or else of a path. Raises InputError where there is neither."""
     name = str(model)
-    path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in available() else Path(name)
+    path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in _shipped() else Path(name)
     if not path.is_file():
         raise InputError(
             f"no model {name!r}{did_you_mean(name, available())}: expected one of {', '.join(available())} or the path "

@@ -14,7 +14,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .passes import Estimate, Passes
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
-LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this: of 1e9 times less some digits stay
+LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
 LIGHT = ("image", "mean")
 BYTES_PER_PIXEL = 21  # of a stored estimate: ten halves and a byte
 

@@ -117,8 +117,8 @@ def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tens
 
 
 class InMemory:
-    """Both passes as a step with a delay (`evaluate.sequence`), for short sequences: the frames of a shot are kept until
-    its end is known, then all images come out."""
+    """Both passes as a step with a delay (`evaluate.sequence`), for short sequences: it keeps the frames of a shot until
+    the end, then all images come out."""
 
     delay = sys.maxsize
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeVar
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
 
 Item = TypeVar("Item")
-Result = TypeVar("Result")
 Window = tuple[Item | None, ...]  # 2 · reach + 1 consecutive items, the current one in the middle
 
 
@@ -44,20 +43,3 @@ def windows(items: Iterable[tuple[Item, bool]], reach: int) -> Iterator[Window]:
             yield pop()
     while ahead:
         yield pop()
-
-
-class Delayed:
-    """A function of windows as a step with a delay (`evaluate.sequence`): `step(item, history)` returns the result of
-    the item `reach` steps before, None for the first `reach` items of a shot. At the end of a shot it is called with
-    None until the rest is out. The history, None at the start of a shot, is a tuple of the latest items: a later run
-    can go on from it."""
-
-    def __init__(self, function: Callable[[Window], Result], reach: int) -> None:
-        self.function, self.delay = function, reach
-
-    def step(self, item: Any, history: Window | None) -> tuple[Result | None, Window]:
-        """`history` holds 2 · reach + 1 places, the newest last."""
-        places = 2 * self.delay + 1
-        held = (*(history or (None,) * places)[1:], item)
-        current = held[self.delay]
-        return (None if current is None else self.function(held)), held

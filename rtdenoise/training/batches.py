@@ -4,33 +4,89 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..data.clips import ClipDataset
+from ..data.clips import ClipDataset, estimated_signals
+from ..errors import InputError
 from ..frame import Frame, stack
+from ..models import COMBINERS, Window
 from .augment import augment, relight
 from .config import TrainConfig
 
 COLOR_SHARE = 1 / 3  # of the clips where both signals are trained
+MISSING_SHARE = 0.1  # of the windows that lack frames, as at the ends of shots
 
 
-def batch(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> list[Frame]:
+def clips(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> list[Frame]:
     """The frames of one step, `[batch / processes, C, size, size]` each, for process `share` = (rank, processes). Every
     clip is seen once an epoch.
 
     Raises InputError where a clip is smaller or shorter than asked for.
     """
+    loaded = [_clip(data, config, *place) for place in _places(data, config, step, share)]
+    return [stack(list(frames)) for frames in zip(*loaded, strict=True)]
+
+
+def windows(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> Window:
+    """The windows of one step: frames and the estimates that a denoiser of `config.estimates` made of them. Clips are
+    those of `clips`. One batch in ten lacks the frames on one or both sides of the current one.
+
+    Raises InputError as `clips`, and where a clip has no such estimates.
+    """
+    loaded = [_window(data, config, *place) for place in _places(data, config, step, share)]
+    frames, estimates = (
+        [stack(list(frame)) for frame in zip(*(pair[i] for pair in loaded), strict=True)] for i in (0, 1)
+    )
+    window = Window(tuple(frames), tuple(frame.radiance for frame in estimates))
+    rng = np.random.default_rng([config.seed, step])
+    return _shortened(window, COMBINERS[config.model].current, rng) if rng.random() < MISSING_SHARE else window
+
+
+def _places(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, int]) -> list[tuple[int, int, int]]:
+    """(clip, epoch, place in the epoch) of each item of a batch, in the endless order of clips."""
     rank, processes = share
     size = config.batch // processes
     first = step * config.batch + rank * size
-    clips = [_clip(data, config, position) for position in range(first, first + size)]
-    return [stack(list(frames)) for frames in zip(*clips, strict=True)]
+    places = [divmod(position, len(data)) for position in range(first, first + size)]
+    return [(_order(len(data), config.seed, epoch)[place], epoch, place) for epoch, place in places]
 
 
-def _clip(data: ClipDataset, config: TrainConfig, position: int) -> list[Frame]:
-    """The augmented clip at a position in the endless order of clips."""
-    epoch, place = divmod(position, len(data))
-    index = np.random.default_rng([config.seed, epoch]).permutation(len(data))[place]
+def _order(count: int, seed: int, epoch: int) -> list[int]:
+    return np.random.default_rng([seed, epoch]).permutation(count).tolist()
+
+
+def _clip(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place: int) -> list[Frame]:
+    """An augmented clip."""
     rng = np.random.default_rng([config.seed, epoch, place])
     signal = config.signal if config.signal != "both" else "color" if rng.random() < COLOR_SHARE else "indirect"
-    frames = data.load(int(index), signal=signal, size=config.size, frames=config.frames, rng=rng)
+    frames = data.load(index, signal=signal, size=config.size, frames=config.frames, rng=rng)
     frames = augment(frames, rng)
     return relight(frames, rng) if rng.random() < config.relight else frames
+
+
+def _window(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place: int) -> tuple[list[Frame], ...]:
+    """An augmented window: its frames, and as many frames whose radiance is the denoised one."""
+    rng = np.random.default_rng([config.seed, epoch, place])
+    pairs = [
+        (method, signal)
+        for method in config.estimates
+        for signal in estimated_signals(data.paths[index], method)
+        if config.signal in (signal, "both")
+    ]
+    if not pairs:
+        raise InputError(f"{data.paths[index]}: no frames denoised by {' or '.join(config.estimates)} for the signal "
+                         f"{config.signal}; make them: rtdenoise estimates {data.paths[index].parent}")  # fmt: skip
+    method, signal = pairs[rng.integers(len(pairs))]
+    count = config.frames
+    both = data.load(index, signal=signal, size=config.size, frames=count, rng=rng, estimates=method)
+    seed = int(rng.integers(1 << 31))  # one draw of the augmentation for both
+    return tuple(augment(part, np.random.default_rng(seed)) for part in (both[:count], both[count:]))
+
+
+def _shortened(window: Window, current: int, rng: np.random.Generator) -> Window:
+    """The window without the frames before, after, or on both sides of the current one."""
+    side = rng.integers(3)
+    first = 0 if side == 1 else current
+    last = len(window.frames) if side == 0 else current + 1
+    kept = range(first, last)
+    return Window(
+        *(tuple(x if i in kept else None for i, x in enumerate(part)) for part in (window.frames, window.estimates))
+    )

@@ -21,7 +21,7 @@ class TrainConfig:
     init: Path | None = None
     """Weights to start from instead of random ones: a .safetensors file of the same network or a narrower one."""
     model: str = "default"
-    """Network to train: 'paper', 'fast', 'default' or 'quality'."""
+    """Network to train: 'paper', 'fast', 'default', 'quality', or 'combiner', 'combiner-causal', 'drc'."""
     set: UseAppendAction[tuple[str, ...]] = ()
     """Fields of the network's configuration to change, as NAME=VALUE: widths=32,48,64,80,96 or longest=24."""
     signal: str = "indirect"
@@ -34,6 +34,8 @@ class TrainConfig:
     """Optimiser steps of the whole run."""
     batch: int = 4
     """Clips a step, of all processes together."""
+    estimates: tuple[str, ...] = ("oidn", "default")
+    """For combiners: methods whose frames to correct; `rtdenoise estimates` stores these beside the clips."""
     cuts: float = 0.0
     """Share of steps in which history is dropped at one frame, as at a cut."""
     relight: float = 0.0

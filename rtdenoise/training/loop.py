@@ -22,12 +22,12 @@ from ..data.clips import ClipDataset
 from ..errors import InputError
 from ..files import lock, write_atomically
 from ..models import save
-from .batches import batch
 from .config import TrainConfig
 from .distributed import any_of, processes, wait_for_all
 from .log import Log
-from .trainer import Trainer, check
-from .validate import open_validation, validate
+from .tasks import task_of
+from .trainer import Trainer, check, model_config
+from .validate import open_validation
 
 OnStep = Callable[[int, int, float], None]  # step, steps in all, loss
 WEIGHTS, CHECKPOINT = "weights.safetensors", "checkpoint.pt"
@@ -52,7 +52,9 @@ def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None)
             raise InputError(f"batch: expected a multiple of the {count} processes, got {config.batch}")
         data = ClipDataset(*config.data)
         validation = open_validation(config, data)
-        batch(data, config, 0, share)  # clips that do not fit are refused before there is a run
+        task_of(model_config(config)).batch(
+            data, config, 0, share
+        )  # clips that do not fit are refused before there is a run
         out = Path(config.out)
         out.mkdir(parents=True, exist_ok=True)
         with lock(out) if rank == 0 else nullcontext():
@@ -103,7 +105,7 @@ def _lead(
             if trainer.step % LOG_EVERY == 0 or last or not math.isfinite(row["grad_norm"]):
                 log.write(row)
             if validation and (trainer.step % config.validate_every == 0 or last):
-                found = validate(trainer.average, validation, config)
+                found = trainer.task.validate(trainer.average, validation, config)
                 log.write({"step": trainer.step, "validation": found})
                 if found["denoised"] > trainer.best:
                     trainer.best = found["denoised"]
@@ -125,12 +127,12 @@ def _steps(
     read meanwhile."""
     config = trainer.config
     with ThreadPoolExecutor(1) as reader:
-        waiting = reader.submit(batch, data, config, trainer.step, share)
+        waiting = reader.submit(trainer.task.batch, data, config, trainer.step, share)
         while trainer.step < config.steps and not any_of(bool(stopping)):
-            clip = waiting.result()
-            waiting = reader.submit(batch, data, config, trainer.step + 1, share)
+            batch = waiting.result()
+            waiting = reader.submit(trainer.task.batch, data, config, trainer.step + 1, share)
             started = time.perf_counter()
-            row = trainer.train_step([frame.to(config.device) for frame in clip])
+            row = trainer.train_step(batch)
             if trainer.skipped_in_turn == MAX_SKIPPED_IN_TURN:
                 raise InputError(
                     f"{config.out}: {MAX_SKIPPED_IN_TURN} steps in turn without a finite loss or gradient: the weights "
@@ -160,13 +162,16 @@ def _save_weights(trainer: Trainer, path: Path) -> None:
 
 def _compared(config: TrainConfig) -> dict:
     """The options that identify a run, as JSON holds them."""
-    return {key: value for key, value in asdict(config).items() if key not in NOT_COMPARED} | {"set": [*config.set]}
+    options = {key: value for key, value in asdict(config).items() if key not in NOT_COMPARED}
+    return {key: [*value] if isinstance(value, tuple) else value for key, value in options.items()}
 
 
 def _same_config(config: TrainConfig, path: Path) -> None:
     """Write the options of a new run; refuse to go on with other ones. Options missing from older runs take today's
     defaults; older runs call the network `preset`."""
-    options, defaults = _compared(config), {field.name: field.default for field in fields(TrainConfig)} | {"set": []}
+    options = _compared(config)
+    defaults = {field.name: field.default for field in fields(TrainConfig)}
+    defaults = {key: [*value] if isinstance(value, tuple) else value for key, value in defaults.items()}
     if not path.exists():
         write_atomically(path, (json.dumps({"version": __version__, "options": options}, indent=1) + "\n").encode())
         return

@@ -7,22 +7,19 @@ import math
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import torch
-from torch import Tensor
 
 from ..errors import InputError, did_you_mean
-from ..exposure import exposure
 from ..files import write_atomically
-from ..frame import Frame
-from ..models import PRESETS, Config, Denoiser, create, grow, read
+from ..models import COMBINERS, PRESETS, Combiner, Config, Denoiser, create, grow, read
 from ..models.config import with_settings
 from ..models.inference import choose_device
-from ..motion import occlusion_weights, uncovered
 from .config import TrainConfig
 from .distributed import average_gradients, means
 from .muon import Muon
+from .tasks import task_of
 
 
 class Trainer:
@@ -32,6 +29,7 @@ class Trainer:
         torch.manual_seed(config.seed)
         self.config = config
         wanted = model_config(config)
+        self.task = task_of(wanted)
         self.model = (create(wanted) if config.init is None else _initial(config, wanted)).to(config.device)
         self.model.to(memory_format=torch.channels_last)  # the layout that convolutions compute in
         self.average = deepcopy(self.model).eval().requires_grad_(False)
@@ -41,32 +39,13 @@ class Trainer:
         self.skipped = 0  # steps lost to a loss or gradient that was not finite
         self.skipped_in_turn = 0  # such steps since the last good one
 
-    def train_step(self, clip: list[Frame]) -> dict[str, float]:
-        """One optimiser step on a batch of clips; returns the numbers to log."""
+    def train_step(self, batch: Any) -> dict[str, float]:
+        """One optimiser step on a batch of `Task.batch`; returns the numbers to log."""
         config = self.config
         rate = config.lr * min(1.0, (self.step + 1) / 200) * 0.5 * (1 + math.cos(math.pi * self.step / config.steps))
         for optimiser in self.optimisers:
             optimiser.param_groups[0]["lr"] = rate
-        with_occlusion = config.occlusion_loss and self.step >= config.steps // 2
-        terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
-        total = 0.0
-        rng = np.random.default_rng([config.seed, self.step])
-        cut = int(rng.integers(1, len(clip))) if len(clip) > 1 and rng.random() < config.cuts else 0
-        for i, frame in enumerate(clip):
-            if i in (0, cut):
-                history, previous = None, None
-                masks: list[Tensor] = []
-            masks = [uncovered(frame, history and history.motion_next), *masks][:3]
-            with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
-                image, history = self.model.step(frame, history)
-            weights = occlusion_weights(masks) if with_occlusion else None
-            scale = config.loss_exposure * exposure(frame.reference)
-            loss = self.model.loss(image, frame, previous, weights, scale, config.huber)
-            total = total + loss.total / len(clip)
-            for name in terms:
-                terms[name] += getattr(loss, name).item() / len(clip)
-            previous = (image, frame.reference)
-
+        total, terms = self.task.loss(self.model, batch, config, self.step)
         self.model.zero_grad()
         total.backward()
         average_gradients(self.model.parameters())
@@ -110,7 +89,7 @@ class Trainer:
             optimiser.load_state_dict(held)
 
 
-def _optimisers(model: Denoiser, config: TrainConfig) -> list[torch.optim.Optimizer]:
+def _optimisers(model: Denoiser | Combiner, config: TrainConfig) -> list[torch.optim.Optimizer]:
     """Adam for all parameters, or Muon for matrices and Adam for vectors."""
     parameters = list(model.parameters())
     if config.optimiser == "adam":
@@ -119,9 +98,10 @@ def _optimisers(model: Denoiser, config: TrainConfig) -> list[torch.optim.Optimi
     return [Muon(matrices, lr=config.lr), torch.optim.Adam(vectors, lr=config.lr)]
 
 
-def _initial(config: TrainConfig, wanted: Config) -> Denoiser:
+def _initial(config: TrainConfig, wanted: Config) -> Denoiser | Combiner:
     """The network of the file `init`, grown to `wanted`. Raises InputError where it cannot grow to it."""
-    model = read(config.init, motion=wanted.motion)
+    overrides = {} if config.model in COMBINERS else {"motion": config.motion}
+    model = read(config.init, **overrides)
     if model.config != wanted:
         try:
             model = grow(model, wanted)
@@ -132,6 +112,8 @@ def _initial(config: TrainConfig, wanted: Config) -> Denoiser:
 
 def model_config(config: TrainConfig) -> Config:
     """The configuration of the network that a run trains. Raises InputError for unknown fields in `set`."""
+    if config.model in COMBINERS:
+        return with_settings(COMBINERS[config.model], config.set)
     return with_settings(replace(PRESETS[config.model], motion=config.motion), config.set)
 
 
@@ -143,9 +125,9 @@ def check(config: TrainConfig) -> None:
     for name in ("cuts", "relight"):
         if not 0 <= getattr(config, name) <= 1:
             raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
-    if config.model not in PRESETS:
-        near = did_you_mean(config.model, PRESETS)
-        raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(PRESETS)}")
+    if config.model not in (known := PRESETS | COMBINERS):
+        near = did_you_mean(config.model, known)
+        raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(known)}")
     if config.signal not in ("indirect", "color", "both"):
         raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
     if config.motion not in ("dual", "traditional"):
@@ -155,4 +137,6 @@ def check(config: TrainConfig) -> None:
     if config.device not in ("cpu", "cuda"):
         raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
     choose_device(config.device)
-    model_config(config)
+    wanted = model_config(config)
+    if config.model in COMBINERS and config.frames != wanted.frames:
+        raise InputError(f"frames: the window of {config.model} has {wanted.frames} frames, got {config.frames}")

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..evaluate.sequence import outputs, uncovered
 from ..frame import Frame, History
 from ..metrics import psnr
-from ..models import Denoiser
+from ..models import Combiner, Denoiser, Window
 from .config import TrainConfig
 
 MIN_UNCOVERED = 0.005  # share of a frame; the PSNR of fewer pixels says nothing
@@ -53,4 +53,26 @@ def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[s
             rows["denoised"].append(psnr(image, frame.reference, scale))
             if mask.float().mean() > MIN_UNCOVERED:
                 rows["denoised_uncovered"].append(psnr(image, frame.reference, scale, mask))
+    return {name: float(np.mean(values)) if values else math.nan for name, values in rows.items()}
+
+
+@torch.inference_mode()
+def validate_windows(model: Combiner, clips: ClipDataset, config: TrainConfig) -> dict[str, float]:
+    """Mean display PSNR in dB over the clips' middle frames and the methods of `config.estimates`: of the frames that
+    these denoised (`estimate`) and of the combined ones (`denoised`)."""
+    offsets = model.config.offsets
+    rows: dict[str, list[float]] = {"estimate": [], "denoised": []}
+    signal = "indirect" if config.signal == "indirect" else "color"
+    for index, method in ((i, m) for i in range(len(clips)) for m in config.estimates):
+        both = clips.load(index, signal=signal, estimates=method)
+        middle, count = len(both) // 4, len(both) // 2
+        places = [middle + offset if 0 <= middle + offset < count else None for offset in offsets]
+        frames = tuple(None if p is None else both[p] for p in places)
+        window = Window(frames, tuple(None if p is None else both[count + p].radiance for p in places))
+        with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
+            image = model.combine(window.to(config.device)).image.cpu()
+        reference, z = both[middle].reference, both[count + middle].radiance
+        scale = display_exposure(reference)
+        rows["estimate"].append(psnr(z, reference, scale))
+        rows["denoised"].append(psnr(image, reference, scale))
     return {name: float(np.mean(values)) if values else math.nan for name, values in rows.items()}

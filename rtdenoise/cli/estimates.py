@@ -1,0 +1,36 @@
+"""`rtdenoise estimates`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from .progress import progress_bar
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Denoise training clips and store the frames beside them: a combiner trains to correct these."""
+
+    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIPS")]
+    """Folders of clips."""
+    methods: tuple[str, ...] = ("oidn", "default")
+    """Methods of `evaluate`; each writes into the folder CLIPS/METHOD."""
+    signal: Literal["color", "indirect", "both"] = "both"
+    """The signal to denoise."""
+
+    def run(self) -> None:
+        from ..evaluate.estimates import write_all
+
+        signals = ("color", "indirect") if self.signal == "both" else (self.signal,)
+        with progress_bar("estimates") as bar:
+            task = bar.add_task("estimates", total=None)
+
+            def on_clip(done: int, total: int) -> None:
+                bar.update(task, completed=done, total=total)
+
+            count = write_all(self.folders, self.methods, signals, on_clip)
+        print(f"{count} estimates written; train with: rtdenoise train --model combiner --frames 5 --data ...")

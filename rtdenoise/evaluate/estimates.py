@@ -1,0 +1,50 @@
+"""Denoised frames beside training clips: the estimates that a combiner learns to correct."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import torch
+
+from ..data.clips import ClipDataset, estimated_signals, write_estimates
+from ..data.layers import SIGNALS
+from .registry import choose
+from .sequence import outputs
+
+OnClip = Callable[[int, int], None]  # estimates written or kept, estimates in all
+
+
+def write_all(
+    folders: Sequence[Path],
+    methods: Sequence[str],  # for `registry.choose`
+    signals: Sequence[str] = tuple(SIGNALS),
+    on_clip: OnClip = lambda done, total: None,
+) -> int:
+    """Denoise every clip of the folders with every method, from its first frame on. Estimates that are there already
+    are kept. Returns how many were written.
+
+    Each method sees the clip's own noisy frames, because y - z depends on z having been made from y. Raises InputError
+    for a folder without clips and for an unknown or missing method.
+    """
+    clips = ClipDataset(*folders)
+    chosen = choose(methods)
+    jobs = [(i, method) for i in range(len(clips)) for method in chosen]
+    written = 0
+    for done, (index, method) in enumerate(jobs):
+        on_clip(done, len(jobs))
+        held = estimated_signals(clips.paths[index], method.name)
+        if missing := [signal for signal in signals if signal not in held]:
+            made = {signal: _denoised(clips, index, signal, method) for signal in missing}
+            write_estimates(clips.paths[index], method.name, made)
+            written += 1
+    on_clip(len(jobs), len(jobs))
+    return written
+
+
+@torch.inference_mode()
+def _denoised(clips: ClipDataset, index: int, signal: str, method):
+    """The frames of a clip as a method denoises them, `[T, 3, H, W]`."""
+    frames = clips.load(index, signal=signal)
+    images = [output.image for output in outputs(method.step(), frames, method.delay)]
+    return torch.cat(images).numpy()

@@ -1,0 +1,329 @@
+"""Correct a denoised animation by the noisy frames that it was made from (deep residual combiner).
+
+After W. Zhou, E. Hughes and T. Hachisuka. y is a noisy, unbiased estimate of a frame, z a denoised, biased one; any
+denoiser may have made z from y. The image is z and a weighted sum of residuals y - z of neighbours in space, time and
+scale:
+
+    image = z + Σ_{l,j,i} w[l,j,i] · (y - z)[l,j,i]
+
+over scales l, frames j (reprojected to the current one) and taps i. Where y = z the image is z to the bit. The kernels
+are softmax-normalised for each frame, and so are the shares of the frames. The preset `combiner` adds to the paper:
+
+- a share for no correction, so that weights sum to at most 1: forced to 1, a pixel averages noise that it has no use
+  for;
+- residuals over the albedo: those of textures do not align between neighbours;
+- means of residuals in units of their standard errors as input, and a network at half size.
+
+The preset `drc` is the paper's network as far as its text says: the sections on the head and the pyramid were not
+found. Their equations, 15×15 taps and three scales are reconstructed from the text around them.
+
+Read `Combiner.combine` first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+from torch.utils.checkpoint import checkpoint
+
+from ..color import albedo_divisor
+from ..exposure import exposure
+from ..frame import OFF_SCREEN, Frame, mean_distance
+from ..motion import on_screen
+from ..ops import apply_kernel, downsample, fetch, pick, reproject
+from ..ops.logits import whole
+from ..ops.pixels import nearness
+from ..sanitise import sanitise
+from .config import CombinerConfig
+from .inference import as_weights
+from .losses import smape_ratio
+from .unet import ConvRelu, UNet
+
+MAX_LOGITS = 1 << 25  # at once; more are predicted and applied strip by strip, and again on the way back
+STATISTICS = (5, 15)  # sides in pixels of the neighbourhoods over which residuals are averaged
+MIN_VARIANCE = 1e-8  # of exposed residuals, so that none is divided by zero
+
+
+@dataclass(frozen=True)
+class Window:
+    """Consecutive frames, noisy and denoised; None where there is no frame, or one of another shot."""
+
+    frames: tuple[Frame | None, ...]  # radiance y, and the features; motion of all but the first, motion_next likewise
+    estimates: tuple[Tensor | None, ...]  # z of each frame, [B, 3, H, W]
+
+    def to(self, device: str | torch.device) -> Window:
+        """Moved to a device."""
+        frames = tuple(frame and frame.to(device) for frame in self.frames)
+        return Window(frames, tuple(None if z is None else z.to(device) for z in self.estimates))
+
+
+@dataclass(frozen=True)
+class Combined:
+    """A corrected frame."""
+
+    image: Tensor  # [B, 3, H, W] linear radiance
+    confidence: Tensor  # [B, 1, H, W] size of the correction, |Σ w r|, mean over the channels
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """A frame of the window, reprojected to the current one; zero where it shows another surface there."""
+
+    noisy: Tensor  # [B, 3, H, W] y, over the albedo if the model demodulates
+    estimate: Tensor  # [B, 3, H, W] z likewise
+    valid: Tensor  # [B, 1, H, W] in {0, 1}
+
+    @property
+    def residual(self) -> Tensor:
+        """y - z, `[B, 3, H, W]`: zero where there is nothing, because y and z are."""
+        return self.noisy - self.estimate
+
+
+class Combiner(nn.Module):
+    """The network, and `combine`, which applies it to one window."""
+
+    def __init__(self, config: CombinerConfig) -> None:
+        super().__init__()
+        self.config = config
+        inputs = config.features
+        if config.half_size:
+            self.stem = ConvRelu(inputs, config.widths[0], 4, stride=2, padding=1)
+            inputs = config.widths[0]
+        self.unet = UNet(inputs, config.widths)
+        shapes = config.shapes
+        self.heads = nn.ModuleList(
+            nn.ModuleDict({h.name: nn.Conv2d(*shapes[f"heads.{s}.{h.name}.weight"][1::-1], 1) for h in heads})
+            for s, heads in enumerate(config.heads)
+        )
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.xavier_uniform_(module.weight)
+                nn.init.zeros_(module.bias)
+        for convolutions, heads in zip(self.heads, config.heads, strict=True):
+            for head in (head for head in heads if head.start is not None):
+                nn.init.zeros_(convolutions[head.name].weight)
+                nn.init.constant_(convolutions[head.name].bias, head.start)
+
+    def combine(self, window: Window) -> Combined:
+        """Correct the current frame of a window of `config.frames` frames: the middle one, the last one if causal.
+
+        Layers that are missing are done without: no albedo, no demodulation; without motion only the current frame is
+        used. A neighbour that is None, or lies beyond one, gets no weight. Raises ValueError where the window has
+        another length or no current frame.
+        """
+        frame, estimate = self._current(window)
+        divisor = albedo_divisor(frame.albedo, frame.depth) if self.config.demodulate else 1.0
+        aligned = self.aligned(window)
+        now = aligned[self.config.current]
+
+        levels = self.predict(self.features(frame, aligned))
+        absent = [one is None for one in aligned]
+        residuals = [None if one is None else one.residual for one in aligned]
+        correction = divisor * self.correct(levels, residuals, absent)
+
+        image = now.estimate * divisor if not estimate.isfinite().all() else estimate
+        image = torch.maximum(image + correction, image.clamp(max=0))
+        return Combined(image, correction.abs().mean(1, keepdim=True))
+
+    def aligned(self, window: Window) -> list[Aligned | None]:
+        """Every frame of the window as the current one sees it; None where it is missing or no motion leads there.
+
+        y and z are fetched with the same taps, which test that they show the same surface (`ops.reproject`).
+        """
+        frame, _ = self._current(window)
+        aligned: list[Aligned | None] = [None] * self.config.frames
+        aligned[self.config.current] = Aligned(*self._pair(window, self.config.current), torch.ones_like(frame.depth))
+        for direction in (-1, 1):
+            motion, layer = None, "motion" if direction < 0 else "motion_next"
+            place, before = self.config.current + direction, frame
+            while 0 <= place < self.config.frames and window.frames[place] is not None:
+                onward = getattr(before, layer)
+                if onward is None:
+                    break
+                motion = onward if motion is None else two_step(motion, onward)
+                there = completed(window.frames[place])
+                surfaces = (frame.depth, frame.normal), (there.depth, there.normal)
+                found, valid = reproject(self._pair(window, place), motion, *surfaces)
+                aligned[place] = Aligned(*found.split(3, dim=1), valid.to(found.dtype))
+                place, before = place + direction, there
+        return aligned
+
+    def features(self, frame: Frame, aligned: Sequence[Aligned | None]) -> Tensor:
+        """The network's input `[B, config.features, H, W]` in the dtype of its weights; light at the exposure of z."""
+        scale = exposure(aligned[self.config.current].estimate)
+        channels = []
+        for one in aligned:
+            if one is None:
+                channels.append(frame.radiance.new_zeros(*frame.radiance.shape[:1], 10, *frame.size))
+                continue
+            light = torch.log1p(scale * torch.cat([one.noisy, one.estimate], 1).clamp(min=0))
+            channels += [light, signed_log(scale * one.residual), one.valid]
+        channels += [frame.albedo, frame.normal, nearness(frame.depth, mean_distance(frame.depth))]
+        if self.config.statistics:
+            channels.append(statistics([one for one in aligned if one is not None], scale))
+        return as_weights(torch.cat(channels, dim=1), self)
+
+    def predict(self, features: Tensor) -> list[Tensor]:
+        """Run the U-Net: the features that each scale's heads read, finest first."""
+        scales = self.config.scales
+        if not self.config.half_size:
+            return self.unet(features, scales)
+        H, W = features.shape[2:]
+        pad = (0, max(W % 2, 4 - W), 0, max(H % 2, 4 - H))
+        features = F.pad(features, pad, mode="replicate") if any(pad) else features
+        levels = self.unet(self.stem(features)[:, :, : (H + 1) // 2, : (W + 1) // 2], max(1, scales - 1))
+        return [levels[self.config.level(scale)] for scale in range(scales)]
+
+    def correct(self, levels: Sequence[Tensor], residuals: Sequence[Tensor | None], absent: Sequence[bool]) -> Tensor:
+        """Σ w r, `[B, 3, H, W]`: filter the residuals of every scale, then compose from coarse to fine.
+
+        A coarser scale adds its correction minus the mean of the finer one's; composing corrections instead of images
+        is the paper's fusion, without resampling z.
+        """
+        filtered = []
+        for scale, level in enumerate(levels):
+            if scale:
+                residuals = [None if r is None else downsample(r) for r in residuals]
+            filtered.append(self._filtered(scale, level, residuals, absent))
+        correction = filtered[-1]
+        for scale in reversed(range(len(levels) - 1)):
+            finer, size = filtered[scale], filtered[scale].shape[2:]
+            more = correction - downsample(finer)
+            logits = self._logits(scale, "pick", levels[scale], size)
+            share = self._logits(scale, "pick_share", levels[scale], size).float().sigmoid()
+            correction = finer + pick(torch.zeros_like(finer), more, logits, share)
+        return correction
+
+    def loss(self, combined: Combined, frame: Frame, estimate: Tensor) -> Tensor:
+        """SMAPE of the image as a share of that of z, against `frame.reference`."""
+        return smape_ratio(combined.image, estimate, frame.reference, exposure(frame.reference))
+
+    def _filtered(
+        self, scale: int, level: Tensor, residuals: Sequence[Tensor | None], absent: Sequence[bool]
+    ) -> Tensor:
+        """Σ_j s_j Σ_i w_ji r_ji at one scale, `[B, 3, h, w]`."""
+        size = next(r.shape[2:] for r in residuals if r is not None)
+        logits = self._logits(scale, "shares", level, size).float()
+        logits = logits.masked_fill(torch.tensor(absent, device=logits.device).reshape(1, -1, 1, 1), -torch.inf)
+        if self.config.nothing:
+            logits = torch.cat([logits, self._logits(scale, "nothing", level, size).float()], dim=1)
+        shares = logits.softmax(dim=1)
+        total = 0
+        for j, (offset, residual) in enumerate(zip(self.config.offsets, residuals, strict=True)):
+            if residual is not None:
+                total = total + shares[:, j : j + 1] * self._kernel(scale, f"taps{offset:+d}", level, residual)
+        return total
+
+    def _kernel(self, scale: int, name: str, level: Tensor, residual: Tensor) -> Tensor:
+        """`apply_kernel` with predicted logits, of which at most `MAX_LOGITS` exist at a time."""
+        B, _, H, W = residual.shape
+        radius = self.config.kernel // 2
+        step = self.config.kernel**2 * B * W
+        rows = max(2 * radius, MAX_LOGITS // step // 2 * 2)
+        if rows >= H:
+            return apply_kernel(residual, self._logits(scale, name, level, (H, W)))
+        halo = radius + radius % 2  # strips begin at even rows, where cells of logits do
+        cell = 2 if level.shape[2] < H else 1
+
+        def strip(level: Tensor, residual: Tensor, top: int) -> Tensor:
+            first, last = max(0, top - halo), min(H, top + rows + halo)
+            part, features = residual[:, :, first:last], level[:, :, first // cell : -(-last // cell)]
+            filtered = apply_kernel(part, self._logits(scale, name, features, part.shape[2:]))
+            return filtered[:, :, top - first : top - first + rows]
+
+        tops = range(0, H, rows)
+        if torch.is_grad_enabled():
+            return torch.cat([checkpoint(strip, level, residual, top, use_reentrant=False) for top in tops], dim=2)
+        return torch.cat([strip(level, residual, top) for top in tops], dim=2)
+
+    def _logits(self, scale: int, name: str, level: Tensor, size: Sequence[int]) -> Tensor:
+        """One head at one scale, `[B, channels, H, W]` or, for kernels behind a U-Net at half size, by cells."""
+        logits = self.heads[scale][name](level)
+        if not (self.config.half_size and scale == 0):
+            return logits
+        logits = logits.unflatten(1, (2, 2, -1))
+        return logits if name.startswith(("taps", "pick")) and name != "pick_share" else (
+            whole(logits)[:, :, : size[0], : size[1]]
+        )  # fmt: skip
+
+    def _current(self, window: Window) -> tuple[Frame, Tensor]:
+        place, frames = self.config.current, self.config.frames
+        if not len(window.frames) == len(window.estimates) == frames or window.frames[place] is None:
+            raise ValueError(
+                f"expected a window of {frames} frames with frame {place}, got {len(window.frames)} frames"
+            )
+        return completed(window.frames[place]), window.estimates[place]
+
+    def _pair(self, window: Window, place: int) -> tuple[Tensor, Tensor]:
+        """y and z of a frame with values that can be filtered, over the albedo if the model demodulates."""
+        frame = completed(window.frames[place])
+        noisy, estimate = comparable(frame.radiance, window.estimates[place])
+        if not self.config.demodulate:
+            return noisy, estimate
+        divisor = albedo_divisor(frame.albedo, frame.depth)
+        return noisy / divisor, estimate / divisor
+
+
+def completed(frame: Frame) -> Frame:
+    """A frame with valid features; those that it lacks are those of a white, flat surface. Radiance stays as it is."""
+    nothing = torch.zeros_like(frame.radiance)
+    albedo = torch.ones_like(nothing) if frame.albedo is None else frame.albedo
+    normal = nothing if frame.normal is None else frame.normal
+    depth = torch.ones_like(nothing[:, :1]) if frame.depth is None else frame.depth
+    clean = sanitise(replace(frame, radiance=nothing, albedo=albedo, normal=normal, depth=depth))
+    return replace(clean, radiance=frame.radiance)
+
+
+def comparable(noisy: Tensor, estimate: Tensor) -> tuple[Tensor, Tensor]:
+    """y and z as the network takes them, `[B, 3, H, W]` each: finite and not negative.
+
+    A pixel that is not finite in one has the values of the other, and so no residual. A firefly of y that z has not
+    is dimmed (`exposure.limit_fireflies`); what y and z share stays as it is.
+    """
+    good, known = noisy.isfinite().all(1, keepdim=True), estimate.isfinite().all(1, keepdim=True)
+    y, z = (torch.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0).clamp(min=0) for x in (noisy, estimate))
+    y, z = torch.where(good, y, z), torch.where(known, z, y)
+    dimmed = sanitise(Frame(y)).radiance
+    return torch.maximum(dimmed, torch.minimum(y, z)), z
+
+
+def two_step(
+    motion: Tensor,  # [B, 2, H, W] to a neighbour
+    onward: Tensor,  # [B, 2, H, W] from the neighbour to the frame after it
+) -> Tensor:  # [B, 2, H, W]
+    """Motion to the frame after a neighbour: m(p) + onward(p + m(p)), at the nearest pixel; off the screen where either
+    leads there."""
+    both = motion + fetch(onward, motion)
+    return torch.where(on_screen(motion), both, OFF_SCREEN)
+
+
+def signed_log(x: Tensor) -> Tensor:
+    """sign(x) · log(1 + |x|): `color.compress` for values of either sign."""
+    return x.sign() * x.abs().log1p()
+
+
+def statistics(
+    aligned: Sequence[Aligned],
+    scale: Tensor,  # [B, 1, 1, 1] exposure
+) -> Tensor:  # [B, 13, H, W]
+    """How sure the residuals are of an error of z: over each neighbourhood of `STATISTICS`, of all frames together,
+    their mean m (3 channels) and m over its standard error (3), compressed; and the log of their variance (1)."""
+    valid = sum(one.valid for one in aligned)
+    residuals = [scale * one.residual for one in aligned]
+    first, second = sum(residuals), sum(r.square() for r in residuals)
+    channels = []
+    for side in STATISTICS:
+        count = side**2 * _box(valid, side).clamp(min=1 / side**2)
+        mean, square = (side**2 * _box(x, side) / count for x in (first, second))
+        channels += [signed_log(mean), torch.asinh(mean * (count / (square + MIN_VARIANCE)).sqrt())]
+    variance = _box(second, STATISTICS[0]).mean(1, keepdim=True)
+    return torch.cat([*channels, 0.25 * (variance + MIN_VARIANCE).log()], dim=1)
+
+
+def _box(image: Tensor, side: int) -> Tensor:
+    """Mean over `side` × `side` pixels, of those inside the image."""
+    return F.avg_pool2d(image, side, stride=1, padding=side // 2, count_include_pad=False)

@@ -1,0 +1,76 @@
+"""What differs between architectures in training: batches, loss, validation. `TASKS` has a row for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..data.clips import ClipDataset
+from ..exposure import exposure
+from ..frame import Frame
+from ..models import Combiner, Denoiser, Window
+from ..models.config import Config
+from ..motion import occlusion_weights, uncovered
+from .batches import clips, windows
+from .config import TrainConfig
+from .validate import validate, validate_windows
+
+Terms = dict[str, float]  # of the loss, to log
+
+
+@dataclass(frozen=True)
+class Task:
+    """How networks of an architecture are trained."""
+
+    batch: Callable[[ClipDataset, TrainConfig, int, tuple[int, int]], Any]
+    """(clips, options, step, (rank, processes)) -> the batch of a step, a function of these alone."""
+    loss: Callable[[Any, Any, TrainConfig, int], tuple[Tensor, Terms]]
+    """(network, batch, options, step) -> the loss, and its terms."""
+    validate: Callable[[Any, ClipDataset, TrainConfig], dict[str, float]]
+    """(network, clips, options) -> numbers to log; the weights with the greatest "denoised" are kept."""
+
+
+def denoiser_loss(model: Denoiser, clip: list[Frame], config: TrainConfig, step: int) -> tuple[Tensor, Terms]:
+    """Mean loss of the frames of a batch of clips, through which history is passed on."""
+    with_occlusion = config.occlusion_loss and step >= config.steps // 2
+    terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
+    total = 0.0
+    rng = np.random.default_rng([config.seed, step])
+    cut = int(rng.integers(1, len(clip))) if len(clip) > 1 and rng.random() < config.cuts else 0
+    for i, frame in enumerate(frame.to(config.device) for frame in clip):
+        if i in (0, cut):
+            history, previous = None, None
+            masks: list[Tensor] = []
+        masks = [uncovered(frame, history and history.motion_next), *masks][:3]
+        with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
+            image, history = model.step(frame, history)
+        weights = occlusion_weights(masks) if with_occlusion else None
+        scale = config.loss_exposure * exposure(frame.reference)
+        loss = model.loss(image, frame, previous, weights, scale, config.huber)
+        total = total + loss.total / len(clip)
+        for name in terms:
+            terms[name] += getattr(loss, name).item() / len(clip)
+        previous = (image, frame.reference)
+    return total, terms
+
+
+def combiner_loss(model: Combiner, window: Window, config: TrainConfig, step: int) -> tuple[Tensor, Terms]:
+    """Loss of the current frame of a batch of windows."""
+    window, current = window.to(config.device), model.config.current
+    with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
+        combined = model.combine(window)
+    return model.loss(combined, window.frames[current], window.estimates[current]), {}
+
+
+TASKS = {"combiner": Task(windows, combiner_loss, validate_windows)}
+DENOISING = Task(clips, denoiser_loss, validate)
+
+
+def task_of(config: Config) -> Task:
+    """How a network is trained: the row of its architecture, or else as a denoiser."""
+    return TASKS.get(config.architecture, DENOISING)

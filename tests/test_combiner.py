@@ -1,0 +1,356 @@
+"""The combiner: exact where there is nothing to correct, bounded where something is broken, the same in strips."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from synthetic import make_frames, write_clips
+
+from rtdenoise.baselines import DeepCombiner, Shrinkage
+from rtdenoise.data.clips import ClipDataset
+from rtdenoise.errors import InputError
+from rtdenoise.evaluate.estimates import write_all
+from rtdenoise.evaluate.registry import choose
+from rtdenoise.evaluate.sequence import outputs
+from rtdenoise.frame import Frame
+from rtdenoise.models import COMBINERS, Combiner, CombinerConfig, Window, create, load, load_combiner, losses, save
+from rtdenoise.models import combiner as module
+from rtdenoise.models.combiner import comparable, two_step
+from rtdenoise.training.config import TrainConfig
+from rtdenoise.training.trainer import Trainer
+
+SMALL = {
+    "ours": CombinerConfig(widths=(6, 8, 8)),
+    "causal": CombinerConfig(widths=(6, 8, 8), frames=3, causal=True),
+    "drc": replace(COMBINERS["drc"], widths=(4, 6, 6, 8)),
+}
+configs = pytest.mark.parametrize("config", SMALL.values(), ids=SMALL.keys())
+
+
+def make(config, seed=0):
+    torch.manual_seed(seed)
+    return Combiner(config).eval().requires_grad_(False)
+
+
+def window_of(config, estimate="reference", H=27, W=34, **kwargs):
+    """A window of the synthetic sequence; `estimate` names the layer that is taken for z."""
+    frames = make_frames(config.frames, H=H, W=W, **kwargs)
+    return Window(tuple(frames), tuple(getattr(frame, estimate) for frame in frames))
+
+
+def select(model, place, tap=None):
+    """Make the model give all weight to one tap of the frame at `place` at full size, and none to coarser scales."""
+    offset, middle = model.config.offsets[place], model.config.kernel**2 // 2
+    for scale in model.heads:
+        for head in scale.values():
+            head.weight.zero_()
+            head.bias.zero_()
+    full = model.heads[0]
+    full["shares"].bias.unflatten(0, (-1, model.config.frames))[:, place] = 1e4
+    if "nothing" in full:
+        full["nothing"].bias.fill_(-1e4)
+    full[f"taps{offset:+d}"].bias.unflatten(0, (-1, model.config.kernel**2))[:, middle if tap is None else tap] = 1e4
+    if "pick_share" in full:
+        full["pick_share"].bias.fill_(-1e4)
+    return model
+
+
+@pytest.mark.parametrize("name", COMBINERS)
+def test_weights_have_the_shapes_that_the_configuration_says(name):
+    found = {key: tuple(value.shape) for key, value in Combiner(COMBINERS[name]).state_dict().items()}
+    assert found == COMBINERS[name].shapes
+
+
+@configs
+def test_nothing_to_correct_returns_the_estimate_to_the_bit(config):
+    window = window_of(config, "radiance")
+    combined = make(config).combine(window)
+    assert torch.equal(combined.image, window.frames[config.current].radiance)
+    assert (combined.confidence == 0).all()
+
+
+@configs
+def test_all_weight_on_the_own_tap_returns_the_noisy_frame(config):
+    window = window_of(config)
+    model = select(make(config), config.current)
+    expected, _ = comparable(window.frames[config.current].radiance, window.estimates[config.current])
+    torch.testing.assert_close(model.combine(window).image, expected, rtol=1e-5, atol=1e-5)
+
+
+@configs
+def test_residuals_of_another_frame_arrive_along_its_motion(config):
+    """One residual pixel on the square of the frame two before moves four pixels to the right with it."""
+    config = replace(config, demodulate=False)
+    window = window_of(config)
+    place = config.current - 2
+    frames = [replace(frame, radiance=frame.reference) for frame in window.frames]
+    lit = frames[place].radiance.clone()
+    column = 6 + 2 * place + 3
+    lit[0, :, 9, column] += 0.5
+    frames[place] = replace(frames[place], radiance=lit)
+    window = Window(tuple(frames), window.estimates)
+    change = select(make(config), place).combine(window).image - window.estimates[config.current]
+    assert change[0, :, 9, column + 4].allclose(torch.tensor(0.5), atol=1e-5)
+    change[0, :, 9, column + 4] = 0
+    assert change.abs().max() < 1e-5
+
+
+@configs
+def test_constant_residuals_are_added_whole_or_not_at_all(config):
+    """The frame's own share times a constant residual, whatever the kernels; neighbours agree where they are seen."""
+    config = replace(config, demodulate=False)
+    flat = [replace(frame, radiance=torch.full_like(frame.radiance, 2.0)) for frame in window_of(config).frames]
+    window = Window(tuple(flat), tuple(torch.full_like(frame.radiance, 1.5) for frame in flat))
+    for frame in flat:
+        for layer in ("motion", "motion_next"):
+            getattr(frame, layer).zero_()
+        frame.depth.fill_(4.0)
+    correction = make(config).combine(window).image - 1.5
+    assert correction.min() >= -1e-6 and correction.max() <= 0.5 + 1e-5
+    if not config.nothing:
+        torch.testing.assert_close(correction, torch.full_like(correction, 0.5), rtol=0, atol=1e-5)
+
+
+@configs
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_scales_with_the_light(config, scale):
+    model, window = make(config), window_of(config)
+    scaled = Window(
+        tuple(replace(frame, radiance=frame.radiance * scale) for frame in window.frames),
+        tuple(estimate * scale for estimate in window.estimates),
+    )
+    torch.testing.assert_close(
+        model.combine(scaled).image / scale, model.combine(window).image, rtol=2e-3, atol=2e-3
+    )  # fmt: skip
+
+
+@configs
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+def test_a_bad_pixel_counts_as_no_residual(config, bad):
+    """The output is the one for y = z at that pixel, so nothing spreads from it."""
+    model, window = make(config), window_of(config)
+    place = config.current
+    for layer in ("noisy", "estimate"):
+        broken, mended = window, window
+        for value in ("bad", "good"):
+            frames, estimates = [*window.frames], [*window.estimates]
+            y, z = frames[place].radiance.clone(), estimates[place].clone()
+            target, other = (y, z) if layer == "noisy" else (z, y)
+            target[0, :, 8, 9] = bad if value == "bad" else other[0, :, 8, 9]
+            frames[place], estimates[place] = replace(frames[place], radiance=y), z
+            made = Window(tuple(frames), tuple(estimates))
+            broken, mended = (made, mended) if value == "bad" else (broken, made)
+        image = model.combine(broken).image
+        assert image.isfinite().all()
+        torch.testing.assert_close(image, model.combine(mended).image, rtol=1e-5, atol=1e-5)
+
+
+@configs
+def test_a_neighbour_of_another_surface_leaves_no_trace(config):
+    model, window = make(config), window_of(config)
+    far = [
+        frame if i == config.current else replace(frame, depth=frame.depth * 100)
+        for i, frame in enumerate(window.frames)
+    ]
+    bright = [
+        frame if i == config.current else replace(frame, radiance=frame.radiance * 50) for i, frame in enumerate(far)
+    ]
+    images = [model.combine(Window(tuple(frames), window.estimates)).image for frames in (far, bright)]
+    assert torch.equal(*images)
+
+
+@configs
+def test_frames_beyond_a_missing_one_are_not_used(config):
+    model, window = make(config), window_of(config)
+    missing = config.current - 1
+
+    def without(*places):
+        return Window(
+            *(
+                tuple(None if i in places else x for i, x in enumerate(part))
+                for part in (window.frames, window.estimates)
+            )
+        )
+
+    beyond = range(missing + 1)
+    assert torch.equal(model.combine(without(missing)).image, model.combine(without(*beyond)).image)
+    assert not torch.equal(model.combine(without(missing)).image, model.combine(window).image)
+
+
+@configs
+def test_without_motion_the_current_frame_alone_is_used(config):
+    model, window = make(config), window_of(config)
+    still = tuple(replace(frame, motion=None, motion_next=None) for frame in window.frames)
+    alone = tuple(frame if i == config.current else None for i, frame in enumerate(still))
+    image = model.combine(Window(still, window.estimates)).image
+    assert torch.equal(image, model.combine(Window(alone, window.estimates)).image)
+
+
+@configs
+def test_missing_features_are_those_of_a_white_wall(config):
+    model, window = make(config), window_of(config)
+    bare = tuple(replace(frame, albedo=None, normal=None, depth=None) for frame in window.frames)
+    white = tuple(
+        replace(frame, albedo=torch.ones_like(frame.radiance), normal=torch.zeros_like(frame.radiance),
+                depth=torch.ones_like(frame.depth)) for frame in window.frames
+    )  # fmt: skip
+    images = [model.combine(Window(frames, window.estimates)).image for frames in (bare, white)]
+    assert torch.equal(*images)
+
+
+@pytest.mark.parametrize("half_size", [True, False])
+@pytest.mark.parametrize("size", [(40, 34), (37, 33)])
+def test_strips_are_the_whole(half_size, size, monkeypatch):
+    config = CombinerConfig(widths=(6, 8, 8, 8), half_size=half_size, kernel=7, scales=3)
+    model, window = make(config), window_of(config, H=size[0], W=size[1])
+    whole = model.combine(window).image
+    monkeypatch.setattr(module, "MAX_LOGITS", 49 * size[1] * 8)
+    torch.testing.assert_close(model.combine(window).image, whole, rtol=1e-5, atol=1e-5)
+
+
+def test_gradients_of_strips_are_those_of_the_whole(monkeypatch):
+    config, gradients = CombinerConfig(widths=(4, 6), scales=2, kernel=7), []
+    window = window_of(config, H=24, W=16)
+    for limit in (1 << 25, 49 * 16 * 8):
+        monkeypatch.setattr(module, "MAX_LOGITS", limit)
+        model = make(config).requires_grad_(True)
+        model.loss(model.combine(window), window.frames[2], window.estimates[2]).backward()
+        gradients.append(torch.cat([p.grad.flatten() for p in model.parameters()]))
+    torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("H, W", [(1, 1), (1, 7), (5, 2), (16, 16)])
+def test_any_size(H, W):
+    config = SMALL["ours"]
+    frames = [frame.crop(0, 0, H, W) for frame in make_frames(5)]
+    image = make(config).combine(Window(tuple(frames), tuple(frame.reference for frame in frames))).image
+    assert image.shape == (1, 3, H, W) and image.isfinite().all()
+
+
+def test_a_window_of_another_length_is_refused():
+    window = window_of(SMALL["ours"])
+    with pytest.raises(ValueError, match="window of 5 frames"):
+        make(SMALL["ours"]).combine(Window(window.frames[:3], window.estimates[:3]))
+
+
+def test_two_steps_fetch_the_second_motion_where_the_first_leads():
+    first, second = torch.zeros(1, 2, 4, 6), torch.zeros(1, 2, 4, 6)
+    first[0, 0, 1, 2] = 2.0  # pixel (2, 1) goes to (4, 1)
+    second[0, :, 1, 4] = torch.tensor([-1.0, 2.0])
+    assert two_step(first, second)[0, :, 1, 2].tolist() == [1.0, 2.0]
+    first[0, 0, 1, 2] = 9.0
+    assert two_step(first, second)[0, 0, 1, 2] > 1000
+
+
+def test_fireflies_that_the_estimate_has_too_stay():
+    y = torch.ones(1, 3, 32, 32)
+    y[0, :, 10, 10] = 1000.0
+    noisy, estimate = comparable(y, torch.ones_like(y))
+    assert noisy[0, 0, 10, 10] < 100
+    noisy, estimate = comparable(y, y)
+    assert torch.equal(noisy, y) and torch.equal(estimate, y)
+
+
+def test_smape_by_hand():
+    image, reference = torch.tensor([1.0, 2.0, 0.0]), torch.tensor([1.0, 1.0, 1.0])
+    image, reference = (x.reshape(1, 3, 1, 1) for x in (image, reference))
+    assert losses.smape(image, reference).item() == pytest.approx(2 / 6.01)
+    assert losses.smape_ratio(image, image, reference).item() == pytest.approx(1)
+
+
+def test_a_denoiser_is_no_combiner_and_the_reverse(tmp_path):
+    save(create(SMALL["ours"]), tmp_path / "combiner.safetensors")
+    assert load_combiner(tmp_path / "combiner.safetensors").config == SMALL["ours"]
+    with pytest.raises(InputError, match="is a combiner"):
+        load(tmp_path / "combiner.safetensors")
+    with pytest.raises(InputError, match="is a denoiser"):
+        load_combiner("fast")
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    folder = write_clips(tmp_path_factory.mktemp("clips"), range(4), size=16)
+    assert write_all([folder], ["svgf", "fast"], ["color"]) == 8
+    return folder
+
+
+def test_estimates_are_of_the_clips_own_frames_and_kept(clips):
+    both = ClipDataset(clips).load(1, signal="color", estimates="svgf")
+    assert len(both) == 8 and torch.equal(both[0].reference, both[4].reference)
+    assert not torch.equal(both[0].radiance, both[4].radiance)
+    assert write_all([clips], ["svgf"], ["color"]) == 0
+    assert write_all([clips], ["svgf"], ["color", "indirect"]) == 4
+    with pytest.raises(InputError, match="rtdenoise estimates"):
+        ClipDataset(clips).load(1, signal="indirect", estimates="fast")
+
+
+def test_training_corrects_the_estimate(clips, tmp_path, monkeypatch):
+    monkeypatch.setitem(COMBINERS, "tiny", SMALL["causal"])
+    config = TrainConfig(
+        data=(clips,), out=tmp_path / "run", model="tiny", estimates=("svgf", "fast"), signal="color", frames=3,
+        size=16, batch=4, steps=60, lr=0.1, amp=False,
+    )  # fmt: skip
+    trainer, data = Trainer(config), ClipDataset(clips)
+    rows = [trainer.train_step(trainer.task.batch(data, config, step % 10)) for step in range(60)]
+    assert sum(row["loss"] for row in rows[-10:]) < 0.99 * sum(row["loss"] for row in rows[:10])
+    found = trainer.task.validate(trainer.average, data, config)
+    assert found.keys() == {"estimate", "denoised"}
+
+
+def test_a_run_with_another_number_of_frames_is_refused(tmp_path):
+    from rtdenoise.training.trainer import check
+
+    with pytest.raises(InputError, match="5 frames, got 9"):
+        check(TrainConfig(data=(tmp_path,), out=tmp_path, model="combiner", frames=9))
+
+
+# --- baselines and evaluation -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("combiner", [Shrinkage(), DeepCombiner(), DeepCombiner(softmax=True)])
+def test_baselines_leave_what_agrees(combiner):
+    window = window_of(SMALL["ours"], "radiance")
+    with torch.no_grad():
+        torch.testing.assert_close(combiner.combine(window).image, window.frames[2].radiance, rtol=0, atol=0)
+
+
+def halves(noise, bias, size=64):
+    """Two noisy pictures of 1, and a denoised one that is wrong by `bias`."""
+    first, second = (1 + noise * torch.randn(1, 3, size, size) for _ in range(2))
+    return first.clamp(min=0), second.clamp(min=0), torch.full_like(first, 1 + bias)
+
+
+@pytest.mark.parametrize("with_halves", [True, False])
+def test_shrinkage_takes_the_better_of_both(with_halves):
+    """Little noise and a large bias: the noisy picture; the reverse: the denoised one; else better than either."""
+    for noise, bias in ((0.02, 0.3), (0.3, 0.0), (0.2, 0.15)):
+        first, second, z = halves(noise, bias)
+        y = (first + second) / 2
+        window = Window((Frame(y),), (z,))
+        image = Shrinkage().combine(window, first if with_halves else None).image
+        error, of_y, of_z = ((x - 1).square().mean().item() for x in (image, y, z))
+        assert error < 1.1 * max(min(of_y, of_z), 0.1 * of_y)
+
+
+def test_the_deep_combiner_in_strips_is_the_whole(monkeypatch):
+    network, window = DeepCombiner().eval(), window_of(SMALL["ours"])
+    with torch.no_grad():
+        whole = network.combine(window).image
+        monkeypatch.setattr("rtdenoise.baselines.deep_combiner.STRIP", 8)
+        torch.testing.assert_close(network.combine(window).image, whole, rtol=1e-5, atol=1e-5)
+
+
+def test_a_corrected_method_looks_ahead_and_ends_with_the_shot(tmp_path):
+    save(create(SMALL["ours"]), tmp_path / "small.safetensors")
+    (method,) = choose([f"svgf+{tmp_path / 'small.safetensors'}"])
+    assert (method.name, method.delay) == ("svgf+small", 2)
+    frames = make_frames(6, H=16, W=16)
+    images = [output.image for output in outputs(method.step(), frames, method.delay, cuts=[4])]
+    estimates = [output.image for output in outputs(choose(["svgf"])[0].step(), frames, cuts=[4])]
+    model = load_combiner(tmp_path / "small.safetensors")
+    for i, shot in ((1, range(4)), (3, range(4)), (4, range(4, 6))):
+        places = [p if p in shot else None for p in range(i - 2, i + 3)]
+        window = Window(*(tuple(None if p is None else part[p] for p in places) for part in (frames, estimates)))
+        assert torch.equal(images[i], model.combine(window).image)
+    with pytest.raises(InputError, match="is no combiner"):
+        choose(["svgf+fast"])
