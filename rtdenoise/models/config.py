@@ -300,61 +300,9 @@ class CombinerConfig(_Config):
         return _up((self.kernel // 2 + self.pick_kernel // 2 + 1) * (cells - 1))
 
 
-OFFLINE = "offline"  # name of the weights of `denoise --offline`
-CANDIDATES = ("forward", "backward", "single", "second", "averaged")
-"""What `offline.Mix` combines, in the order of its weights: fields of `offline.Candidates`."""
-
-
-@dataclass(frozen=True)
-class MixConfig(_Config):
-    """The network that weighs what several denoisers made of a frame (`offline`)."""
-
-    architecture: ClassVar[str] = "mix"
-    carries: ClassVar[tuple[str, ...]] = ()
-    # Light of each candidate 3, noisy light 3, albedo 3, normal 3, nearness 1; history lengths of both passes 2,
-    # uncovered 2; whether OIDN's candidates are there 1.
-    features: ClassVar[int] = 3 * len(CANDIDATES) + 15
-    max_levels: ClassVar[int] = 5
-
-    widths: tuple[int, ...] = (24, 32, 48, 64)
-    """Channels of the U-Net at 1/2, 1/4, 1/8 ... of the image size."""
-    start: tuple[float, ...] = (0.38, 0.42, -0.44, 0.4, 0.24)
-    """Initial weights of the candidates: the constant combination with the least squared error (bench/offline.py)."""
-    longest: float = 16.0
-    """History lengths count in units of so many frames."""
-
-    def __post_init__(self) -> None:
-        self._check()
-        object.__setattr__(self, "start", tuple(self.start))
-        if len(self.start) != len(CANDIDATES):
-            raise ValueError(f"expected {len(CANDIDATES)} initial weights, got {self.start}")
-
-    @property
-    def heads(self) -> tuple[tuple[Head, ...], ...]:
-        """One weight for each candidate."""
-        return ((Head("weights", len(CANDIDATES)),),)
-
-    @property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """As `_Config.shapes`. The head is a transposed convolution, four pixels for one of the stem."""
-        shapes = self._unet_shapes(self.widths[0]) | {"stem.weight": (self.widths[0], self.features, 4, 4)}
-        full = len(CANDIDATES)
-        return _with_biases(shapes) | {"full_head.weight": (self.widths[0], full, 2, 2), "full_head.bias": (full,)}
-
-    @property
-    def network_reach(self) -> int:
-        """As `_Config.network_reach`. The U-Net works at half size."""
-        return _up(6 * 2 ** len(self.widths))
-
-    @property
-    def light_reach(self) -> int:
-        """As `_Config.light_reach`: a pixel is combined by itself."""
-        return 0
-
-
-Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | MixConfig
+Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig
 CONFIGS: dict[str, type[Config]] = {
-    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, MixConfig)
+    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig)
 }
 
 PRESETS: dict[str, Config] = {

@@ -13,14 +13,13 @@ from ..errors import InputError
 from ..files import write_atomically
 from .accumulated_kpn import AccumulatedKPN
 from .combiner import Combiner
-from .config import Config, MixConfig
+from .config import Config
 from .denoiser import Denoiser
 from .inference import prepare, resolve
-from .offline import Mix
 from .temporal_kpn import TemporalKPN
 from .weights import read_model
 
-NETWORKS = {"temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "mix": Mix}
+NETWORKS = {"temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner}
 """`Config.architecture` -> the network."""
 
 
@@ -45,13 +44,6 @@ def load(
     if isinstance(network, Combiner):
         raise InputError(f"{model}: is a combiner, which corrects frames that a denoiser made; expected a denoiser")
     return prepare(network, dtype).to(device)
-
-
-def load_mix(device: str | torch.device = "cpu", precision: str = "auto") -> Mix:
-    """The network of `denoise --offline`, ready to run; arguments and errors as those of `load`."""
-    dtype = resolve(precision, device)
-    mix = create(MixConfig()).eval().requires_grad_(False)
-    return prepare(mix, dtype).to(device)
 
 
 def load_combiner(

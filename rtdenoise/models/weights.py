@@ -15,7 +15,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from ..errors import InputError, did_you_mean
-from .config import COMBINERS, OFFLINE, Config, from_stored
+from .config import COMBINERS, Config, from_stored
 
 MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
 _SHIPPED = resources.files("rtdenoise") / "weights"
@@ -32,7 +32,7 @@ class StoredModel:
 
 def available() -> list[str]:
     """Names of the denoisers that ship."""
-    return [name for name in _shipped() if name not in (*COMBINERS, OFFLINE)]
+    return [name for name in _shipped() if name not in COMBINERS]
 
 
 def available_combiners() -> list[str]:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
 LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
 LIGHT = ("image", "mean")
-BYTES_PER_PIXEL = 21  # of a stored estimate: ten halves and a byte
+BYTES_PER_PIXEL = 20  # of a stored estimate: ten halves
 
 
 def denoise_offline(
@@ -139,10 +139,10 @@ class _Run:
             history = None
         backward, history = self.passes.step(reverse(frame, following), history)
         forward = read_estimate(self._path(i), self.passes.backend.device)
-        mixed = self.passes.combine(frame, forward, backward)
-        extra = {"confidence": mixed.spread.cpu().numpy()} if self.options.confidence else {}
+        combined = self.passes.combine(frame, forward, backward)
+        extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
         write_frame(
-            self.out, self.sequence, i, raw, mixed.image.cpu().numpy(), layout=self.options.layout,
+            self.out, self.sequence, i, raw, combined.image.cpu().numpy(), layout=self.options.layout,
             recombine=self.options.recombine, keep=self.options.keep, float32=self.options.float32, extra=extra,
         )  # fmt: skip
         return history
@@ -216,7 +216,6 @@ def write_estimate(path: Path, estimate: Estimate) -> None:
             scales[name] = 2.0 ** np.floor(np.log2(max(float(array.max()), 1e-30) / LARGEST_HALF))
             array = array / np.float32(scales[name])
         arrays[name] = array.astype(np.float16)
-    arrays["uncovered"] = estimate.uncovered.cpu().numpy().astype(np.uint8)
     write_history(path, arrays, {"scales": json.dumps(scales), "first": str(int(estimate.first))})
 
 

@@ -1,7 +1,7 @@
 """One frame of an animation on disk: what the passes over the sequence know of it, and their combination.
 
 The network runs over a sequence forward in time and backward. Read backward, a sequence is one whose `motion` and
-`motion_next` have changed places. `models.offline` combines both passes, the frame alone and OIDN's two opinions.
+`motion_next` have changed places. `combination` joins both passes, the frame alone and OIDN's two opinions.
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ from ..baselines.oidn import Oidn
 from ..color import albedo_divisor
 from ..errors import InputError
 from ..frame import Frame, History
-from ..models.loading import load_mix
-from ..models.offline import Candidates, Mixed
 from ..ops.pixels import demodulate
 from ..sanitise import sanitise
-from ..splat import history_motion, splat_motion_next
+from ..splat import splat_motion_next
 from .backends import TorchBackend
+from .combination import Candidates, Combination, combine
 
 WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds about 0.6 dB"
 
@@ -36,7 +35,6 @@ class Estimate:
     mean: Tensor  # [1, 3, H, W] irradiance averaged over time
     mean_albedo: Tensor  # [1, 3, H, W] likewise
     length: Tensor  # [1, 1, H, W] frames in these means
-    uncovered: Tensor  # [1, 1, H, W] 1 where a moving object has just uncovered the pixel
     first: bool  # whether the pass begins a shot here: the image is that of the frame alone
 
 
@@ -49,7 +47,6 @@ class Passes:
         if "mean" not in self.backend.config.carries:
             raise InputError(f"--offline: model {model!r} does not average light over time; choose default, fast or "
                              "quality")  # fmt: skip
-        self._mix = load_mix(self.backend.device, precision)
         self.has_oidn = importlib.util.find_spec("pyoidn") is not None
         self._second, self._averaged = Oidn(prefilter=True), Oidn()
 
@@ -61,25 +58,19 @@ class Passes:
     def step(self, frame: Frame, history: History | None) -> tuple[Estimate, Any]:
         """One step of a pass over prepared frames."""
         image, after = self.backend.step(frame, history)
-        uncovered = torch.zeros_like(frame.depth)
-        if history is not None:
-            with torch.inference_mode():
-                uncovered = history_motion(frame, history)[2].to(frame.depth.dtype)
         image = torch.from_numpy(image).to(frame.radiance.device)
-        return Estimate(image, after.mean, after.mean_albedo, after.length, uncovered, history is None), after
+        return Estimate(image, after.mean, after.mean_albedo, after.length, history is None), after
 
     @torch.inference_mode()
-    def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Mixed:
+    def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
-        second = averaged = None
-        if self.has_oidn:
-            light, albedo = two_sided(frame, forward, backward)
-            second, _ = self._second.step(frame)
-            averaged, _ = self._averaged.step(replace(frame, radiance=light, albedo=albedo))
-        return self._mix.combine(frame, Candidates(
-            forward.image, backward.image, self._single(frame, forward, backward), second, averaged,
-            torch.cat([forward.length, backward.length], dim=1), torch.cat([forward.uncovered, backward.uncovered], 1),
-        ))  # fmt: skip
+        ours = forward.image, backward.image, self._single(frame, forward, backward)
+        if not self.has_oidn:
+            return combine(Candidates(*ours))
+        light, albedo = two_sided(frame, forward, backward)
+        second, _ = self._second.step(frame)
+        averaged, _ = self._averaged.step(replace(frame, radiance=light, albedo=albedo))
+        return combine(Candidates(*ours, second, averaged))
 
     def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """The network's image of the frame alone; a pass that begins here has it already."""
@@ -117,8 +108,8 @@ def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tens
 
 
 class InMemory:
-    """Both passes as a step with a delay (`evaluate.sequence`), for short sequences: it keeps the frames of a shot until
-    the end, then all images come out."""
+    """Both passes as a step with a delay (`evaluate.sequence`), for short sequences: it keeps the frames of a shot, and
+    returns all images at its end."""
 
     delay = sys.maxsize
 
