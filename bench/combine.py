@@ -1,0 +1,178 @@
+"""Do combiners correct what denoisers made, at every sample count, and never make it worse?
+
+python bench/combine.py CLIPS [--combiners combiner]
+
+CLIPS/spp01, CLIPS/spp04 ... hold the same frames at several sample counts (`combine_clips.py --held-out`). Corrected
+MSE (`metrics.image.mse_corrected`) of the noisy frames y, of each denoiser's z, and of every combiner's frames, for
+both signals. A *failure* is a combiner's error above 1.02 of z's. The slope is that of log MSE over log spp from 16 on:
+noise alone has -1. `svgf` made no frame that the combiner was trained on. Writes bench/results/combine.json and the
+tables of docs/results/combine.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
+import numpy as np
+import torch
+import tyro
+
+from rtdenoise.baselines import Shrinkage
+from rtdenoise.color import display_exposure
+from rtdenoise.data.clips import ClipDataset
+from rtdenoise.errors import InputError
+from rtdenoise.evaluate.registry import choose
+from rtdenoise.frame import Frame
+from rtdenoise.metrics.image import mse_corrected
+from rtdenoise.models import Combiner, Window, load_combiner
+
+RESULT, PAGES = RESULTS / "combine.json", (DOCS / "results" / "combine.md",)
+MAX_RATIO = 1.02  # of a combiner's error to that of z: more is a failure
+STEEP = 16  # spp from which the slope is taken
+FIRST = 1  # frames before this one are not measured: temporal denoisers have no history there
+
+
+def main(
+    clips: tyro.conf.Positional[Path],
+    methods: tuple[str, ...] = ("oidn", "default", "svgf"),
+    combiners: tuple[str, ...] = ("combiner",),
+    levels: tuple[int, ...] = (1, 4, 16, 64),
+) -> None:
+    """Measure every clip.
+
+    Args:
+        clips: Folder with a folder of clips for each sample count.
+        methods: Denoisers to correct.
+        combiners: Models that ship, or weights files.
+        levels: Sample counts.
+    """
+    networks = {Path(name).stem: load_combiner(name, precision="fp32") for name in combiners}
+    opened = {spp: ClipDataset(clips / f"spp{spp:02d}") for spp in levels}
+    rows = []
+    for index in range(len(opened[levels[0]])):
+        for signal in ("color", "indirect"):
+            for spp in levels:
+                frames, halves = _frames(clips, opened, index, signal, spp)
+                for method in methods:
+                    rows.append(
+                        {"sequence": _name(opened[spp], index), "signal": signal, "spp": spp, "method": method}
+                        | errors(frames, halves, method, networks)
+                    )
+                    print(rows[-1], flush=True)
+    document = {"max_ratio": MAX_RATIO, "rows": rows, "summary": summary(rows)}
+    harness.publish(RESULT, document, digits=4, pages=PAGES, tables=tables)
+
+
+@torch.inference_mode()
+def errors(
+    frames: list[Frame], halves: list[torch.Tensor] | None, method: str, networks: dict[str, Combiner]
+) -> dict[str, float]:
+    """Mean corrected MSE of the frames: of `noisy`, of z (`estimate`) and of each combiner."""
+    estimates = harness.denoise(choose([method])[0].step(), frames)
+    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
+    found = defaultdict(list)
+    for i in range(FIRST, len(frames)):
+        frame = frames[i]
+        alone = Window((frame,), (estimates[i],))
+        images = {"noisy": frame.radiance, "estimate": estimates[i], "shrinkage": Shrinkage().combine(alone).image}
+        if halves is not None:
+            images["shrinkage-halves"] = Shrinkage().combine(alone, halves[i]).image
+        for name, network in networks.items():
+            places = [p if 0 <= (p := i + offset) < len(frames) else None for offset in network.config.offsets]
+            window = (tuple(None if p is None else part[p] for p in places) for part in (frames, estimates))
+            images[name] = network.combine(Window(*window)).image
+        for name, image in images.items():
+            found[name].append(mse_corrected(image, frame.reference, scale, reference_half=frame.reference_half))
+    return {name: float(np.mean(values)) for name, values in found.items()}
+
+
+def summary(rows: list[dict]) -> dict[str, dict]:
+    """Combiner -> over all cells: their count, the failures, the geometric mean of its error over z's by spp and by
+    denoiser, the worst cell, and the mean slopes, z's too."""
+    found = {}
+    for name in ("shrinkage", "shrinkage-halves", *_networks(rows)):
+        cells = [row for row in rows if name in row and row["estimate"] > 0 and row[name] > 0]
+        ratio = lambda some, name=name: float(np.exp(np.mean([np.log(r[name] / r["estimate"]) for r in some])))  # noqa: E731
+        worst = max(cells, key=lambda row: row[name] / row["estimate"])
+        found[name] = {
+            "cells": len(cells),
+            "failures": sum(row[name] > MAX_RATIO * row["estimate"] for row in cells),
+            "above_both": sum(row[name] > 1.05 * min(row["estimate"], row["noisy"]) for row in cells),
+            "ratio": ratio(cells),
+            "by_spp": {str(spp): ratio(some) for spp, some in _by(cells, "spp").items()},
+            "by_method": {method: ratio(some) for method, some in _by(cells, "method").items()},
+            "worst": {k: worst[k] for k in ("sequence", "signal", "spp", "method")} | {"ratio": ratio([worst])},
+            "slope": _slope(cells, name),
+            "slope_of_estimate": _slope(cells, "estimate"),
+        }
+    return found
+
+
+def tables(document: dict) -> dict[str, str]:
+    """Section `combine`: a line for each combiner; section `combine-cells`: mean ratios by denoiser and spp."""
+    levels = sorted({row["spp"] for row in document["rows"]})
+    lines = [
+        f"| combiner | {' | '.join(f'{spp} spp' for spp in levels)} | all | worst | failures | slope of z | slope |",
+        "|---" * (len(levels) + 6) + "|",
+    ]
+    for name, found in document["summary"].items():
+        ratios = [f"{found['by_spp'][str(spp)]:.3f}" if str(spp) in found["by_spp"] else "" for spp in levels]
+        lines.append(
+            f"| `{name}` | {' | '.join(ratios)} | {found['ratio']:.3f} | {found['worst']['ratio']:.3f} | "
+            f"{found['failures']} of {found['cells']} | {found['slope_of_estimate']:.2f} | {found['slope']:.2f} |"
+        )
+    cells = ["| z | signal | combiner | " + " | ".join(f"{spp} spp" for spp in levels) + " |"]
+    cells.append("|---" * (len(levels) + 3) + "|")
+    for (method, signal), some in _by(document["rows"], "method", "signal").items():
+        for name in _networks(document["rows"]):
+            means = [np.mean([np.log(r[name] / r["estimate"]) for r in s]) for s in _by(some, "spp").values()]
+            cells.append(f"| {method} | {signal} | `{name}` | {' | '.join(f'{np.exp(m):.3f}' for m in means)} |")
+    return {"combine": "\n".join(lines), "combine-cells": "\n".join(cells)}
+
+
+def _frames(clips: Path, opened: dict[int, ClipDataset], index: int, signal: str, spp: int):
+    """The frames of a clip, and the means of one half of their samples where the clip has these."""
+    frames = opened[spp].load(index, signal=signal)
+    try:
+        halves = [frame.radiance for frame in ClipDataset(clips / f"spp{spp // 2:02d}").load(index, signal=signal)]
+    except InputError:
+        halves = None
+    return frames, halves
+
+
+def _name(clips: ClipDataset, index: int) -> str:
+    facts = clips.facts(index)
+    return f"{facts.get('place', facts['kind'])} {index}"
+
+
+def _networks(rows: list[dict]) -> list[str]:
+    known = {"sequence", "signal", "spp", "method", "noisy", "estimate", "shrinkage", "shrinkage-halves"}
+    return [name for name in rows[0] if name not in known]
+
+
+def _by(rows: list[dict], *keys: str) -> dict:
+    found = defaultdict(list)
+    for row in rows:
+        found[row[keys[0]] if len(keys) == 1 else tuple(row[key] for key in keys)].append(row)
+    return found
+
+
+def _slope(rows: list[dict], name: str) -> float:
+    """Mean slope of log MSE over log spp, from `STEEP` on; NaN with fewer than two levels."""
+    slopes = []
+    for some in _by(rows, "sequence", "signal", "method").values():
+        points = [(row["spp"], row[name]) for row in some if row["spp"] >= STEEP]
+        if len(points) > 1:
+            spp, mse = np.log(np.array(points)).T
+            slopes.append(np.polyfit(spp, mse, 1)[0])
+    return float(np.mean(slopes)) if slopes else float("nan")
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)
