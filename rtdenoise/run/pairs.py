@@ -63,8 +63,8 @@ def check_pairs(source: Sequence, denoised: Sequence, count: int) -> None:
                          f"{brightest:.1f} over 8×8 pixels: it looks tone-mapped; save it as linear light")  # fmt: skip
     ratio = (luminance(clean).mean().item() + 1e-12) / (luminance(noisy).mean().item() + 1e-12)
     if not 1 / MAX_RATIO <= ratio <= MAX_RATIO:
-        raise InputError(f"{path}: the denoised frames are {ratio:.3g} times as bright as the noisy ones; both need the "
-                         "same exposure, in linear light")  # fmt: skip
+        raise InputError(f"{path}: the denoised frames are {ratio:.3g} times as bright as the noisy ones; both need "
+                         "the same exposure, in linear light")  # fmt: skip
 
 
 def _light(image: Tensor) -> Tensor:
