@@ -1,8 +1,15 @@
 """Real-time denoising of path-traced animations: 1 sample per pixel in, a clean and temporally stable picture out.
 
-denoiser, history = rtdenoise.load(), None
-for frame in rtdenoise.open_sequence("shot/", signal="indirect"):
-    image, history = denoiser.step(frame, history)
+Frames in memory, numpy or torch, one call each:
+
+    denoiser = rtdenoise.Denoiser()
+    clean = denoiser(color, albedo=albedo, normal=normal, depth=depth, motion=motion)    # [H, W, 3]
+
+Files, with the state in your own hands:
+
+    denoiser, history = rtdenoise.load(), None
+    for frame in rtdenoise.open_sequence("shot/", signal="indirect"):
+        image, history = denoiser.step(frame, history)                                   # [1, 3, H, W]
 """
 
 from importlib import import_module
@@ -10,10 +17,13 @@ from importlib import import_module
 from .errors import InputError
 
 __version__ = "0.1.0"
-__all__ = ["Frame", "History", "InputError", "load", "open_sequence"]
+__all__ = ["Denoiser", "Frame", "History", "InputError", "load", "open_sequence", "pinhole_camera", "screen_motion"]
 
 # Imported when they are asked for: `rtdenoise.glsl` is to run where there is no torch.
-_HOMES = {"Frame": "frame", "History": "frame", "load": "models", "open_sequence": "data.sequences"}
+_HOMES = {
+    "Denoiser": "run.session", "Frame": "frame", "History": "frame", "load": "models",
+    "open_sequence": "data.sequences", "pinhole_camera": "camera", "screen_motion": "camera",
+}  # fmt: skip
 
 
 def __getattr__(name: str):

@@ -1,32 +1,39 @@
-"""Transfer curves beside their inverses, luminance, exposure and the display transform."""
+"""Transfer curves beside their inverses, luminance, exposure and the display transform. The display transform takes
+numpy arrays as well as tensors; nothing here imports torch."""
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from .constants import LUMINANCE_WEIGHTS, MIN_ALBEDO, MIN_ALBEDO_SHARE
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    Image = Tensor | np.ndarray
 
 
 def compress(radiance: Tensor) -> Tensor:
     """`log(1 + x)`: the domain of the network's input and of the loss, where fireflies do not dominate. Inverse:
     `expand`."""
-    return torch.log1p(radiance)
+    return radiance.log1p()
 
 
 def expand(compressed: Tensor) -> Tensor:
     """Inverse of `compress`."""
-    return torch.expm1(compressed)
+    return compressed.expm1()
 
 
-def srgb_encode(linear: Tensor) -> Tensor:
+def srgb_encode(linear: Image) -> Image:
     """The sRGB transfer curve (IEC 61966-2-1), [0, 1] to [0, 1]. Inverse: `srgb_decode`."""
-    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp(min=0.0031308) ** (1 / 2.4) - 0.055)
+    return _where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clip(min=0.0031308) ** (1 / 2.4) - 0.055)
 
 
-def srgb_decode(encoded: Tensor) -> Tensor:
+def srgb_decode(encoded: Image) -> Image:
     """Inverse of `srgb_encode`."""
-    return torch.where(encoded <= 0.04045, encoded / 12.92, ((encoded.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
+    return _where(encoded <= 0.04045, encoded / 12.92, ((encoded.clip(min=0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 def luminance(rgb: Tensor) -> Tensor:
@@ -44,15 +51,22 @@ def albedo_divisor(albedo: Tensor, depth: Tensor) -> Tensor:
     the albedo: dark textures that dither around a threshold stay smooth.
     """
     floor = (MIN_ALBEDO_SHARE * albedo.amax(dim=1, keepdim=True)).clamp(min=MIN_ALBEDO)
-    return torch.where(depth > 0, torch.maximum(albedo, floor), 1.0)
+    return albedo.maximum(floor).where(depth > 0, 1.0)
 
 
-def display_exposure(reference: Tensor) -> Tensor:
+def display_exposure(reference: Image) -> Tensor | float:
     """Scalar that brings the 98th percentile of the reference to 0.9, for pictures and display metrics."""
-    values = reference.flatten().float()
-    return 0.9 / torch.quantile(values[:: max(1, values.numel() // 1_000_000)], 0.98).clamp(min=1e-8)
+    values = reference.flatten()
+    values = values[:: max(1, len(values) // 1_000_000)]
+    if isinstance(values, np.ndarray):
+        return 0.9 / max(float(np.quantile(values, 0.98)), 1e-8)
+    return 0.9 / values.float().quantile(0.98).clamp(min=1e-8)
 
 
-def display(radiance: Tensor, scale: Tensor | float = 1.0) -> Tensor:
+def display(radiance: Image, scale: Tensor | float = 1.0) -> Image:
     """The picture on a screen: exposed by `scale`, clipped to [0, 1], sRGB-encoded."""
-    return srgb_encode((radiance * scale).clamp(0, 1))
+    return srgb_encode((radiance * scale).clip(0, 1))
+
+
+def _where(condition: Image, a: Image, b: Image) -> Image:
+    return np.where(condition, a, b) if isinstance(a, np.ndarray) else a.where(condition, b)

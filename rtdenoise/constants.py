@@ -19,4 +19,9 @@ BRIGHTNESS_BLOCK = 8  # side in pixels of the blocks that brightness is measured
 BRIGHTNESS_SHARE = 0.9  # of the blocks, the darkest ones, that count
 MIN_BRIGHTNESS = 1e-8  # darker frames count as black
 FIREFLY_LIMIT = 5.0  # times the brightness that the neighbourhood or the frame explains
+
+# A sky without noise (`ops.even_sky`).
+SKY_BLOCK = 8  # side in pixels of the blocks that are compared
+SKY_TOLERANCE = 1e-3  # share of its radiance by which an even sky differs; half floats round by half of that
+
 MIN_DISTANCE = 1e-12  # of a frame's mean depth: never zero (`frame.mean_distance`)

@@ -1,15 +1,32 @@
-"""The one exception that is for the user, not for the programmer, and what its messages share."""
+"""The one exception that is for the user, not for the programmer, and the parts that its messages share."""
+
+from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+INSTALL_TORCH = "type: pip install 'rtdenoise[torch]'"
 
 
 class InputError(ValueError):
     """Something outside the program is wrong: a file, a layer, a size, an option, a missing driver.
 
     The message is one line that names the thing, what was found, what was expected and what to do. The command line
-    prints it and exits with 2; library users catch it as a `ValueError`.
+    prints it and exits with 2; library users catch it as a `ValueError`. Control characters, as in file names, are
+    escaped.
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
+
+
+class NotCompiled(OSError):
+    """A fused op cannot be compiled or loaded here; the plain one takes its place."""
+
+
+def printable(text: str) -> str:
+    """The text with `\\n`, `\\x1b` and so on for characters that would not show, or would steer a terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

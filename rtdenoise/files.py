@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import math
 import os
+import platform
 import re
 import secrets
 import stat
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -20,7 +23,8 @@ try:
 except ImportError:  # Windows: two runs on one folder are not kept apart
     fcntl = None
 
-UNFINISHED = re.compile(r"\.rtdenoise-(\d+)-[0-9a-f]{16}\.tmp")  # the process that writes it, and a random number
+UNFINISHED = re.compile(r"\.rtdenoise-(\d+)-([0-9a-f]{8})[0-9a-f]{8}\.\w+")  # process, machine, a random number
+DAY = 86400.0  # seconds
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)  # flags that Windows lacks
 NO_WAITING = getattr(os, "O_NONBLOCK", 0)
 
@@ -31,7 +35,7 @@ def replacing(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
 
     A link at `path` is replaced, never followed. Nothing is left behind where the block raises.
     """
-    temporary = path.with_name(f".rtdenoise-{os.getpid()}-{secrets.token_hex(8)}{suffix}")
+    temporary = path.with_name(f".rtdenoise-{os.getpid()}-{_machine()}{secrets.token_hex(4)}{suffix}")
     try:
         yield temporary
         temporary.replace(path)
@@ -40,24 +44,41 @@ def replacing(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
             temporary.unlink()
 
 
-def write_atomically(path: Path, content: bytes | memoryview) -> None:
-    """Write a file that appears under its name only when it is complete.
+def write_atomically(path: Path, content: bytes | memoryview, sync: bool = False) -> None:
+    """Write a file that appears under its name only when it is complete; with `sync` also after a loss of power.
 
     Raises InputError where it cannot be written, as on a full disk.
     """
     try:
         with replacing(path) as temporary:
             temporary.write_bytes(content)
+            if sync:
+                with open(temporary, "rb") as file:
+                    os.fsync(file.fileno())
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; run again when that is solved") from None
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove the files that killed processes of this program were writing. Call it while holding the folder's lock."""
+    """Remove the files that killed processes of this program were writing. Call it while holding the folder's lock.
+
+    Whether a process still runs is known of this machine alone. Files from other machines, which may write there too,
+    are removed when they are a day old.
+    """
     for path in folder.iterdir():
         match = UNFINISHED.fullmatch(path.name)
-        if match and stat.S_ISREG(path.lstat().st_mode) and not _runs(int(match[1])):
-            path.unlink(missing_ok=True)
+        if not match:
+            continue
+        with contextlib.suppress(FileNotFoundError):
+            found, here = path.lstat(), match[2] == _machine()
+            dead = not _runs(int(match[1])) if here else time.time() - found.st_mtime > DAY
+            if stat.S_ISREG(found.st_mode) and dead:
+                path.unlink()
+
+
+def _machine() -> str:
+    """Tells the machines apart that write to one folder."""
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
 def _runs(process: int) -> bool:

@@ -45,29 +45,48 @@ CHANNELS = {
 
 @dataclass(frozen=True)
 class Frame:
-    """The buffers of one frame. `None` where the sequence does not have the layer.
+    """The buffers of one frame: float32 tensors, or numpy arrays for `rtdenoise.glsl`. None: the frame lacks the layer.
 
-    Tensors, or numpy arrays of the same shapes for `rtdenoise.glsl`, which needs no torch.
+    radiance          [B, 3, H, W]  the noisy signal: linear, scene-referred, ≥ 0, unbounded
+    albedo            [B, 3, H, W]  in [0, 1]
+    normal            [B, 3, H, W]  world space, in [-1, 1]
+    depth             [B, 1, H, W]  linear distance from the camera, > 0; 0 or inf where nothing was hit
+    motion            [B, 2, H, W]  (x, y) in pixels, previous minus current; x right, y down
+    motion_next       [B, 2, H, W]  (x, y) in pixels, next minus current
+    position          [B, 3, H, W]  world space
+    id                [B, 1, H, W]  number of the object, 0 where nothing was hit
+    samples           [B, 1, H, W]  samples a pixel of the noisy signal
+    components        [B, 3K, H, W] the noisy signal split into K parts that add up to it
+    reference         [B, 3, H, W]  the converged signal, for training and evaluation only
+    reference_half    [B, 3, H, W]  the mean of one half of the reference's samples
+    number, name      of the frame: its number, and where it came from, for messages
 
-    Only `radiance` is always there. A denoiser asks for the other layers that it needs with `require`.
+    `step` needs radiance, albedo, normal, depth and, with a history, motion. Arrays `[H, W, C]` go into
+    `rtdenoise.Denoiser` instead. Raises InputError where radiance has no four axes, ValueError where another layer does
+    not fit it.
     """
 
-    radiance: Tensor  # [B, 3, H, W] the noisy signal
-    albedo: Tensor | None = None  # [B, 3, H, W]
-    normal: Tensor | None = None  # [B, 3, H, W]
-    depth: Tensor | None = None  # [B, 1, H, W]
-    motion: Tensor | None = None  # [B, 2, H, W] previous - current, pixels
-    motion_next: Tensor | None = None  # [B, 2, H, W] next - current, pixels
-    position: Tensor | None = None  # [B, 3, H, W] world space
-    id: Tensor | None = None  # [B, 1, H, W]
-    samples: Tensor | None = None  # [B, 1, H, W] samples a pixel of the noisy signal
-    components: Tensor | None = None  # [B, 3K, H, W] the noisy signal split into K parts that add up to it
-    reference: Tensor | None = None  # [B, 3, H, W] the converged signal, for training and evaluation only
-    reference_half: Tensor | None = None  # [B, 3, H, W] the mean of one half of the reference's samples
-    number: int = 0  # frame number, as in the file name
-    name: str = ""  # where it came from, for messages
+    radiance: Tensor
+    albedo: Tensor | None = None
+    normal: Tensor | None = None
+    depth: Tensor | None = None
+    motion: Tensor | None = None
+    motion_next: Tensor | None = None
+    position: Tensor | None = None
+    id: Tensor | None = None
+    samples: Tensor | None = None
+    components: Tensor | None = None
+    reference: Tensor | None = None
+    reference_half: Tensor | None = None
+    number: int = 0
+    name: str = ""
 
     def __post_init__(self) -> None:
+        shape = tuple(getattr(self.radiance, "shape", ()))
+        if len(shape) != 4:
+            found = shape or type(self.radiance).__name__
+            advice = "rtdenoise.Denoiser takes [H, W, 3]"
+            raise InputError(f"{self.name or 'frame'}: expected radiance [B, 3, H, W], got {found}; {advice}")
         size = (self.radiance.shape[0], *self.radiance.shape[2:])
         for layer, tensor in self.layers():
             channels, found = CHANNELS[layer], tuple(tensor.shape)

@@ -14,12 +14,13 @@ from .constants import DEPTH_TOLERANCE, MAX_CRACK_DISTANCE
 from .frame import OFF_SCREEN, Frame, History
 from .motion import OCCLUSION_THRESHOLD, dual_motion, occlusion_mask, on_screen
 from .ops import fetch
-from .ops.dispatch import Fused, Support
+from .ops.dispatch import Fused, Support, falls_back
 
 FUSED = Fused("history_motion", native=Support())
 NOTHING = torch.iinfo(torch.int64).max  # key of a pixel that nothing lands on
 
 
+@falls_back
 def history_motion(frame: Frame, history: History, kind: str = "dual") -> tuple[Tensor, Tensor, Tensor]:
     """The motion that fetches a frame's history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere.
     And two masks, `[B, 1, H, W]` bool: whether it leads onto the screen, and whether the pixel is uncovered.

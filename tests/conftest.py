@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from environments import Environment, build_wheel
 from PIL import Image
 from tolerances import TOLERANCES
 
+if not torch.cuda.is_available():
+    os.environ["TRITON_INTERPRET"] = "1"  # read when Triton is imported
 with contextlib.suppress(ImportError):
     import triton  # noqa: F401  (its LLVM must be loaded before that of Mesa's OpenGL, or the process crashes)
 
@@ -58,6 +61,24 @@ def gl():
     from rtdenoise import glsl
 
     return glsl.default_context()
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory):
+    """The package's wheel, built once."""
+    return build_wheel(tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="session")
+def without_torch(tmp_path_factory, wheel):
+    """The wheel in an environment of its own, as `pip install rtdenoise` leaves it."""
+    return Environment(tmp_path_factory.mktemp("plain") / "venv", wheel)
+
+
+@pytest.fixture(scope="session")
+def with_torch(tmp_path_factory, wheel):
+    """... as `pip install rtdenoise[torch] mitsuba` leaves it."""
+    return Environment(tmp_path_factory.mktemp("torch") / "venv", wheel, ("torch",), also=("mitsuba",))
 
 
 @pytest.fixture

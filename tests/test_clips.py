@@ -122,6 +122,31 @@ def test_older_clips_are_read(tmp_path):
     np.testing.assert_array_equal(clips.load(0)[2].reference_half, images(frames[2], "reference_half"))
 
 
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        (None, "not a clip: its header has no JSON object 'clip'; delete it and render it again"),
+        ({"clip": "[1]"}, "not a clip: its header has no JSON object 'clip'; delete it and render it again"),
+        ({"clip": "["}, "not a clip: its header has no JSON object 'clip'; delete it and render it again"),
+        ({"clip": "{}", "scales": "[" * 10_000}, "not a clip: its header has no JSON object 'scales'; delete it and"),
+        ({"clip": "{}", "scales": '{"color": 1e30}'}, "damaged: its scales are {'color': 1e+30}; delete it and render"),
+        ({"clip": "{}", "scales": '{"color": "2"}'}, "damaged: its scales are {'color': '2'}; delete it and render it"),
+        ({"clip": "{}"}, "has no layer 'color'; it has x"),
+    ],
+)
+def test_files_that_are_no_clips(tmp_path, header, expected):
+    path = clip_path(tmp_path, 0)
+    tensors = {"x": np.zeros(1)}
+    if header and "scales" in header:
+        write(tmp_path, make_frames())
+        tensors = load_file(path)
+    save_file(tensors, path, metadata=header)
+    with pytest.raises(InputError) as caught:
+        ClipDataset(tmp_path).facts(0)
+        ClipDataset(tmp_path).load(0)
+    assert str(caught.value).startswith(f"{path}: {expected}")
+
+
 @pytest.mark.parametrize("signal", ["color", "indirect"])
 def test_halves_under_their_old_names_are_read(tmp_path, signal):
     frame = make_frames()[0]

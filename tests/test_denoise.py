@@ -19,6 +19,7 @@ from synthetic import TINY, make_frames, with_bad_pixels, write_sequence
 import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header
+from rtdenoise.data.stored import read_history, write_history
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
 from rtdenoise.run.denoise import STATE, Options, denoise
@@ -242,6 +243,22 @@ def test_damaged_state(shot, tmp_path, model, capsys):
     out = tmp_path / "out"
     denoise(str(shot), out, Options(model=model))
     (out / STATE).write_bytes(b"not safetensors at all")
+    assert "not readable" in refused(capsys, "denoise", shot, "--out", out, "--model", model)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"done": "x"}, {"so_far": "[]"}, {"so_far": "[" * 10_000}, {"so_far": "{}"}, {"options": "[1]"},
+        {"so_far": '{"replaced": [], "cuts": [], "left_out": {}}'}, {"so_far": '{"replaced": {"a": "b"}, "cuts": []}'},
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_damaged_metadata_of_the_state(shot, tmp_path, model, capsys, damage):
+    out = tmp_path / "out"
+    denoise(str(shot), out, Options(model=model))
+    stored, metadata = read_history(out / STATE)
+    write_history(out / STATE, stored, metadata | damage)
     assert "not readable" in refused(capsys, "denoise", shot, "--out", out, "--model", model)
 
 

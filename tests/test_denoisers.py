@@ -216,7 +216,7 @@ def test_an_override_that_is_none_is_named_and_not_the_file(tmp_path, denoiser):
     path = tmp_path / "small.safetensors"
     save(denoiser, path)
     for overrides, complaint in (
-        ({"motin": "dual"}, "motin: not an override of model .*motin.*; its configuration has widths, "),
+        ({"motin": "dual"}, "motin: not an override of model .*; its configuration has widths, "),
         ({"motion": "sideways"}, "motion: not an override of model .*expected motion 'dual' or 'traditional', got 'si"),
         ({"widths": (8, 8, 8, 8, 8)}, "weights do not fit the configuration with widths as asked for: "),
     ):

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtdenoise.data.exr import read_channels, read_header
-from rtdenoise.data.exr_format import MULTI_PART, TILED, find_table_end
+from rtdenoise.data.exr_chunks import find_table_end
+from rtdenoise.data.exr_format import MULTI_PART, TILED
 from rtdenoise.errors import InputError
 
 MAGIC = 20000630
@@ -93,7 +94,7 @@ def test_many_small_tiles_are_read_in_no_time(tmp_path):
 @pytest.mark.parametrize("descending", [False, True])
 def test_a_table_that_fills_the_file(tmp_path, descending):
     """No chunk begins before the end of the file, so that the table seems to go on to there."""
-    head, count = start(TILED) + header(60000, 60000), 150_000
+    head, count = start(TILED) + header(16000, 16000), 150_000
     size = len(head) + 8 * count
     offsets = size + 10 + np.arange(count, dtype="<u8")[:: -1 if descending else 1]
     (tmp_path / "a.exr").write_bytes(head + offsets.tobytes())
@@ -109,6 +110,11 @@ def test_a_count_of_chunks_beyond_the_file(tmp_path):
     assert "truncated or damaged: the header does not end" in message(read_header, tmp_path / "a.exr")
     assert tracemalloc.get_traced_memory()[1] < 1e6
     tracemalloc.stop()
+
+
+def test_a_picture_that_no_memory_holds(tmp_path):
+    (tmp_path / "a.exr").write_bytes(start() + header(65000, 65000) + bytes(100))
+    assert "damaged: the data window is (0, 0) to (64999, 64999)" in message(read_header, tmp_path / "a.exr")
 
 
 # --- chunks -----------------------------------------------------------------------------------------------------------

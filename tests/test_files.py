@@ -43,13 +43,20 @@ def test_a_name_of_the_longest_length_is_written(tmp_path):
 
 def test_only_our_own_unfinished_files_are_removed(tmp_path):
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
-    ours = [f".rtdenoise-{number}-0123456789abcdef.tmp" for number in (os.getpid(), int(ended.stdout), 10**30)]
-    running = f".rtdenoise-{os.getppid()}-0123456789abcdef.tmp"
-    others = [".other.tmp", ".a.exr.123.tmp", ".rtdenoise-1.tmp", ".rtdenoise-state.safetensors", running]
-    for name in (*ours, *others):
+    here, elsewhere = files._machine(), "01234567"
+    ours = [f".rtdenoise-{number}-{here}89abcdef.tmp" for number in (os.getpid(), int(ended.stdout), 10**30)]
+    running = [f".rtdenoise-{os.getppid()}-{here}89abcdef.tmp", f".rtdenoise-1-{elsewhere}89abcdef.tmp"]
+    old = [f".rtdenoise-1-{elsewhere}{k}9abcdef.tmp" for k in range(2)]  # of machines that have long finished
+    others = [".other.tmp", ".a.exr.123.tmp", ".rtdenoise-1.tmp", ".rtdenoise-state.safetensors", *running]
+    for name in (*ours, *others, *old):
         (tmp_path / name).touch()
+    for name in (*old, *others):
+        os.utime(tmp_path / name, (0, 0) if name not in running else None)
+    with files.replacing(tmp_path / "a") as temporary:
+        assert files.UNFINISHED.fullmatch(temporary.name)[2] == here
+        temporary.touch()
     files.remove_unfinished(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == set(others)
+    assert {path.name for path in tmp_path.iterdir()} == {*others, "a"}
 
 
 def test_one_lock_at_a_time(tmp_path):

@@ -1,5 +1,6 @@
 """Files that are damaged in any way are refused with one line, or read; nothing else."""
 
+import json
 import struct
 
 import numpy as np
@@ -74,6 +75,48 @@ def test_bytes_changed_anywhere_in_the_pixels(tmp_path, intact, data):
     for _ in range(data.draw(st.integers(1, 8))):
         damaged[data.draw(st.integers(400, len(damaged) - 1))] ^= data.draw(st.integers(1, 255))
     survives(tmp_path / "frame.0001.exr", bytes(damaged))
+
+
+def scene():
+    camera = {"world_to_pixel": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1], [0, 0, 1, 0]], "camera_origin": [0, 0, 0]}
+    frames = [{"number": n, "shot": 0, "object_to_world": {"1": np.eye(4).tolist()}, **camera} for n in range(3)]
+    return {"format": "rtdenoise-scene-1", "width": 7, "height": 9, "objects": {"1": "wall"}, "frames": frames}
+
+
+def places(value, path=()):
+    """The path of every value in nested lists and dicts."""
+    yield path
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield from places(item, (*path, key))
+
+
+ODD = st.one_of(
+    st.none(), st.booleans(), st.text(max_size=3), st.integers(), st.floats(), st.just(10**400),
+    st.dictionaries(st.text(max_size=2), st.integers(), max_size=1), st.lists(st.integers(), max_size=5),
+)  # fmt: skip
+
+
+@BOUNDED
+@given(data=st.data())
+def test_a_scene_with_odd_values_anywhere(tmp_path, data):
+    """It is refused in one line, or every layer can be computed from it."""
+    image = np.ones((9, 7, 3), np.float32)
+    write_layers(tmp_path / "1.exr", {"color": image, "position": image, "id": image[..., :1]})
+    document = scene()
+    for _ in range(data.draw(st.integers(1, 2))):
+        *path, last = data.draw(st.sampled_from(sorted(places(document), key=repr))) or ("format",)
+        parent = document
+        for key in path:
+            parent = parent[key]
+        parent[last] = data.draw(ODD)
+    (tmp_path / "scene.json").write_text(json.dumps(document))
+    try:
+        frame = open_sequence(tmp_path)[0]
+    except InputError as error:
+        assert "scene.json" in str(error) and "\n" not in str(error)
+    else:
+        assert frame.depth is not None
 
 
 @BOUNDED

@@ -452,14 +452,33 @@ def test_the_pipeline_is_imported_without_torch(weights):
     assert run.stdout == "accumulated_kpn\n", run.stderr
 
 
+def test_everything_around_denoising_runs_without_torch(weights, tmp_path):
+    """The same files and pictures with torch and without: the denoised beauty, and the preview."""
+    shot, model = write_sequence(tmp_path / "shot", make_frames(2)), weights(TINY)
+    main = "from rtdenoise.cli.main import main; main()"
+    common = ("--signal", "indirect", "--recombine", "--preview", "--model", model, "--float32", "--backend", "glsl")
+    for name, start in (("without", NO_TORCH), ("with", "import sys\n")):
+        command = [sys.executable, "-c", start + main, "denoise", shot, "--out", tmp_path / name, *common]
+        run = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+        assert (run.returncode, "preview.png" in run.stdout) == (0, True), run.stderr
+    for name in ("frame.0001.exr", "preview.png"):
+        assert (tmp_path / "without" / name).read_bytes() == (tmp_path / "with" / name).read_bytes()
+
+
+def test_inspect_without_torch_leaves_out_the_motion(tmp_path):
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    run = without_torch("from rtdenoise.cli.main import main; main()", "inspect", shot)
+    assert run.returncode == 0, run.stderr
+    assert "not checked: it takes PyTorch; type: pip install 'rtdenoise[torch]'" in run.stdout
+
+
 def test_what_needs_torch_says_so(weights, tmp_path):
     shot = write_sequence(tmp_path / "shot", make_frames(1))
-    common = ("denoise", shot, "--out", tmp_path / "out", "--model", weights(TINY))
-    for options, message in (
-        (("--backend", "torch"), "--backend torch: PyTorch is not installed"),
-        (("--recombine",), "--recombine needs PyTorch"),
-        (("--preview",), "this needs PyTorch"),
+    for words, message in (
+        (("denoise", shot, "--out", tmp_path / "out", "--model", weights(TINY), "--backend", "torch"), "backend torch"),
+        (("evaluate", shot, "--out", tmp_path / "out"), "this needs PyTorch"),
+        (("demo", "--out", tmp_path / "out"), "this needs PyTorch"),
     ):
-        run = without_torch("from rtdenoise.cli.main import main; main()", *common, *options)
+        run = without_torch("from rtdenoise.cli.main import main; main()", *words)
         assert (run.returncode, run.stderr.count("\n")) == (2, 1), run.stderr
-        assert message in run.stderr
+        assert message in run.stderr and "type: pip install 'rtdenoise[torch]'" in run.stderr

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from rtdenoise.data.conventions import READINGS, Reading
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.ops import warp
+from rtdenoise.run.conventions import READINGS, Reading
 from rtdenoise.run.inspect import inspect, render_text
 
 H, W, FRAMES = 72, 110, 4
@@ -216,7 +216,7 @@ def test_the_facts(tmp_path):
     with pytest.raises(InputError, match="missing: 4 to 5"):
         inspect(tmp_path)
     found = inspect(tmp_path, allow_gaps=True)
-    assert (found.files, found.numbers, found.gaps, found.size) == (4, (1, 6), (4, 5), (H, W))
+    assert (found.files, found.numbers, found.gaps, found.size) == (4, (1, 6), ((4, 5),), (H, W))
     assert (found.preset, found.signal, found.demodulated, found.scene) == ("native", "color", False, False)
     assert {layer.name: layer.dtype for layer in found.layers} == {
         "radiance": "half", "albedo": "half", "depth": "float", "motion": "float", "motion_next": "float"
@@ -229,7 +229,7 @@ def test_the_facts(tmp_path):
     json.dumps(asdict(found))
 
     text = render_text(found)
-    assert "4 files, 110×72, numbers 1 to 6; 2 missing: 4, 5" in text and "native; signal color" in text
+    assert "4 files, 110×72, numbers 1 to 6; 2 missing: 4 to 5" in text and "native; signal color" in text
     assert (
         "radiance: NaN or Inf (1), motion: NaN or Inf (5)" in text
         and "extra.V" in text

@@ -13,9 +13,6 @@ from pathlib import Path
 import pytest
 import torch
 
-if not torch.cuda.is_available():
-    os.environ["TRITON_INTERPRET"] = "1"  # read when rtdenoise.ops.triton is imported
-
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.ops import dispatch, pixels
@@ -444,9 +441,10 @@ def declarations():
 
 def test_every_fused_op_has_the_name_of_its_plain_one():
     """Declared implementations exist; every file of a folder belongs to an op or is shared."""
-    files = {"native": {"__init__", "compiler", "logits"}, "triton": {"__init__", "common", "pool", "targets", "alike"}}
+    shared = {"__init__", "cache", "compiler", "logits"}
+    files = {"native": {*shared}, "triton": {"__init__", "common", "pool", "targets", "alike"}}
     for module, fused in declarations():
-        assert callable(getattr(module, fused.name))
+        assert callable(getattr(module, fused.name).__wrapped__)  # decorated by `falls_back`
         assert module.__name__ in (f"rtdenoise.ops.{fused.file}", "rtdenoise.splat")
         for folder in fused.support:
             assert callable(dispatch._function(folder, fused.file, fused.name))
@@ -454,7 +452,7 @@ def test_every_fused_op_has_the_name_of_its_plain_one():
     for folder, expected in files.items():
         assert {file.stem for file in (Path(*ops.__path__) / folder).glob("*.py")} == expected
     sources = {file.stem for file in (Path(*ops.__path__) / "native").glob("*.c")}
-    assert sources == files["native"] - {"__init__", "compiler", "logits", "blend_history"}  # apply_kernel.c blends
+    assert sources == files["native"] - {*shared, "blend_history"}  # apply_kernel.c blends
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,20 @@
 """What `denoise` writes for native sequences: recombination, layouts, and what it refuses."""
 
+import json
+import math
+
 import numpy as np
 import pytest
 import torch
 from synthetic import TINY, make_frames, write_sequence
 
+from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.output import recombined
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
+from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options, denoise
 
 H, W = 5, 7
@@ -36,8 +41,8 @@ def rgb(path):
 def test_native_indirect_light_contains_the_albedo(tmp_path):
     """beauty = color - indirect_noisy + indirect_denoised"""
     sequence = native(tmp_path / "1.exr", np.full((H, W, 3), 3.0), np.full((H, W, 3), 2.0))
-    image = torch.full((1, 3, H, W), 0.5)
-    assert torch.equal(recombined(sequence, 0, sequence[0], image), torch.full((1, 3, H, W), 1.5))
+    image = np.full((1, 3, H, W), 0.5, np.float32)
+    assert np.array_equal(recombined(sequence, 0, sequence.read(0), image), np.full((1, 3, H, W), 1.5))
 
 
 def test_direct_light_passes_through(tmp_path):
@@ -46,12 +51,12 @@ def test_direct_light_passes_through(tmp_path):
     direct, noisy = random((H, W, 3), np.float32), random((H, W, 3), np.float32) * 4
     noisy[:, : W // 2] = 0
     sequence = native(tmp_path / "1.exr", direct + noisy, noisy)
-    image = torch.from_numpy(random((1, 3, H, W), np.float32))
+    image = random((1, 3, H, W), np.float32)
     image[..., : W // 2] = 0
-    beauty = recombined(sequence, 0, sequence[0], image)
-    direct = torch.from_numpy(direct).permute(2, 0, 1)[None]
-    assert torch.equal(beauty[..., : W // 2], direct[..., : W // 2])
-    assert torch.allclose(beauty, direct + image, rtol=0, atol=5 * 2.0**-22)  # values of up to 5, rounded twice
+    beauty = recombined(sequence, 0, sequence.read(0), image)
+    direct = np.moveaxis(direct, 2, 0)[None]
+    assert np.array_equal(beauty[..., : W // 2], direct[..., : W // 2])
+    assert np.allclose(beauty, direct + image, rtol=0, atol=5 * 2.0**-22)  # values of up to 5, rounded twice
 
 
 def test_recombined_is_finite_and_not_negative(tmp_path):
@@ -60,7 +65,7 @@ def test_recombined_is_finite_and_not_negative(tmp_path):
     color[0, 1], indirect[0, 1] = np.inf, np.inf
     indirect[0, 2] = 4  # more than the beauty
     sequence = native(tmp_path / "1.exr", color, indirect)
-    beauty = recombined(sequence, 0, sequence[0], torch.full((1, 3, H, W), 0.5))
+    beauty = recombined(sequence, 0, sequence.read(0), np.full((1, 3, H, W), 0.5, np.float32))
     assert beauty[0, 0, 0, :4].tolist() == [0.5, 0.5, 0, 1.5]
 
 
@@ -109,3 +114,125 @@ def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, model, opti
         denoise(str(shot), tmp_path / "out", Options(model=model, **options))
     assert expected in str(caught.value) and "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+# --- the input is never written to ------------------------------------------------------------------------------------
+
+
+def links_to(shot, folder, link=lambda new, old: new.symlink_to(old)):
+    folder.mkdir()
+    for path in sorted(shot.iterdir()):
+        link(folder / path.name, path)
+    return folder
+
+
+def refusal(source, out, **options):
+    with pytest.raises(InputError) as caught:
+        denoise(str(source), out, Options(model="default", **options), overwrite=True)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_a_folder_of_links_to_the_input_is_the_input(tmp_path, layout):
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    links = links_to(shot, tmp_path / "links")
+    before = {path: (path.is_symlink(), path.read_bytes()) for path in (*shot.iterdir(), *links.iterdir())}
+    (tmp_path / "same").symlink_to(links)
+    for source, out in ((links, links), (links, shot), (links, tmp_path / "same"), (tmp_path / "same", shot)):
+        assert refusal(source, out, layout=layout).endswith(
+            f"{out}: this folder holds the input, which is never written to; choose another --out"
+        )
+    assert "links/frame.0000.exr: is a file of the input" in refusal(shot, links, layout=layout)
+    hard = links_to(shot, tmp_path / "hard", lambda new, old: new.hardlink_to(old))
+    assert "hard/frame.0000.exr: is a file of the input" in refusal(shot, hard, layout=layout)
+    assert before == {path: (path.is_symlink(), path.read_bytes()) for path in before}
+    assert {path.name for path in links.iterdir()} == {path.name for path in shot.iterdir()}
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_frames_that_would_be_written_to_one_file(tmp_path, layout):
+    """Every frame has a folder of its own, and the same file name in it."""
+    layers = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2}
+    for number in range(2):
+        (tmp_path / "shot" / str(number)).mkdir(parents=True)
+        write_layers(tmp_path / "shot" / str(number) / "all.exr", {k: np.ones((H, W, n)) for k, n in layers.items()})
+    letters = {"color": "RGB", "albedo": "RGB", "normal": "XYZ", "depth": "Z", "motion": "XY"}
+    tables = [
+        f"[{layer}]\nchannels = {[('' if layer == 'color' else f'{layer}.') + c for c in names]}\n"
+        "file = '{frame}/all.exr'"
+        for layer, names in letters.items()
+    ]
+    (tmp_path / "my.toml").write_text("\n".join(tables))
+    found = refusal(tmp_path / "shot", tmp_path / "out", preset=str(tmp_path / "my.toml"), layout=layout)
+    assert found.startswith(
+        f"{tmp_path}/shot/1/all.exr: would be written to the same file as {tmp_path}/shot/0/all.exr"
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_links_in_the_output_folder_are_not_followed(tmp_path, model):
+    shot, out = write_sequence(tmp_path / "shot", make_frames(2)), tmp_path / "out"
+    out.mkdir()
+    (tmp_path / "mine").write_text("mine")
+    for name in ("frame.0000.exr", "denoise.json", ".rtdenoise-state.safetensors", ".rtdenoise-probe", "preview.png"):
+        (out / name).symlink_to(tmp_path / "mine")
+    main(["denoise", str(shot), "--out", str(out), "--model", model, "--overwrite", "--preview"])
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert {path.name for path in out.iterdir() if path.is_symlink()} == {".rtdenoise-probe"}
+
+
+# --- what is written, and what is found again -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_a_result_that_is_not_finite_is_never_written(tmp_path, model, layout, monkeypatch):
+    """Whatever went wrong before: the image is checked as it is written."""
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    step = TorchBackend.step
+
+    def broken(self, frame, history):
+        image, history = step(self, frame, history)
+        image[0, 1, 3, 3:5] = np.nan if frame.number else 0.5
+        return image, history
+
+    monkeypatch.setattr(TorchBackend, "step", broken)
+    with pytest.raises(InputError, match=r"frame\.0001\.exr: the result has 2 pixels that are not finite"):
+        denoise(str(shot), tmp_path / "out", Options(model=model, layout=layout))
+    assert [path.name for path in sorted((tmp_path / "out").glob("*.exr"))] == ["frame.0000.exr"]
+
+
+@pytest.mark.parametrize("options", [{"layout": "source"}, {"keep": ("all",)}], ids=["source", "keep"])
+def test_nan_in_channels_that_are_passed_on_is_told(tmp_path, model, options, capsys):
+    frames = make_frames(3)
+    for frame in frames[1:]:
+        frame.normal[0, 1, 2:4, 2] = math.nan
+    shot = write_sequence(tmp_path / "shot", frames)
+    arguments = ["--layout", "source"] if "layout" in options else ["--keep", "all"]
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", model, *arguments])
+    assert "passed on as in the input: NaN in 4 pixels of normal.Y" in capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "denoise.json").read_text())["passed_on"] == {"normal.Y": 4}
+    assert denoise(str(shot), tmp_path / "out", Options(model=model, **options)).passed_on == {"normal.Y": 4}
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+@pytest.mark.parametrize(
+    ("junk", "expected"),
+    [
+        (lambda path: path.write_text("junk"), "not an OpenEXR file"),
+        (lambda path: path.write_bytes(b""), "damaged or replaced"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-9]), "damaged or replaced"),
+        (lambda path: write_sequence(path.parent, make_frames(2, H=9, W=8)), "8×9 pixels"),
+        (lambda path: write_layers(path, {"color": np.zeros((24, 32, 3))}), "another size in bytes"),
+    ],
+)
+def test_a_finished_frame_that_was_replaced_is_noticed(tmp_path, model, layout, junk, expected):
+    shot, out = write_sequence(tmp_path / "shot", make_frames(3)), tmp_path / "out"
+    options = Options(model=model, layout=layout)
+    denoise(str(shot), out, options)
+    junk(out / "frame.0001.exr")
+    with pytest.raises(InputError, match=expected) as caught:
+        denoise(str(shot), out, options)
+    assert "--overwrite" in str(caught.value) and "\n" not in str(caught.value)
+    assert denoise(str(shot), out, options, overwrite=True).written == 3
+    assert denoise(str(shot), out, options).skipped == 3

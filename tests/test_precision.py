@@ -67,7 +67,7 @@ def test_freed_memory_is_kept_where_the_c_library_is_glibc():
     """In a process of its own: a tensor made again costs no page faults, which without it are one every 4 KiB."""
     code = """
 import resource, sys, torch
-import rtdenoise.models  # as in a program that denoises: what else lies in the heap decides too
+import rtdenoise.models.loading  # as in a program that denoises: what else lies in the heap decides too
 from rtdenoise.run.memory import keep_freed
 told = keep_freed()
 faults = []

@@ -285,7 +285,7 @@ def test_recombined_into_the_files_of_both_signals(tmp_path, model):
     sequence = open_sequence(shot, signal="indirect", preset=options.preset)
     for recombine, planes in ((False, indirect), (True, beauty)):
         result = read_result(tmp_path / "out", sequence, 2, "source", recombine)
-        assert np.array_equal(result[0].numpy(), np.stack([planes[c] for c in "RGB"]))
+        assert np.array_equal(result[0], np.stack([planes[c] for c in "RGB"]))
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -252,7 +253,7 @@ def test_frame_numbers_that_are_missing_or_there_twice(tmp_path):
         f"{folder / 'frame.0002.exr'}: the next frame is 4, missing: 3; render what is missing, or allow gaps "
         "(--allow-gaps): history then starts anew after each"
     )
-    assert open_sequence(folder, allow_gaps=True).gaps == (3, 5, 6, 7)
+    assert open_sequence(folder, allow_gaps=True).gaps == ((3, 3), (5, 7))
     shutil.copy(folder / "frame.0002.exr", folder / "frame.02.exr")
     assert message(open_sequence, folder, allow_gaps=True) == (
         f"{folder / 'frame.02.exr'}: frame number 2 is there twice, frame.0002.exr has it too; "
@@ -341,14 +342,63 @@ def with_frame(document, **changes):
             "frames[0]: expected 'world_to_pixel' as 4×4 finite numb",
         ),
         (lambda d: with_frame(d, world_to_pixel=np.eye(4).tolist()), "frames[0]: 'world_to_pixel' cannot be inverted"),
-        (
-            lambda d: with_frame(d, camera_origin=[0, float("nan"), 0]),
-            "frames[0]: expected 'camera_origin' as 3 finite numb",
-        ),
+        (lambda d: with_frame(d, camera_origin=[0, float("nan"), 0]), "not valid JSON: NaN is not a JSON number"),
+        (lambda d: json.dumps(d).replace("1.0", "1e999", 1), "frames[0]: expected 'world_to_pixel' as 4×4 finite"),
+        (lambda d: with_frame(d, camera_origin=[0, 10**400, 0]), "frames[0]: expected 'camera_origin' as 3 finite"),
+        (lambda d: with_frame(d, camera_origin=[0, True, 0]), "frames[0]: expected 'camera_origin' as 3 finite"),
+        (lambda d: with_frame(d, camera_origin=["0", "1", "2"]), "frames[0]: expected 'camera_origin' as 3 finite"),
+        (lambda d: with_frame(d, camera_origin={}), "frames[0]: expected 'camera_origin' as 3 finite numbers"),
+        (lambda d: with_frame(d, number=True), "frames[0]: expected an object with an integer 'number'"),
+        (lambda d: with_frame(d, number=10**30), "frames[0]: expected an object with an integer 'number'"),
+        (lambda d: with_frame(d, shot=[1]), "frames[0]: shot is [1], expected an integer"),
+        (lambda d: with_frame(d, object_to_world={"9" * 5000: []}), "frames[0]: expected 'object_to_world' to map"),
+        (lambda d: with_frame(d, object_to_world={"1": [[1e308] * 4] * 4}), "frames[0]: 'object_to_world[1]' cannot"),
+        (lambda d: {**d, "frames": d["frames"] * 2}, "frames[5]: number -1 is there twice"),
+        (lambda d: {**d, "frames": d["frames"][:1]}, "no entry for frame 0, which frame.0000.exr is; render the s"),
+        (lambda d: {**d, "objects": {"wall": "1"}}, "expected 'objects' (id -> name) and 'frames' (a list)"),
+        (lambda d: {**d, "width": 10**3000}, "is for 1000000000"),
+        (lambda d: {**d, "width": [[[[[[[[9]]]]]]]]}, "is for [[[[[[[...]]]]]]]×"),
+        (lambda d: "[" * 100_000, "not valid JSON: nested too deeply"),
+        (lambda d: '{"width": ' + "9" * 5000 + "}", "not valid JSON: Exceeds the limit"),
     ],
 )
 def test_a_scene_that_does_not_fit(tmp_path, change, expected):
     folder = write_native(tmp_path / "s", range(1))
+    layers = {"color": np.ones((H, W, 3)), "position": np.ones((H, W, 3)), "id": np.ones((H, W, 1))}
+    write_layers(folder / "frame.0000.exr", layers)  # without motion: the scene is needed
     changed = change(scene_document())
     (folder / "scene.json").write_text(changed if isinstance(changed, str) else json.dumps(changed))
     assert message(open_sequence, folder).startswith(f"{folder / 'scene.json'}: {expected}")
+
+
+# --- places that are no ordinary files --------------------------------------------------------------------------------
+
+
+def test_a_gap_of_billions_of_frames(tmp_path):
+    folder = write_native(tmp_path / "s", [0, 9_999_999_999])
+    assert open_sequence(folder, allow_gaps=True).gaps == ((1, 9_999_999_998),)
+    assert "missing: 1 to 9999999998; render" in message(open_sequence, folder)
+
+
+@pytest.mark.parametrize("name", ["frame.0001.exr", "scene.json"])
+def test_a_pipe_is_not_waited_for(tmp_path, name):
+    folder = write_native(tmp_path / "s", range(1))
+    os.mkfifo(folder / name)
+    assert message(open_sequence, folder) == f"{folder / name}: cannot be read: not a regular file"
+
+
+def test_a_device_is_not_read(tmp_path):
+    folder = write_native(tmp_path / "s", range(1))
+    (folder / "frame.0001.exr").symlink_to("/dev/zero")
+    assert message(open_sequence, folder) == f"{folder / 'frame.0001.exr'}: cannot be read: not a regular file"
+    os.mkfifo(tmp_path / "my.toml")
+    assert "my.toml: cannot be read: not a regular file" in message(
+        open_sequence, folder, preset=str(tmp_path / "my.toml")
+    )
+    os.mkfifo(tmp_path / "frame.0001.zip")
+    assert "frame.0001.zip: " in message(open_sequence, tmp_path, preset="noisebase")
+
+
+def test_control_characters_in_names_are_escaped(tmp_path):
+    folder = write_native(tmp_path / "s\n\x1b[31m", [1, 3])
+    assert "s\\n\\x1b[31m/frame.0001.exr: the next frame is 3" in message(open_sequence, folder)

@@ -17,7 +17,7 @@ TORCH_FALLBACK=torch==2.13.0  # where that index is out of reach
 
 main() {
     case "${1-}" in
-        demo) extras="" ;;
+        demo) extras="[torch]" ;;
         test) extras="[render,noisebase,tensorboard,bench,dev]" ;;
         gpu) extras="[bench,dev]" ;;
         *) fail "usage: sh tools/setup.sh demo|test|gpu" ;;

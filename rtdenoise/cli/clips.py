@@ -10,7 +10,8 @@ from ..errors import InputError
 from .progress import progress_bar
 from .render import at_least_one
 
-OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error"}
+OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error", "assets"}
+OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,13 @@ class Clips:
     """Share of the scenes in which nothing but the camera moves, slowly where they are generated (0 to 1)."""
     textures: Path | None = None
     """Folder of PNG, JPEG or WebP pictures that some surfaces get as textures."""
+    assets: Path | None = None
+    """Folder of a library with an index.json: clips are windows of large pictures of rooms, streets, table tops,
+    gardens and showrooms composed of its models; a third are of --scenes, where given, with other cameras."""
+    allow_unlicensed: bool = False
+    """With --assets: use assets whose licence is unknown, too."""
     frames: int = 10
-    """Frames of each clip."""
+    """Frames of each clip; with --assets 8 to 10, some 16 to 32."""
     size: int = 128
     """Pixels: width and height, unless those are given."""
     width: int | None = None
@@ -44,9 +50,9 @@ class Clips:
     height: int | None = None
     """Pixels."""
     spp: int = 1
-    """Samples per pixel of the noisy frames."""
+    """Samples per pixel of the noisy frames; with --assets half of the clips have 2 to 64 times as many."""
     reference_error: float = 0.01
-    """Relative squared error that references of beauty may have; sets their samples, 32 to 512."""
+    """Relative squared error that references of beauty may have; sets their samples, 32 to 512 (with --assets 128)."""
     reference_spp: int | None = None
     """With --generator 1: samples per pixel of the references (default: 64), more in noisier scenes."""
     max_depth: int = 6
@@ -71,10 +77,10 @@ class Clips:
 
         options = ClipOptions(
             self.count, (self.height or self.size, self.width or self.size), self.frames, self.seed, self.spp,
-            self.reference_error, reference_spp=self.reference_spp or 64, max_depth=self.max_depth,
-            workers=self.workers, shard=parse_shard(self.shard),
-            scenes=find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (),
-            generator=self.generator, sun=self.sun, calm=self.calm, textures=str(self.textures or ""),
+            self.reference_error, (32, 128 if self.assets else 512), self.reference_spp or 64, self.max_depth,
+            self.workers, parse_shard(self.shard),
+            find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (), self.generator, self.sun,
+            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed,
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
@@ -95,5 +101,9 @@ class Clips:
             raise InputError("--reference-spp: goes with --generator 1; other sets take --reference-error")
         if self.reference_spp == 0:
             raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
+        if self.assets and (unused := given & OF_GENERATED):
+            raise InputError(f"--{min(unused)}: is for generated scenes, not for --assets")
+        if self.allow_unlicensed and not self.assets:
+            raise InputError("--allow-unlicensed: goes with --assets")
         if given & {"motions", "exclude"} and not self.scenes:
             raise InputError("--motions, --exclude: go with --scenes")

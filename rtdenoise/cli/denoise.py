@@ -62,6 +62,9 @@ def told(summary: Summary, what: str = "denoiser") -> list[str]:
         lines.append(f"{what}: {1000 * summary.seconds / summary.written:.0f} ms a frame")
     lines += summary.notes
     lines += [f"replaced: {what} in {count} pixels" for what, count in summary.replaced.items()]
+    lines += [
+        f"passed on as in the input: NaN in {count} pixels of {name}" for name, count in summary.passed_on.items()
+    ]
     lines += [f"left out: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
     if summary.cuts:
         lines.append(f"cuts: history starts anew at frame {', '.join(map(str, summary.cuts))}")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-from ..errors import InputError
+from ..errors import INSTALL_TORCH, InputError
 
 INTERRUPTED = "interrupted; run the same command again to go on"
 OUT_OF_MEMORY = ("out of memory", "can't allocate memory", "not enough memory")  # how torch and its drivers say it
@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "torch":
             raise
-        _stop(2, "this needs PyTorch, which is not installed; `denoise` alone does without it")
+        _stop(2, f"this needs PyTorch, which is not installed; {INSTALL_TORCH}")
     except OSError as error:  # a full disk, a folder without write permission
         _stop(2, f"{error.filename or 'a file'}: {error.strerror or error}")
     except RuntimeError as error:
@@ -51,6 +51,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _run(arguments: list[str]) -> None:
+    from ..threads import set_defaults
     from .console import accept_every_character
     from .spelling import refuse_old_spelling
 
@@ -61,6 +62,7 @@ def _run(arguments: list[str]) -> None:
         print(f"rtdenoise {__version__}")
         return
     refuse_old_spelling(arguments)
+    set_defaults()
 
     from .commands import parse
 

@@ -12,6 +12,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
+from reprlib import repr
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save
 
 from ..errors import InputError
-from ..files import write_atomically
+from ..files import open_regular, write_atomically
 from ..frame import Frame
 from .layers import COMPONENTS, LAYERS, SIGNALS
 
@@ -30,6 +31,7 @@ RADIANCE = tuple(layer for names in zip(*(SIGNALS[s].values() for s in SIGNALS),
 FEATURES = tuple(name for name, layer in LAYERS.items() if layer.in_every_clip and name not in RADIANCE)
 OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_clip)
 HALF_MAX = float(np.finfo(np.float16).max)
+FLOAT_TYPES, ID_TYPES = ("F16", "F32"), ("U16", "U8", "F32")  # of clips of any age, as safetensors names them
 MAX_SCALE = 1024.0  # more would leave half precision no digits for dark pixels; beyond it values are clamped
 
 
@@ -75,15 +77,16 @@ def bytes_per_clip(size: tuple[int, int], frames: int, layers: Collection[str] =
 
 
 def read_facts(path: Path) -> dict:
-    """The facts of a clip: seed, samples, uncovered share and so on."""
+    """The facts of a clip: seed, samples, uncovered share and so on. Raises InputError for what is no clip."""
     with _opened(path) as clip:
-        return json.loads(clip.metadata()["clip"])
+        return _from_header(path, clip, "clip")
 
 
 def read_layers(path: Path) -> dict[str, np.ndarray]:
-    """Every layer of a clip, `[T, C, H, W]` float32."""
+    """Every layer of a clip, `[T, C, H, W]` float32. Raises InputError for what is no clip."""
     with _opened(path) as clip:
-        scales, names = _scales(clip), clip.keys()
+        scales, names = _scales(path, clip), clip.keys()
+        _size(path, clip, {name for name in names if name in LAYERS})
         return {n: _unscaled(clip.get_tensor(n), scales.get(n)).numpy() for n in names}
 
 
@@ -155,7 +158,8 @@ class ClipDataset:
         if signal not in SIGNALS:
             raise InputError(f"unknown signal '{signal}'; expected {' or '.join(SIGNALS)}")
         with _opened(path) as clip:
-            length, _, height, width = clip.get_slice("color").get_shape()
+            sources = _sources(path, set(clip.keys()), signal, layers)
+            length, height, width = _size(path, clip, {name for names in sources.values() for name in names})
             count = length if frames is None else frames
             window = (height, width) if size is None else (size, size) if isinstance(size, int) else size
             if count > length or window[0] > height or window[1] > width:
@@ -166,10 +170,10 @@ class ClipDataset:
             time, rows, columns = (
                 slice(start, start + length) for start, length in zip((first, top, left), (count, *window), strict=True)
             )
-            scales = _scales(clip)
+            scales = _scales(path, clip)
             tensors = {
                 field: _stacked([_unscaled(clip.get_slice(n)[time, :, rows, columns], scales.get(n)) for n in names])
-                for field, names in _sources(path, set(clip.keys()), signal, layers).items()
+                for field, names in sources.items()
             }
         loaded = [
             Frame(**{field: t[i : i + 1] for field, t in tensors.items()}, number=int(first) + i, name=path.name)
@@ -196,14 +200,31 @@ def _sources(path: Path, stored: set[str], signal: str, asked: Collection[str]) 
     if signal == "color":
         optional["components"] = COMPONENTS
     found = {field: (name,) for field, name in SIGNALS[signal].items()} | {name: (name,) for name in FEATURES}
-    for field in asked:
-        if missing := [name for name in optional.get(field, (field,)) if name not in stored]:
-            raise InputError(f"{path}: has no layer '{missing[0]}'; it has {', '.join(sorted(stored))}")
+    wanted = [*RADIANCE, *FEATURES, *(name for field in asked for name in optional.get(field, (field,)))]
+    if missing := [name for name in wanted if name not in stored]:
+        raise InputError(f"{path}: has no layer '{missing[0]}'; it has {', '.join(sorted(stored))}")
     return found | {
         field: names
         for field, names in optional.items()
         if stored.issuperset(names) and (field != "position" or field in asked)
     }
+
+
+def _size(path: Path, clip, names: Collection[str]) -> tuple[int, int, int]:
+    """Frames, height and width. Raises InputError unless these layers have their types and channels, and one size."""
+    sizes = set()
+    for name in sorted(names):
+        layer, stored = LAYERS[name], clip.get_slice(name)
+        shape, dtype = stored.get_shape(), stored.get_dtype()
+        types = ID_TYPES if name == "id" else FLOAT_TYPES
+        if len(shape) != 4 or shape[1] != layer.channels or 0 in shape or dtype not in types:
+            raise InputError(f"{path}: damaged: layer '{name}' is {dtype} {shape}, expected {types[0]} "
+                             f"[T, {layer.channels}, H, W]; delete the clip and render it again")  # fmt: skip
+        sizes.add((shape[0], *shape[2:]))
+    if len(sizes) > 1:
+        raise InputError(f"{path}: damaged: layers of {len(sizes)} sizes (frames, height, width), such as "
+                         f"{min(sizes)} and {max(sizes)}; delete the clip and render it again")  # fmt: skip
+    return sizes.pop() if sizes else (0, 0, 0)
 
 
 def _unscaled(stored: Tensor, scale: float | None) -> Tensor:
@@ -223,8 +244,21 @@ def _scale(values: np.ndarray) -> float:
     return min(2.0 ** max(math.ceil(math.log2(largest / HALF_MAX)), 0), MAX_SCALE) if largest > HALF_MAX else 1.0
 
 
-def _scales(clip) -> dict[str, float]:
-    return json.loads(clip.metadata().get("scales", "{}"))
+def _scales(path: Path, clip) -> dict[str, float]:
+    scales = _from_header(path, clip, "scales") if "scales" in (clip.metadata() or {}) else {}
+    if not all(name in LAYERS and type(scale) is float and 1 <= scale <= MAX_SCALE for name, scale in scales.items()):
+        raise InputError(f"{path}: damaged: its scales are {repr(scales)}; delete it and render it again")
+    return scales
+
+
+def _from_header(path: Path, clip, key: str) -> dict:
+    try:
+        value = json.loads(clip.metadata()[key])
+    except (KeyError, TypeError, ValueError, RecursionError):  # TypeError: no metadata at all
+        value = None
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: not a clip: its header has no JSON object '{key}'; delete it and render it again")
+    return value
 
 
 def _scene(facts: dict) -> str:
@@ -234,6 +268,7 @@ def _scene(facts: dict) -> str:
 
 
 def _opened(path: Path):
+    open_regular(path).close()
     try:
         return safe_open(path, framework="pt")
     except (SafetensorError, OSError) as error:

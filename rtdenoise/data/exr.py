@@ -1,6 +1,6 @@
 """OpenEXR files as named channels: read the header, read the wanted channels, write layers.
 
-OpenEXR decodes and encodes (3.5 or later: streams). `exr_format.py` parses the header, for three reasons seen with the
+OpenEXR decodes and encodes (3.5 or later: streams). `exr_header.py` parses the header, for three reasons seen with the
 Python API of OpenEXR 3.5.3:
 
 - `OpenEXR.File(path, header_only=True)` gives the names of the channels but not their pixel types.
@@ -24,7 +24,9 @@ import OpenEXR
 
 from ..errors import InputError
 from ..files import open_regular, read_bytes, write_atomically
-from .exr_format import ExrHeader, parse_file, single_part
+from .exr_chunks import single_part
+from .exr_format import ExrHeader
+from .exr_header import parse_file
 from .layers import LAYERS
 
 NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}
@@ -113,19 +115,22 @@ def write_like(
     changed: Mapping[str, np.ndarray],  # full channel name -> [H, W]
     *,
     dtype: str | None = None,  # of the changed channels: "half" or "float"; None: as in the source
-) -> None:
-    """Write a copy of `source` with other pixels in some of its channels.
+) -> dict[str, int]:
+    """Write a copy of `source` with other pixels in some of its channels. Returns the number of NaNs in the others, by
+    full channel name, where there are any.
 
     Parts, channel names, pixel types and attributes stay; pixels are stored as scan lines with ZIP compression. Raises
     `InputError` as `read_channels` and `write_layers` do.
     """
     header = read_header(source)
-    parts = []
+    parts, nans = [], {}
     for index, part in enumerate(header.parts):
         copy = _open(header.path, header, index)
         attributes = {name: value for name, value in copy.header().items() if name not in STRUCTURE}
         attributes |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
         stored = {name: channel.pixels for name, channel in copy.channels().items()}
+        passed_on = {full: stored[name] for full, name in part.full_names.items() if full not in changed}
+        nans |= {full: count for full, plane in passed_on.items() if (count := int(np.isnan(plane).sum()))}
         for full in changed.keys() & part.full_names.keys():
             name = part.full_names[full]
             stored[name] = _convert(changed[full], dtype or part.channels[name])
@@ -133,6 +138,7 @@ def write_like(
     encoded = io.BytesIO()
     OpenEXR.File(parts).write(encoded)
     write_atomically(Path(path), encoded.getbuffer())
+    return nans
 
 
 def _default_dtype(key: str) -> str:

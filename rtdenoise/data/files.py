@@ -1,7 +1,7 @@
-"""Which files make up the frames of a sequence: one EXR file a frame, or one file a buffer and frame.
+"""The files of a sequence: one EXR file for each frame, or one for each frame and buffer.
 
 A pattern of file names, relative to the sequence's folder, holds `{frame}` for the digits of the frame number, `{spp}`
-for those of a number of samples (the lowest is taken), and `*` for anything: `*{frame}_{spp}spp.alb.exr`. A pattern
+for those of a number of samples (the lowest counts), and `*` for anything: `*{frame}_{spp}spp.alb.exr`. A pattern
 without `{frame}` names frame 0.
 """
 
@@ -35,11 +35,11 @@ class FrameFiles:
         return next(iter(self.files.values()))
 
     def output_name(self, file: Path) -> str:
-        """What the output is called for the one of the files that holds the signal."""
+        """The name of the output for `file`, the one that holds the signal."""
         return file.name
 
     def header(self) -> ExrHeader:
-        """All channels, those of a buffer with its name in front. Raises `InputError` as `read_header` does, and where
+        """All channels; those of a buffer have its name in front. Raises `InputError` as `read_header` does, and where
         the files differ in size."""
         headers = {buffer: read_header(path) for buffer, path in self.files.items()}
         first, *others = headers.values()
@@ -77,7 +77,7 @@ def find_frames(
     """The frames in order of their numbers: the last run of digits in a file's name, or `{frame}` of the pattern.
 
     With `buffers`, a glob picks frames by any of their files; the others are found beside. Raises `InputError` where
-    there is no file, and for numbers that are missing or there twice.
+    there is no file, and for missing or repeated numbers.
     """
     if buffers:
         frames = _buffers(path_or_glob, buffers)
@@ -91,13 +91,24 @@ def check_gaps(frames: Sequence[FrameFiles], allow_gaps: bool) -> None:
     """Raise `InputError` for numbers that are missing."""
     for a, b in itertools.pairwise(frames):
         if not allow_gaps and b.number - a.number > 1:
-            between = f"{a.number + 1}" if b.number - a.number == 2 else f"{a.number + 1} to {b.number - 1}"
+            between = describe_gap((a.number + 1, b.number - 1))
             raise InputError(f"{a.path}: the next frame is {b.number}, missing: {between}; render what is missing, or "
                              "allow gaps (--allow-gaps): history then starts anew after each")  # fmt: skip
 
 
+def find_gaps(frames: Sequence[FrameFiles]) -> tuple[tuple[int, int], ...]:
+    """(first, last) missing number of each gap."""
+    return tuple((a.number + 1, b.number - 1) for a, b in itertools.pairwise(frames) if b.number - a.number > 1)
+
+
+def describe_gap(gap: tuple[int, int]) -> str:
+    """`3`, or `5 to 7`."""
+    first, last = gap
+    return f"{first}" if first == last else f"{first} to {last}"
+
+
 def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Path]:
-    """Files that are meant, in no order. Hidden files are not: that is what unfinished ones are called."""
+    """The files of a folder or glob, in no order, without hidden ones: unfinished files have hidden names."""
     path = Path(path_or_glob)
     if path.is_dir():
         found = [p for p in path.iterdir() if p.suffix.lower() == suffix and not p.name.startswith(".")]
@@ -117,15 +128,15 @@ def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Pa
 
 
 def fits(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]) -> bool:
-    """Whether two or more of the buffers are there, and what was given is among their files."""
+    """Whether the files of two or more buffers exist, and the given file or glob is among them."""
     found = [files for patterns in buffers.values() if (files := _candidates(_folder(path_or_glob), patterns))]
     chosen = _chosen(path_or_glob)
     return len(found) > 1 and (chosen is None or any(path in chosen for files in found for _, _, path in files))
 
 
 def number_files(files: list[Path]) -> list[tuple[int, Path]]:
-    """Files with their frame numbers, ascending: the last run of digits in a name. Raises `InputError` where there is
-    none, or the same twice."""
+    """Files with their frame numbers, ascending: the last run of digits in a name. Raises `InputError` for a name
+    without digits, and for repeated numbers."""
     runs = {file: re.findall(r"\d+", file.stem) for file in files}
     unnumbered = [file for file in sorted(files) if not runs[file]]
     if unnumbered and len(files) > 1:
@@ -166,13 +177,13 @@ def _folder(path_or_glob: str | os.PathLike) -> Path:
 
 
 def _chosen(path_or_glob: str | os.PathLike) -> set[Path] | None:
-    """The files that a glob or a file's name gives; None for a folder, which gives all of them."""
+    """The files that a glob or file name picks; None for a folder, which stands for all of its files."""
     path = Path(path_or_glob)
     return None if path.is_dir() else {path} if path.is_file() else set(map(Path, glob(str(path))))
 
 
 def _candidates(folder: Path, patterns: tuple[str, ...]) -> list[tuple[int, int, Path]]:
-    """(frame number, samples, file) of the files that fit the first pattern that fits any."""
+    """(frame number, samples, file) of the files that match the first pattern that has a match."""
     for pattern in patterns:
         found = []
         for path in folder.glob(re.sub(r"(\{\w+\}|\*)+", "*", pattern)):

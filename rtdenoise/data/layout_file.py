@@ -23,14 +23,13 @@ Layers are those of the native layout. There is no `radiance`: a file has `color
 
 from __future__ import annotations
 
-import difflib
 import re
 import sys
 import tomllib
 from pathlib import Path, PurePosixPath
 from reprlib import repr
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from ..files import read_text
 from .layers import LAYERS, OLD_NAMES, SIGNALS
 from .layout import SCALES, Layout, Rule
@@ -76,12 +75,12 @@ def read_layout(path: Path) -> Layout:
 def _rule(path: Path, layer: str, table: object) -> Rule:
     label = f"{path}: [{layer}]"
     if layer not in COUNTS:
-        raise InputError(f"{path}: unknown layer '{layer}'{_near(layer, COUNTS)}; known are {', '.join(COUNTS)}")
+        raise InputError(f"{path}: unknown layer '{layer}'{did_you_mean(layer, COUNTS)}; known are {', '.join(COUNTS)}")
     if not isinstance(table, dict):
         raise InputError(f"{path}: {layer} is {repr(table)}, expected a table [{layer}]")
     for key in table:
         if key not in KEYS:
-            raise InputError(f"{label} unknown key '{key}'{_near(key, KEYS)}; known are {', '.join(KEYS)}")
+            raise InputError(f"{label} unknown key '{key}'{did_you_mean(key, KEYS)}; known are {', '.join(KEYS)}")
     count = COUNTS[layer]
     channels = table.get("channels")
     if not isinstance(channels, list) or len(channels) != count or not all(isinstance(c, str) for c in channels):
@@ -125,8 +124,3 @@ def _is_pattern(file: str) -> bool:
 
 def _prefixed(rule: Rule, buffer: str) -> Rule:
     return Rule(tuple(f"{buffer}.{name}" for name in rule.channels), rule.signs, rule.miss, rule.scale)
-
-
-def _near(name: str, known) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    return f" (did you mean '{near[0]}'?)" if near else ""

@@ -20,12 +20,11 @@ noisebase  Zarr arrays in zip files: `noisebase.py` turns them into channels.
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from .exr_format import ExrHeader
 from .files import fits
 from .layers import COMPONENTS, LAYERS, OLD_NAMES, SIGNALS
@@ -186,9 +185,8 @@ def choose(name: str, source: str | os.PathLike) -> Layout | None:
         return LAYOUTS[name]
     if name.partition(":")[0] == "cycles":
         return None
-    near = difflib.get_close_matches(name.lower(), NAMES, n=1)
-    suggestion = f" (did you mean '{near[0]}'?)" if near else ""
-    raise InputError(f"unknown preset '{name}'{suggestion}: known are auto, {', '.join(NAMES)}, or a .toml file")
+    raise InputError(f"unknown preset '{name}'{did_you_mean(name, NAMES)}: known are auto, {', '.join(NAMES)}, "
+                     "or a .toml file")  # fmt: skip
 
 
 def _holds_archives(source: Path) -> bool:

@@ -1,16 +1,16 @@
-"""Noisebase's data sets (SampleSet v1, and what is stored alike): Zarr arrays in zip files.
+"""Noisebase's data sets (SampleSet v1, and others in its format): Zarr arrays in zip files.
 
-Its documentation calls them "Sample Test Format v1", one file a frame (`frame0012.zip`), and "Sample Training Format
-v1", one file a sequence, whose arrays have one axis more in front: frames of a crop that moves along with the picture.
-C components, H×W pixels and S samples a pixel make arrays `[C, H, W, S]`:
+Its documentation calls them "Sample Test Format v1", one file for each frame (`frame0012.zip`), and "Sample Training
+Format v1", one file for each sequence: its arrays have one more axis in front, the frames of a crop that moves along
+with the picture. C components, H×W pixels and S samples a pixel make arrays `[C, H, W, S]`:
 
     color             uint8 RGBE, decoded with exposure `[2]` = (a, b):   rgb / 255 · exp(a + (b − a) (e + 1) / 256)
     reference         float32 `[3, H, W]`
-    position, motion  float32, world space: what is at `position` was at `position + motion` in the frame before
+    position, motion  float32, world space: the point at `position` was at `position + motion` in the frame before
     normal, diffuse   float16, world space; colour of the material
 
 With M = view_proj_mat and (x, y, z, w) = (X, Y, Z, 1) M, a point is at column (1 + x/w) W'/2 and row (1 − y/w) H'/2
-of the camera's picture, from which `crop_offset` = (row, column) is taken off.
+of the camera's picture, less `crop_offset` = (row, column).
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from ..camera import homogeneous, pixel_motion
 from ..errors import InputError
+from ..files import open_regular
 from ..frame import OFF_SCREEN
 from .exr_format import ExrHeader
 from .files import FrameFiles, check_gaps, find_files, number_files
 from .layout import Layout, rules
-from .scene_motion import homogeneous, pixel_motion
 
-CAMERA = (1080, 1920)  # height and width of SampleSet v1's camera: the files of crops do not say it
+CAMERA = (1080, 1920)  # height and width of SampleSet v1's camera, which files of crops do not record
 COMPONENTS = {
     "color": "RGB", "diffuse": "RGB", "normal": "XYZ", "position": "XYZ", "depth": "Z", "motion": "XY",
     "reference": "RGB",
@@ -60,10 +61,10 @@ class ArchiveFrame(FrameFiles):
     """A frame in a zip file of Zarr arrays, as if it were an EXR file with the channels `color.R`, `motion.X`, …
 
     Radiance, diffuse colour and normal are means over the first `samples`; position, depth and motion are those of the
-    first, as a mean of two surfaces lies on neither. Motion of the first frame is `OFF_SCREEN`.
+    first sample, because a mean of two surfaces lies on neither. Motion of the first frame is `OFF_SCREEN`.
     """
 
-    entry: int | None = None  # which of the file's frames; None: the file is one frame
+    entry: int | None = None  # index in the file of a sequence; None: the file is one frame
     samples: int = 1
     before: ArchiveFrame | None = None  # the frame before, for its camera
 
@@ -112,7 +113,7 @@ class ArchiveFrame(FrameFiles):
         return np.ascontiguousarray(layer, np.float32)
 
     def _motion(self, group) -> np.ndarray:
-        """Previous − current in pixels of the crop, `[2, H, W]`. Where nothing was hit only the camera turns."""
+        """Previous − current in pixels of the crop, `[2, H, W]`. Sky moves with the rotation of the camera only."""
         position, change = (self._array(group, name, 1)[..., 0].astype(np.float64) for name in ("position", "motion"))
         H, W = position.shape[1:]
         if self.before is None:
@@ -126,7 +127,7 @@ class ArchiveFrame(FrameFiles):
         return pixel_motion(here, there, point, moved)
 
     def _hit(self, group, position: np.ndarray) -> np.ndarray:
-        """Whether there is a surface, `[1, H, W]`: what has no normal, or is nowhere, is sky."""
+        """Whether there is a surface, `[1, H, W]`: sky has no normal, or no finite position."""
         normal = self._array(group, "normal", 1)[..., 0]
         return (normal != 0).any(0, keepdims=True) & np.isfinite(position).all(0, keepdims=True)
 
@@ -149,8 +150,8 @@ def find_archives(
     samples: int = 1,  # how many samples a pixel are read
     allow_gaps: bool = False,
 ) -> tuple[ArchiveFrame, ...]:
-    """The frames in order of their numbers. Raises `InputError` as `files.find_frames` does, for what is not a zip file
-    of Zarr arrays, and where an array is missing."""
+    """The frames in order of their numbers. Raises `InputError` as `files.find_frames` does, for files that are not zip
+    files of Zarr arrays, and where an array is missing."""
     files = find_files(path_or_glob, ".zip")
     with _opened(files[0]) as group:
         length = group["color"].shape[0] if group["color"].ndim == ARRAYS["color"] + 1 else None
@@ -184,6 +185,7 @@ def _opened(path: Path) -> Iterator:
         import zarr
     except ImportError:
         raise InputError(f"{path}: noisebase's files are read with zarr: pip install 'rtdenoise[noisebase]'") from None
+    open_regular(path).close()
     try:
         store = zarr.storage.ZipStore(path, mode="r")
         group = zarr.open_group(store, mode="r")

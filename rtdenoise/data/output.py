@@ -1,36 +1,33 @@
-"""A denoised frame as a file: in `R,G,B`, or in the place that the signal has in the renderer's own file; alone, or
-recombined with the rest of the light.
+"""A denoised frame as a file: in `R,G,B`, or where the renderer's own file has the signal; alone, or recombined with
+the rest of the light.
 
-With S the noisy signal, D the denoised one, C the noisy beauty and A what the renderer has divided the signal by (1
-where it has not), the recombined beauty is
+With S the noisy signal, D the denoised one, C the noisy beauty and A the albedo if the renderer has divided the signal
+by it (else 1), the recombined beauty is
 
     signal color      D · A
     signal indirect   C + (D − S) · A
 
-The second is the sum of all lights with the denoised indirect light in the place of the noisy one: Cycles' Combined is
-Σ (direct + indirect) · color over diffuse, glossy and transmission, plus emission and environment, and what is not
-S · A cancels out. It needs none of those passes, and stays right where a scene has more of them (volumes).
+The second replaces the noisy indirect light in the sum of all lights: Cycles' Combined is Σ (direct + indirect) · color
+over diffuse, glossy and transmission, plus emission and environment, and everything but S · A cancels out. It needs
+none of those passes, and stays right where a scene has more of them (volumes).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from importlib.util import find_spec
+import os
+from collections.abc import Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import InputError
 from ..frame import Frame
-from ..sanitise import sanitise
+from ..sanitise import valid
 from .exr import read_channels, write_layers, write_like
 from .layout import Rule
 from .sequences import Sequence, convert
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 LAYOUTS = ("plain", "source")
 NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
@@ -38,52 +35,96 @@ PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
 
 
 def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[str, ...]) -> None:
-    """Raise `InputError` for what cannot be written, before anything is denoised."""
+    """Raise `InputError` for output that cannot be written, before anything is denoised."""
     if layout not in LAYOUTS:
         raise InputError(f"unknown layout '{layout}': known are {', '.join(LAYOUTS)}")
     if layout == "source" and sequence.paths[0].suffix.lower() != ".exr":
         raise InputError(f"{sequence.paths[0]}: layout 'source' copies EXR files, this is none: choose 'plain'")
     if layout == "source" and keep:
         raise InputError("layout 'source' passes every channel on: leave --keep out")
-    if recombine and find_spec("torch") is None:
-        raise InputError("--recombine needs PyTorch, which is not installed; leave it out")
     if recombine and sequence.signal != "color" and "radiance" not in sequence.layout.resolve(sequence.header, "color"):
         raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has {sequence.header.summary}; "
                          f"{sequence.layout.hint('radiance', 'color')}")  # fmt: skip
     if recombine and sequence.demodulated and "albedo" not in sequence.rules:
         raise InputError(f"{sequence.paths[0]}: --recombine needs the albedo that the signal was divided by; "
                          f"{sequence.layout.hint('albedo', sequence.signal)}")  # fmt: skip
+    sources: dict[str, Path] = {}
+    for name, file in _written(sequence, layout, recombine):
+        if name in sources:
+            raise InputError(f"{file}: would be written to the same file as {sources[name]}: {name}; rename the files, "
+                             "so that each has a name of its own")  # fmt: skip
+        sources[name] = file
 
 
-def recombined(sequence: Sequence, index: int, frame: Frame, image: Tensor) -> Tensor:
+def protect_input(sequence: Sequence, out: Path, layout: str, recombine: bool) -> None:
+    """Raise `InputError` where the output folder holds the input, or one of the output files is an input file: links
+    are followed."""
+    inputs = [path for frame in sequence.files for path in frame.files.values()]
+    folders = {folder for path in inputs for folder in (path.parent.resolve(), path.resolve().parent)}
+    if out.resolve() in folders or _identity(out) in {_identity(folder) for folder in folders}:
+        raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
+    identities = {_identity(path) for path in inputs}
+    for name, _ in _written(sequence, layout, recombine):
+        if (found := _identity(out / name)) and found in identities:
+            raise InputError(f"{out / name}: is a file of the input, which is never written to; choose another --out")
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Device and number of a file or folder, links followed; None where there is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
+def output_names(sequence: Sequence, layout: str, recombine: bool) -> list[list[str]]:
+    """The names of the files that a run writes for each frame."""
+    return [[name for name, _ in frame] for frame in _files(sequence, layout, recombine)]
+
+
+def _written(sequence: Sequence, layout: str, recombine: bool) -> Iterator[tuple[str, Path]]:
+    """(name in the output folder, the input file that it is made from) of every file that a run writes."""
+    return chain.from_iterable(_files(sequence, layout, recombine))
+
+
+def _files(sequence: Sequence, layout: str, recombine: bool) -> Iterator[list[tuple[str, Path]]]:
+    """`_written`, a list a frame."""
+    if layout == "plain":
+        yield from ([pair] for pair in zip(sequence.names, sequence.paths, strict=True))
+        return
+    beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
+    channels = {*_place(sequence).channels, *(beauty.channels if beauty else ())}
+    for files, path in zip(sequence.files, sequence.paths, strict=True):
+        yield [(_name(file, path), file) for file in files.locate(channels)]
+
+
+def recombined(sequence: Sequence, index: int, frame: Frame, image: np.ndarray) -> np.ndarray:
     """The beauty `[1, 3, H, W]` with the denoised signal `image` in it; the equation stands above. Never negative;
     where the input is not finite, the rest counts as 0."""
-    import torch
-
-    albedo = sanitise(frame).albedo if sequence.demodulated else torch.ones_like(image)
+    albedo = valid("albedo", frame.albedo) if sequence.demodulated else np.ones_like(image)
     if sequence.signal == "color":
         return image * albedo
     rule = sequence.layout.resolve(sequence.header, "color")["radiance"]
-    color = torch.from_numpy(convert(rule, sequence.files[index].read(rule.channels), "radiance"))
-    rest = torch.nan_to_num(color - frame.radiance * albedo, nan=0.0, posinf=0.0, neginf=0.0)
-    return (rest + image * albedo).clamp(min=0)
+    color = convert(rule, sequence.files[index].read(rule.channels), "radiance")
+    with np.errstate(invalid="ignore"):
+        rest = np.nan_to_num(color - frame.radiance * albedo, nan=0.0, posinf=0.0, neginf=0.0)
+    return (rest + image * albedo).clip(min=0)
 
 
 def read_result(
     out: Path, sequence: Sequence, index: int, layout: str = "plain", recombine: bool = False
-) -> Tensor:  # [1, 3, H, W]
-    """What `write_frame` wrote with these options: the denoised signal, or the beauty."""
-    import torch
-
+) -> np.ndarray:  # [1, 3, H, W]
+    """The denoised signal, or the beauty, that `write_frame` wrote with these options."""
     path = sequence.paths[index]
     if layout == "plain":
         plain = read_channels(out / sequence.names[index], PLAIN.channels)
-        return torch.from_numpy(convert(PLAIN, plain, "radiance"))
+        return convert(PLAIN, plain, "radiance")
     beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
     rule = beauty or _place(sequence)
     ((file, names),) = sequence.files[index].locate(rule.channels).items()
     stored = read_channels(out / _name(file, path), tuple(names))
-    return torch.from_numpy(convert(rule, {full: stored[name] for name, full in names.items()}, "radiance"))
+    return convert(rule, {full: stored[name] for name, full in names.items()}, "radiance")
 
 
 def write_frame(
@@ -98,30 +139,34 @@ def write_frame(
     keep: tuple[str, ...] = (),  # layers or channels of the input to pass on, or "all"; plain layout only
     float32: bool = False,
     extra: Mapping[str, np.ndarray] = NOTHING,  # layer -> [1, C, H, W], written too; plain layout only
-) -> None:
-    """Write one frame under the name of the input file that holds the signal.
+) -> dict[str, int]:
+    """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in channels
+    that are passed on as they are, by channel, where there are any.
 
     plain    the signal in `R,G,B`, with `recombine` the beauty instead, and what is kept
-    source   every channel of the input under its name and in its part, the denoised signal in the place of the noisy
-             one, with `recombine` also the beauty in the place of the renderer's. Where buffers are files of their own,
-             those alone that have changed.
-    """
-    beauty = None
-    if recombine:
-        import torch
+    source   every channel of the input under its name and in its part; the denoised signal replaces the noisy one,
+             with `recombine` also the beauty the renderer's. Where buffers are files of their own, only those that
+             have changed.
 
-        beauty = recombined(sequence, index, frame.map(torch.from_numpy), torch.from_numpy(image)).numpy()
+    Raises InputError where the result is not finite, and where the file cannot be written.
+    """
+    beauty = recombined(sequence, index, frame, image) if recombine else None
     path = sequence.paths[index]
+    for result in (image, beauty):
+        if result is not None and (bad := int((~np.isfinite(result)).any(1).sum())):
+            raise InputError(f"{path}: the result has {bad} pixels that are not finite, so it was not written; are the "
+                             "weights of --model sound, and the frame's values plausible?")  # fmt: skip
     if layout == "plain":
-        shown = image if beauty is None else beauty
-        _write_plain(out / sequence.names[index], sequence, index, shown, keep, float32, extra)
-        return
+        result = image if beauty is None else beauty
+        return _write_plain(out / sequence.names[index], sequence, index, result, keep, float32, extra)
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
         planes |= _planes(rule, beauty)
+    nans = {}
     for file, names in sequence.files[index].locate(planes).items():
         changed = {stored: planes[full] for stored, full in names.items()}
-        write_like(out / _name(file, path), file, changed, dtype="float" if float32 else None)
+        nans |= write_like(out / _name(file, path), file, changed, dtype="float" if float32 else None)
+    return nans
 
 
 def _place(sequence: Sequence) -> Rule:
@@ -131,7 +176,7 @@ def _place(sequence: Sequence) -> Rule:
 
 
 def _name(file: Path, signal: Path) -> str:
-    """What the output for `file` is called: its name, unless the signal's file in another folder has the same."""
+    """The name of the output for `file`: its own, with its folder in front where the signal's file has the same."""
     return f"{file.parent.name}.{file.name}" if file != signal and file.name == signal.name else file.name
 
 
@@ -148,7 +193,7 @@ def _write_plain(
     keep: tuple[str, ...],
     float32: bool,
     extra: Mapping[str, np.ndarray],
-) -> None:
+) -> dict[str, int]:
     layers = {name: np.moveaxis(array[0], 0, 2) for name, array in {"color": image, **extra}.items()}
     dtypes = {"color": "float" if float32 else "half"}
     if keep:
@@ -160,6 +205,11 @@ def _write_plain(
         layers |= sequence.files[index].read(names)
         dtypes |= {name: types[name] for name in names}
     write_layers(path, layers, dtypes=dtypes)
+    return {
+        name: bad
+        for name, plane in layers.items()
+        if name not in ("color", *extra) and (bad := int(np.isnan(plane).sum()))
+    }
 
 
 def _kept(channel: str, keep: tuple[str, ...]) -> bool:

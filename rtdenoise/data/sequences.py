@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from ..errors import InputError
 from ..frame import CHANNELS, Frame
 from .exr_format import ExrHeader
-from .files import FrameFiles, find_frames
+from .files import FrameFiles, find_frames, find_gaps
 from .layers import SIGNALS
 from .layout import Layout, Rule
 from .layouts import choose, find, samples
@@ -39,7 +38,7 @@ class Sequence:
     header: ExrHeader = field(repr=False)  # of the first file
     rules: dict[str, Rule]  # layer of `Frame` -> the channels that it is read from; only those that are read
     available: dict[str, Rule] = field(repr=False)  # as `rules`, for everything that could be read
-    gaps: tuple[int, ...] = ()  # frame numbers that are missing in between
+    gaps: tuple[tuple[int, int], ...] = ()  # (first, last) missing frame number of each gap
     scene: dict | None = field(default=None, repr=False)  # cameras and transforms beside the frames, as in scene.json
 
     @property
@@ -118,12 +117,14 @@ def open_sequence(
     signal: str = "color",  # "color" or "indirect"
     preset: str = "auto",  # a name of `layouts.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", or a .toml file
     layers: Collection[str] | None = None,  # layers of `Frame` to read beside DEFAULT_LAYERS, where the files have them
-    allow_gaps: bool = False,  # accept missing frame numbers; they are listed in `Sequence.gaps`
+    allow_gaps: bool = False,  # accept missing frame numbers; `Sequence.gaps` lists them
 ) -> Sequence:
-    """Find the files and check all their headers: one size, one set of layers, complete files, consecutive numbers.
+    """The EXR files of a folder, a glob or one name as a `Sequence` of `Frame`s: `[1, C, H, W]` float32 tensors.
 
-    The frame number is the last run of digits in a file's name, or where a layout's pattern has it. Raises `InputError`
-    for whatever does not fit.
+    `signal` is what becomes `radiance`: 'color', the beauty, or 'indirect' light. `preset` is the files' layout; 'auto'
+    finds it. All headers are checked at once: one size, one set of layers, complete files, consecutive numbers. The
+    frame number is the last run of digits in a file's name, or where a layout's pattern has it. Missing numbers are an
+    error unless `allow_gaps`. Raises InputError, in one line, for whatever does not fit.
     """
     if signal not in SIGNALS:
         raise InputError(f"unknown signal '{signal}': known are {', '.join(SIGNALS)}")
@@ -139,15 +140,18 @@ def open_sequence(
     available = found.resolve(header, signal)
     if "radiance" not in available:
         raise InputError(_missing(header, found, signal, "radiance"))
-    scene = read_scene(files[0].path.parent / found.cameras, header)
+    path = files[0].path.parent / found.cameras
+    scene = read_scene(path, header)
     wanted = {*DEFAULT_LAYERS, *(layers or ())}
     if scene and not {"depth", "motion", "motion_next"} <= available.keys():
         wanted |= {"position", "id"}
+        if "position" in available:
+            _check_entries(files, scene, path)
     rules = {layer: rule for layer, rule in available.items() if layer in wanted}
     for frame_files in files[1:]:
         _check_like_first(frame_files.header(), header, rules)
-    gaps = tuple(n for a, b in pairwise(files) for n in range(a.number + 1, b.number))
-    return Sequence(files, (header.height, header.width), signal, found, header, rules, available, gaps, scene)
+    size, gaps = (header.height, header.width), find_gaps(files)
+    return Sequence(files, size, signal, found, header, rules, available, gaps, scene)
 
 
 def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarray:
@@ -169,6 +173,15 @@ def _check_like_first(header: ExrHeader, first: ExrHeader, rules: dict[str, Rule
         if missing := [name for name in rule.channels if name not in header.channels]:
             raise InputError(f"{header.path}: lacks {layer} (channel {missing[0]}), which {first.path.name} has; "
                              f"the file has {header.summary}")  # fmt: skip
+
+
+def _check_entries(files: tuple[FrameFiles, ...], scene: dict, path: Path) -> None:
+    """Motion is to be computed: the scene must describe every frame."""
+    numbers = {entry["number"] for entry in scene["frames"]}
+    for frame in files:
+        if frame.number not in numbers:
+            raise InputError(f"{path}: no entry for frame {frame.number}, which {frame.path.name} is; render the scene "
+                             "file anew, or write the layers depth, motion and motion_next")  # fmt: skip
 
 
 def _missing(header: ExrHeader, layout: Layout, signal: str, layer: str) -> str:

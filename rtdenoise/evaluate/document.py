@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from ..errors import InputError
-from ..files import dumps, write_atomically
+from ..files import dumps, read_json, write_atomically
 
 NAME = "evaluation.json"
 FORMAT = "rtdenoise-evaluation-1"
@@ -44,12 +43,9 @@ class Document:
     def read(cls, folder: Path) -> Document:
         """Raises InputError where the file is missing, or is not one that `write` wrote."""
         path = Path(folder) / NAME
-        try:
-            content = json.loads(path.read_text())
-        except OSError:
-            raise InputError(f"{path}: not there; `rtdenoise evaluate SEQ --out {folder}` writes it") from None
-        except ValueError as error:
-            raise InputError(f"{path}: not JSON ({error})") from None
+        if not path.exists():
+            raise InputError(f"{path}: not there; `rtdenoise evaluate SEQ --out {folder}` writes it")
+        content = read_json(path)
         found = content.pop("format", None) if isinstance(content, dict) else None
         if found != FORMAT:
             raise InputError(f"{path}: expected the format {FORMAT!r}, found {found!r}")

@@ -21,6 +21,7 @@ from torch import Tensor
 from ..color import display_exposure
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
+from ..files import read_json
 from ..frame import Frame
 from ..metrics.image import decibels, masked_mean, reference_mse
 from .measure import check_references
@@ -129,8 +130,8 @@ def _told(sequence: Sequence, numbers: tuple[int, ...]) -> str:
 def _facts(path: Path) -> dict:
     if not path.is_file():
         return {}
+    facts = read_json(path)
     try:
-        facts = json.loads(path.read_text())
         return {"spp": int(facts.get("spp", 1)), "sample_ms": facts.get("sample_ms") and float(facts["sample_ms"])}
     except (ValueError, TypeError, AttributeError) as error:
         raise InputError(f'{path}: expected {{"spp": 1, "sample_ms": 38.5}}, found otherwise ({error})') from None

@@ -19,6 +19,7 @@ import torch
 from .. import models
 from ..color import display_exposure
 from ..errors import InputError, did_you_mean
+from ..files import lock, remove_unfinished
 from ..frame import Frame
 from ..run.plan import make_plan
 from ..sanitise import sanitise
@@ -72,6 +73,20 @@ def run(
     names = [source.name for source in opened]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"two sequences are called {twice[0]!r}: results go by the folder's name; rename one")
+    out.mkdir(parents=True, exist_ok=True)
+    with lock(out):
+        remove_unfinished(out)
+        return _measure(opened, chosen, out, options, say, on_step)
+
+
+def _measure(
+    opened: Sequence[Source],
+    chosen: list[Method],
+    out: Path,
+    options: Options,
+    say: Callable[[str], None],
+    on_step: OnStep,
+) -> Document:
     document = _open_document(out, options.signal)
     document.methods |= {method.name: {"what": method.what, "family": method.family} for method in chosen}
     this_run = origin(typed(), {options.device: device_name(options.device)}, MEASURED_WITH)
@@ -100,7 +115,6 @@ def _check(options: Options, sources: Sequence[str | Path]) -> None:
 
 
 def _open_document(out: Path, signal: str) -> Document:
-    out.mkdir(parents=True, exist_ok=True)
     if not (out / NAME).exists():
         return Document(signal)
     document = Document.read(out)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE
+from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, SKY_BLOCK
 from ..models.config import Config
 from .context import GpuArray
 from .dispatch import dispatch, fill
@@ -146,6 +146,15 @@ class Passes:
     def network(self, features: GpuArray, groups: int) -> list[GpuArray]:
         """Decoder features of the finest levels; `groups` as for `features`."""
         return self._network(features, groups) if self._accumulates else self._network(features)
+
+    def keep_even_sky(self, inputs: Inputs, result: GpuArray, denoised: GpuArray) -> None:
+        """Write a sky without noise back into the denoised image [3, H, W] and into the same image for history."""
+        H, W = inputs.surface.shape[:2]
+        blocks = -(-H // SKY_BLOCK), -(-W // SKY_BLOCK)
+        buffers = {"light": inputs.light, "surface": inputs.surface}
+        buffers |= {name: self._scratch.image(name, blocks) for name in ("lowest", "highest")}
+        dispatch("frame/sky_blocks", (W, H), buffers, group=(SKY_BLOCK, SKY_BLOCK))
+        dispatch("frame/sky", (W, H), buffers | {"denoised": denoised, "result": result})
 
     def _splat(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> GpuArray:
         """motion_next of the previous frame, approximate: `rtdenoise.splat.splat_motion_next`."""

@@ -120,12 +120,18 @@ class Pipeline:
             if self.accumulates:
                 now = kernels.texture(levels, now, inputs.guide, means.mean_albedo)
             result, denoised = kernels.blend(levels, past, now)
+            passes.keep_even_sky(inputs, result, denoised)
         vectors = vectors if "motion_next" in layers else None
         kept = (mean, means.mean_albedo) if self.accumulates else (None, None)
         return result, History(denoised, inputs.surface, vectors, *kept)
 
     def _upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
         """The layers that a step reads. Raises InputError where one is missing, or history is of another size."""
+        if not isinstance(frame, Frame):
+            raise InputError(
+                f"step takes a rtdenoise.Frame of numpy arrays [1, C, H, W], got {type(frame).__name__}; "
+                "rtdenoise.Denoiser(backend='glsl') takes arrays [H, W, C]"
+            )
         if len(frame.radiance) != 1:
             raise InputError(f"{frame.name or 'frame'}: expected one frame at a time, got {len(frame.radiance)}")
         needed = ("albedo", "normal", "depth", *(() if history is None else ("motion",)))

@@ -24,6 +24,7 @@ from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
 from ..ops import apply_kernel, compose, downsample, pick, reproject, warp
 from ..ops.blend_history import blend_history
+from ..ops.even_sky import even_sky
 from ..ops.features import features
 from ..ops.pixels import accumulate, demodulate, modulate, nearness
 from ..ops.shares import shares
@@ -89,7 +90,12 @@ class AccumulatedKPN(nn.Module):
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """As `Denoiser.step`."""
+        """Denoise one frame: `[B, 3, H, W]` linear radiance ≥ 0, and the history for the next frame.
+
+        `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
+        shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
+        another size, or `frame` is no Frame of tensors.
+        """
         frame = admit(frame, history and history.radiance, known)
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance, but for what is not diffuse
 
@@ -126,6 +132,7 @@ class AccumulatedKPN(nn.Module):
         if heads.edge is not None:
             output = apply_kernel(output, heads.edge)
         output = blend_history(output, past.output, past.on_screen, heads.temporal, heads.alpha_temporal)
+        output = even_sky(output, frame.radiance, frame.depth)
         return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
 
     def reprojected(self, frame: Frame, history: History | None, known: Known = NOTHING_KNOWN) -> Past:

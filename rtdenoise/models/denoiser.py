@@ -26,7 +26,7 @@ class Denoiser(Protocol):
         sequence, or starts anew after a cut. Without `motion_next` in the previous frame dual motion is approximated
         from this frame's motion and both depths. `known` facts are trusted: they save the work of finding them out.
 
-        Raises InputError where a layer is missing or the history has another size.
+        Raises InputError where a layer is missing, the history has another size, or `frame` is no Frame of tensors.
         """
 
     def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:

@@ -31,14 +31,16 @@ def create(config: Config) -> Denoiser | Combiner:
 def load(
     model: str | Path = "default", device: str | torch.device = "cpu", precision: str = "auto", **overrides
 ) -> Denoiser:
-    """A denoiser with its weights, made ready to run (`inference.prepare`).
+    """A denoiser with its weights, made ready to run (`inference.prepare`): a torch module whose
+    `step(frame, history)` takes and returns tensors `[B, C, H, W]` on `device`.
 
     `model` is the name of a model that ships (`available()`) or the path of a .safetensors file that `rtdenoise train`
     wrote. `precision` is that of the network: 'fp32', 'bf16', or 'auto' (`inference.resolve`); the rest is float32.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
-    Raises InputError for an unknown precision, for a combiner, and as `read`.
+    Raises InputError for an unknown model or precision, a combiner, an unreadable file, an override that is no field,
+    and weights that are not finite or do not fit their configuration.
     """
     dtype, network = resolve(precision, device), read(model, **overrides)
     if isinstance(network, Combiner):

@@ -15,6 +15,7 @@ from ..color import compress
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
 from ..ops import apply_kernel, blend, compose, downsample, warp
+from ..ops.even_sky import even_sky
 from ..ops.pixels import nearness
 from ..sanitise import admit
 from ..splat import history_motion
@@ -51,7 +52,12 @@ class TemporalKPN(nn.Module):
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """As `Denoiser.step`: the paper, §4."""
+        """Denoise one frame: `[B, 3, H, W]` linear radiance ≥ 0, and the history for the next frame.
+
+        `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
+        shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
+        another size, or `frame` is no Frame of tensors. The paper, §4.
+        """
         frame = admit(frame, history and history.radiance, known)
 
         # Reproject the previous output; where that is off the screen start from the noise, like a first frame.
@@ -79,6 +85,7 @@ class TemporalKPN(nn.Module):
         # Filter the reprojected history with its own kernel and blend.
         output = blend(output, apply_kernel(warped, heads.temporal), heads.alpha_temporal)
         output = output.clamp(min=0)  # eq. 4 subtracts: keep radiance physical
+        output = even_sky(output, frame.radiance, frame.depth)
         return output, History(output, frame.motion_next, frame.depth, frame.normal)
 
     def features(self, frame: Frame, warped: Tensor, known: Known = NOTHING_KNOWN) -> Tensor:

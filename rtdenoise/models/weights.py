@@ -98,7 +98,7 @@ def _overridden(config: Config, model: str, overrides: Mapping[str, object]) -> 
     try:
         return replace(config, **overrides)
     except (TypeError, ValueError) as error:
-        raise InputError(f"model {model!r}: {error}") from None
+        raise InputError(f"{', '.join(overrides)}: not an override of model {model!r}: {error}") from None
 
 
 def _config(path: Path, metadata: Mapping[str, str]) -> Config:

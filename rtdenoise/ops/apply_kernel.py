@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 from .logits import whole
 
 MAX_KERNEL = 7  # C is unrolled over K² taps: it compiles for 11 s at 7, 43 s at 15
@@ -21,6 +21,7 @@ FUSED = Fused(
 )
 
 
+@falls_back
 def apply_kernel(
     image: Tensor,  # [B, C, H, W]
     logits: Tensor,  # [B, K², H, W], K odd, or by cells: [B, 2, 2, K², ⌈H/2⌉, ⌈W/2⌉]

@@ -7,11 +7,12 @@ from torch import Tensor
 
 from .apply_kernel import MAX_KERNEL, apply_kernel
 from .blend import blend
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused("blend_history", native=Support(max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",)))
 
 
+@falls_back
 def blend_history(
     spatial: Tensor,  # [B, C, H, W] the filtered current frame
     past: Tensor,  # [B, C, H, W] the reprojected previous output

@@ -6,12 +6,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..color import luminance
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused("block_luminance", native=Support())
 MAX_BLOCK = 1024  # pixels: the widest block that the fused op takes
 
 
+@falls_back
 def block_luminance(
     radiance: Tensor,  # [B, 3, H, W]
     block: int,  # side in pixels; blocks at the right and lower border may be smaller

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 from .downsample import downsample
 from .upsample import upsample
 
 FUSED = Fused("compose", native=Support(), triton=Support())
 
 
+@falls_back
 def compose(
     fine: Tensor,  # [B, C, H, W] filtered at this scale
     coarse: Tensor,  # [B, C, ⌈H/2⌉, ⌈W/2⌉] filtered and composed at the next coarser one

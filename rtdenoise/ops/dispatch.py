@@ -5,6 +5,7 @@ declares what they take, and asks once its arguments are checked:
 
     FUSED = Fused("warp", native=Support(max_channels=8, gradients=("image",)), triton=Support(max_channels=8))
 
+    @falls_back
     def warp(image, motion):
         if run := FUSED(image=image, motion=motion):
             return run(image, motion)
@@ -31,6 +32,8 @@ from importlib import import_module
 
 import torch
 from torch import Tensor
+
+from ..errors import NotCompiled
 
 CHOICES = ("auto", "plain", "fused")
 MAX_PIXELS = 2**31 - 1  # of a plane: fused ops number pixels by 32-bit integers
@@ -86,7 +89,7 @@ class Fused:
         if plain():
             return None
         first = next(iter(arguments.values()))
-        folder, problem = backend((first if isinstance(first, Tensor) else first[0]).device.type)
+        folder, problem = _available((first if isinstance(first, Tensor) else first[0]).device.type)
         if folder is not None:
             if folder not in self.support:
                 return None
@@ -96,6 +99,31 @@ class Fused:
         if _choice == "fused":
             raise RuntimeError(f"{self.name}: no fused path: {problem}")
         return None
+
+
+def falls_back(op: Callable) -> Callable:
+    """Decorates an op: plain from now on, with one warning, where its fused implementation does not compile after all,
+    as on a disk that has filled up since the start."""
+
+    @functools.wraps(op)
+    def run(*arguments, **options):
+        try:
+            return op(*arguments, **options)
+        except NotCompiled as error:
+            if _choice == "fused":
+                raise
+            _lost["cpu"] = str(error)
+            _warn("cpu", error)
+            return op(*arguments, **options)
+
+    return run
+
+
+_lost: dict[str, str] = {}  # device -> why its fused ops are used no more
+
+
+def _available(device: str) -> tuple[str | None, str | None]:
+    return (None, _lost[device]) if device in _lost else backend(device)
 
 
 @functools.cache
@@ -112,9 +140,13 @@ def backend(device: str) -> tuple[str | None, str | None]:
 
             return "triton", None
     except (ImportError, OSError, RuntimeError) as error:
-        logging.getLogger("rtdenoise").warning("rtdenoise: slower without fused ops on %s: %s", device, error)
+        _warn(device, error)
         return None, str(error)
     return None, f"there is none for {device}"
+
+
+def _warn(device: str, error: Exception) -> None:
+    logging.getLogger("rtdenoise").warning("rtdenoise: slower without fused ops on %s: %s", device, error)
 
 
 @functools.cache

@@ -5,11 +5,12 @@ from __future__ import annotations
 from torch import Tensor
 from torch.nn import functional as F
 
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused("downsample", native=Support(), triton=Support())
 
 
+@falls_back
 def downsample(
     image: Tensor,  # [B, C, H, W]
     pool: str = "mean",

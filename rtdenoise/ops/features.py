@@ -8,11 +8,12 @@ import torch
 from torch import Tensor
 
 from ..color import compress
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused("features", native=Support())  # channels last only
 
 
+@falls_back
 def features(
     light: Sequence[Tensor],  # [B, C, H, W] each, ≥ 0: linear light
     guides: Sequence[Tensor],  # [B, C, H, W] each, float or bool: all other layers

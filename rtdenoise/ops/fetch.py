@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 from .targets import check, clamped_targets
 
 FUSED = Fused("fetch", native=Support(max_channels=8), triton=Support())
 
 
+@falls_back
 def fetch(
     image: Tensor,  # [B, C, H, W]
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels

@@ -9,12 +9,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from .apply_kernel import MAX_KERNEL, apply_kernel
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 from .logits import cells
 
 FUSED = Fused("pick", native=Support(max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",)))
 
 
+@falls_back
 def pick(
     fine: Tensor,  # [B, C, H, W]
     coarse: Tensor,  # [B, C, ⌈H/2⌉, ⌈W/2⌉]

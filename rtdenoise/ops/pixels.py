@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..color import albedo_divisor
 from .blend import blend
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 
 DEMODULATE = Fused("pixels.demodulate", native=Support(max_channels=8))
 MODULATE = Fused("pixels.modulate", native=Support(max_channels=8))
@@ -16,6 +16,7 @@ NEARNESS = Fused("pixels.nearness", native=Support())
 WITHIN = Fused("pixels.within", native=Support())
 
 
+@falls_back
 def demodulate(
     radiance: Tensor,  # [B, 3, H, W]
     albedo: Tensor,  # [B, 3, H, W]
@@ -27,6 +28,7 @@ def demodulate(
     return radiance / albedo_divisor(albedo, depth)
 
 
+@falls_back
 def modulate(
     irradiance: Tensor,  # [B, 3, H, W]; negative values count as 0
     albedo: Tensor,  # [B, 3, H, W] of this frame
@@ -40,6 +42,7 @@ def modulate(
     return irradiance.clamp(min=0) * albedo_divisor(blend(albedo, mean_albedo, sharp), depth)
 
 
+@falls_back
 def accumulate(
     new: Tensor,  # [B, C, H, W]
     mean: Tensor,  # [B, C, H, W] of the frames before
@@ -58,6 +61,7 @@ def accumulate(
     return blend(new, mean, weight), (1 / weight).clamp(max=max_length)
 
 
+@falls_back
 def nearness(
     depth: Tensor,  # [B, 1, H, W], 0 where nothing was hit
     distance: Tensor,  # [B, 1, 1, 1] > 0: the frame's mean distance (`frame.mean_distance`)
@@ -68,6 +72,7 @@ def nearness(
     return torch.where(depth > 0, distance / (distance + depth), 0.0)
 
 
+@falls_back
 def within(values: Tensor, low: float, high: float) -> bool:
     """Whether all values, `[B, C, H, W]`, are in [low, high], both float32 numbers. NaN is outside."""
     if run := WITHIN(values=values):

@@ -10,13 +10,14 @@ from torch import Tensor
 
 from ..constants import DEPTH_TOLERANCE, MIN_HISTORY_WEIGHT, MIN_NORMAL_COSINE
 from .alike import alike
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 from .targets import check
 
 FAR_AWAY = 1e6  # pixels: longer motion is off the screen anyway, and this still fits an integer
 FUSED = Fused("reproject", native=Support(max_channels=8, gradients=("stored",)), triton=Support())
 
 
+@falls_back
 def reproject(
     stored: Tensor | Sequence[Tensor],  # [B, C, H, W] of the previous frame; several are joined along channels
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels

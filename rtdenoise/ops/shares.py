@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from .dispatch import Fused, Support
+from .dispatch import Fused, Support, falls_back
 from .logits import whole
 
 FUSED = Fused("shares", native=Support(halves=("logits",)))
 
 
+@falls_back
 def shares(
     logits: Tensor,  # [B, 2, 2, N, ⌈H/2⌉, ⌈W/2⌉] by cells (`apply_kernel`): float32, bfloat16 or float16
     size: tuple[int, int],  # (H, W)

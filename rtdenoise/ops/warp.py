@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .dispatch import Fused, Support, plain
+from .dispatch import Fused, Support, falls_back, plain
 from .targets import check, clamped_targets
 
 MAX_CHANNELS = 8  # of the fused ops, which hold all channels of a pixel; wider images take torch's own lookup
@@ -15,6 +15,7 @@ FUSED = Fused(
 )
 
 
+@falls_back
 def warp(
     image: Tensor,  # [B, C, H, W]
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels

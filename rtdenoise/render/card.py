@@ -10,6 +10,7 @@ import numpy as np
 from ..data.clips import ClipDataset, read_facts
 from ..files import write_atomically
 
+COMPOSED = "composition of assets"  # source of clips of a library
 GENERATED = "program"  # source of clips without third-party data
 
 
@@ -21,12 +22,12 @@ def write_card(folder: Path, command: str) -> dict:
     first = facts[0]
     card = {
         "clips": len(facts),
-        "frames_per_clip": first["frames"],
+        "frames_per_clip": _range([f["frames"] for f in facts]),
         "size": first["size"],
         "generators": sorted({f["generator"] for f in facts}),
         "seeds": [min(f["seed"] for f in facts), max(f["seed"] for f in facts)],
         "command": command,
-        "spp": first["spp"],
+        "spp": _range([f["spp"] for f in facts]),
         "reference_spp": _spread([f["reference_spp"] for f in facts]),
         "uncovered_share": {"mean": float(shares.mean()), "clips_above_1.5%": float((shares > 0.015).mean())},
         "sunlit": sum("sun_through" in f for f in facts),
@@ -36,6 +37,8 @@ def write_card(folder: Path, command: str) -> dict:
         "sources": _counts(f.get("source", GENERATED) for f in facts),
         "licences": {f["source"]: f["licence"] for f in facts if f.get("licence")},
         "pictures": _pictures([f["pictures"] for f in facts if "pictures" in f]),
+        "assets": {name: entry for f in facts for name, entry in f.get("assets", {}).items()},
+        "skipped_assets": {name: reason for f in facts for name, reason in f.get("skipped", {}).items()},
     }
     chosen = [f for f in facts if "chosen" in f]
     if chosen:
@@ -61,6 +64,12 @@ def _pictures(used: list[dict]) -> dict[str, dict]:
     }
 
 
+def _range(values: list[int]) -> int | list[int]:
+    """The value of all clips, or the smallest and the largest."""
+    low, high = min(values), max(values)
+    return low if low == high else [low, high]
+
+
 def _spread(values: list[float]) -> dict[str, float]:
     return {"min": min(values), "max": max(values), "mean": float(np.mean(values))}
 
@@ -73,17 +82,15 @@ def _counts(names) -> dict[str, int]:
 def _text(card: dict) -> str:
     height, width = card["size"]
     spp, share = card["reference_spp"], card["uncovered_share"]
-    scenes = {name: count for name, count in card["sources"].items() if name != GENERATED}
+    scenes = {name: count for name, count in card["sources"].items() if name not in (GENERATED, COMPOSED)}
     first, last = card["seeds"]
-    generators = ", ".join(map(str, card["generators"]))
     text = f"""# Training clips
 
-{card["clips"]} clips of {card["frames_per_clip"]} frames, {width}×{height}, seeds {first} to {last}.
-{card["sources"].get(GENERATED, 0)} are of procedural scenes (generator {generators}): closed rooms, half-open rooms and
-open ground with textured surfaces, moving objects and cameras. {_origin(card)}
+{card["clips"]} clips of {_span(card["frames_per_clip"])} frames, {width}×{height}, seeds {first} to {last}.
+{_scenes(card)}
 Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
 
-- noisy frames: {card["spp"]} sample(s) a pixel
+- noisy frames: {_span(card["spp"])} sample(s) a pixel
 - references: {spp["min"]} to {spp["max"]} samples a pixel (mean {spp["mean"]:.0f}), more for noisier scenes;
   the mean of two independent halves, of which the first is stored (second = 2 × mean − first)
 - moving objects uncover {100 * share["mean"]:.1f} % of the pixels a frame on average, and more than 1.5 % in
@@ -109,10 +116,43 @@ Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
         text += "\n## Scenes by others\n\n" + "".join(f"- {name}: {count} clips\n" for name, count in scenes.items())
     for name, licence in card["licences"].items():
         text += f"\n### {name}\n\n{licence.strip()}\n"
+    text += _asset_credits(card)
     for folder, pictures in card["pictures"].items():
         files = ", ".join(pictures["files"])
         licence = pictures["licence"].strip() or "No LICENSE.txt lay in the folder: find out before passing clips on."
         text += f"\n## Pictures from {folder}\n\nIn {pictures['clips']} clips: {files}\n\n{licence}\n"
+    return text
+
+
+def _scenes(card: dict) -> str:
+    """What kinds of scenes the clips show."""
+    lines = []
+    if generated := card["sources"].get(GENERATED, 0):
+        generators = ", ".join(map(str, card["generators"]))
+        lines.append(f"""{generated} are of procedural scenes (generator {generators}): closed rooms, half-open rooms
+and open ground with textured surfaces, moving objects and cameras. {_origin(card)}""")
+    if composed := card["sources"].get(COMPOSED, 0):
+        lines.append(f"""{composed} are of rooms, streets, table tops, gardens and showrooms composed of other people's
+models, environment maps and pictures, named below with their authors.""")
+    return "\n".join(lines)
+
+
+def _span(value: int | list[int]) -> str:
+    return f"{value[0]} to {value[1]}" if isinstance(value, list) else f"{value}"
+
+
+def _asset_credits(card: dict) -> str:
+    """Every licence with the assets under it; then the assets that could not be loaded."""
+    text = ""
+    for licence in sorted({entry["licence"] for entry in card["assets"].values()}):
+        text += f"\n### Assets: {licence}\n\n"
+        under = {name: entry for name, entry in sorted(card["assets"].items()) if entry["licence"] == licence}
+        for author in sorted({entry["author"] for entry in under.values()}):
+            names = [f"{name} ({entry['source']})" for name, entry in under.items() if entry["author"] == author]
+            text += f"- **{author}**: {'; '.join(names)}\n"
+    if card["skipped_assets"]:
+        text += "\n### Assets that could not be loaded and were left out\n\n"
+        text += "".join(f"- {name}: {reason}\n" for name, reason in sorted(card["skipped_assets"].items()))
     return text
 
 

@@ -16,9 +16,11 @@ from pathlib import Path
 
 from ..data.clips import bytes_per_clip, clip_path, read_facts
 from ..errors import InputError
+from ..files import remove_unfinished
 from .card import write_card
 from .options import ClipOptions
 from .scene_clips import render_group
+from .scenes.assets import read_library
 from .scenes.pictures import find_pictures
 from .stage import start_mitsuba
 from .windows import COARSE
@@ -41,6 +43,8 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
     start_mitsuba()  # what is wrong here and below is told in one line, before any process starts
     if options.textures:
         find_pictures(options.textures)
+    if options.assets:
+        read_library(options.assets, options.allow_unlicensed)
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     refuse_other_options(out, options)
@@ -50,6 +54,7 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
     groups = {group: count for group, count in groups.items() if group % shards == shard}
     missing = sum(groups.values())
     with only_run(out, f"{shard}-of-{shards}"):
+        remove_unfinished(out)
         progress(0, missing, _disk_use(out, missing, options))
         done = 0
         for _, clips in run_jobs(render_group, [(out, group, options) for group in groups], options.workers):
@@ -73,8 +78,10 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
         index = int(path.stem.removeprefix("clip_"))
         expected = {
             "generator": options.generator, "seed": options.clip_seed(index), "size": list(options.size),
-            "frames": options.frames, "spp": options.spp, "max_depth": options.max_depth,
+            "max_depth": options.max_depth,
         }  # fmt: skip
+        if not options.assets:  # with assets they differ from clip to clip
+            expected |= {"frames": options.frames, "spp": options.spp}
         wanted = options.scenes_are_of()
         told = {key: facts[key] for key in wanted.keys() & facts.keys()} | facts.get("scenes_are_of", {})
         found = wanted | BEFORE | told | {key: facts.get(key) for key in expected}
@@ -85,7 +92,8 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
 
 
 def _disk_use(out: Path, missing: int, options: ClipOptions) -> str:
-    needed, free = missing * bytes_per_clip(options.size, options.frames), shutil.disk_usage(out).free
+    layers = ("samples",) if options.assets else ()
+    needed, free = missing * bytes_per_clip(options.size, options.frames, layers), shutil.disk_usage(out).free
     if needed > free:
         raise InputError(f"{out}: {missing} clips take {_bytes(needed)}, {_bytes(free)} are free")
     return f"{missing} clips to render, {_bytes(needed)} on disk ({_bytes(free)} are free)"

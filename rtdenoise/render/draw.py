@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from .card import GENERATED
+from .card import COMPOSED, GENERATED
 from .frames import calibrate, features, uncovered
 from .options import ClipOptions
 from .scenes import procedural, wide
+from .scenes.assets import read_library
+from .scenes.composed import compose
 from .scenes.dress import dress
 from .scenes.file import open_file
 from .scenes.pictures import find_pictures, hang
+from .scenes.procedural import log_uniform
 from .scenes.scene import Scene
 from .scenes.sunlit import sunlit
+from .scenes.takes import compose_take, film_take
 from .stage import Stage
 from .windows import Survey, candidates, survey
 
-SCENE_SHARE = 0.5  # of the scenes that come from --scenes, where that is given
+SCENE_SHARE = 0.5  # of the scenes that come from --scenes, where that is given,
+FILE_SHARE = 0.33  # and in sets with assets
+VIEWS = ((720, 1280), (810, 1440), (900, 1600), (1080, 1920))  # pictures of sets with assets: height, width
+MAX_TAKES = 4  # drawings of a take; the last one is taken if it shows anything
 MAX_ATTEMPTS = {1: 12, 2: 8, 3: 8}  # drawings of a generator's scene; the last one is taken as it is
 HELD_OUT = range(2_000_000, 2_000_100)  # seeds of generated scenes to evaluate on: no training set draws them
 MIN_UNCOVERED = 0.015  # share of pixels, mean over a clip of generator 1 that is meant to uncover
@@ -66,19 +74,75 @@ def draw_first(seed: int, frames: int = procedural.CLIP_FRAMES) -> tuple[Stage, 
     raise AssertionError("unreachable")
 
 
-# --- windows ----------------------------------------------------------------------------------------------------------
+# --- takes ------------------------------------------------------------------------------------------------------------
 
 
-def draw_scene(group: int, options: ClipOptions) -> tuple[Stage, Survey, dict]:
-    """Scene number `group` of a set, loaded, exposed and surveyed, and its facts."""
+@dataclass(frozen=True)
+class Take:
+    """A scene that is loaded, exposed and surveyed, ready for windows to be cut from its picture."""
+
+    stage: Stage
+    found: Survey
+    view: tuple[int, int]  # height, width of the picture
+    frames: int  # of every clip
+    facts: dict
+
+
+def draw_takes(group: int, options: ClipOptions, wanted: Collection[int]) -> Iterator[tuple[int, Take]]:
+    """Yield (k, take) for those takes of scene number `group` that are wanted; the scene is loaded once."""
     rng = np.random.default_rng([options.seed, group])
+    if options.assets:
+        yield from _draw_assets(group, options, wanted, rng)
+        return
     calm = options.calm > 0 and bool(rng.uniform() < options.calm)
-    if options.scenes and rng.uniform() < SCENE_SHARE:
-        return _draw_file(group, options, calm, rng)
-    return _draw_generated(group, options, calm, rng)
+    from_file = options.scenes and rng.uniform() < SCENE_SHARE
+    draw = _draw_file if from_file else _draw_generated
+    yield 0, draw(group, options, calm, rng)
 
 
-def _draw_file(group: int, options: ClipOptions, calm: bool, rng: np.random.Generator) -> tuple[Stage, Survey, dict]:
+def _draw_assets(
+    group: int, options: ClipOptions, wanted: Collection[int], rng: np.random.Generator
+) -> Iterator[tuple[int, Take]]:
+    """Takes of a composition of assets, or of a scene file with other cameras, in large pictures."""
+    if options.scenes and rng.uniform() < FILE_SHARE:
+        file, motion = options.scenes[rng.integers(len(options.scenes))]
+        scene = open_file(Path(file), motion or None)
+        stage, facts = Stage(scene), scene.facts | _source(file, scene)
+
+        def direct(rng, frames: int, width: int) -> Scene:
+            return film_take(scene, stage.mitsuba, rng, frames, width)
+    else:
+        composition = compose(read_library(options.assets, options.allow_unlicensed), int(rng.integers(1 << 31)))
+        stage, facts = Stage(composition.scene), composition.scene.facts | {"source": COMPOSED}
+
+        def direct(rng, frames: int, width: int) -> Scene | None:
+            return compose_take(composition, stage.mitsuba, rng, frames, width)
+
+    for k in sorted(wanted):
+        rng = np.random.default_rng([options.seed, group, 3, k + 1])
+        view = VIEWS[rng.integers(len(VIEWS))]
+        frames = int(rng.integers(8, 11)) if rng.uniform() < 0.85 else int(rng.choice([16, 20, 24, 32]))
+        for attempt in range(MAX_TAKES):
+            scene = direct(rng, frames, view[1])
+            if scene is None:
+                break  # nothing can be seen here
+            found = survey(stage.direct(scene), frames, view)
+            stage.exposure = 1.0
+            light = calibrate(stage, log_uniform(rng, 0.1, 1.0), frames // 2)
+            if attempt == MAX_TAKES - 1 or (found.sky < 0.7 and light["evenness"] > 0.04 and light["noise"] < 40):
+                if np.isfinite(light["noise"]):
+                    yield k, Take(stage, found, view, frames, facts | light | {"scene": group, "take": k})
+                break
+
+
+def _source(file: str, scene: Scene) -> dict:
+    """Where a scene file comes from, for the card."""
+    licence = Path(file).with_name("LICENSE.txt")
+    text = licence.read_text() if licence.is_file() else ""
+    return {"source": scene.name, "licence": text, "kind": "scene file", "place": scene.name}
+
+
+def _draw_file(group: int, options: ClipOptions, calm: bool, rng: np.random.Generator) -> Take:
     """One of the scene files; unless it is calm, with objects more that cross the view."""
     file, motion = options.scenes[rng.integers(len(options.scenes))]
     frames = 2 * options.frames
@@ -87,15 +151,11 @@ def _draw_file(group: int, options: ClipOptions, calm: bool, rng: np.random.Gene
     stage = Stage(scene)
     found = survey(stage, frames, options.view)
     calibrate(stage, scene.facts.get("brightness", 0.5), frames // 2)
-    licence = Path(file).with_name("LICENSE.txt")
-    facts = {"source": scene.name, "licence": licence.read_text() if licence.is_file() else ""}
-    return stage, found, scene.facts | facts | {"kind": "calm scene file" if calm else "scene file",
-                                                "place": scene.name}  # fmt: skip
+    facts = scene.facts | _source(file, scene) | ({"kind": "calm scene file"} if calm else {})
+    return Take(stage, found, options.view, options.frames, facts)
 
 
-def _draw_generated(
-    group: int, options: ClipOptions, calm: bool, rng: np.random.Generator
-) -> tuple[Stage, Survey, dict]:
+def _draw_generated(group: int, options: ClipOptions, calm: bool, rng: np.random.Generator) -> Take:
     """A scene of `wide`, with a sun in some: the first attempt that shows something, near enough and well lit."""
     seed, frames = scene_seed(rng), 2 * options.frames
     sunny = rng.uniform() < options.sun
@@ -113,7 +173,8 @@ def _draw_generated(
         if last or (found.sky < 0.75 and found.near > 0.3 and most >= wanted):
             light = calibrate(stage, scene.facts["brightness"], frames // 2)
             if last or (light["evenness"] > 0.08 and light["noise"] < 8):
-                return stage, found, scene.facts | light | {"source": GENERATED, "scene_seed": seed}
+                facts = scene.facts | light | {"source": GENERATED, "scene_seed": seed}
+                return Take(stage, found, options.view, options.frames, facts)
     raise AssertionError("unreachable")
 
 

@@ -29,15 +29,27 @@ class ClipOptions:
     sun: float = 0.0  # share of the generated scenes with a sun
     calm: float = 0.0  # share of the scenes in which only the camera moves
     textures: str = ""  # folder of pictures that some surfaces get; "": none
+    assets: str = ""  # folder of a library: compositions of it take the place of generated scenes; "": none
+    allow_unlicensed: bool = False  # use assets without a licence
+
+    @property
+    def takes_per_scene(self) -> int:
+        """A scene is loaded, and its kernels compiled, once; takes of it differ in camera and motions."""
+        return 3 if self.assets else 1
+
+    @property
+    def windows_per_take(self) -> int:
+        if self.generator == 1:
+            return 1  # the whole picture
+        return 2 if self.assets else 4
 
     @property
     def clips_per_scene(self) -> int:
-        """Windows are cut from a scene that is loaded, and its kernels compiled, once; whole pictures are not."""
-        return 1 if self.generator == 1 else 4
+        return self.takes_per_scene * self.windows_per_take
 
     @property
     def view(self) -> tuple[int, int]:
-        """Height and width of the picture that windows are cut from."""
+        """Height and width of the picture that windows are cut from, in sets without assets."""
         return 2 * self.size[0], 2 * self.size[1]
 
     def clip_seed(self, index: int) -> int:
@@ -53,7 +65,8 @@ class ClipOptions:
             return {}
         files = [[Path(file).parent.name, bool(motion)] for file, motion in self.scenes]
         shares = {"sun": self.sun, "calm": self.calm}
-        return shares | {"files": files, "textures": bool(self.textures), "reference_error": self.reference_error}
+        choice = shares | {"files": files, "textures": bool(self.textures), "reference_error": self.reference_error}
+        return choice | ({"assets": Path(self.assets).name} if self.assets else {})
 
 
 def parse_shard(text: str) -> tuple[int, int]:

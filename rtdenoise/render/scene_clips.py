@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from ..data.clips import clip_path, write_clip
-from .draw import draw_first, draw_scene
+from .draw import Take, draw_first, draw_takes
 from .frames import FIRST_HALF, SECOND_HALF, RenderOptions, grey, radiance, render_frame
 from .options import ClipOptions
 from .stage import Stage
 from .windows import candidates, choose, look_through
 
 ACTIVE_SHARE = 0.75  # of the clips whose window is the one with most activity; the others take any window
+MORE_SAMPLES = (2, 4, 8, 16, 32, 64)  # times the samples of the other half of a set with assets
 PILOT_SPP = 16  # samples a pixel from which a reference's error is estimated
 
 
@@ -41,42 +42,66 @@ def _render_whole(out: Path, index: int, options: ClipOptions) -> list[dict]:
 
 
 def _render_windows(out: Path, group: int, options: ClipOptions) -> list[dict]:
+    """The missing clips of a scene's takes; a take's windows depend on each other, and on nothing else."""
     first = group * options.clips_per_scene
     members = range(first, min(first + options.clips_per_scene, options.count))
     missing = [i for i in members if not clip_path(out, i).exists()]
+    wanted = {(i - first) // options.windows_per_take for i in missing}
+    rendered = []
     clock = time.process_time()
-    stage, found, facts = draw_scene(group, options)
-    whole, windows, taken, rendered = stage.scene, candidates(found, options.size, options.frames), [], []
-    for index in members:  # existing clips too: a window depends on those before it
-        rng = np.random.default_rng([options.seed, group, index])
-        active = bool(rng.uniform() < ACTIVE_SHARE)
-        window = choose(windows, taken, options.size, options.frames, active, rng)
-        taken.append(window)
-        if index not in missing:
-            continue
-        stage.scene = whole
-        look_through(stage, window, options.view)
-        more = {
-            "seed": options.seed, "index": index, "generator": options.generator,
-            "scenes_are_of": options.scenes_are_of(), "uncovered": window.uncovered,
-            "view_uncovered": float(found.uncovered[1:].mean()), "motion": window.motion,
-            "chosen": "activity" if active else "at random", "window": [window.top, window.left, *options.view],
-        }  # fmt: skip
-        seed = int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0])
-        numbers = range(window.first, window.first + options.frames)
-        spp, error = reference_samples(stage, numbers[len(numbers) // 2], options, seed)
-        render = RenderOptions(options.size, options.spp, spp, options.max_depth, seed)
-        more |= {"reference_error": error}
-        rendered.append(_render_clip(clip_path(out, index), stage, numbers, facts | more, render, clock))
+    for k, take in draw_takes(group, options, wanted):
+        start = first + k * options.windows_per_take
+        mine = range(start, min(start + options.windows_per_take, options.count))
+        rendered += _render_take(out, group, take, mine, missing, options, clock)
         clock = time.process_time()
     return rendered
 
 
-def reference_samples(stage: Stage, number: int, options: ClipOptions, seed: int) -> tuple[int, float]:
+def _render_take(
+    out: Path, group: int, take: Take, members: range, missing: list[int], options: ClipOptions, clock: float
+) -> list[dict]:
+    stage, whole, taken, rendered = take.stage, take.stage.scene, [], []
+    windows = candidates(take.found, options.size, take.frames)
+    for index in members:  # existing clips too: a window depends on those before it
+        rng = np.random.default_rng([options.seed, group, index])
+        active = bool(rng.uniform() < ACTIVE_SHARE)
+        window = choose(windows, taken, options.size, take.frames, active, rng)
+        taken.append(window)
+        if index not in missing:
+            continue
+        stage.scene = whole
+        look_through(stage, window, take.view)
+        more = {
+            "seed": options.seed, "index": index, "generator": options.generator,
+            "scenes_are_of": options.scenes_are_of(), "uncovered": window.uncovered,
+            "view_uncovered": float(take.found.uncovered[1:].mean()), "motion": window.motion,
+            "chosen": "activity" if active else "at random", "window": [window.top, window.left, *take.view],
+        }  # fmt: skip
+        seed = int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0])
+        numbers = range(window.first, window.first + take.frames)
+        samples = draw_samples(options, rng)
+        spp, error = reference_samples(stage, numbers[len(numbers) // 2], options, samples, seed)
+        render = RenderOptions(options.size, samples, spp, options.max_depth, seed)
+        more |= {"reference_error": error} | ({"samples": samples} if options.assets else {})
+        rendered.append(_render_clip(clip_path(out, index), stage, numbers, take.facts | more, render, clock))
+        clock = time.process_time()
+    stage.scene = whole
+    return rendered
+
+
+def draw_samples(options: ClipOptions, rng: np.random.Generator) -> int:
+    """Samples a pixel of a clip's noisy frames; with assets half of the clips have more than `options.spp`."""
+    if not options.assets or rng.uniform() < 0.5:
+        return options.spp
+    return options.spp * int(rng.choice(MORE_SAMPLES))
+
+
+def reference_samples(stage: Stage, number: int, options: ClipOptions, samples: int, seed: int) -> tuple[int, float]:
     """(samples a pixel of both halves together, the error they are expected to leave) for the target error.
 
     Two halves of PILOT_SPP / 2 samples give the error of their mean, mean((a − b)² / 4) relative to the squared mean;
     it falls as one over the number of samples. A pixel counts 1 at most: no number of samples would tame a firefly.
+    A reference has at least twice the `samples` of the noisy frame.
     """
     a, b = (
         grey(radiance(stage, number, options.size, PILOT_SPP // 2, seed, stream, options.max_depth)[0])
@@ -86,19 +111,23 @@ def reference_samples(stage: Stage, number: int, options: ClipOptions, seed: int
     squared = (a - b) ** 2 / 4 / (mean**2 + (0.1 * mean.mean()) ** 2 + 1e-12)
     error = float(np.minimum(squared, 1).mean())
     low, high = options.reference_range
-    spp = 2 * int(np.clip(np.ceil(PILOT_SPP * error / options.reference_error / 2), low // 2, high // 2))
+    half = np.clip(np.ceil(PILOT_SPP * error / options.reference_error / 2), low // 2, high // 2)
+    spp = 2 * int(max(half, samples if samples > 1 else 0))
     return spp, error * PILOT_SPP / spp
 
 
 def _render_clip(path: Path, stage: Stage, numbers: range, facts: dict, render: RenderOptions, clock: float) -> dict:
     """Render the frames `numbers`, write them, return the facts; `clock` is the processor time at which work began."""
     frames = [render_frame(stage, number, render) for number in numbers]
+    layers = ("samples",) if "samples" in facts else ()
+    for frame in frames if layers else ():
+        frame["samples"] = np.full((*render.size, 1), render.spp, np.float32)
     facts = facts | {
         "first_frame": numbers[0], "frames": len(numbers), "size": list(render.size), "spp": render.spp,
         "reference_spp": render.reference_spp, "max_depth": render.max_depth,
         "seconds": time.process_time() - clock, "versions": versions(),
     }  # fmt: skip
-    write_clip(path, frames, facts)
+    write_clip(path, frames, facts, layers)
     return facts
 
 

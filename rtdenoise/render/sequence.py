@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from ..errors import InputError
-from ..files import write_atomically
+from ..files import lock, read_json, remove_unfinished, write_atomically
 from .frames import LAYERS, RenderOptions, describe_frame, render_frame
 from .scenes.scene import Scene
 from .stage import Stage
@@ -35,15 +35,19 @@ def write_scene_json(scene: Scene, path: Path, numbers: range, size: tuple[int, 
         ],
     }
     if path.exists():
-        document["frames"] = _joined(path, json.loads(path.read_text()), document)
+        document["frames"] = _joined(path, read_json(path), document)
     write_atomically(path, json.dumps(document).encode())
 
 
 def _joined(path: Path, before: dict, now: dict) -> list[dict]:
     """The frames of both documents, in order."""
     entries = {entry["number"]: entry for entry in now["frames"]}
-    kept = {entry["number"]: entry for entry in before["frames"]}
-    same = all(before[key] == now[key] for key in now if key != "frames")
+    try:
+        kept = {entry["number"]: entry for entry in before["frames"]}
+        same = all(before[key] == now[key] for key in now if key != "frames")
+    except (KeyError, TypeError):
+        raise InputError(f"{path}: damaged: not as `rtdenoise render` writes it; remove it, or choose another "
+                         "--out") from None  # fmt: skip
     if not same or any(entries[number] != kept[number] for number in entries.keys() & kept.keys()):
         raise InputError(f"{path}: is of another scene, motion or size, expected this one; choose another --out")
     return [entry for _, entry in sorted((kept | entries).items())]
@@ -56,11 +60,16 @@ def render_sequence(
 
     Existing frames are kept, so an interrupted run continues where it stopped.
     """
-    from ..data.exr import write_layers
-
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    numbers = range(first, first + frames)
+    with lock(out):
+        remove_unfinished(out)
+        return _render(scene, out, range(first, first + frames), options, progress)
+
+
+def _render(scene: Scene, out: Path, numbers: range, options: RenderOptions, progress) -> list[Path]:
+    from ..data.exr import write_layers
+
     write_scene_json(scene, out / "scene.json", numbers, options.size)
     paths = {n: out / f"frame.{n:04d}.exr" for n in numbers}
     missing = [n for n in numbers if not paths[n].exists()]

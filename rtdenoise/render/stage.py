@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import glob
 import os
 import re
@@ -25,9 +26,7 @@ def start_mitsuba(threads: int | None = None):
         import drjit as dr
         import mitsuba as mi
     except ImportError as error:
-        raise InputError(
-            "rendering needs Mitsuba 3, which is missing: pip install 'rtdenoise[render]'"
-        ) from error
+        raise InputError("rendering needs Mitsuba 3, which is missing: pip install 'rtdenoise[render]'") from error
     if mi.variant() is None:
         if dr.has_backend(dr.JitBackend.CUDA):
             mi.set_variant("cuda_ad_rgb")
@@ -118,14 +117,23 @@ class Stage:
 def load_file(path: Path):
     """The Mitsuba scene of an XML file with unmerged shapes: merging would lose their ids."""
     mi = start_mitsuba()
+    try:
+        with _two_threads():
+            return mi.load_file(str(path), optimize=False)
+    except RuntimeError as error:
+        raise InputError(f"{path}: Mitsuba cannot load it: {_last_line(str(error))}") from error
+
+
+@contextlib.contextmanager
+def _two_threads():
+    """At least two threads while a scene is loaded: with one, Mitsuba 3.9 deadlocks on some scenes, `parallel` or
+    not."""
     import drjit as dr
 
     threads = dr.thread_count()
-    dr.set_thread_count(max(threads, 2))  # with one thread Mitsuba 3.9 deadlocks on some files, `parallel` or not
+    dr.set_thread_count(max(threads, 2))
     try:
-        return mi.load_file(str(path), optimize=False)
-    except RuntimeError as error:
-        raise InputError(f"{path}: Mitsuba cannot load it: {_last_line(str(error))}") from error
+        yield
     finally:
         dr.set_thread_count(threads)
 
@@ -158,7 +166,8 @@ def _build(mi, scene: Scene):
         }  # fmt: skip
     if clash := description.keys() & made.keys():
         raise InputError(f"{scene.file}: the id '{min(clash)}' is needed for an extra object; rename it in the file")
-    return mi.load_dict({"type": "scene"} | description | made, optimize=False)
+    with _two_threads():
+        return mi.load_dict({"type": "scene"} | description | made, optimize=False)
 
 
 def _contents(mi, loaded) -> dict:

@@ -5,15 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.util import find_spec
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
 from ..models.config import Config
 from .memory import explained
 from .plan import Plan, count, look, make_plan
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 BACKENDS = ("auto", "torch", "glsl")
 
@@ -25,13 +28,16 @@ class Backend(Protocol):
         """Follow the plan (`plan.make_plan`) from now on; the frames are counted in `left_out`."""
 
     def prepare(self, frame: Frame) -> Frame:
-        """A frame of arrays `[1, C, H, W]` in the form that `mismatch` and `step` take: shared work is done once."""
+        """A frame of arrays or tensors `[1, C, H, W]` as `mismatch` and `step` take it: shared work is done once."""
 
     def mismatch(self, frame: Frame, history: Any) -> float:
         """`history.mismatch` of a prepared frame: above `frame.MAX_CUT_MISMATCH` history belongs to another shot."""
 
     def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
         """Denoise a prepared frame: `[1, 3, H, W]`, and the history for the next one."""
+
+    def denoise(self, frame: Frame, history: Any) -> tuple[Any, Any]:
+        """`step` with the image where the backend has it: a tensor on its device, or a numpy array."""
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
         """A history as `frame.History.layers` names its fields, `[1, C, h, w]`: the same for every backend."""
@@ -50,7 +56,7 @@ def open_backend(name: str, model: str, device: str, precision: str) -> Backend:
         raise InputError(f"unknown backend {name!r}; expected one of {', '.join(BACKENDS)}")
     has_torch = find_spec("torch") is not None
     if name == "torch" and not has_torch:
-        raise InputError("--backend torch: PyTorch is not installed; install it, or use --backend glsl")
+        raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
     if name == "torch" or (name == "auto" and has_torch):
         return TorchBackend(model, device, precision)
     return GlslBackend(model, device, precision)
@@ -66,7 +72,7 @@ class TorchBackend:
 
         self.device = choose_device(device)
         self._denoiser = load(model, self.device, precision)
-        self._step = stepper(self._denoiser)
+        self._step = self._whole = stepper(self._denoiser)
 
     @property
     def config(self) -> Config:
@@ -79,21 +85,28 @@ class TorchBackend:
         from ..sanitise import sanitise
 
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
-            return sanitise(frame.map(torch.from_numpy).to(self.device))
+            return sanitise(frame.map(torch.as_tensor).to(self.device))
 
     def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
         import torch
 
+        image, history = self.denoise(frame, history)
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
-            image, history = self._step(frame, history, Known(sanitised=True))
             return image.cpu().numpy(), history
+
+    def denoise(self, frame: Frame, history: Any) -> tuple[Tensor, Any]:
+        import torch
+
+        step = self._step if len(frame.radiance) == 1 else self._whole  # the plan is for single pictures
+        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+            return step(frame, history, Known(sanitised=True))
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         from .planned import Planned
 
         config = self._denoiser.config
         plan = make_plan(size, frames, config.motion, first, windows=config.network_reach is not None)
-        planned = Planned(self._denoiser, plan, self._step)
+        planned = Planned(self._denoiser, plan, self._whole)
         left_out |= planned.left_out | left_out  # the counts of earlier runs, where there are any
         planned.left_out, self._step = left_out, planned.step
         return plan
@@ -104,7 +117,7 @@ class TorchBackend:
         from ..history import mismatch
 
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
-            return mismatch(frame, history).item()
+            return mismatch(frame, history).max().item()
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
         return {name: tensor.cpu().contiguous().numpy() for name, tensor in history.layers().items()}
@@ -133,7 +146,7 @@ class GlslBackend:
         return make_plan(size, frames, self._pipeline.config.motion, first, windows=False)
 
     def prepare(self, frame: Frame) -> Frame:
-        return frame
+        return frame.map(np.asarray)
 
     def mismatch(self, frame: Frame, history: Any) -> float:
         return self._pipeline.mismatch(frame, history[0])
@@ -146,6 +159,9 @@ class GlslBackend:
             count(self._left_out, known, self._pipeline.accumulates)
         image, resident = self._pipeline.step(frame, resident, known)
         return image, (resident, frame.motion_next)  # the next frame's plan needs this motion_next
+
+    def denoise(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+        return self.step(frame, history)
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
         return history[0].read()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..data.output import check_output
+from ..data.output import check_output, protect_input
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
@@ -85,7 +85,8 @@ def combine(
     check_pairs(source, estimates, EXAMINED)
     device = choose_device(options.device)
     combiner = load_combiner(options.model, device, options.precision)
-    out = prepare(prepare(Path(out), source), estimates)
+    protect_input(estimates, Path(out), "plain", False)
+    out = prepare(Path(out), source, options)
     with lock(out):
         remove_unfinished(out)
         return Run(source, estimates, out, options, combiner, device, on_frame).run(overwrite, missing_layers(source))

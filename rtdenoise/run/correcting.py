@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from ..data.output import write_frame
+from ..data.output import output_names, write_frame
 from ..data.sequences import Sequence
-from ..data.stored import read_history, write_history
-from ..errors import InputError
 from ..frame import MAX_CUT_MISMATCH, Frame, History
 from ..history import mismatch
 from ..models import Combiner, Window
 from ..splat import splat_motion_next
 from .combine import Options
-from .denoise import STATE, SUMMARY, Summary
-from .folder import digest, refuse_foreign, refuse_other, write_summary
+from .denoise import STATE, SUMMARY, Summary, read_state, save_state
+from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
 from .pairs import read_estimate
 from .windows import windows
@@ -54,7 +51,9 @@ class Run:
         """Correct and write the frames that are not there yet."""
         count, reach = len(self.source), max(abs(offset) for offset in self.combiner.config.offsets)
         self.fingerprints = self._fingerprints()
+        self.names = output_names(self.source, self.options.layout, self.options.recombine)
         done, self.summary = (0, Summary()) if overwrite else self._resume(reach)
+        self.written = Written(self.out, self.names[:done])
         self.summary.skipped, self.summary.gaps = done, list(self.source.gaps)
         self.summary.notes = notes
         if not done:
@@ -67,6 +66,7 @@ class Run:
                 if pair.index < done:
                     continue
                 self._write(pair, window)
+                self.written.add(self.names[pair.index])
                 self.summary.seconds += time.perf_counter() - started
                 self._save(pair.index + 1)
                 self.summary.written += 1
@@ -82,10 +82,12 @@ class Run:
         with torch.inference_mode(), explained(pair.raw.name, pair.raw.size, self.device):
             combined = self.combiner.combine(Window(frames, estimates))
         extra = {"confidence": combined.confidence.cpu().numpy()} if self.options.confidence else {}
-        write_frame(
+        nans = write_frame(
             self.out, self.source, pair.index, pair.raw, combined.image.cpu().numpy(), layout=self.options.layout,
             recombine=self.options.recombine, keep=self.options.keep, float32=self.options.float32, extra=extra,
         )  # fmt: skip
+        for channel, bad in nans.items():
+            self.summary.passed_on[channel] = self.summary.passed_on.get(channel, 0) + bad
 
     def _pairs(self, first: int) -> Iterator[tuple[Pair, bool]]:
         """The frames from `first` on, and whether a shot begins with each. A frame without `motion_next` gets an
@@ -132,26 +134,22 @@ class Run:
 
     def _resume(self, reach: int) -> tuple[int, Summary]:
         """How many frames are finished and will stay as they are, and the summary so far."""
-        path, count = self.out / STATE, len(self.source)
+        path = self.out / STATE
         if not path.exists():
-            refuse_foreign(self.out, self.source)
+            refuse_foreign(self.out, self.names)
             return 0, Summary()
-        try:
-            _, metadata = read_history(path)
-            done, seen, so_far = int(metadata["done"]), int(metadata["seen"]), json.loads(metadata["so_far"])
-        except (InputError, KeyError, ValueError) as error:
-            raise InputError(f"{path}: not readable ({error}); pass --overwrite to start anew") from None
-        refuse_other(self.out, metadata, self.options, self.fingerprints[seen] if seen <= count else "")
-        if seen < count:  # the last frames could not look ahead then
+        done, _, summary, state = read_state(path)
+        if done <= 0:
+            return 0, Summary()
+        seen = next((k for k, mark in enumerate(self.fingerprints) if mark == state.get("fingerprint")), None)
+        refuse_other(self.out, state, self.options, "" if seen is None else self.fingerprints[seen])
+        if not are_finished(self.out, self.names[:done], self.source.size, state.get("written", "")):
+            return 0, Summary()
+        if seen < len(self.source):  # the last frames could not look ahead then
             done = min(done, max(0, seen - reach))
-        if not all((self.out / name).exists() for name in self.source.names[:done]):
-            return 0, Summary()
-        return done, Summary(**so_far)
+        return done, summary
 
     def _save(self, done: int) -> None:
-        count = len(self.source)
-        so_far = {"cuts": self.summary.cuts}
-        write_history(self.out / STATE, {}, {
-            "done": str(done), "seen": str(count), "fingerprint": self.fingerprints[count],
-            "so_far": json.dumps(so_far), "options": json.dumps(asdict(self.options)),
-        })  # fmt: skip
+        save_state(
+            self.out / STATE, {}, done, self.fingerprints[-1], self.summary, self.options, self.written.digest
+        )  # fmt: skip

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..data.output import check_output, write_frame
+from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
@@ -18,7 +18,7 @@ from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH
 from ..sanitise import faults
 from .backends import Backend, open_backend
-from .folder import digest, prepare, refuse_foreign, refuse_other, write_summary
+from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 
 if TYPE_CHECKING:
     from .plan import Plan
@@ -77,8 +77,9 @@ class Summary:
     skipped: int = 0
     seconds: float = 0.0  # in the denoiser alone
     replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`sanitise.faults`)
+    passed_on: dict[str, int] = field(default_factory=dict)  # channel copied from the input -> NaNs in it
     cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
-    gaps: list[int] = field(default_factory=list)  # numbers of the frames that are missing
+    gaps: list[tuple[int, int]] = field(default_factory=list)  # (first, last) missing frame number of each gap
     left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
     notes: list[str] = field(default_factory=list)  # what else the user should know
     plan: Plan | None = None
@@ -112,7 +113,7 @@ def denoise(
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision)
-    out = prepare(Path(out), sequence)
+    out = prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
         return _run(sequence, out, options, backend, overwrite, on_frame)
@@ -131,8 +132,10 @@ def _run(
         (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend, options)
     )
     if not done:  # so that the next run knows the first frame for its own
-        _save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
+        save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps = done, list(sequence.gaps)
+    names = output_names(sequence, options.layout, options.recombine)
+    written = Written(out, names[:done])
     if options.plan:
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
         summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
@@ -153,9 +156,12 @@ def _run(
             history = None
         image, history = backend.step(prepared, history)
         summary.seconds += time.perf_counter() - started
-        write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
-                    keep=options.keep, float32=options.float32)  # fmt: skip
-        _save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options)
+        nans = write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
+                           keep=options.keep, float32=options.float32)  # fmt: skip
+        for channel, count in nans.items():
+            summary.passed_on[channel] = summary.passed_on.get(channel, 0) + count
+        written.add(names[i])
+        save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options, written.digest)
         summary.written += 1
         on_frame(i + 1, len(sequence))
     write_summary(out / SUMMARY, sequence, options, summary)
@@ -166,24 +172,46 @@ def _resume(
     out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend, options: Options
 ) -> tuple[int, Any, Summary]:
     """How many frames are finished, the history after them, and what there was to say about them."""
+    names = output_names(sequence, options.layout, options.recombine)
     if not (out / STATE).exists():
-        refuse_foreign(out, sequence)
+        refuse_foreign(out, names)
         return 0, None, Summary()
-    try:
-        stored, metadata = read_history(out / STATE)
-        done, so_far = int(metadata["done"]), json.loads(metadata["so_far"])
-        history = backend.restore(stored) if stored else None
-    except (InputError, KeyError, ValueError) as error:
-        raise InputError(f"{out / STATE}: not readable ({error}); pass --overwrite to start anew") from None
-    if not done:  # whatever is there is of a run that did not come as far as its second frame
+    done, history, summary, metadata = read_state(out / STATE, backend)
+    if done <= 0:  # whatever is there is of a run that did not come as far as its second frame
         return 0, None, Summary()
     refuse_other(out, metadata, options, fingerprints[done] if done <= len(sequence) else "")
-    if any(not (out / name).exists() for name in sequence.names[:done]):
+    if not are_finished(out, names[:done], sequence.size, metadata.get("written", "")):
         return 0, None, Summary()
-    return done, history, Summary(**so_far)
+    return done, history, summary
 
 
-def _save_state(path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options) -> None:
-    so_far = {"replaced": summary.replaced, "cuts": summary.cuts, "left_out": summary.left_out}
-    metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far)}
+def read_state(path: Path, backend: Backend | None = None) -> tuple[int, Any, Summary, dict]:
+    """What `save_state` wrote: frames done, the history (None without a backend to restore it), the summary so far, and
+    the rest. Raises InputError where the file is damaged."""
+    try:
+        stored, metadata = read_history(path)
+        done, summary = int(metadata["done"]), _counts(json.loads(metadata["so_far"]))
+        options = dict(json.loads(metadata.get("options", "{}")))
+        history = backend.restore(stored) if stored and backend else None
+    except (InputError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path}: not readable ({error}); pass --overwrite to start anew") from None
+    return done, history, summary, {**metadata, "options": options}
+
+
+def _counts(so_far: dict) -> Summary:
+    """The summary of an earlier run, from its saved state. Raises ValueError and others where it is not one's."""
+    summary = Summary(**{key: so_far[key] for key in ("replaced", "cuts", "left_out")})
+    summary.passed_on = dict(so_far.get("passed_on", {}))  # older states lack it
+    counts = (summary.replaced, summary.left_out, summary.passed_on)
+    if not all(type(n) is int for n in (*summary.cuts, *(n for count in counts for n in count.values()))):
+        raise ValueError("counts that are no integers")
+    return summary
+
+
+def save_state(
+    path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options, written: str = ""
+) -> None:
+    """Write the state of a run: `history` is a backend's `save`, `written` a `folder.Written.digest`."""
+    so_far = {key: getattr(summary, key) for key in ("replaced", "passed_on", "cuts", "left_out")}
+    metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far), "written": written}
     write_history(path, history, metadata | {"options": json.dumps(asdict(options))})

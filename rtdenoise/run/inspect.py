@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
-import torch
 from rich.console import Console
 from rich.table import Table
-from torch import Tensor
 
-from ..data.conventions import Verdict, check_motion
 from ..data.exr_format import group_channels
+from ..data.files import describe_gap
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
+from ..errors import INSTALL_TORCH
 from ..frame import Frame
-from ..motion import dual_motion, occlusion_mask, on_screen
-from ..sanitise import faults, sanitise
-from ..splat import splat_motion_next
+from ..sanitise import faults
 from .plan import Plan, make_plan
 
-READ = (*DEFAULT_LAYERS, "reference")  # the check of the motion can use the reference
+if TYPE_CHECKING:
+    from .conventions import Verdict
+    from .motion_statistics import MotionStatistics
+
+HAS_TORCH = find_spec("torch") is not None
 
 
 @dataclass(frozen=True)
@@ -33,26 +36,13 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class MotionStatistics:
-    """Statistics over all pixels of the examined frames, in pixels; without non-finite motion."""
-
-    mean: float
-    p50: float
-    p99: float
-    max: float
-    still: float  # share of pixels with zero motion
-    off_screen: float  # share of pixels with a previous position outside the picture
-    uncovered: float | None  # share of pixels just uncovered; None: motion_next and depth are missing
-
-
-@dataclass(frozen=True)
 class Inspection:
     """The findings of `inspect`."""
 
     source: str
     files: int
     numbers: tuple[int, int]  # first and last
-    gaps: tuple[int, ...]
+    gaps: tuple[tuple[int, int], ...]  # (first, last) missing number of each
     size: tuple[int, int]  # (H, W)
     preset: str
     signal: str
@@ -84,13 +74,14 @@ def inspect(
     """
     sequence = open_sequence(source, signal=signal, preset=preset, layers=("reference",), allow_gaps=allow_gaps)
     chosen = _choose_pairs(sequence.numbers, pairs)
-    frames = {i: sequence[i] for i in sorted({i for pair in chosen for i in pair} or {0})}
+    frames = {i: sequence.read(i) for i in sorted({i for pair in chosen for i in pair} or {0})}
     moving = [(frames[a], frames[b]) for a, b in chosen if frames[b].motion is not None]
     counts: dict[str, int] = {}
     for frame in frames.values():
         for what, count in faults(frame).items():
             counts[what] = counts.get(what, 0) + count
 
+    motion, convention = _examine(moving) if moving and HAS_TORCH else (None, None)
     present = {layer for frame in frames.values() for layer, _ in frame.layers()}
     computed = tuple(sorted(present - sequence.available.keys()))
     absent = [layer for layer in DEFAULT_LAYERS if layer not in sequence.available and layer not in computed]
@@ -112,10 +103,21 @@ def inspect(
         scene=sequence.scene is not None,
         examined=tuple(frame.number for frame in frames.values()),
         faults=counts,
-        motion=_motion_statistics(moving) if moving else None,
-        convention=check_motion(moving) if moving else None,
-        plan=make_plan(sequence.size, len(sequence), "dual", [sanitise(frame) for frame in frames.values()]),
+        motion=motion,
+        convention=convention,
+        plan=make_plan(sequence.size, len(sequence), "dual", list(frames.values())),
     )
+
+
+def _examine(pairs: list[tuple[Frame, Frame]]) -> tuple[MotionStatistics, Verdict]:
+    """The motion in pairs of consecutive frames of numpy arrays. Needs torch."""
+    import torch
+
+    from .conventions import check_motion
+    from .motion_statistics import motion_statistics
+
+    tensors = [(before.map(torch.from_numpy), now.map(torch.from_numpy)) for before, now in pairs]
+    return motion_statistics(tensors), check_motion(tensors)
 
 
 def _choose_pairs(numbers: tuple[int, ...], count: int) -> list[tuple[int, int]]:
@@ -142,29 +144,6 @@ def _layers(sequence: Sequence) -> tuple[Layer, ...]:
     )
 
 
-def _motion_statistics(pairs: list[tuple[Frame, Frame]]) -> MotionStatistics:
-    """Statistics of the second frame of each pair."""
-    motions = [current.motion for _, current in pairs]
-    length = torch.cat([torch.hypot(m[:, 0], m[:, 1]).flatten() for m in motions])
-    length = length[length.isfinite()] if length.isfinite().any() else torch.zeros(1)
-    ordered = length.sort().values  # torch.quantile takes fewer values than a large picture has
-
-    def at(share: float) -> float:
-        return ordered[round(share * (len(ordered) - 1))].item()
-
-    return MotionStatistics(
-        mean=length.double().mean().item(),
-        p50=at(0.5),
-        p99=at(0.99),
-        max=at(1.0),
-        still=(length == 0).double().mean().item(),
-        off_screen=_mean_share([~on_screen(m) for m in motions]),
-        uncovered=_mean_share(masks)
-        if (masks := [mask for p in pairs if (mask := _uncovered(*p)) is not None])
-        else None,
-    )
-
-
 def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
     if "motion" not in present:
         return "none: there is no motion"
@@ -173,20 +152,6 @@ def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
     if "depth" in present:
         return "approximate: motion_next is missing and is splatted from motion and depth (docs/use/motion.md)"
     return "none: without motion_next and depth, history follows traditional motion"
-
-
-def _uncovered(previous: Frame, current: Frame) -> Tensor | None:
-    """The occlusion mask by exact or approximate dual motion; None where the layers for both are missing."""
-    motion_next = previous.motion_next
-    if motion_next is None:
-        if previous.depth is None or current.depth is None:
-            return None
-        motion_next = splat_motion_next(current.motion, current.depth, previous.depth)
-    return occlusion_mask(dual_motion(current.motion, motion_next), current.motion)
-
-
-def _mean_share(masks: list[Tensor]) -> float:
-    return sum(mask.double().mean().item() for mask in masks) / len(masks)
 
 
 def render_text(found: Inspection, width: int = 120) -> str:
@@ -211,7 +176,9 @@ def render_text(found: Inspection, width: int = 120) -> str:
 def _summary(found: Inspection) -> list[tuple[str, str]]:
     """(label, text) pairs, a line each."""
     (H, W), (first, last) = found.size, found.numbers
-    gaps = f"; {len(found.gaps)} missing: {_shorten(found.gaps)}" if found.gaps else ", none missing"
+    missing = sum(end - start + 1 for start, end in found.gaps)
+    numbers = _shorten(tuple(map(describe_gap, found.gaps)))
+    gaps = f"; {missing} missing: {numbers}" if missing else ", none missing"
     scene = "yes" if found.scene else "no"
     bad = ", ".join(f"{what} ({count})" for what, count in found.faults.items()) or "none"
     divided = ", already divided by the albedo" if found.demodulated else ""
@@ -232,7 +199,8 @@ def _summary(found: Inspection) -> list[tuple[str, str]]:
             ("", f"zero in {m.still:.1%} of the pixels, from off screen {m.off_screen:.2%}, uncovered {uncovered}"),
         ]
     if found.convention is None:
-        lines.append(("convention", "not checked: it takes motion in two consecutive frames"))
+        needs = "motion in two consecutive frames" if HAS_TORCH else f"PyTorch; {INSTALL_TORCH}"
+        lines.append(("convention", f"not checked: it takes {needs}"))
     else:
         compared = f" (compared: {found.convention.feature})" if found.convention.feature else ""
         lines.append(("convention", f"{found.convention.status.upper()}: {found.convention.message}{compared}"))

@@ -14,21 +14,21 @@ import json
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..data.output import check_output, write_frame
+from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH, Frame
 from ..sanitise import faults
-from .denoise import EXAMINED, STATE, SUMMARY, Options, Summary
-from .folder import digest, prepare, refuse_foreign, refuse_other, write_summary
+from .denoise import EXAMINED, STATE, SUMMARY, Options, Summary, read_state, save_state
+from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 
 if TYPE_CHECKING:
     from .passes import Estimate, Passes
@@ -62,7 +62,7 @@ def denoise_offline(
     from .passes import Passes
 
     passes = Passes(options.model, options.device, options.precision)
-    out = prepare(Path(out), sequence)
+    out = prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
         return _Run(sequence, out, options, passes, on_frame).run(overwrite)
@@ -80,9 +80,10 @@ class _Run:
 
     def run(self, overwrite: bool) -> Summary:
         self.fingerprint = digest(self.sequence, self.options)[-1]
+        self.names = output_names(self.sequence, self.options.layout, self.options.recombine)[::-1]  # as they appear
         count = len(self.sequence)
         done, history, summary = (0, None, Summary()) if overwrite else self._resume()
-        self.summary = summary
+        self.summary, self.written = summary, Written(self.out, self.names[: max(0, done - count)])
         summary.skipped, summary.gaps, summary.notes = max(0, done - count), list(self.sequence.gaps), self._notes()
         if not done:
             shutil.rmtree(self.estimates, ignore_errors=True)
@@ -101,6 +102,7 @@ class _Run:
                 history = self._forward(step, history)
             else:
                 history = self._backward(2 * count - 1 - step, history if step > count else None)
+                self.written.add(self.names[step - count])
                 summary.written += 1
             summary.seconds += time.perf_counter() - started
             self._save(step + 1, history)
@@ -141,10 +143,12 @@ class _Run:
         forward = read_estimate(self._path(i), self.passes.backend.device)
         combined = self.passes.combine(frame, forward, backward)
         extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
-        write_frame(
+        nans = write_frame(
             self.out, self.sequence, i, raw, combined.image.cpu().numpy(), layout=self.options.layout,
             recombine=self.options.recombine, keep=self.options.keep, float32=self.options.float32, extra=extra,
         )  # fmt: skip
+        for channel, bad in nans.items():
+            self.summary.passed_on[channel] = self.summary.passed_on.get(channel, 0) + bad
         return history
 
     def _linked(self, i: int) -> bool:
@@ -183,28 +187,25 @@ class _Run:
         """How far an earlier run came: frames done in both passes, the history, and the summary so far."""
         path = self.out / STATE
         if not path.exists():
-            refuse_foreign(self.out, self.sequence)
+            refuse_foreign(self.out, self.names)
             return 0, None, Summary()
-        try:
-            stored, metadata = read_history(path)
-            done, so_far = int(metadata["done"]), json.loads(metadata["so_far"])
-            history = self.passes.backend.restore(stored) if stored else None
-        except (InputError, KeyError, ValueError) as error:
-            raise InputError(f"{path}: not readable ({error}); pass --overwrite to start anew") from None
-        refuse_other(self.out, metadata, self.options, self.fingerprint)
+        done, history, summary, state = read_state(path, self.passes.backend)
+        if done <= 0:
+            return 0, None, Summary()
+        refuse_other(self.out, state, self.options, self.fingerprint)
         count = len(self.sequence)
         waiting = range(done) if done < count else range(2 * count - done)
-        written = self.sequence.names[2 * count - done :] if done > count else ()
-        if not all(self._path(i).exists() for i in waiting) or not all((self.out / n).exists() for n in written):
+        finished = self.names[: max(0, done - count)]
+        complete = are_finished(self.out, finished, self.sequence.size, state.get("written", ""))
+        if not complete or not all(self._path(i).exists() for i in waiting):
             return 0, None, Summary()
-        return done, history, Summary(**so_far)
+        return done, history, summary
 
     def _save(self, done: int, history: Any) -> None:
-        so_far = {"replaced": self.summary.replaced, "cuts": self.summary.cuts}
-        metadata = {"done": str(done), "fingerprint": self.fingerprint, "so_far": json.dumps(so_far),
-                    "options": json.dumps(asdict(self.options))}  # fmt: skip
         fields = {} if history is None or done == 2 * len(self.sequence) else self.passes.backend.save(history)
-        write_history(self.out / STATE, fields, metadata)
+        save_state(
+            self.out / STATE, fields, done, self.fingerprint, self.summary, self.options, self.written.digest
+        )  # fmt: skip
 
 
 def write_estimate(path: Path, estimate: Estimate) -> None:

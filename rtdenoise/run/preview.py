@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, ImageDraw
-from torch import Tensor
 
 from ..color import display, display_exposure
 from ..data.output import read_result, recombined
 from ..data.sequences import Sequence
-from ..sanitise import sanitise
+from ..files import replacing
+from ..sanitise import valid
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 FRAMES_PER_SECOND = 12
 WIDEST = 1920  # pixels of an animation, which bounds its memory too
@@ -31,7 +37,8 @@ def preview(
     """
     scale, strips = None, []
     for i in reversed(range(min(len(sequence), most_frames))):
-        frame, image = sanitise(sequence[i]), read_result(out, sequence, i, layout, recombine)
+        frame, image = sequence.read(i), read_result(out, sequence, i, layout, recombine)
+        frame = replace(frame, radiance=valid("radiance", frame.radiance))
         shown = {"noisy": frame.radiance} | ({} if frame.reference is None else {"reference": frame.reference})
         if recombine:
             shown = {label: recombined(sequence, i, frame, signal) for label, signal in shown.items()}
@@ -40,7 +47,8 @@ def preview(
             scale = display_exposure(panels.get("reference", image))
         picture = strip(panels, scale)
         if not strips:
-            picture.save(out / "preview.png")
+            with replacing(out / "preview.png", ".png") as temporary:
+                picture.save(temporary)
         picture.thumbnail((WIDEST, WIDEST))
         strips.insert(0, picture)
     return [out / "preview.png", *([animate(strips, out / "preview")] if len(strips) > 1 else [])]
@@ -50,19 +58,21 @@ def animate(pictures: list[Image.Image], path: Path) -> Path:
     """Write pictures of one size as `path`.mp4 where ffmpeg is installed, else as `path`.gif; returns the file."""
     if shutil.which("ffmpeg"):
         width, height = (side // 2 * 2 for side in pictures[0].size)  # the codec wants even sides
-        command = [
-            "ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-            "-r", str(FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(path.with_suffix(".mp4")),
-        ]  # fmt: skip
         pixels = b"".join(picture.crop((0, 0, width, height)).tobytes() for picture in pictures)
-        if subprocess.run(command, input=pixels, check=False).returncode == 0:
+        with contextlib.suppress(subprocess.CalledProcessError), replacing(path.with_suffix(".mp4"), ".mp4") as film:
+            command = [
+                "ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
+                "-r", str(FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(film),
+            ]  # fmt: skip
+            subprocess.run(command, input=pixels, check=True)
             return path.with_suffix(".mp4")
     first, *rest = pictures
-    first.save(path.with_suffix(".gif"), save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0)
+    with replacing(path.with_suffix(".gif"), ".gif") as film:
+        first.save(film, save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0)
     return path.with_suffix(".gif")
 
 
-def strip(panels: dict[str, Tensor], scale: Tensor | float) -> Image.Image:
+def strip(panels: dict[str, Tensor | np.ndarray], scale: Tensor | float) -> Image.Image:
     """Images `[1, 3, H, W]` of linear radiance side by side, display-transformed at one exposure, each with its
     label."""
     gap = 4
@@ -76,6 +86,7 @@ def strip(panels: dict[str, Tensor], scale: Tensor | float) -> Image.Image:
     return canvas
 
 
-def to_picture(image: Tensor) -> Image.Image:
+def to_picture(image: Tensor | np.ndarray) -> Image.Image:
     """`[1, 3, H, W]` in [0, 1] to 8 bits."""
-    return Image.fromarray(np.round(image[0].permute(1, 2, 0).cpu().numpy() * 255).astype(np.uint8))
+    values = np.moveaxis(np.asarray(image[0] if isinstance(image, np.ndarray) else image[0].cpu()), 0, 2)
+    return Image.fromarray(np.round(values * 255).astype(np.uint8))

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from ..errors import InputError
-from ..files import dumps
+from ..files import dumps, read_text, write_atomically
 
 
 class Log:
     """Open for appending after `step`. Lines of later steps are dropped: a killed run repeats the steps after its last
     checkpoint. A context manager.
 
-    Raises InputError where TensorBoard is asked for and not installed.
+    Raises InputError where TensorBoard is asked for and not installed, and where a line of the file is damaged.
     """
 
     def __init__(self, out: Path, step: int, tensorboard: bool = False) -> None:
         path = out / "log.jsonl"
         if path.exists():
-            lines = path.read_text().splitlines(keepends=True)
-            kept = [line for line in lines if line.endswith("\n") and json.loads(line)["step"] <= step]
-            path.write_text("".join(kept))
+            write_atomically(path, "".join(_lines(path, step)).encode())
         self._board = _board(out / "tensorboard", step) if tensorboard else None
         self._file = path.open("a")
 
@@ -43,6 +41,22 @@ class Log:
         self._file.close()
         if self._board:
             self._board.close()
+
+
+def _lines(path: Path, step: int) -> Iterator[str]:
+    """The lines up to `step`, without a last one that is incomplete. Raises InputError for lines that are no rows."""
+    for number, line in enumerate(read_text(path).splitlines(keepends=True), 1):
+        if not line.endswith("\n"):
+            return
+        try:
+            row = json.loads(line)
+            of = row["step"] if isinstance(row, dict) else None
+        except (ValueError, KeyError, RecursionError):
+            of = None
+        if type(of) is not int:
+            raise InputError(f"{path}: line {number} is damaged: expected JSON with a 'step'; remove that line")
+        if of <= step:
+            yield line
 
 
 def _board(folder: Path, step: int):

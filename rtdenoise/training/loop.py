@@ -20,7 +20,7 @@ from pathlib import Path
 from .. import __version__
 from ..data.clips import ClipDataset
 from ..errors import InputError
-from ..files import lock, write_atomically
+from ..files import lock, read_json, remove_unfinished, write_atomically
 from ..models import save
 from .config import TrainConfig
 from .distributed import any_of, processes, wait_for_all
@@ -71,9 +71,13 @@ def _train(
     out, first = Path(config.out), share[0] == 0
     trainer = Trainer(config)
     if first:
+        remove_unfinished(out)
         _same_config(config, out / "config.json")
     if (out / CHECKPOINT).exists():
         trainer.load(out / CHECKPOINT)
+        if trainer.step > config.steps:
+            raise InputError(f"{out / CHECKPOINT}: is of step {trainer.step}, the run has {config.steps}; remove it to "
+                             "begin anew")  # fmt: skip
     with _until_stopped() as stopping:
         if first:
             _lead(trainer, share, data, validation, stopping, on_step)
@@ -176,9 +180,9 @@ def _same_config(config: TrainConfig, path: Path) -> None:
         write_atomically(path, (json.dumps({"version": __version__, "options": options}, indent=1) + "\n").encode())
         return
     try:
-        before = json.loads(path.read_text())["options"]
+        before = dict(read_json(path)["options"])
         before.setdefault("model", before.get("preset", defaults["model"]))
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError):  # ValueError: InputError too
         raise InputError(f"{path}: not the options of a run; use another --out") from None
     for key, now in options.items():
         if (was := before.get(key, defaults[key])) != now:

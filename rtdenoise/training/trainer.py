@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from ..errors import InputError, did_you_mean
-from ..files import write_atomically
+from ..files import open_regular, write_atomically
 from ..models import COMBINERS, PRESETS, Combiner, Config, Denoiser, create, grow, read
 from ..models.config import with_settings
 from ..models.inference import choose_device
@@ -76,17 +76,49 @@ class Trainer:
         }
         content = io.BytesIO()
         torch.save(state, content)
-        write_atomically(path, content.getbuffer())
+        write_atomically(path, content.getbuffer(), sync=True)
 
     def load(self, path: Path) -> None:
-        """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one."""
-        state = torch.load(path, map_location=self.config.device, weights_only=True)
-        self.step, self.best, self.skipped = state["step"], state["best"], state.get("skipped", 0)
-        self.model.load_state_dict(state["model"])
-        self.average.load_state_dict(state["average"])
-        before = state["optimisers"] if "optimisers" in state else [state["optimiser"]]  # older runs have Adam alone
-        for optimiser, held in zip(self.optimisers, before, strict=True):
-            optimiser.load_state_dict(held)
+        """Go on from a checkpoint: clips depend on the step alone, so the curve is the uninterrupted one.
+
+        Raises InputError for a file that is damaged or of another network or optimiser. Nothing in it is executed.
+        """
+        open_regular(path).close()
+        try:
+            state = torch.load(path, map_location=self.config.device, weights_only=True)
+            before = (
+                state["optimisers"] if "optimisers" in state else [state["optimiser"]]
+            )  # older runs have Adam alone
+            step, best, skipped = int(state["step"]), float(state["best"]), int(state.get("skipped", 0))
+            self.model.load_state_dict(state["model"])
+            self.average.load_state_dict(state["average"])
+            for optimiser, held in zip(self.optimisers, before, strict=True):
+                optimiser.load_state_dict(held)
+            self._check_loaded(step, best, skipped)
+        except InputError:
+            raise
+        except Exception as error:  # torch has no class of its own for this: pickles fail in a dozen ways
+            if isinstance(error, MemoryError):
+                raise
+            problem = " ".join(str(error).split())[:200] or type(error).__name__
+            raise InputError(f"{path}: not a checkpoint of this run ({problem}); remove it to begin anew, or copy one "
+                             "there that is intact") from None  # fmt: skip
+        self.step, self.best, self.skipped = step, best, skipped
+
+    def _check_loaded(self, step: int, best: float, skipped: int) -> None:
+        """Raise ValueError for values that no run saves."""
+        if step < 0 or skipped < 0 or math.isnan(best):
+            raise ValueError(f"step {step}, best {best}, skipped {skipped}")
+        for name, tensor in (*self.model.named_parameters(), *self.average.named_parameters()):
+            if not tensor.isfinite().all():
+                raise ValueError(f"{name} is not finite")
+        for optimiser in self.optimisers:
+            for parameter, held in optimiser.state.items():
+                for name, value in held.items():
+                    if torch.is_tensor(value) and (
+                        (value.ndim and value.shape != parameter.shape) or not value.isfinite().all()
+                    ):
+                        raise ValueError(f"the optimiser's {name} is not finite or not of its parameter's shape")
 
 
 def _optimisers(model: Denoiser | Combiner, config: TrainConfig) -> list[torch.optim.Optimizer]:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -15,12 +14,14 @@ import torch
 from PIL import Image
 
 from ...color import srgb_decode
+from ...data.exr import read_channels
 from ...errors import InputError
-from ..stage import start_mitsuba
+from ...files import read_json
 from .meshes import Mesh
 from .scene import Principled
 
 KINDS = {"models": ("path", "category"), "hdris": ("file", "tags"), "textures": ("file", "kind")}  # file, class
+PLY_VERTEX = ("x", "y", "z", "nx", "ny", "nz", "u", "v")
 PALETTE_SCALE = 8  # palettes are enlarged, so that the filter of all textures leaves their colours apart
 
 
@@ -161,39 +162,42 @@ def read_picture(path: Path, channels: int = 3, raw: bool = False) -> np.ndarray
 
 @lru_cache(maxsize=8)
 def load_hdri(asset: Asset) -> np.ndarray:
-    """[H, W, 3] latitude-longitude radiance of an environment map. Raises InputError."""
-    mi = start_mitsuba()
-    try:
-        bitmap = mi.Bitmap(str(asset.file)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
-    except RuntimeError as error:
-        raise InputError(f"{asset.file}: not a readable environment map: {str(error).splitlines()[-1]}") from error
-    image = np.nan_to_num(np.array(bitmap), nan=0.0, posinf=0.0, neginf=0.0).clip(0)
+    """[H, W, 3] latitude-longitude radiance of an environment map, an EXR file. Raises InputError."""
+    channels = read_channels(asset.file, ["R", "G", "B"])
+    image = np.stack([channels[name].astype(np.float32) for name in "RGB"], -1)
+    image = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).clip(0)
     if not image.any():
         raise InputError(f"{asset.file}: the environment map is black")
     return image
 
 
 def _read_ply(path: Path) -> Mesh:
-    mi = start_mitsuba()
+    """A binary little-endian PLY mesh of triangles, with `PLY_VERTEX` as the properties of a vertex."""
     try:
-        parameters = mi.traverse(mi.load_dict({"type": "ply", "filename": str(path)}))
-    except RuntimeError as error:
-        raise InputError(f"{path}: not a readable PLY mesh: {str(error).splitlines()[-1]}") from error
-    arrays = {key: np.array(parameters[key]) for key in parameters.keys() if key.startswith(("vertex", "faces"))}
-    vertices, normals = (arrays[f"vertex_{key}"].reshape(-1, 3) for key in ("positions", "normals"))
-    uv = arrays["vertex_texcoords"].reshape(-1, 2)
-    if len(normals) != len(vertices) or len(uv) != len(vertices):
-        raise InputError(f"{path}: expected normals and texture coordinates for all {len(vertices)} vertices")
-    return Mesh(vertices, normals, uv, arrays["faces"].reshape(-1, 3))
+        header, _, body = path.read_bytes().partition(b"end_header\n")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    lines = [line.split() for line in header.decode("ascii", "replace").splitlines()]
+    counts = {line[1]: int(line[2]) for line in lines if line[:1] == ["element"] and line[-1].isdecimal()}
+    properties = [line[1:] for line in lines if line[:1] == ["property"]]
+    wanted = [["float", name] for name in PLY_VERTEX] + [["list", "uchar", "int", "vertex_indices"]]
+    if lines[:1] != [["ply"]] or ["format", "binary_little_endian", "1.0"] not in lines or properties != wanted:
+        raise InputError(f"{path}: not a readable PLY mesh: expected binary little-endian triangles with "
+                         f"the vertex properties {' '.join(PLY_VERTEX)}")  # fmt: skip
+    face = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+    size = 4 * len(PLY_VERTEX) * counts["vertex"]
+    if len(body) != size + face.itemsize * counts["face"]:
+        raise InputError(f"{path}: not a readable PLY mesh: {len(body)} bytes of data, expected "
+                         f"{size + face.itemsize * counts['face']}")  # fmt: skip
+    vertices = np.frombuffer(body[:size], "<f4").reshape(-1, len(PLY_VERTEX))
+    faces = np.frombuffer(body[size:], face)["corners"].astype(np.uint32)
+    if not np.isfinite(vertices).all() or (len(faces) and faces.max() >= len(vertices)):
+        raise InputError(f"{path}: not a readable PLY mesh: values that are not finite, or corners without a vertex")
+    return Mesh(*(np.ascontiguousarray(vertices[:, part]) for part in (slice(3), slice(3, 6), slice(6, 8))), faces)
 
 
 def _read_json(path: Path) -> dict:
-    try:
-        document = json.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not valid JSON: {error}") from error
+    document = read_json(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected a JSON object")
     return document

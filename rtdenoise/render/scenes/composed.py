@@ -74,7 +74,7 @@ def _room(b: Composer, name: str, kind: str) -> Composition:
     for _ in range(int(rng.integers(1, 5))):
         _picture_on_wall(b, w, h, d)
     box = np.array([-w / 2 + 0.25, 0.5, -d + 0.25]), np.array([w / 2 - 0.25, h - 0.4, -0.25])
-    return _finish(b, name, kind, light, box, (1.0, 0.8 * d), (35, 75))
+    return _finish(b, name, kind, light, box, (1.8, 0.95 * d), (40, 80))
 
 
 def _showroom(b: Composer, name: str, kind: str) -> Composition:
@@ -97,7 +97,7 @@ def _showroom(b: Composer, name: str, kind: str) -> Composition:
     for _ in range(int(rng.integers(3, 8))):
         _picture_on_wall(b, w, h, d)
     box = np.array([-w / 2 + 0.4, 0.6, -d + 0.4]), np.array([w / 2 - 0.4, h - 0.8, -0.4])
-    return _finish(b, name, kind, light, box, (2.0, 0.7 * d), (30, 70))
+    return _finish(b, name, kind, light, box, (2.5, 0.85 * d), (35, 75))
 
 
 def _table_top(b: Composer, name: str, kind: str) -> Composition:
@@ -112,7 +112,7 @@ def _table_top(b: Composer, name: str, kind: str) -> Composition:
     if not light.get("closed"):
         b.add("ground", _ground(8), b.surface("wood", "stone", "tile", "plaster"))
     low, high = np.array([-half[0], -1 - half[1]]) + 0.06, np.array([half[0], half[1] - 1]) - 0.06
-    b.scatter(int(rng.integers(9, 22)), low, high, *SMALL, y=0.7505, longest=(0.04, 0.5))
+    b.scatter(int(rng.integers(9, 22)), low, high, *SMALL, y=0.7505, longest=(0.04, 0.38))
     for _ in range(int(rng.integers(1, 3))):  # soft boxes
         x, y, z = rng.uniform((-1.3, 1.5, -1.6), (1.3, 2.3, -0.4))
         a = rng.uniform(0.1, 0.4)
@@ -210,12 +210,14 @@ def _shell(b: Composer, w: float, h: float, d: float, glossy: bool = False) -> d
         "right": ((w / 2, 0, -d), (0, 0, d)), "front": ((w / 2, 0, 0), (-w, 0, 0)),
     }  # fmt: skip
     window = str(rng.choice(["left", "right", "back", "none"], p=[0.3, 0.3, 0.15, 0.25]))
-    kinds = list(rng.choice(["panel", "strips", "globes", "spots"], int(rng.integers(1, 3)), replace=False))
+    kinds = rng.choice(["panel", "strips", "globes", "spots"], int(rng.integers(1, 3)), replace=False).tolist()
     light: dict = {"closed": True, "lamps": kinds}
     if window == "none" or rng.uniform() < 0.75:
         _lamps(b, kinds, w, h, d, light)
     for side, (corner, along) in walls.items():
-        material = paint if rng.uniform() < 0.7 else b.surface("brick", "plaster", "wood", "pattern", roughness=(0.4, 1))
+        material = (
+            paint if rng.uniform() < 0.7 else b.surface("brick", "plaster", "wood", "pattern", roughness=(0.4, 1))
+        )
         if side == window:
             _wall_with_window(b, np.array(corner, float), np.array(along, float), h, material, light)
         else:
@@ -241,14 +243,14 @@ def _lamps(b: Composer, kinds: list[str], w: float, h: float, d: float, light: d
             cord = meshes.cylinder(0.006, (h - y - radius) / 2)
             b.add("cord", moved(cord, (x, (h + y + radius) / 2, z)), plain(0.05))
     if "spots" in kinds:
-        light["spots"] = tuple(
-            Spot(
-                tuple(rng.uniform((-0.4 * w, 0.95 * h, -0.9 * d), (0.4 * w, 0.97 * h, -0.1 * d)).tolist()),
-                tuple(rng.uniform((-0.4 * w, 0, -0.9 * d), (0.4 * w, 0.8, -0.2 * d)).tolist()),
-                tuple((rng.uniform(10, 45) * power * (1 - rng.uniform(0, 0.4, 3))).tolist()), float(rng.uniform(15, 40)),
-            )
-            for _ in range(int(rng.integers(2, 6)))
-        )  # fmt: skip
+        light["spots"] = tuple(_spot(rng, w, h, d, power) for _ in range(int(rng.integers(2, 6))))
+
+
+def _spot(rng: np.random.Generator, w: float, h: float, d: float, power: float) -> Spot:
+    origin = rng.uniform((-0.4 * w, 0.95 * h, -0.9 * d), (0.4 * w, 0.97 * h, -0.1 * d))
+    target = rng.uniform((-0.4 * w, 0, -0.9 * d), (0.4 * w, 0.8, -0.2 * d))
+    intensity = rng.uniform(10, 45) * power * (1 - rng.uniform(0, 0.4, 3))
+    return Spot(*(tuple(v.tolist()) for v in (origin, target, intensity)), float(rng.uniform(15, 40)))
 
 
 def _wall_with_window(b: Composer, corner, along, h: float, material, light: dict) -> None:
@@ -259,7 +261,9 @@ def _wall_with_window(b: Composer, corner, along, h: float, material, light: dic
     left, right = length * rng.uniform(0.12, 0.3), length * rng.uniform(0.7, 0.88)
     low, high = rng.uniform(0.1, 0.9), h * rng.uniform(0.8, 0.92)
     pieces = [(0, length, 0, low), (0, length, high, h), (0, left, low, high), (right, length, low, high)]
-    wall = meshes.merge([meshes.quad(corner + u * along + v * up, (w - u) * along, (t - v) * up) for u, w, v, t in pieces])
+    wall = meshes.merge(
+        [meshes.quad(corner + u * along + v * up, (w - u) * along, (t - v) * up) for u, w, v, t in pieces]
+    )
     b.add("wall with window", wall.scale_uv(rng.uniform(0.4, 0.9)), material)
     outwards = np.cross(up, along)
     place, width, height = corner + left * along + low * up, right - left, high - low
@@ -272,7 +276,9 @@ def _wall_with_window(b: Composer, corner, along, h: float, material, light: dic
             towards = outwards + rng.normal(size=3) * (0.5, 0, 0.5)
             towards[1] = rng.uniform(0.3, 0.9)
             towards /= np.linalg.norm(towards)
-            light["sun"] = Sun(tuple(towards.tolist()), tuple((log_uniform(rng, 5, 60) * np.array([1, 0.93, 0.8])).tolist()))
+            light["sun"] = Sun(
+                tuple(towards.tolist()), tuple((log_uniform(rng, 5, 60) * np.array([1, 0.93, 0.8])).tolist())
+            )
     if rng.uniform() < 0.7:
         bars = meshes.bars(width, height, int(rng.integers(2, 6)), 0.05)
         if rng.uniform() < 0.3:  # blinds
@@ -302,10 +308,12 @@ def _against_wall(b: Composer, w: float, d: float) -> None:
 def _picture_on_wall(b: Composer, w: float, h: float, d: float) -> None:
     width, height = b.rng.uniform(0.3, 1.0, 2)
     y, share = b.rng.uniform(0.5 * h, max(h - height - 0.2, 0.51 * h)), b.rng.uniform(0.15, 0.8)
-    corner, along = {
+    x = w / 2 - 0.015
+    places = {
         "back": ((w * (share - 0.5), y, 0.015 - d), (width, 0, 0)),
-        "left": ((0.015 - w / 2, y, -d * share), (0, 0, -width)), "right": ((w / 2 - 0.015, y, -d * share), (0, 0, width)),
-    }[str(b.rng.choice(["back", "left", "right"]))]  # fmt: skip
+        "left": ((-x, y, -d * share), (0, 0, -width)), "right": ((x, y, -d * share), (0, 0, width)),
+    }  # fmt: skip
+    corner, along = places[str(b.rng.choice(list(places)))]
     b.picture(corner, along, (0, height, 0))
 
 
@@ -340,7 +348,7 @@ def _finish(
     if rng.uniform() < 0.35 and things:
         base = things[int(rng.integers(len(things)))]
         radius = rng.uniform(0.1, 0.3) * min(base.size[[0, 2]].min(), 0.6)
-        place = base.centre + (base.size[0] / 2 + radius + 0.02, radius - base.size[1] / 2, 0)
+        place = base.centre + np.array([base.size[0] / 2 + radius + 0.02, radius - base.size[1] / 2, 0])
         b.add("glass ball", moved(meshes.sphere(radius), place), glass())
     parked = []
     for k in range(3):
@@ -353,7 +361,7 @@ def _finish(
     objects = tuple(_movable(o, pivots) for o in b.objects)
     facts = {
         "kind": "composed", "place": kind, "assets": dict(sorted(b.used.items())), "skipped": b.skipped,
-        "light": sorted(key for key in light if key in ("sky", "sun", "spots", "window")) + light.get("lamps", []),
+        "light": sorted(key for key in light if key in ("sky", "sun", "window")) + light.get("lamps", []),
     }  # fmt: skip
     parts = {key: light[key] for key in ("sky", "sun", "spots") if key in light}
     scene = Scene(name, objects, camera=None, facts=facts, **parts)  # `takes` gives it a camera

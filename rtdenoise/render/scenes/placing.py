@@ -45,7 +45,7 @@ class Composer:
         self.things: list[Thing] = []
         self.used: dict[str, dict] = {}
         self.skipped: dict[str, str] = {}
-        self._taken: list[tuple[float, float, float, float]] = []  # rectangles of the ground: x, z, half width, half depth
+        self._taken: list[tuple[float, float, float, float]] = []  # on the ground: x, z, half sizes
 
     def add(self, name: str, mesh: Mesh, material: Principled, **more) -> int:
         self.objects.append(Object(len(self.objects) + 1, name, mesh, material, **more))
@@ -104,7 +104,14 @@ class Composer:
         return None
 
     def put(
-        self, asset: Asset | None, place, heading: float, *, scale: float = 1.0, claim: bool = True, margin: float = 0.03
+        self,
+        asset: Asset | None,
+        place,
+        heading: float,
+        *,
+        scale: float = 1.0,
+        claim: bool = True,
+        margin: float = 0.03,
     ) -> Thing | None:
         """Place a model's base at `place` [3], its front turned by `heading` degrees from +z towards +x.
 

@@ -1,13 +1,13 @@
-"""Which convention do these motion vectors follow? Found by warping the previous frame with every likely reading.
+"""Find the convention of motion vectors: warp the previous frame with every likely reading and compare.
 
-A reading is: which field (`motion`, or `motion_next` under the wrong name), which component is x, which sign each
-component has, and in which unit it is. The right one makes the previous frame look like the current one:
+A reading says which field it is (`motion`, or `motion_next` under the wrong name), which component is x, which sign
+each component has, and in which unit. The right one makes the previous frame look like the current one:
 
     error(reading) = mean over textured, moving pixels p of min(|cur(p) - prev(p + m_reading(p))|, cap)
 
 Two readings are compared where they point to different pixels. One is clearly better when the mean difference of the
-errors there exceeds both 3 standard errors (tiles of the picture in several pairs of frames are the independent
-samples) and 2 % of the error itself. Otherwise they are tied; where they hardly differ they are the same.
+errors there exceeds both 3 standard errors (tiles of the picture, in several pairs of frames, are the independent
+samples) and 2 % of the error itself. Otherwise they are tied; if they hardly differ anywhere they are the same.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from torch import Tensor
 
 from ..frame import Frame
 
-MOVING = 0.25  # pixels of motion from which a pixel counts as moving, and by which readings must differ to matter
-TEXTURED = 0.02  # change of a feature in [0, 1] from pixel to pixel from which a pixel counts as textured
-ENOUGH = 200  # textured, moving pixels that a verdict needs
-SAMPLES = 20_000  # pixels per pair of frames that are looked at, at most
-TILES = 8  # the picture is cut into TILES × TILES tiles; errors inside one are not taken as independent
-STANDARD_ERRORS, MARGIN = 3.0, 0.02
+MIN_MOTION = 0.25  # pixels: a pixel moves by more, and readings differ by more
+MIN_CONTRAST = 0.02  # of a feature in [0, 1] between neighbours: a textured pixel has more
+MIN_PIXELS = 200  # textured, moving pixels that a verdict needs
+MAX_SAMPLES = 20_000  # pixels that are examined in each pair of frames
+TILES = 8  # along each side of the picture; errors inside one tile count as dependent
+STANDARD_ERRORS, MARGIN = 3.0, 0.02  # by which a better reading leads, and by which share of the error
 UNITS = {"pixels": (1.0, "", ""), "UV": (1.0, "W·", "H·"), "NDC": (0.5, "W/2·", "H/2·")}
 
 
@@ -66,7 +66,7 @@ class Reading:
         return f"motion = {'' if self.source == 'motion' else 'motion_next '}({x}, {y})"
 
     def __str__(self) -> str:
-        """What it looks like and what to do."""
+        """The reading in words, and the remedy."""
         signs = {
             (-1, -1): "current - previous: negate it",
             (1, -1): "y up: flip y",
@@ -93,7 +93,7 @@ DECLARED = Reading()
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the check found."""
+    """The result of the check."""
 
     status: str  # "ok", "wrong" or "ambiguous"
     message: str  # one line
@@ -129,7 +129,7 @@ def check_motion(pairs: Iterable[tuple[Frame, Frame]]) -> Verdict:
 
 
 def _collect(pairs: list[tuple[Frame, Frame]], feature: str) -> _Samples | None:
-    """Errors of all readings on up to `SAMPLES` pixels of each pair; None where a frame lacks the feature."""
+    """Errors of all readings on up to `MAX_SAMPLES` pixels of each pair; None where a frame lacks the feature."""
     readings = [r for r in READINGS if all(getattr(current, r.source) is not None for _, current in pairs)]
     errors, groups, motions = [], [], []
     for index, (previous, current) in enumerate(pairs):
@@ -172,13 +172,13 @@ def _choose_pixels(image: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
     texture[:, 1:-1] += (image[0, :, :, 2:] - image[0, :, :, :-2]).abs().amax(0) / 2
     texture[1:-1] += (image[0, :, 2:] - image[0, :, :-2]).abs().amax(0) / 2
     finite = frame.motion[0].isfinite().all(0)
-    textured = (texture > TEXTURED) & finite
+    textured = (texture > MIN_CONTRAST) & finite
     length = torch.hypot(*frame.motion[0])
-    moving = textured & (length > MOVING)
-    if moving.sum() < 0.05 * (textured & (length > 0)).sum():  # hardly anything moves: perhaps the unit is not pixels
-        moving = textured & (length * max(frame.size) > MOVING)
+    moving = textured & (length > MIN_MOTION)
+    if moving.sum() < 0.05 * (textured & (length > 0)).sum():  # the unit may not be pixels
+        moving = textured & (length * max(frame.size) > MIN_MOTION)
     y, x = moving.nonzero(as_tuple=True)
-    order = torch.randperm(len(x), generator=torch.Generator().manual_seed(0))[:SAMPLES]
+    order = torch.randperm(len(x), generator=torch.Generator().manual_seed(0))[:MAX_SAMPLES]
     return y[order], x[order]
 
 
@@ -191,10 +191,10 @@ def _sample(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 def _judge(samples: _Samples, feature: str) -> Verdict:
     """Compare the declared reading with the best one."""
-    if (count := samples.groups.numel()) < ENOUGH:
-        message = f"too little moves: {count} textured pixels move more than {MOVING} px, {ENOUGH} are needed"
+    if (count := samples.groups.numel()) < MIN_PIXELS:
+        message = f"too little moves: {count} textured pixels move more than {MIN_MOTION} px, {MIN_PIXELS} are needed"
         return Verdict("ambiguous", message, feature=feature, pixels=count)
-    # What no motion costs is the scale of the errors; beyond twice that they are outliers (uncovered, off-screen).
+    # Errors beyond twice the mean error without motion are outliers (uncovered, off-screen).
     samples = replace(samples, errors=samples.errors.clamp(max=2 * samples.errors[-1].mean()))
     mean = samples.errors.mean(1)
     readings = READINGS[: len(mean) - 1]
@@ -215,7 +215,7 @@ def _judge(samples: _Samples, feature: str) -> Verdict:
             f"looks like {readings[nearest]}; error {values['best']:.4f}, as declared {values['declared']:.4f}{same}"
         )
         return Verdict("wrong", message, readings[nearest], tied, **shared)
-    # -motion_next differs from motion by the acceleration alone: a tie with it leaves no doubt about the convention.
+    # -motion_next differs from motion only by acceleration: a tie with it leaves no doubt about the convention.
     rivals = [i for i in others if readings[i].source == "motion" and _compare(samples, 0, i) != "same"]
     if rivals:
         message = f"as declared fits, but as well does: {' | '.join(str(readings[i]) for i in rivals)}"
@@ -226,12 +226,12 @@ def _judge(samples: _Samples, feature: str) -> Verdict:
 
 def _compare(samples: _Samples, a: int, b: int) -> str:
     """Reading a against b, where they differ: "better" (clearly), "same" (they differ almost nowhere) or "tied"."""
-    apart = torch.linalg.vector_norm(samples.motions[a] - samples.motions[b], dim=-1) > MOVING
-    if apart.sum() < max(ENOUGH, 0.01 * len(apart)):
+    apart = torch.linalg.vector_norm(samples.motions[a] - samples.motions[b], dim=-1) > MIN_MOTION
+    if apart.sum() < max(MIN_PIXELS, 0.01 * len(apart)):
         return "same"
     error = samples.errors[a, apart]
     gain = samples.errors[b, apart] - error
-    # Standard error of a ratio estimator: every tile weighs as many pixels as it has. One tile alone proves nothing.
+    # Standard error of a ratio estimator: tiles weigh by their number of pixels. One tile alone proves nothing.
     count = torch.bincount(samples.groups[apart])
     residual = torch.bincount(samples.groups[apart], gain) - gain.mean() * count
     tiles = (count > 0).sum()

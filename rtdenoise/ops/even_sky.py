@@ -1,0 +1,39 @@
+"""A sky without noise stays as it is: kernels that reach across a silhouette would outline it faintly."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..constants import SKY_BLOCK, SKY_TOLERANCE
+
+
+def even_sky(
+    image: Tensor,  # [B, 3, H, W] the filtered picture
+    radiance: Tensor,  # [B, 3, H, W] ≥ 0, finite: the picture before
+    depth: Tensor,  # [B, 1, H, W], 0 where nothing was hit
+) -> Tensor:  # [B, 3, H, W]
+    """`radiance` where the sky shows and is even, `image` elsewhere.
+
+    A pixel is *open* where it and its 8 neighbours hit nothing; beside a silhouette it may be an edge to smooth. An
+    open pixel with radiance x is even where the open pixels of its `SKY_BLOCK`² block and of the 8 blocks around it
+    are all within x · (1 ± `SKY_TOLERANCE`): light as sparse as in a fog, a gradient or a picture is not.
+    """
+    if depth.device.type == "cpu" and bool((depth > 0).all()):
+        return image  # on a GPU, looking would mean waiting
+    H, W = depth.shape[2:]
+    opened = F.max_pool2d((depth > 0).to(radiance.dtype), 3, stride=1, padding=1) == 0
+    highest = _around(torch.where(opened, radiance, -torch.inf), (H, W))
+    lowest = -_around(torch.where(opened, -radiance, -torch.inf), (H, W))
+    margin = SKY_TOLERANCE * radiance
+    even = (highest - radiance <= margin) & (radiance - lowest <= margin)
+    return torch.where(opened & even.all(dim=1, keepdim=True), radiance, image)
+
+
+def _around(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """The maximum over each pixel's block and the 8 blocks around it, `[B, C, H, W]`."""
+    blocks = F.max_pool2d(image, SKY_BLOCK, ceil_mode=True)
+    greatest = F.max_pool2d(blocks, 3, stride=1, padding=1)
+    rows = greatest.repeat_interleave(SKY_BLOCK, dim=2)[:, :, : size[0]]
+    return rows.repeat_interleave(SKY_BLOCK, dim=3)[..., : size[1]]

@@ -1,0 +1,155 @@
+"""`rtdenoise.Denoiser`: one call a frame, for programs that have their frames in memory."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..frame import CHANNELS, MAX_CUT_MISMATCH, Frame
+from ..threads import set_defaults
+from .arrays import from_planes, to_planes
+from .backends import open_backend
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+# What stands in for a missing layer, the same in every pixel.
+STAND_INS = {"albedo": (1.0, 1.0, 1.0), "normal": (0.0, 0.0, 1.0), "depth": (1.0,)}
+# What a missing layer costs on the bundled sequence (python bench/missing_layers.py).
+COSTS = {
+    "albedo": "textures blur, by about 4 dB of PSNR on the bundled sequence",
+    "normal": "edges between surfaces blur, by up to 0.3 dB of PSNR on the bundled sequence",
+    "depth": "outlines blur and cuts are not seen, by up to 0.5 dB of PSNR on the bundled sequence",
+    "motion": "each frame is denoised alone and flickers, by about 1 dB of PSNR on the bundled sequence",
+    "motion_next": "it is approximated from motion and depth, which costs next to nothing on the bundled sequence",
+}
+
+
+class Denoiser:
+    """A denoiser with its own history: call it once for each frame of an animation, in order.
+
+        denoiser = rtdenoise.Denoiser()
+        clean = denoiser(color, albedo=albedo, normal=normal, depth=depth, motion=motion, motion_next=motion_next)
+
+    Arrays are numpy or torch, floats of any width, `[H, W, C]` or `[B, C, H, W]` (depth also `[H, W]`); the result has
+    the kind, layout, dtype and device of `color`. Row 0 is on top, x points right, y down.
+
+    | argument    | C | content                                                                                   |
+    |-------------|---|-------------------------------------------------------------------------------------------|
+    | color       | 3 | noisy radiance: linear, scene-referred, unbounded; the beauty, or indirect light alone    |
+    | albedo      | 3 | in [0, 1]                                                                                 |
+    | normal      | 3 | world space, in [-1, 1]                                                                   |
+    | depth       | 1 | distance from the camera, > 0; 0 or inf where nothing was hit                             |
+    | motion      | 2 | (x, y) in pixels, previous minus current: where the surface was, seen from here           |
+    | motion_next | 2 | (x, y) in pixels, next minus current: where it will be                                    |
+
+    Only `color` is required; a warning says once what a missing layer costs. `rtdenoise.screen_motion` computes motion
+    from positions and cameras. History starts anew after `reset()`, after a cut (`detect_cuts`), where a frame has
+    another size than the one before, and where it has no motion. Arguments are copied, results are yours to change.
+    """
+
+    def __init__(
+        self,
+        model: str | Path = "default",
+        *,
+        backend: str = "auto",
+        device: str = "auto",
+        precision: str = "auto",
+        detect_cuts: bool = True,
+    ) -> None:
+        """`model` is the name of a model that ships ('default', 'fast', 'quality', 'paper') or a .safetensors file.
+
+        `backend` is 'torch', 'glsl' (OpenGL shaders, without PyTorch; one picture at a time), or 'auto': torch where it
+        is installed. `device` is torch's, 'cpu', 'cuda' or 'auto', and the network's `precision` 'fp32', 'bf16' (with
+        glsl 'fp16') or 'auto'. `detect_cuts` starts history anew where most pixels find another surface than their
+        motion promises.
+
+        Raises InputError for an unknown model, backend, device or precision.
+        """
+        set_defaults()
+        self.started = True
+        """Whether the last call started history anew."""
+        self._detect_cuts = detect_cuts
+        self._backend = open_backend(backend, str(model), device, precision)
+        self._history: Any = None
+        self._shape: tuple[int, ...] = ()  # of the frame before
+        self._count = 0  # frames so far
+        self._said: set[str] = set()
+
+    def __call__(
+        self,
+        color: np.ndarray | Tensor,
+        *,
+        albedo: np.ndarray | Tensor | None = None,
+        normal: np.ndarray | Tensor | None = None,
+        depth: np.ndarray | Tensor | None = None,
+        motion: np.ndarray | Tensor | None = None,
+        motion_next: np.ndarray | Tensor | None = None,
+    ) -> np.ndarray | Tensor:
+        """The next frame, denoised: an array like `color`. See `help(rtdenoise.Denoiser)` for what goes in.
+
+        Raises InputError, in one line, for arrays of other shapes, integers, and layers of another size than `color`.
+        """
+        given = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion, "motion_next": motion_next}
+        radiance, form = to_planes("color", color, CHANNELS["radiance"])
+        layers = {name: to_planes(name, x, CHANNELS[name])[0] for name, x in given.items() if x is not None}
+        for name, planes in layers.items():
+            _expect_size(name, tuple(planes.shape), tuple(radiance.shape))
+        frame = self._completed(radiance, layers)
+        history = self._kept(frame)
+        prepared = self._backend.prepare(frame)
+        if self._detect_cuts and history is not None and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
+            history = None
+        image, self._history = self._backend.denoise(prepared, history)
+        self.started, self._shape, self._count = history is None, tuple(radiance.shape), self._count + 1
+        return from_planes(image, form)
+
+    def reset(self) -> None:
+        """Forget the frames so far: the next one starts a new shot."""
+        self._history = None
+
+    def _completed(self, radiance: np.ndarray | Tensor, layers: dict[str, np.ndarray | Tensor]) -> Frame:
+        """The frame, with a stand-in for each missing layer that the networks read."""
+        B, _, H, W = radiance.shape
+        for name, value in STAND_INS.items():
+            if name not in layers:
+                self._say(name, f"no {name}: {COSTS[name]}")
+                constant = np.array(value, np.float32).reshape(1, -1, 1, 1)
+                layers[name] = np.ascontiguousarray(np.broadcast_to(constant, (B, len(value), H, W)))
+        if "motion_next" not in layers and "motion" in layers:
+            self._say("motion_next", f"no motion_next: {COSTS['motion_next']}")
+        return Frame(radiance, **layers, number=self._count, name=f"frame {self._count}")
+
+    def _kept(self, frame: Frame) -> Any:
+        """The history that this frame may use; None where it starts anew."""
+        shape = tuple(frame.radiance.shape)
+        if self._shape != shape:
+            self._backend.plan(frame.size, 2, [], {})
+        if self._history is None:
+            return None
+        if self._shape != shape:
+            self._say(
+                "size", f"the frame is {list(shape)}, the one before was {list(self._shape)}: history starts anew"
+            )
+            return None
+        if frame.motion is None:
+            self._say("motion", f"no motion: {COSTS['motion']}; rtdenoise.screen_motion computes it, "
+                      "zeros say that nothing moves")  # fmt: skip
+            return None
+        return self._history
+
+    def _say(self, about: str, message: str) -> None:
+        """Warn once about one thing."""
+        if about not in self._said:
+            self._said.add(about)
+            warnings.warn(f"rtdenoise: {message}", stacklevel=4)
+
+
+def _expect_size(name: str, found: tuple[int, ...], color: tuple[int, ...]) -> None:
+    if (found[0], *found[2:]) != (color[0], *color[2:]):
+        raise InputError(f"{name}: expected {color[3]}×{color[2]} as color (batch of {color[0]}), got "
+                         f"{found[3]}×{found[2]} (batch of {found[0]})")  # fmt: skip

@@ -1,0 +1,76 @@
+"""The wheel, installed into fresh virtual environments that hold its requirements and nothing else."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+import venv
+from importlib.metadata import distribution
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).parent.parent
+PIP = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
+
+
+def run(*command, **options):
+    """What the command prints. A command that fails is an AssertionError with all its words."""
+    result = subprocess.run(list(map(str, command)), capture_output=True, text=True, **options)
+    assert result.returncode == 0, f"{command}\n{result.stdout}\n{result.stderr}"
+    return result.stdout
+
+
+def build_wheel(folder):
+    quicker = ["--no-build-isolation"] if importlib.util.find_spec("hatchling") else []
+    run(*PIP, "wheel", "--no-deps", *quicker, "--wheel-dir", folder, ROOT)
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+class Environment:
+    """A virtual environment with a wheel and what it requires, as `pip install 'wheel[extras]'` would make it. The
+    requirements are links to the packages of this environment, so nothing is downloaded."""
+
+    def __init__(self, folder, wheel, extras=(), also=()):
+        """`also` are distributions beside those that the wheel asks for."""
+        venv.create(folder, with_pip=False)
+        self.folder, self.python = folder, folder / "bin" / "python"
+        run(*PIP, "--python", self.python, "install", "--no-deps", wheel)
+        self.site = Path(run(self.python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+        (installed,) = self.site.glob("rtdenoise-*.dist-info")
+        self.requirements = set()
+        for line in _requirements((installed / "METADATA").read_text()):
+            self._add(Requirement(line), extras)
+        for name in also:
+            self._add(Requirement(name), ())
+
+    def run(self, *words, cwd=None, **variables):
+        """A program of the environment, away from the source tree. Returns what it prints."""
+        keep = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "VIRTUAL_ENV"))}
+        program, *arguments = words
+        return run(self.folder / "bin" / program, *arguments, cwd=cwd or self.folder, env=keep | variables)
+
+    def check(self):
+        """`pip check`: AssertionError where a requirement is missing or of another version."""
+        return run(*PIP, "--python", self.python, "check")
+
+    def _add(self, requirement, extras):
+        """Link a requirement of a package that is installed with `extras`, and what it requires itself."""
+        if requirement.marker and not any(requirement.marker.evaluate({"extra": e}) for e in ("", *extras)):
+            return
+        name = requirement.name.lower().replace("_", "-")
+        if name == "rtdenoise" or (name, *requirement.extras) in self.requirements:
+            return  # an extra that asks for another: give both
+        self.requirements.add((name, *requirement.extras))
+        found = distribution(name)
+        for top in {path.parts[0] for path in found.files if path.parts[0] not in ("..", "__pycache__")}:
+            if not (self.site / top).exists():
+                (self.site / top).symlink_to(found.locate_file(top))
+        for line in found.requires or ():
+            self._add(Requirement(line), tuple(requirement.extras))
+
+
+def _requirements(metadata):
+    head = metadata.partition("\n\n")[0]
+    return [line.partition(": ")[2] for line in head.splitlines() if line.startswith("Requires-Dist: ")]

@@ -1,0 +1,254 @@
+"""Libraries of assets: their index, compositions of them, several takes of one scene, and holes in surfaces."""
+
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from rtdenoise.cli.main import main
+from rtdenoise.data.clips import ClipDataset, clip_path, read_facts
+from rtdenoise.data.exr import write_layers
+from rtdenoise.errors import InputError
+from rtdenoise.render.clips import render_clips
+from rtdenoise.render.frames import NOISY, features, radiance
+from rtdenoise.render.options import ClipOptions
+from rtdenoise.render.scenes import meshes
+from rtdenoise.render.scenes.assets import load_model, read_library
+from rtdenoise.render.scenes.composed import KINDS, Composer, compose
+from rtdenoise.render.scenes.motions import CameraPath, Motion
+from rtdenoise.render.scenes.placing import plain
+from rtdenoise.render.scenes.scene import Object, Scene, Sun
+from rtdenoise.render.scenes.takes import compose_take
+from rtdenoise.render.stage import Stage
+
+CATEGORIES = {  # category -> width, height, depth in metres
+    "furniture": (1.2, 0.75, 0.7), "plant": (0.4, 0.9, 0.4), "people": (0.5, 1.75, 0.4), "toy": (0.2, 0.2, 0.2),
+    "kitchen": (0.1, 0.15, 0.1), "vehicle": (1.8, 1.4, 4.2), "statue": (0.4, 0.8, 0.4),
+}  # fmt: skip
+
+
+def write_box(folder, width, height, depth, **part) -> None:
+    """A model of one part: a box on the ground."""
+    folder.mkdir(parents=True)
+    mesh = meshes.box((width / 2, height / 2, depth / 2))
+    rows = np.concatenate([mesh.vertices + np.float32([0, height / 2, 0]), mesh.normals, mesh.uv], 1)
+    names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz", "u", "v"))
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{names}"
+        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = b"".join(struct.pack("<Biii", 3, *map(int, face)) for face in mesh.faces)
+    (folder / "0.ply").write_bytes(header.encode() + rows.astype("<f4").tobytes() + faces)
+    document = {"parts": [{"ply": "0.ply", "base_color": [0.5, 0.3, 0.2], "roughness": 0.4, "metallic": 0.0} | part]}
+    (folder / "model.json").write_text(json.dumps(document))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A library with one model of each category, one environment map and two pictures."""
+    library = tmp_path / "library"
+    models = []
+    for category, (w, h, d) in CATEGORIES.items():
+        write_box(library / "models" / category, w, h, d)
+        bbox = [[-w / 2, 0, -d / 2], [w / 2, h, d / 2]]
+        entry = {"name": f"a {category} table", "path": f"models/{category}/model.json", "category": category}
+        models.append(entry | {"bbox": bbox, "unit": "m", "license": "CC BY 4.0", "author": "Ada", "source": "a shop"})
+    write_layers(library / "sky.exr", {"color": np.ones((16, 32, 3), np.float32)})
+    grey = np.random.default_rng(0).integers(60, 200, (32, 32, 3), np.uint8)
+    Image.fromarray(grey).save(library / "wood.png")
+    index = {
+        "models": models,
+        "hdris": [{"name": "sky", "file": "sky.exr", "tags": ["outdoor"], "license": "CC0 1.0", "author": "Bo"}],
+        "textures": [{"name": "wood", "file": "wood.png", "kind": "wood", "tileable": True, "license": "CC0 1.0"},
+                     {"name": "print", "file": "wood.png", "kind": "poster", "license": "CC0 1.0"}],
+    }  # fmt: skip
+    (library / "index.json").write_text(json.dumps(index))
+    read_library.cache_clear()
+    return library
+
+
+def change(folder, kind: str, **entry) -> None:
+    """Rewrite keys of the first entry of a kind; None removes one."""
+    path = folder / "index.json"
+    index = json.loads(path.read_text())
+    index[kind][0] = {key: value for key, value in (index[kind][0] | entry).items() if value is not None}
+    path.write_text(json.dumps(index))
+    read_library.cache_clear()
+
+
+# --- the index --------------------------------------------------------------------------------------------------------
+
+
+def test_an_index_is_read(folder):
+    library = read_library(folder)
+    assert [len(kind) for kind in (library.models, library.hdris, library.textures)] == [7, 1, 2]
+    (part,) = load_model(library.models[0])
+    assert part.mesh.vertices[:, 1].min() == pytest.approx(0, abs=1e-6)
+    assert part.material.color[0, 0] == pytest.approx([0.5, 0.3, 0.2])
+
+
+@pytest.mark.parametrize(
+    "kind, entry, complaint",
+    [
+        ("models", {"path": "../model.json"}, r"a furniture table: path '\.\./model\.json' lies outside the folder"),
+        ("textures", {"file": "/etc/motd"}, r"wood: file '/etc/motd' lies outside the folder"),
+        ("models", {"license": None}, "a furniture table: has no 'license'; add it, or .* --allow-unlicensed"),
+        ("models", {"bbox": None}, "a furniture table: has no 'bbox'"),
+        ("hdris", {"tags": None}, "sky: has no 'tags'"),
+    ],
+)
+def test_a_bad_entry_is_named(folder, kind, entry, complaint):
+    change(folder, kind, **entry)
+    with pytest.raises(InputError, match=complaint):
+        read_library(folder)
+
+
+def test_unknown_licences_are_used_on_request_only(folder, tmp_path, capsys):
+    change(folder, "models", license=None)
+    assert len(read_library(folder, allow_unlicensed=True).models) == 7
+    with pytest.raises(SystemExit):
+        main(["clips", "--out", str(tmp_path / "out"), "--assets", str(folder)])
+    assert "has no 'license'" in capsys.readouterr().err
+
+
+def test_no_index(tmp_path):
+    with pytest.raises(InputError, match=r"index\.json: cannot be read"):
+        read_library(tmp_path)
+    (tmp_path / "index.json").write_text("{}")
+    with pytest.raises(InputError, match="lists no models; expected one or more"):
+        read_library(tmp_path)
+
+
+def test_an_asset_that_does_not_load_is_skipped_and_named(folder):
+    (folder / "models" / "toy" / "0.ply").write_bytes(b"ply\nnonsense")
+    b = Composer(read_library(folder), np.random.default_rng(0))
+    assert b.choose("toy") is None and b.choose("toy", "plant").name == "a plant table"
+    assert list(b.skipped) == ["a toy table"] and "not a readable PLY mesh" in b.skipped["a toy table"]
+
+
+# --- compositions -----------------------------------------------------------------------------------------------------
+
+
+def test_things_stand_on_the_ground_and_beside_each_other(folder):
+    library, seen = read_library(folder), set()
+    for seed in range(24):
+        c = compose(library, seed)
+        seen.add(c.scene.facts["place"])
+        meshes_of = {o.id: o.mesh.vertices for o in c.scene.objects}
+        for thing in c.things:
+            bottom = min(meshes_of[id][:, 1].min() for id in thing.ids)
+            tops = [other.top for other in c.things if other.top] + [0.0, 0.06, 0.12, 0.75]
+            pedestals = [o.mesh.vertices[:, 1].max() for o in c.scene.objects if o.name == "pedestal"]
+            assert min(abs(bottom - top) for top in (*tops, *pedestals)) < 2e-3, (seed, thing.asset.name)
+        assert len({o.id for o in c.scene.objects}) == len(c.scene.objects)
+        assert (
+            c.scene.facts["assets"]["a plant table"]["author"] == "Ada"
+            if "a plant table" in c.scene.facts["assets"]
+            else True
+        )
+    assert seen == set(KINDS)
+
+
+def test_a_seed_is_a_composition(folder):
+    library = read_library(folder)
+    a, b = compose(library, 5).scene, compose(library, 5).scene
+    assert a.facts == b.facts and len(a.objects) == len(b.objects)
+    assert all(np.array_equal(x.mesh.vertices, y.mesh.vertices) for x, y in zip(a.objects, b.objects, strict=True))
+
+
+def test_takes_differ_and_their_motions_are_exact(folder):
+    """Features of a take that is filmed after others are those of its scene alone."""
+    c = compose(read_library(folder), 3)
+    stage = Stage(c.scene)
+    takes = [compose_take(c, stage.mitsuba, np.random.default_rng([3, k]), 6, 320) for k in range(3)]
+    assert len({take.camera(0).to_world.tobytes() for take in takes}) == 3
+    layers = [features(stage.direct(take), 2, (24, 40)) for take in takes][-1]
+    alone = features(Stage(takes[-1]), 2, (24, 40))
+    for name in ("position", "normal", "id", "motion", "motion_next"):
+        np.testing.assert_allclose(layers[name], alone[name], atol=1e-4, err_msg=name)
+    for take in takes:
+        place = take.camera(2.5).to_world[:3, 3]
+        assert (place > c.low - 1).all() and (place < c.high + 1).all()
+
+
+# --- light ------------------------------------------------------------------------------------------------------------
+
+
+def card_over_floor(alpha: float) -> Scene:
+    """A floor lit by a sun from above, under a large horizontal card of this opacity; seen from below the card."""
+    floor = Object(1, "floor", meshes.quad((-9, 0, 9), (18, 0, 0), (0, 0, -18)), plain(0.5, 1.0))
+    card = replace(plain(0.2), alpha=np.full((4, 4, 1), alpha, np.float32))
+    roof = Object(2, "card", meshes.quad((-9, 3, 9), (18, 0, 0), (0, 0, -18)), card)
+    return Scene("card", (floor, roof), CameraPath((0, 2, 0), (0, 0, -0.01)), sun=Sun((0.0, 1.0, 0.0), (2.0, 2.0, 2.0)))
+
+
+def test_holes_let_light_and_sight_through():
+    direct = {}
+    for alpha in (0.0, 0.25, 1.0):
+        beauty, indirect = radiance(Stage(card_over_floor(alpha)), 0, (16, 16), 64, 0, NOISY, 2)
+        direct[alpha] = float((beauty - indirect).mean())
+    assert direct[1.0] < 1e-6 and direct[0.25] == pytest.approx(0.75 * direct[0.0], rel=1e-3)
+    scene = card_over_floor(0.25)
+    above = replace(scene, camera=CameraPath((0, 6, 0), (0, 0, -0.01)))
+    stage = Stage(above)
+    layers = features(stage, 0, (32, 32))
+    assert (layers["id"] == 1).mean() == pytest.approx(0.75, abs=0.05)
+    np.testing.assert_allclose(layers["depth"][layers["id"] == 1], 6, rtol=0.5)
+    beauty, _ = radiance(stage, 0, (32, 32), 1, 0, NOISY, 2)
+    lit = (layers["id"] == 2)[..., 0]
+    bright, dark = beauty[~lit].mean(), beauty[lit].mean()
+    assert dark < 0.6 * bright  # light and features of a sample pass the same holes
+
+
+def test_a_lens_blurs_what_is_not_in_focus():
+    bars = Object(1, "bars", meshes.bars(4, 4, 8, 0.25).transform(Motion(velocity=(0, 0, -4))(1)), plain(0.5))
+    wall = Object(2, "wall", meshes.quad((-8, -8, -9), (16, 0, 0), (0, 16, 0)), plain(0.5))
+    share = {}
+    for focus in (4.0, 1.5):
+        camera = CameraPath((0, 0, 0), (0, 0, -4), aperture=0.15, focus=focus)
+        stage = Stage(Scene("bars", (bars, wall), camera))
+        mixed = np.stack([features(stage, 0, (48, 48), seed=k)["id"] for k in range(8)]) == 1
+        share[focus] = float(np.logical_and(mixed.any(0), ~mixed.all(0)).mean())
+    assert share[1.5] > 1.5 * share[4.0]
+
+
+# --- sets -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
+    (folder / "models" / "kitchen" / "0.ply").write_bytes(b"ply\nnonsense")
+    options = ClipOptions(2, (32, 32), seed=1, reference_error=1, reference_range=(2, 2), workers=1, assets=str(folder))
+    card = render_clips(tmp_path / "out", options, lambda *_: None)
+    assert card["clips"] == 2 and card["sources"] == {"composition of assets": 2}
+    facts = [read_facts(clip_path(tmp_path / "out", i)) for i in range(2)]
+    for f in facts:
+        assert f["window"][2:] in ([720, 1280], [810, 1440], [900, 1600], [1080, 1920])
+        assert f["samples"] == f["spp"] and f["frames"] >= 8
+    text = (tmp_path / "out" / "DATA.md").read_text()
+    assert "### Assets: CC BY 4.0" in text and "**Ada**" in text
+    if any(f["skipped"] for f in facts):
+        assert "a kitchen table: " in text
+    before = ClipDataset(tmp_path / "out").load(1)
+    assert (before[0].samples == facts[1]["spp"]).all()
+    clip_path(tmp_path / "out", 1).unlink()
+    render_clips(tmp_path / "out", options, lambda *_: None)
+    for a, b in zip(before, ClipDataset(tmp_path / "out").load(1), strict=True):
+        assert all(tensor.equal(getattr(b, name)) for name, tensor in a.layers())
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ("--allow-unlicensed", "--allow-unlicensed: goes with --assets"),
+        ("--assets x --sun 1", "--sun: is for generated scenes, not for --assets"),
+        ("--assets x --generator 1", "--assets: goes with --generator 2 and 3"),
+        ("--assets nowhere", "cannot be read: No such file"),
+    ],
+)
+def test_wrong_options(tmp_path, capsys, arguments, message):
+    with pytest.raises(SystemExit, match="2"):
+        main(["clips", *arguments.split(), "--out", str(tmp_path / "out")])
+    assert message in capsys.readouterr().err and not (tmp_path / "out").exists()

@@ -1,0 +1,230 @@
+"""`rtdenoise.Denoiser`: numpy or torch, any layout, and a sentence for whatever is wrong."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import make_frames
+
+import rtdenoise
+from rtdenoise import InputError, models
+from rtdenoise.glsl import Pipeline
+
+FEATURES = ("albedo", "normal", "depth", "motion", "motion_next")
+
+
+def pictures(frame, convert=lambda array: array):
+    """A frame as a renderer's program has it: (color, features) of `[H, W, C]`, depth `[H, W]`."""
+    planes = {name: convert(tensor[0].permute(1, 2, 0).numpy().copy()) for name, tensor in frame.layers()}
+    return planes["radiance"], {name: planes[name] for name in FEATURES} | {"depth": planes["depth"][..., 0]}
+
+
+def batches(frame):
+    return frame.radiance, {name: getattr(frame, name) for name in FEATURES}
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return make_frames(4)
+
+
+@pytest.fixture(scope="module")
+def expected(frames):
+    """What `step` makes of them, `[1, 3, H, W]` each."""
+    network, history, images = models.load("fast"), None, []
+    with torch.inference_mode():
+        for frame in frames:
+            image, history = network.step(frame, history)
+            images.append(image.clone())
+    return images
+
+
+def play(frames, convert, **options):
+    denoiser = rtdenoise.Denoiser("fast", **options)
+    return [denoiser(color, **features) for color, features in map(convert, frames)]
+
+
+def test_three_lines_from_numpy_to_clean_frames(frames, expected, assert_images_close):
+    found = play(frames, pictures)
+    assert all(image.shape == (24, 32, 3) and image.dtype == np.float32 for image in found)
+    for image, wanted in zip(found, expected, strict=True):
+        assert_images_close(np.moveaxis(image, 2, 0)[None], wanted, "float32 network")
+
+
+def test_tensors_and_batches_come_back_as_they_are(frames, expected, assert_images_close):
+    for image, wanted in zip(play(frames, batches), expected, strict=True):
+        assert isinstance(image, torch.Tensor) and not image.is_inference() and image.device.type == "cpu"
+        assert_images_close(image, wanted, "float32 network")
+    double = play([replace(frame.map(lambda t: torch.cat([t, t.flip(3)]))) for frame in frames], batches)
+    for image, wanted in zip(double, expected, strict=True):
+        assert_images_close(image[:1], wanted, "float32 network")
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float64, torch.float16, torch.bfloat16, torch.float64])
+def test_any_float_comes_back_as_it_went_in(frames, dtype):
+    def convert(array):
+        return torch.from_numpy(array).to(dtype) if isinstance(dtype, torch.dtype) else array.astype(dtype)
+
+    color, features = pictures(frames[0], convert)
+    bright = color * 10 if dtype in (np.float64, torch.float64) else color
+    image = rtdenoise.Denoiser("fast")(bright, **features)
+    assert image.dtype == dtype and type(image) is type(color) and image.shape == color.shape
+    assert np.isfinite(np.asarray(image.float() if isinstance(image, torch.Tensor) else image)).all()
+
+
+def test_half_floats_do_not_overflow():
+    color = np.full((16, 16, 3), 65504, np.float16)
+    with pytest.warns(UserWarning):
+        image = rtdenoise.Denoiser("fast")(color, albedo=np.ones_like(color))
+    assert np.isfinite(image).all() and image.mean() > 60000
+
+
+def test_without_torch_the_shaders_run(frames, assert_images_close):
+    pipeline, history = Pipeline.load("fast"), None
+    for frame, image in zip(frames, play(frames, pictures, backend="glsl"), strict=True):
+        wanted, history = pipeline.step(frame.map(torch.Tensor.numpy), history)
+        assert_images_close(np.moveaxis(image, 2, 0)[None], wanted, "float32")
+
+
+@pytest.mark.parametrize("backend", ["torch", "glsl"])
+def test_buffers_may_be_reused_and_results_changed(frames, backend):
+    plain, denoiser = play(frames, pictures, backend=backend), rtdenoise.Denoiser("fast", backend=backend)
+    color, features = pictures(frames[0])
+    for frame, wanted in zip(frames, plain, strict=True):
+        new, layers = pictures(frame)
+        color[:] = new
+        for name, array in features.items():
+            array[:] = layers[name]
+        image = denoiser(color, **features)
+        assert np.array_equal(image, wanted)
+        image[:] = np.nan
+        color[:] = np.nan
+
+
+def test_reset_starts_a_new_shot(frames):
+    denoiser = rtdenoise.Denoiser("fast")
+    first, second = pictures(frames[0]), pictures(frames[1])
+    start = denoiser(first[0], **first[1])
+    assert denoiser.started
+    denoiser(second[0], **second[1])
+    assert not denoiser.started
+    denoiser.reset()
+    assert np.array_equal(denoiser(first[0], **first[1]), start) and denoiser.started
+
+
+def test_a_cut_starts_a_new_shot(frames):
+    denoiser, kept = (rtdenoise.Denoiser("fast", detect_cuts=detect) for detect in (True, False))
+    other = replace(frames[1], depth=frames[1].depth * 7)
+    for frame in (frames[0], other):
+        color, features = pictures(frame)
+        for each in (denoiser, kept):
+            each(color, **features)
+    assert denoiser.started and not kept.started
+
+
+def told(call):
+    """The warnings of a call."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        call()
+    return [str(warning.message) for warning in found]
+
+
+def test_missing_features_are_allowed_and_said_once(frames):
+    denoiser = rtdenoise.Denoiser("fast")
+    lines = [told(lambda frame=frame: denoiser(pictures(frame)[0])) for frame in frames]
+    assert [line.split(":")[1] for line in lines[0]] == [" no albedo", " no normal", " no depth"]
+    assert len(lines[1]) == 1 and "no motion: each frame is denoised alone" in lines[1][0]
+    assert lines[2:] == [[], []]
+
+
+def test_a_missing_motion_next_is_said_once_and_the_history_goes_on(frames):
+    denoiser, lines = rtdenoise.Denoiser("fast"), []
+    for frame in frames:
+        color, features = pictures(replace(frame, motion_next=None)) if False else pictures(frame)
+        features.pop("motion_next")
+        lines += told(lambda color=color, features=features: denoiser(color, **features))
+    assert len(lines) == 1 and "approximated from motion and depth" in lines[0] and not denoiser.started
+
+
+@pytest.mark.parametrize("backend", ["torch", "glsl"])
+def test_another_size_starts_anew_said_once(backend):
+    denoiser, lines = rtdenoise.Denoiser("fast", backend=backend), []
+    for size in ((24, 32), (16, 40), (16, 40), (24, 32)):
+        color, features = pictures(make_frames(1, *size)[0])
+        lines.append(told(lambda color=color, features=features: denoiser(color, **features)))
+        assert len(lines) == 3 or denoiser.started
+    assert [len(line) for line in lines] == [0, 1, 0, 0]
+    assert lines[1][0].endswith("the frame is [1, 3, 16, 40], the one before was [1, 3, 24, 32]: history starts anew")
+
+
+BAD = {
+    "integers": (
+        {"color": np.zeros((8, 8, 3), np.uint8)},
+        r"color: expected floats \(linear radiance, .*got uint8",
+    ),
+    "integer tensors": ({"color": torch.zeros(8, 8, 3, dtype=torch.int32)}, r"expected floats .* got int32"),
+    "integer depth": ({"depth": np.ones((8, 8), int)}, r"depth: expected floats \(float16, 32 or 64\), got int64"),
+    "no batch": ({"color": np.zeros((3, 8, 8), np.float32)}, r"got \[3, 8, 8\]; add the batch axis: array\[None\]"),
+    "alpha": ({"color": np.zeros((8, 8, 4), np.float32)}, r"\[8, 8, 4\]; leave alpha out: array\[..., :3\]"),
+    "channels last": ({"color": np.zeros((1, 8, 8, 3), np.float32)}, r"move the channels: .*transpose\(0, 3, 1, 2\)"),
+    "grey": ({"color": np.zeros((8, 8), np.float32)}, r"expected \[H, W, 3\] or \[B, 3, H, W\], got \[8, 8\]"),
+    "empty": ({"color": np.zeros((0, 8, 3), np.float32)}, r"color: expected .*, got an empty array \[0, 8, 3\]"),
+    "motion in three": (
+        {"motion": np.zeros((8, 8, 3), np.float32)},
+        r"motion: expected \[H, W, 2\].* \[8, 8, 3\]",
+    ),
+    "another size": ({"normal": np.zeros((8, 9, 3), np.float32)}, r"normal: expected 8×8 as color .*, got 9×8"),
+    "a word": ({"color": "frame.exr"}, "color: expected a numpy array or a torch tensor, got str"),
+    "nothing": ({"color": None}, "color: expected a numpy array or a torch tensor, got NoneType"),
+    "a ragged list": ({"color": [[1.0], [1.0, 2.0]]}, "color: expected a numpy array or a torch tensor, got list"),
+}
+
+
+@pytest.fixture(scope="module")
+def denoiser():
+    return rtdenoise.Denoiser("fast")
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_answered_in_one_line(denoiser, name):
+    arguments, message = BAD[name]
+    with pytest.raises(InputError, match=message) as error:
+        denoiser(**{"color": np.zeros((8, 8, 3), np.float32)} | arguments)
+    assert "\n" not in str(error.value)
+
+
+def test_shaders_take_one_picture_at_a_time(frames):
+    color, features = batches(frames[0].map(lambda t: torch.cat([t, t])))
+    with pytest.raises(InputError, match="expected one frame at a time, got 2"):
+        rtdenoise.Denoiser("fast", backend="glsl")(color, **features)
+
+
+def test_step_answers_what_is_no_frame(frames):
+    network, pipeline = models.load("fast"), Pipeline.load("fast")
+    for wrong in (np.zeros((8, 8, 3), np.float32), torch.zeros(8, 8, 3)):
+        with pytest.raises(InputError, match=r"expected radiance \[B, 3, H, W\].*\(8, 8, 3\).*rtdenoise.Denoiser"):
+            rtdenoise.Frame(wrong)
+        with pytest.raises(InputError, match=r"step takes a rtdenoise.Frame of torch tensors.*rtdenoise.Denoiser"):
+            network.step(wrong)
+        with pytest.raises(InputError, match=r"step takes a rtdenoise.Frame of numpy arrays.*rtdenoise.Denoiser"):
+            pipeline.step(wrong)
+    with pytest.raises(InputError, match="got a Frame of ndarray"):
+        network.step(frames[0].map(torch.Tensor.numpy))
+
+
+def test_help_states_shapes_units_and_errors():
+    for name, words in {
+        "Denoiser": ("[H, W, C]", "linear", "[0, 1]", "pixels", "InputError"),
+        "Frame": ("[B, 3, H, W]", "linear", "pixels", "InputError"),
+        "load": ("device", "precision", "InputError"),
+        "open_sequence": ("folder", "signal", "float32", "InputError"),
+        "screen_motion": ("[H, W, 3]", "pixels", "InputError"),
+    }.items():
+        public = getattr(rtdenoise, name)
+        text = (public.__doc__ or "") + (public.__init__.__doc__ or "") + (public.__call__.__doc__ or "")
+        assert not [word for word in words if word not in text], f"{name}: {text}"
+    text = models.load("fast").step.__doc__
+    assert all(word in text for word in ("[B, 3, H, W]", "history", "InputError"))
