@@ -142,7 +142,7 @@ def test_no_window_looks_across_a_cut(tmp_path, options):
 def test_no_window_looks_across_a_gap(shot, clean, tmp_path, options, frames):
     for folder in (shot, clean):
         (folder / "frame.0002.exr").unlink()
-    assert run(shot, clean, tmp_path / "out", options=replace(options, allow_gaps=True)).gaps == [2]
+    assert run(shot, clean, tmp_path / "out", options=replace(options, allow_gaps=True)).gaps == [(2, 2)]
     before = write_sequence(tmp_path / "before", frames[:2])
     run(before, write_images(tmp_path / "z", [estimate(f) for f in frames[:2]]), tmp_path / "two", options=options)
     assert_same(tmp_path / "out", tmp_path / "two", range(2))

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
 LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
-LIGHT = ("image", "mean")
+STORED = {"radiance": "image", "mean": "mean", "mean_albedo": "mean_albedo", "length": "length"}  # in a file -> field
+LIGHT = ("radiance", "mean")
 BYTES_PER_PIXEL = 20  # of a stored estimate: ten halves
 
 
@@ -211,8 +212,8 @@ class _Run:
 def write_estimate(path: Path, estimate: Estimate) -> None:
     """Store an estimate in half precision. Raises InputError where it cannot be written."""
     arrays, scales = {}, {}
-    for name in ("image", "mean", "mean_albedo", "length"):
-        array = getattr(estimate, name).cpu().numpy()
+    for name, field in STORED.items():
+        array = getattr(estimate, field).cpu().numpy()
         if name in LIGHT:
             scales[name] = 2.0 ** np.floor(np.log2(max(float(array.max()), 1e-30) / LARGEST_HALF))
             array = array / np.float32(scales[name])
@@ -229,7 +230,7 @@ def read_estimate(path: Path, device: str) -> Estimate:
     arrays, metadata = read_history(path)
     scales = json.loads(metadata["scales"])
     tensors = {
-        name: torch.from_numpy(array.astype(np.float32)).to(device) * scales.get(name, 1.0)
-        for name, array in arrays.items()
+        field: torch.from_numpy(arrays[name].astype(np.float32)).to(device) * scales.get(name, 1.0)
+        for name, field in STORED.items()
     }
     return Estimate(**tensors, first=metadata["first"] == "1")

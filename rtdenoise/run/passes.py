@@ -64,13 +64,17 @@ class Passes:
     @torch.inference_mode()
     def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
+        return combine(self.candidates(frame, forward, backward))
+
+    def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:
+        """What is known of a prepared frame."""
         ours = forward.image, backward.image, self._single(frame, forward, backward)
         if not self.has_oidn:
-            return combine(Candidates(*ours))
+            return Candidates(*ours)
         light, albedo = two_sided(frame, forward, backward)
         second, _ = self._second.step(frame)
         averaged, _ = self._averaged.step(replace(frame, radiance=light, albedo=albedo))
-        return combine(Candidates(*ours, second, averaged))
+        return Candidates(*ours, second, averaged)
 
     def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """The network's image of the frame alone; a pass that begins here has it already."""
