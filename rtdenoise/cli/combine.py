@@ -38,5 +38,5 @@ class Combine:
                 self.noisy, self.denoised, self.out, self.settings, self.overwrite,
                 lambda done, total: bar.update(task, completed=done, total=total),
             )  # fmt: skip
-        for line in told(summary, "combiner"):
-            print(f"{self.out}: {line}")
+        written, *more = told(summary, "combiner")
+        print("\n".join([f"{self.out}: {written}", *more]))

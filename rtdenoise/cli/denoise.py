@@ -54,12 +54,12 @@ class Denoise:
         return preview(sequence, self.out, options.layout, options.recombine)
 
 
-def told(summary: Summary, what: str = "denoiser") -> list[str]:
+def told(summary: Summary, stage: str = "denoiser") -> list[str]:
     """What a run did, a line a fact. Counts of replaced and left out include the frames of interrupted runs before."""
     frames = summary.written + summary.skipped
     lines = [f"{summary.written} frames written, {summary.skipped} were there"]
     if summary.written:
-        lines.append(f"{what}: {1000 * summary.seconds / summary.written:.0f} ms a frame")
+        lines.append(f"{stage}: {1000 * summary.seconds / summary.written:.0f} ms a frame")
     lines += summary.notes
     lines += [f"replaced: {what} in {count} pixels" for what, count in summary.replaced.items()]
     lines += [
