@@ -15,6 +15,7 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +56,8 @@ def denoise_offline(
     """
     if options.backend == "glsl":
         raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
+    if find_spec("torch") is None:
+        raise InputError("--offline needs PyTorch, which is not installed; leave it out")
     sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
@@ -80,7 +83,8 @@ class _Run:
     on_frame: Callable[[int, int], None]
 
     def run(self, overwrite: bool) -> Summary:
-        self.fingerprint = digest(self.sequence, self.options)[-1]
+        opinions = "with OIDN" if self.passes.has_oidn else "without OIDN"  # frames of both must not be mixed
+        self.fingerprint = f"{digest(self.sequence, self.options)[-1]} {opinions}"
         self.names = output_names(self.sequence, self.options.layout, self.options.recombine)[::-1]  # as they appear
         count = len(self.sequence)
         done, history, summary = (0, None, Summary()) if overwrite else self._resume()
