@@ -33,7 +33,7 @@ from rtdenoise.run import combination
 from rtdenoise.run.passes import Passes, reverse
 from rtdenoise.sanitise import sanitise
 
-RESULT, PAGES = RESULTS / "offline.json", (DOCS / "results" / "offline.md", DOCS / "use" / "offline.md")
+RESULT, PAGES = RESULTS / "offline.json", (DOCS / "results" / "offline.md",)
 OUT = ROOT / "out" / "offline"
 SIGNALS = ("indirect", "color")
 METHODS = ("oidn", "default", "offline")
