@@ -22,7 +22,7 @@ __all__ = ["Denoiser", "Frame", "History", "InputError", "load", "open_sequence"
 # Imported when they are asked for: `rtdenoise.glsl` is to run where there is no torch.
 _HOMES = {
     "Denoiser": "run.session", "Frame": "frame", "History": "frame", "load": "models",
-    "open_sequence": "data.sequences", "pinhole_camera": "camera", "screen_motion": "camera",
+    "open_sequence": "data.sequences", "pinhole_camera": "data.camera", "screen_motion": "data.camera",
 }  # fmt: skip
 
 

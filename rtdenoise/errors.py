@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 INSTALL_TORCH = "type: pip install 'rtdenoise[torch]'"
+MAX_MESSAGE = 2000  # characters
 
 
 class InputError(ValueError):
@@ -13,11 +14,14 @@ class InputError(ValueError):
 
     The message is one line that names the thing, what was found, what was expected and what to do. The command line
     prints it and exits with 2; library users catch it as a `ValueError`. Control characters, as in file names, are
-    escaped.
+    escaped, and long messages, as when a damaged file is quoted, lose their middle.
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(printable(message))
+        line = printable(message)
+        if len(line) > MAX_MESSAGE:
+            line = f"{line[: MAX_MESSAGE // 2]} … {line[-MAX_MESSAGE // 3 :]}"
+        super().__init__(line)
 
 
 class NotCompiled(OSError):

@@ -18,10 +18,12 @@ from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scenes import meshes
 from rtdenoise.render.scenes.assets import load_model, read_library
 from rtdenoise.render.scenes.composed import KINDS, Composer, compose
+from rtdenoise.render.scenes.extras import shapes_in_view
+from rtdenoise.render.scenes.file import open_file
 from rtdenoise.render.scenes.motions import CameraPath, Motion
 from rtdenoise.render.scenes.placing import plain
 from rtdenoise.render.scenes.scene import Object, Scene, Sun
-from rtdenoise.render.scenes.takes import compose_take
+from rtdenoise.render.scenes.takes import compose_take, film_take
 from rtdenoise.render.stage import Stage
 
 CATEGORIES = {  # category -> width, height, depth in metres
@@ -172,6 +174,29 @@ def test_takes_differ_and_their_motions_are_exact(folder):
     for take in takes:
         place = take.camera(2.5).to_world[:3, 3]
         assert (place > c.low - 1).all() and (place < c.high + 1).all()
+
+
+ROOM = """<scene version="3.0.0">
+  <sensor type="perspective"><float name="fov" value="60"/>
+    <transform name="to_world"><lookat origin="0, 1, 1.8" target="0, 1, 0" up="0, 1, 0"/></transform></sensor>
+  <shape type="cube" id="walls"><boolean name="flip_normals" value="true"/>
+    <transform name="to_world"><scale x="2" y="1.5" z="2"/><translate y="1.5"/></transform></shape>
+  <shape type="cube" id="crate"><transform name="to_world"><scale value="0.3"/><translate y="0.3"/></transform></shape>
+</scene>"""
+
+
+def test_scene_files_are_filmed_from_other_places(tmp_path):
+    (tmp_path / "scene.xml").write_text(ROOM)
+    (tmp_path / "motion.toml").write_text('[[object]]\nshapes = ["crate"]\nvelocity = [0.1, 0, 0]\nspin = 2')
+    scene = open_file(tmp_path / "scene.xml", tmp_path / "motion.toml")
+    stage = Stage(scene)
+    takes = [film_take(scene, stage.mitsuba, np.random.default_rng(k), 8, 320) for k in range(4)]
+    places = np.stack([take.camera(3.5).to_world[:3, 3] for take in takes])
+    assert (np.abs(places - (0, 1.5, 0)) < (2, 1.5, 2)).all() and len(np.unique(places, axis=0)) == 4
+    speeds = {take.objects[0].motion.velocity[0] for take in takes}
+    assert len(speeds) == 4 and all(0.04 <= abs(speed) <= 0.2 for speed in speeds)
+    ahead, away = CameraPath((0, 1, 1.8), (0, 1, 0))(0), CameraPath((0, 1, 1.8), (0, 1, 3))(0)
+    assert shapes_in_view(stage.mitsuba, ahead) == 2 and shapes_in_view(stage.mitsuba, away) == 1
 
 
 # --- light ------------------------------------------------------------------------------------------------------------

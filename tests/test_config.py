@@ -23,6 +23,7 @@ CONFIGS = {
     "two scales": AccumulatedKPNConfig(widths=(4, 4), scales=2, kernel=3),
     "large kernels": AccumulatedKPNConfig(widths=(4,) * 3, scales=2, kernel=7, temporal_kernel=5),
     "pick": AccumulatedKPNConfig(widths=(4,) * 5, pick_kernel=3, edge_kernel=3),
+    "detail": AccumulatedKPNConfig(widths=(4,) * 5, detail=True),
     "large pick": AccumulatedKPNConfig(widths=(4,) * 5, kernel=3, pick_kernel=5, edge_kernel=5),
 }
 
@@ -34,7 +35,9 @@ def test_the_description_is_what_torch_builds(config):
     assert from_stored(config.architecture, json.loads(json.dumps(asdict(config)))) == config
 
 
-@pytest.mark.parametrize("name", ["paper", "default", "four levels", "two scales", "large kernels", "large pick"])
+@pytest.mark.parametrize(
+    "name", ["paper", "default", "four levels", "two scales", "large kernels", "large pick", "detail"]
+)
 def test_reaches_are_those_found_by_experiment(name):
     torch.manual_seed(0)
     model = create(CONFIGS[name]).eval()
@@ -52,8 +55,12 @@ def test_carried_fields_are_those_of_the_history():
 
 
 def test_settings_change_fields():
-    changed = with_settings(PRESETS["default"], ["widths=8,16,24", "scales=3", "longest=24", "motion=traditional"])
-    assert changed == AccumulatedKPNConfig((8, 16, 24), 3, edge_kernel=3, longest=24.0, motion="traditional")
+    changed = with_settings(
+        PRESETS["default"], ["widths=8,16,24", "scales=3", "longest=24", "motion=traditional", "detail=true"]
+    )
+    assert changed == AccumulatedKPNConfig(
+        (8, 16, 24), 3, edge_kernel=3, detail=True, longest=24.0, motion="traditional"
+    )
 
 
 @pytest.mark.parametrize(
@@ -64,6 +71,7 @@ def test_settings_change_fields():
         ("widths=a,b", "expected a value like 32,56,72,88,104"),
         ("kernel=4", "expected an odd size"),
         ("kernel=1e9", "expected a value like 5"),
+        ("detail=maybe", "expected a value like false"),
         ("widths=8,99999999,8,8,8", "expected 2 to 5 widths from 1 to 1024"),
     ],
 )

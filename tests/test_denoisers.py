@@ -27,7 +27,7 @@ from rtdenoise.splat import history_motion
 
 SMALL = {
     "temporal_kpn": TemporalKPNConfig(widths=(8, 8, 8, 8)),
-    "accumulated_kpn": AccumulatedKPNConfig(widths=(8, 8, 8, 8), scales=4, edge_kernel=3, pick_kernel=3),
+    "accumulated_kpn": AccumulatedKPNConfig(widths=(8, 8, 8, 8), scales=4, edge_kernel=3, pick_kernel=3, detail=True),
 }
 
 

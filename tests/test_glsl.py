@@ -135,6 +135,13 @@ def test_downsample_and_compose_are_their_torch_twins(gl, assert_images_close, s
 
 
 @pytest.mark.parametrize("size", SIZES)
+def test_soften_is_its_torch_twin(gl, assert_images_close, size):
+    inputs = random(2, 3, *size), random(2, 3, *size), random(2, 1, *size)
+    softened = on_gpu(gl, glsl.soften, *inputs, shape=inputs[0].shape)
+    assert_images_close(softened, torch_twin(ops.soften, *inputs), "float32")
+
+
+@pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("kernel", [1, 3, 5])
 def test_pick_is_its_torch_twin(gl, assert_images_close, size, kernel):
     fine, coarse, share = random(2, 3, *size), random(2, 3, *((n + 1) // 2 for n in size)), random(2, 1, *size)

@@ -29,7 +29,8 @@ from rtdenoise.run.plan import look
 from rtdenoise.sanitise import sanitise
 
 # Small models, by the preset of the same architecture.
-SMALL = {"paper": TINY, "default": AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3)}
+WHOLE = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3, detail=True)  # every head there is
+SMALL = {"paper": TINY, "default": WHOLE}
 
 
 @pytest.fixture(autouse=True)
@@ -352,7 +353,7 @@ def test_weights_that_do_not_fit_are_named(weights, tmp_path):
         return str(error.value)
 
     assert "heads.0.bias is (51,), expected (19,)" in refused(kernel=3)
-    assert "expected an architecture of temporal_kpn, accumulated_kpn, got 'mltd'" in refused("mltd")
+    assert "expected an architecture of temporal_kpn, accumulated_kpn, combiner, got 'mltd'" in refused("mltd")
     assert "unknown field 'pool'" in refused("accumulated_kpn")
     assert "expected motion 'dual' or 'traditional', got 'none'" in refused(motion="none")
     with pytest.raises(InputError, match=r"sales: not an override of model 'paper'.*its configuration has widths"):

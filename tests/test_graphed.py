@@ -35,7 +35,7 @@ from rtdenoise.sanitise import sanitise
 
 SMALL = [
     TemporalKPNConfig(widths=(4, 4, 4, 4)),
-    AccumulatedKPNConfig(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3),
+    AccumulatedKPNConfig(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3, detail=True),
 ]
 DEVICES = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
 

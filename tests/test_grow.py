@@ -104,7 +104,7 @@ def test_what_does_not_fit_is_refused(small, wanted):
 
 @pytest.mark.parametrize("wanted", [1, 5])
 def test_a_pick_kernel_of_another_size_is_refused(wanted):
-    with pytest.raises(ValueError, match="new edge or pick kernels"):
+    with pytest.raises(ValueError, match="or with new heads"):
         grow(create(replace(WIDE, **PICK)), replace(WIDE, pick_kernel=wanted))
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, pick, reproject, upsample, use, warp
+from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, pick, reproject, soften, upsample, use, warp
 from rtdenoise.ops.logits import cells as cells_of
 from rtdenoise.ops.logits import whole
 
@@ -212,12 +212,36 @@ def test_pick_refuses_shapes_that_do_not_fit():
             pick(*bad)
 
 
+@pytest.mark.parametrize("size", SIZES)
+def test_soften_takes_out_what_only_the_finer_image_has(size):
+    fine, composed, share = torch.rand(1, 3, *size), torch.rand(1, 3, *size), torch.rand(1, 1, *size)
+    detail = fine - upsample(downsample(fine), size)
+    torch.testing.assert_close(soften(composed, fine, share), composed - (1 - share) * detail)
+    torch.testing.assert_close(soften(composed, fine, torch.ones_like(share)), composed)
+    torch.testing.assert_close(soften(fine, fine, torch.zeros_like(share)), upsample(downsample(fine), size))
+    with pytest.raises(ValueError, match="expected composed"):
+        soften(composed, fine, share[:, :, :0])
+
+
+def test_noise_that_composition_leaves_is_softened():
+    """White noise on a flat wall: eq. 4 with α = 1 leaves the detail of a 5×5 mean, `soften` takes it out."""
+    noise = torch.randn(1, 1, 256, 256)
+    fine = apply_kernel(noise, torch.zeros(1, 25, 256, 256))
+    coarse = apply_kernel(downsample(fine), torch.zeros(1, 25, 128, 128))
+    composed = compose(fine, coarse, torch.ones(1, 1, 128, 128))
+    softened = soften(composed, fine, torch.zeros(1, 1, 256, 256))
+    assert softened.var() < 0.6 * composed.var()
+
+
 def test_pyramid_gradients():
     fine = torch.randn(1, 2, 5, 4, dtype=torch.float64, requires_grad=True)
     coarse = torch.randn(1, 2, 3, 2, dtype=torch.float64, requires_grad=True)
     alpha = torch.rand(1, 1, 3, 2, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(compose, (fine, coarse, alpha))
     assert torch.autograd.gradcheck(downsample, (fine,))
+    composed = torch.randn(1, 2, 5, 4, dtype=torch.float64, requires_grad=True)
+    kept = torch.rand(1, 1, 5, 4, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(soften, (composed, fine, kept))
     logits = torch.randn(1, 9, 5, 4, dtype=torch.float64, requires_grad=True)
     share = torch.rand(1, 1, 5, 4, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(pick, (fine, coarse, logits, share))

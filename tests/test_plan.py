@@ -24,7 +24,7 @@ def denoiser():
     return TemporalKPN(TINY).eval().requires_grad_(False)
 
 
-SMALL = [TINY, AccumulatedKPNConfig(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3)]
+SMALL = [TINY, AccumulatedKPNConfig(widths=(4, 4, 4, 4), scales=4, edge_kernel=3, pick_kernel=3, detail=True)]
 
 
 @pytest.fixture(scope="module", params=SMALL, ids=lambda config: config.architecture)

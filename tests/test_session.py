@@ -57,7 +57,7 @@ def test_tensors_and_batches_come_back_as_they_are(frames, expected, assert_imag
     for image, wanted in zip(play(frames, batches), expected, strict=True):
         assert isinstance(image, torch.Tensor) and not image.is_inference() and image.device.type == "cpu"
         assert_images_close(image, wanted, "float32 network")
-    double = play([replace(frame.map(lambda t: torch.cat([t, t.flip(3)]))) for frame in frames], batches)
+    double = play([frame.map(lambda t: torch.cat([t, t.flip(3)])) for frame in frames], batches)
     for image, wanted in zip(double, expected, strict=True):
         assert_images_close(image[:1], wanted, "float32 network")
 
@@ -143,7 +143,7 @@ def test_missing_features_are_allowed_and_said_once(frames):
 def test_a_missing_motion_next_is_said_once_and_the_history_goes_on(frames):
     denoiser, lines = rtdenoise.Denoiser("fast"), []
     for frame in frames:
-        color, features = pictures(replace(frame, motion_next=None)) if False else pictures(frame)
+        color, features = pictures(frame)
         features.pop("motion_next")
         lines += told(lambda color=color, features=features: denoiser(color, **features))
     assert len(lines) == 1 and "approximated from motion and depth" in lines[0] and not denoiser.started

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from rtdenoise import threads
+from rtdenoise.run import threads
 
 
 @pytest.fixture

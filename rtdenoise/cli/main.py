@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _run(arguments: list[str]) -> None:
-    from ..threads import set_defaults
+    from ..run.threads import set_defaults
     from .console import accept_every_character
     from .spelling import refuse_old_spelling
 

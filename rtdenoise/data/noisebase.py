@@ -24,10 +24,10 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..camera import homogeneous, pixel_motion
 from ..errors import InputError
 from ..files import open_regular
 from ..frame import OFF_SCREEN
+from .camera import homogeneous, pixel_motion
 from .exr_format import ExrHeader
 from .files import FrameFiles, check_gaps, find_files, number_files
 from .layout import Layout, rules

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..camera import projection, rigid_motion
 from ..frame import OFF_SCREEN, Frame
+from .camera import projection, rigid_motion
 
 
 def motion_between(

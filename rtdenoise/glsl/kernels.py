@@ -40,6 +40,9 @@ class Kernels:
         coarse = filtered.pop()
         for s in reversed(range(len(filtered))):
             composed = self._compose(filtered[s], coarse, f"composed.{s}")
+            if self._heads.has(s, "detail"):
+                buffers = {"composed": composed, "fine": filtered[s]}
+                self._predict("frame/soften", levels, s, ("detail",), buffers, **self._pool)
             if self._heads.has(s, "pick"):
                 self._pick(levels, s, composed, coarse)
             coarse = composed

@@ -158,6 +158,20 @@ def compose(
     return run("compose", inputs, (B, C, H, W), (H, W), out, CHANNELS=C, POOL_MAX=_pool_max(pool))
 
 
+def soften(
+    composed: Array,  # [B, C, H, W]
+    fine: Array,  # [B, C, H, W]
+    share: Array,  # [B, 1, H, W] in [0, 1]
+    out: GpuArray | None = None,  # [B, C, H, W]
+) -> Array:  # [B, C, H, W]
+    """Keep a share of the detail that only the finer image has: `composed - (1 - share) · (fine - U[D fine])`."""
+    B, C, H, W = shape_of("fine", fine)
+    expect("composed", composed, (B, C, H, W))
+    expect("share", share, (B, 1, H, W))
+    inputs = {"composed": composed, "fine": fine, "share": share}
+    return run("soften", inputs, (B, C, H, W), (H, W), out, CHANNELS=C, POOL_MAX=0)
+
+
 def pick(
     fine: Array,  # [B, C, H, W]
     coarse: Array,  # [B, C, ⌈H/2⌉, ⌈W/2⌉]

@@ -22,7 +22,7 @@ from torch.nn import functional as F
 
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
-from ..ops import apply_kernel, compose, downsample, pick, reproject, warp
+from ..ops import apply_kernel, compose, downsample, pick, reproject, soften, warp
 from ..ops.blend_history import blend_history
 from ..ops.even_sky import even_sky
 from ..ops.features import features
@@ -61,6 +61,8 @@ class Heads:
         tuple[Tensor, Tensor]
     ]  # (scales - 1) × logits of the pick kernels [B, P², H/2^s, W/2^s], and the weight
     # [B, 1, H/2^s, W/2^s] in [0, 1] of the picked light; empty where the network has none
+    detail: list[Tensor]  # (scales - 1) × [B, 1, H/2^s, W/2^s] in [0, 1]: how much of the finest detail of a scale is
+    # kept; empty where the network does not predict it
     temporal: Tensor  # [B, 2, 2, L², H/2, W/2] logits of the temporal kernel
     edge: Tensor | None  # [B, 2, 2, E², H/2, W/2] logits of the edge kernel; None where the network has none
     alpha_temporal: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current frame against denoised history
@@ -122,6 +124,8 @@ class AccumulatedKPN(nn.Module):
         output = filtered[-1]
         for s in reversed(range(self.config.scales - 1)):
             coarse, output = output, compose(filtered[s], output, heads.alpha[s])
+            if heads.detail:
+                output = soften(output, filtered[s], heads.detail[s])
             if heads.picks:
                 output = pick(output, coarse, *heads.picks[s])
 
@@ -179,9 +183,11 @@ class AccumulatedKPN(nn.Module):
         alphas = [scale["alpha"].float().sigmoid() for scale in coarser]
         picks = [(full["pick"], shares(full["pick_share"], (H, W)))] if "pick" in full else []
         picks += [(scale["pick"], scale["pick_share"].float().sigmoid()) for scale in coarser if "pick" in scale]
+        detail = [shares(full["detail"], (H, W))] if "detail" in full else []
+        detail += [scale["detail"].float().sigmoid() for scale in coarser if "detail" in scale]
         spatial = [scale["spatial"] for scale in (full, *coarser)]
         each = shares(full["shares"], (H, W)).split(1, dim=1)
-        return Heads(spatial, alphas, picks, full["temporal"], full.get("edge"), *each)
+        return Heads(spatial, alphas, picks, detail, full["temporal"], full.get("edge"), *each)
 
     def loss(
         self,

@@ -161,6 +161,8 @@ class AccumulatedKPNConfig(_Config):
     """Side of the kernel that smooths edges, odd; 1: the network has none."""
     pick_kernel: int = 1
     """Side of the kernels by which pixels pick from the next coarser scale, odd; 1: the network has none."""
+    detail: bool = False
+    """Whether the network predicts how much of the finest detail of each scale is kept (`ops.soften`)."""
     longest: float = 16.0
     """Frames after which the running mean forgets: its least weight of a new frame is 1 / longest."""
     motion: str = "dual"
@@ -170,21 +172,25 @@ class AccumulatedKPNConfig(_Config):
         self._check("kernel", "temporal_kernel", "edge_kernel", "pick_kernel")
         if not isinstance(self.scales, int) or not 2 <= self.scales <= len(self.widths):
             raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
+        if not isinstance(self.detail, bool):
+            raise ValueError(f"detail: expected true or false, got {self.detail!r}")
         if not isinstance(self.longest, int | float) or not 2 <= self.longest < 1e6:
             raise ValueError(f"expected a longest mean of 2 frames or more, got {self.longest}")
 
     @property
     def heads(self) -> tuple[tuple[Head, ...], ...]:
-        """At full size the spatial, temporal, edge and pick kernels, and the shares: α_t, reset and sharp. At coarser
-        scales the spatial kernel, α and, but for the coarsest, the pick kernel. An edge kernel starts with 0.71 of its
-        weight on the pixel itself, a pick kernel with 0.48 on the pixel's own cell; 0.12 of the light is picked."""
+        """At full size the spatial, temporal, edge and pick kernels, the detail, and the shares: α_t, reset and sharp.
+        At coarser scales the spatial kernel, α and, but for the coarsest, the detail and the pick kernel. An edge
+        kernel starts with 0.71 of its weight on the pixel itself, a pick kernel with 0.48 on the pixel's own cell; 0.12
+        of the light is picked, 0.98 of the detail is kept."""
         spatial, temporal = Head("spatial", self.kernel**2), Head("temporal", self.temporal_kernel**2)
         edge = [Head("edge", self.edge_kernel**2, start=3.0)] if self.edge_kernel > 1 else []
         pick = [Head("pick", self.pick_kernel**2, start=2.0), Head("pick_share", 1, start=-2.0)]
         pick = pick if self.pick_kernel > 1 else []
+        detail = [Head("detail", 1, start=4.0)] if self.detail else []
         coarse = spatial, Head("alpha", 1)
-        full = spatial, temporal, *edge, *pick, Head("shares", 3)
-        return full, *[(*coarse, *pick)] * (self.scales - 2), coarse
+        full = spatial, temporal, *edge, *pick, *detail, Head("shares", 3)
+        return full, *[(*coarse, *pick, *detail)] * (self.scales - 2), coarse
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -349,7 +355,7 @@ def with_settings(config: Config, settings: Iterable[str]) -> Config:
             raise InputError(f"--set {setting}: expected NAME=VALUE with a NAME of {', '.join(known)}")
         try:
             changes[name] = _parsed(value, known[name])
-        except ValueError:
+        except (ValueError, KeyError):
             raise InputError(f"--set {setting}: expected a value like {_shown(known[name])}") from None
     try:
         return replace(config, **changes)
@@ -359,16 +365,14 @@ def with_settings(config: Config, settings: Iterable[str]) -> Config:
 
 def _parsed(text: str, like: object) -> object:
     if isinstance(like, bool):
-        if text not in ("True", "False"):
-            raise ValueError(text)
-        return text == "True"
+        return {"true": True, "false": False}[text.lower()]
     if isinstance(like, tuple):
         return tuple(int(part) for part in text.split(","))
     return type(like)(text)
 
 
 def _shown(value: object) -> str:
-    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value).lower()
 
 
 def _with_biases(shapes: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:

@@ -7,7 +7,7 @@ fresh network, which changes the output a little.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from .accumulated_kpn import AccumulatedKPN
 from .config import AccumulatedKPNConfig, Config, Head
 
-ADDED_BY = ("edge_kernel", "pick_kernel")  # fields that add a head where they were 1
+WITHOUT = {"edge_kernel": 1, "pick_kernel": 1, "detail": False}  # values of networks without these heads
 
 
 def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
@@ -27,9 +27,7 @@ def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
     and new heads.
     """
     if not _fits(small.config, wanted):
-        raise ValueError(
-            f"expected {small.config}, or wider at any level, or with new edge or pick kernels, got {wanted}"
-        )
+        raise ValueError(f"expected {small.config}, or wider at any level, or with new heads, got {wanted}")
     large = AccumulatedKPN(wanted)
     widths = zip(small.config.widths[1:], wanted.widths[1:], strict=True)
     below = {f"unet.decoder.{level}.0": pair for level, pair in enumerate(widths)}
@@ -48,7 +46,7 @@ def _fits(was: Config, wanted: Config) -> bool:
     if not all(isinstance(c, AccumulatedKPNConfig) for c in (was, wanted)) or len(was.widths) != len(wanted.widths):
         return False
     wider = all(a <= b for a, b in zip(was.widths, wanted.widths, strict=True))
-    new = {field.name: 1 for field in fields(was) if field.name in ADDED_BY and getattr(was, field.name) == 1}
+    new = {name: value for name, value in WITHOUT.items() if getattr(was, name) == value}
     return wider and replace(wanted, widths=was.widths, **new) == was
 
 

@@ -17,9 +17,11 @@ from .downsample import downsample
 from .fetch import fetch
 from .pick import pick
 from .reproject import reproject
+from .soften import soften
 from .upsample import upsample
 from .warp import warp
 
 __all__ = [
-    "alike", "apply_kernel", "blend", "compose", "downsample", "fetch", "pick", "reproject", "upsample", "use", "warp",
+    "alike", "apply_kernel", "blend", "compose", "downsample", "fetch", "pick", "reproject", "soften", "upsample",
+    "use", "warp",
 ]  # fmt: skip

@@ -7,6 +7,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..constants import SKY_BLOCK, SKY_TOLERANCE
+from .dispatch import Fused, Support
+
+FUSED = Fused("even_sky", native=Support())
 
 
 def even_sky(
@@ -22,6 +25,8 @@ def even_sky(
     """
     if depth.device.type == "cpu" and bool((depth > 0).all()):
         return image  # on a GPU, looking would mean waiting
+    if run := FUSED(image=image, radiance=radiance, depth=depth):
+        return run(image, radiance, depth)
     H, W = depth.shape[2:]
     opened = F.max_pool2d((depth > 0).to(radiance.dtype), 3, stride=1, padding=1) == 0
     highest = _around(torch.where(opened, radiance, -torch.inf), (H, W))

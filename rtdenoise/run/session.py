@@ -10,9 +10,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..frame import CHANNELS, MAX_CUT_MISMATCH, Frame
-from ..threads import set_defaults
 from .arrays import from_planes, to_planes
 from .backends import open_backend
+from .threads import set_defaults
 
 if TYPE_CHECKING:
     from torch import Tensor

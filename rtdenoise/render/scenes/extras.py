@@ -28,6 +28,20 @@ def first_hits(scene, origins: np.ndarray, directions: np.ndarray) -> np.ndarray
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
+def shapes_in_view(scene, camera: Camera) -> int:
+    """How many different shapes of a Mitsuba scene a camera sees through a grid of 32 × 18 pixels."""
+    mi = start_mitsuba()
+    import drjit as dr
+
+    origin, matrix = camera.world_from_pixel((18, 32))
+    x, y = np.meshgrid(np.arange(32) + 0.5, np.arange(18) + 0.5)
+    directions = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], 1) @ matrix.T
+    origins = np.broadcast_to(np.float32(origin), directions.shape)
+    rays = mi.Ray3f(mi.Point3f(*np.float32(origins).T), dr.normalize(mi.Vector3f(*np.float32(directions).T)))
+    hits = scene.ray_intersect_preliminary(rays)
+    return len(np.unique(np.array(dr.select(hits.is_valid(), dr.reinterpret_array(mi.UInt32, hits.shape), 0))))
+
+
 def room_for(scene, mesh: Mesh, place) -> float:
     """Factor by which a mesh at `place` could grow before it touches the scene; below 1 it intersects it.
 

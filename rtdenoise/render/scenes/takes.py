@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .composed import Composition
-from .extras import first_hits
+from .extras import first_hits, shapes_in_view
 from .motions import CameraPath, Keyframes, Motion
 from .placing import Thing
 from .procedural import log_uniform
 from .scene import Scene
 
 MAX_TRIES = 80
+CANDIDATES = 6  # cameras of a scene file, of which one is taken
 MIN_CLEARANCE = 0.12  # of the distance to the subject: nothing is nearer to the camera
 MIN_SIGHT = 0.6  # share of the way to the subject that is free
 MAX_PITCH = 40.0  # degrees that a camera looks down
@@ -63,31 +64,34 @@ def compose_take(c: Composition, loaded, rng: np.random.Generator, frames: int, 
 
 
 def film_take(scene: Scene, loaded, rng: np.random.Generator, frames: int, width: int) -> Scene:
-    """A scene file with another camera, near its own and turned to something that is seen from there.
+    """A scene file with another camera: the one of CANDIDATES near its own that sees most different shapes.
 
-    The objects keep their motions, at other speeds; where no free place is found, the camera stays where it was.
+    The objects keep their motions, at other speeds. Where no free place is found, the camera stays where it was.
     """
     own = scene.camera(frames / 2)
     origin, forward = own.to_world[:3, 3], own.to_world[:3, 2]
-    objects = tuple(o if o.motion is None else replace(o, motion=_varied(o.motion, rng, frames)) for o in scene.objects)
-    path = CameraPath(tuple(origin), tuple(origin + forward), own.fov, (frames - 1) / 2)
-    pixel = own.fov / width
+    candidates = [CameraPath(tuple(origin), tuple(origin + forward), own.fov, (frames - 1) / 2)]
     _, matrix = own.world_from_pixel((100, 100))
     for _ in range(MAX_TRIES):
-        direction = matrix @ (*rng.uniform(10, 90, 2), 1.0)
+        direction = matrix @ (*rng.uniform(20, 80, 2), 1.0)
         direction /= np.linalg.norm(direction)
         distance = float(first_hits(loaded, origin[None], direction[None])[0])
         if not np.isfinite(distance):
             continue
         aim = origin + direction * distance
-        place = origin + rng.normal(size=3) * (0.2, 0.1, 0.2) * distance + forward * rng.uniform(-0.1, 0.45) * distance
+        place = (
+            origin + rng.normal(size=3) * (0.15, 0.06, 0.15) * distance + forward * rng.uniform(-0.1, 0.4) * distance
+        )
         if _free(loaded, place, aim, rng):
-            fov = own.fov * rng.uniform(0.65, 1.15)
-            path = CameraPath(tuple(place), tuple(aim), float(fov), path.start)
-            pixel = path.fov / width
+            fov = float(own.fov * rng.uniform(0.65, 1.15))
+            candidates.append(replace(candidates[0], origin=tuple(place), target=tuple(aim), fov=fov))
+        if len(candidates) > CANDIDATES:
             break
+    path = max(candidates[1:] or candidates, key=lambda path: shapes_in_view(loaded, path(path.start)))
     distance = float(np.linalg.norm(np.subtract(path.target, path.origin)))
-    return replace(scene, camera=_camera_move(path, distance, pixel, rng), objects=objects)
+    camera = _camera_move(path, distance, path.fov / width, rng)
+    objects = tuple(o if o.motion is None else replace(o, motion=_varied(o.motion, rng, frames)) for o in scene.objects)
+    return replace(scene, camera=camera, objects=objects)
 
 
 # --- cameras ----------------------------------------------------------------------------------------------------------

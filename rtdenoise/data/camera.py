@@ -10,8 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .errors import InputError
-from .frame import OFF_SCREEN
+from ..errors import InputError
+from ..frame import OFF_SCREEN
 
 MIN_DISTANCE = 1e-6  # w of the nearest points that count as in front of a camera
 AXES = {"mitsuba": (-1, -1, 1), "opengl": (1, -1, -1), "opencv": (1, 1, 1)}

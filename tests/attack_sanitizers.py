@@ -1,0 +1,195 @@
+"""The C ops under the address and undefined-behaviour sanitizers: python tests/attack_sanitizers.py HxW ... [--few]
+
+Every op runs on ordinary input, NaN, denormals, huge and hostile motion, in all layouts of logits, with gradients where
+it has them. Memory of tensors comes from the sanitizer's allocator, so reads and writes beside a tensor end the process
+with a report. Prints a line of JSON for each size: the calls, and which ops made values that are not finite of input
+without NaN. `--few`: one kernel size and type of logits, for less compilation.
+
+Starts itself again with the sanitizer's library loaded before Python; needs gcc with libasan and libubsan.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow,bounds-strict",
+              "-fno-sanitize-recover=all", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared",
+              "-fPIC")  # fmt: skip
+KINDS = ("ordinary", "NaN", "denormal", "zero", "motion 1e4", "motion NaN", "motion Inf", "motion 1e30", "bright")
+SMALL = 512 * 512  # pixels: below, every kernel size and layout
+PASSES_ON = ("history_motion",)  # ops whose result contains the motion as it is; lookups take what is not finite as 0
+
+
+def start(*arguments: str) -> subprocess.CompletedProcess:
+    """Run this file under the sanitizers. Raises FileNotFoundError where gcc lacks them."""
+    names = ("libasan.so", "libubsan.so")
+    found = [subprocess.check_output(["gcc", f"-print-file-name={name}"], text=True).strip() for name in names]
+    if missing := [path for path in found if not Path(path).is_absolute()]:
+        raise FileNotFoundError(f"gcc has no {missing[0]}: install libgcc's sanitizers")
+    root = Path(__file__).parents[1]
+    with tempfile.TemporaryDirectory() as cache:
+        environment = os.environ | {
+            "LD_PRELOAD": found[0], "ASAN_OPTIONS": "detect_leaks=0", "UBSAN_OPTIONS": "print_stacktrace=1",
+            "XDG_CACHE_HOME": cache, "CC": "gcc", "PYTHONPATH": str(root), "UNDER_SANITIZERS": "1",
+        }  # fmt: skip
+        return subprocess.run([sys.executable, __file__, *arguments], capture_output=True, text=True, env=environment)
+
+
+def attack(H: int, W: int, few: bool) -> dict[str, object]:
+    """Every op at one size, `few`: with one kernel size and type of logits."""
+    import torch
+
+    calls, unexpected = {}, []
+    for kind in KINDS:
+        for name, results in _calls(H, W, kind, few):
+            calls[name] = calls.get(name, 0) + 1
+            results = results if isinstance(results, tuple | list) else [results]
+            # NaN may come out of NaN that no op promises to keep out: frames are sanitised before they see one
+            bad = [r for r in results if isinstance(r, torch.Tensor) and not r.float().isfinite().all()]
+            if bad and kind != "NaN" and name not in PASSES_ON:
+                unexpected.append(f"{name}, {kind}")
+    return {"size": [H, W], "calls": sum(calls.values()), "ops": len({name.split()[0] for name in calls}),
+            "not_finite": unexpected}  # fmt: skip
+
+
+def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]:
+    """(op, result) of each call."""
+    import torch
+
+    from rtdenoise import ops
+    from rtdenoise.frame import Frame, History
+    from rtdenoise.ops import pixels
+    from rtdenoise.ops.blend_history import blend_history
+    from rtdenoise.ops.block_luminance import block_luminance
+    from rtdenoise.ops.features import features
+    from rtdenoise.ops.logits import cells
+    from rtdenoise.ops.shares import shares
+    from rtdenoise.splat import history_motion
+
+    small = H * W <= SMALL
+    h, w = (H + 1) // 2, (W + 1) // 2
+    image, other = _image(3, H, W, kind), _image(3, H, W, "ordinary")
+    coarse, share, alpha = _image(3, h, w, kind), _image(1, H, W, "ordinary"), _image(1, h, w, "ordinary")
+    depth, normal, motion = _image(1, H, W, kind), _image(3, H, W, kind), _motion(H, W, kind)
+    seen = share > 0.5
+    for pool in ("mean", "max"):
+        yield f"downsample {pool}", ops.downsample(image, pool)
+        yield f"compose {pool}", ops.compose(image, coarse, alpha, pool)
+    for cubic in (False, True):
+        yield f"warp cubic={cubic}", ops.warp(image, motion, cubic=cubic)
+        yield f"warp cubic={cubic} seen", ops.warp(image, motion, seen, other, cubic=cubic)
+    yield "fetch", ops.fetch(image, motion)
+    yield "reproject", ops.reproject([image, share], motion, (depth, normal), (depth, normal))
+    yield (
+        "history_motion",
+        history_motion(
+            Frame(other, albedo=other, normal=normal, depth=depth, motion=motion),
+            History(other, _motion(H, W, kind), depth, normal),
+        ),
+    )
+    yield "demodulate", pixels.demodulate(other, other, depth)
+    yield "modulate", pixels.modulate(other, other, other, share, depth)
+    yield "accumulate", pixels.accumulate(image, image, share * 9, share, 32.0)
+    yield "nearness", pixels.nearness(depth, torch.ones(1, 1, 1, 1))
+    yield "within", pixels.within(image, 0.0, 1.0)
+    yield "block_luminance", block_luminance(image, 8)
+    like = torch.zeros(1, 1, 1, 1).contiguous(memory_format=torch.channels_last)
+    for dtype in (torch.float32, torch.bfloat16):
+        yield "features", features([image], [normal, depth, seen], torch.ones(1, 1, 1, 1), like.to(dtype))
+    many = small and not few
+    for K in (1, 3, 5, 7) if many else (3,):
+        for dtype in (torch.float32, torch.bfloat16, torch.float16) if many else (torch.bfloat16,):
+            logits = _logits(K * K, H, W, kind).to(dtype)
+            layouts = (
+                [logits, logits.contiguous(memory_format=torch.channels_last), cells(logits)] if small else [logits]
+            )
+            for given in layouts:
+                yield f"apply_kernel {K} {dtype}", ops.apply_kernel(image, given)
+                yield f"blend_history {K} {dtype}", blend_history(other, image, seen, given, share)
+                yield f"pick {K} {dtype}", ops.pick(image, coarse, given, share)
+            yield f"shares {K} {dtype}", shares(cells(logits), (H, W))
+        yield (
+            f"apply_kernel {K} gradients",
+            _gradients(lambda i, l: ops.apply_kernel(i, l), image, _logits(K * K, H, W, kind)),
+        )
+    yield "warp gradients", _gradients(lambda i: ops.warp(i, motion), image)
+    yield "warp cubic gradients", _gradients(lambda i: ops.warp(i, motion, cubic=True), image)
+    yield (
+        "reproject gradients",
+        _gradients(lambda i: ops.reproject([i], motion, (depth, normal), (depth, normal))[0], image),
+    )
+
+
+def _gradients(op, *inputs):
+    import torch
+
+    inputs = [tensor.clone().requires_grad_() for tensor in inputs]
+    with torch.enable_grad():
+        op(*inputs).sum().backward()
+    return [tensor.grad for tensor in inputs]
+
+
+def _image(channels: int, H: int, W: int, kind: str):
+    import torch
+
+    image = torch.rand(1, channels, H, W)
+    if kind == "NaN":
+        image[torch.rand_like(image) < 0.2] = float("nan")
+    elif kind == "denormal":
+        image *= 1e-40
+    elif kind == "zero":
+        image.zero_()
+    elif kind == "bright":
+        image *= 1e15
+    return image
+
+
+def _motion(H: int, W: int, kind: str):
+    import torch
+
+    motion = torch.randn(1, 2, H, W) * 3
+    values = {"motion 1e4": (1e4, -1e4), "motion NaN": (float("nan"), 0.5), "NaN": (float("nan"), 1e-40),
+              "motion Inf": (float("inf"), -float("inf")), "motion 1e30": (1e30, -3e38)}.get(kind)  # fmt: skip
+    if values:
+        chosen = torch.rand_like(motion)
+        motion[chosen < 0.4], motion[chosen > 0.6] = values
+    return motion
+
+
+def _logits(count: int, H: int, W: int, kind: str):
+    import torch
+
+    logits = torch.randn(1, count, H, W) * 5
+    if kind == "bright":
+        logits = torch.where(logits > 0, 1e4, -1e4)  # a single tap, or all alike
+    elif kind == "NaN":
+        logits[torch.rand_like(logits) < 0.05] = float("nan")
+    return logits
+
+
+def main(sizes: list[str], few: bool) -> None:
+    import torch
+
+    from rtdenoise import ops
+    from rtdenoise.ops.native import compiler
+
+    compiler.FLAGS = SANITIZERS
+    torch.manual_seed(0)
+    with ops.use("fused"), torch.no_grad():
+        for size in sizes:
+            print(json.dumps(attack(*map(int, size.split("x")), few)), flush=True)
+
+
+if __name__ == "__main__":
+    if os.environ.get("UNDER_SANITIZERS"):
+        main([word for word in sys.argv[1:] if word != "--few"], "--few" in sys.argv)
+    else:
+        result = start(*sys.argv[1:])
+        print(result.stdout, result.stderr[-4000:], sep="")
+        sys.exit(result.returncode)
