@@ -13,6 +13,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from .clean import Clean
 from .clips import Clips
+from .combine import Combine
 from .demo import Demo
 from .denoise import Denoise
 from .estimates import Estimates
@@ -26,6 +27,7 @@ from .view import View
 
 Command = (
     Annotated[Denoise, subcommand("denoise")]
+    | Annotated[Combine, subcommand("combine")]
     | Annotated[Inspect, subcommand("inspect")]
     | Annotated[Render, subcommand("render")]
     | Annotated[Clips, subcommand("clips")]

@@ -144,12 +144,13 @@ def _start(threads: int) -> None:
     torch.set_num_threads(threads)
 
 
-def told(summary: Summary) -> list[str]:
+def told(summary: Summary, stage: str = "denoiser") -> list[str]:
     """What a run did, a line a fact. Counts of replaced and left out include the frames of interrupted runs before."""
     frames = summary.written + summary.skipped
     lines = [f"{summary.written} frames written, {summary.skipped} were there"]
     if summary.written:
-        lines.append(f"denoiser: {1000 * summary.seconds / summary.written:.0f} ms a frame")
+        lines.append(f"{stage}: {1000 * summary.seconds / summary.written:.0f} ms a frame")
+    lines += summary.notes
     lines += [f"replaced: {what} in {count} pixels" for what, count in summary.replaced.items()]
     lines += [
         f"passed on as in the input: NaN in {count} pixels of {name}" for name, count in summary.passed_on.items()

@@ -15,9 +15,10 @@ needs none of those passes, and holds for scenes with further ones (volumes).
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from .layout import Rule
 from .sequences import Sequence, convert
 
 LAYOUTS = ("plain", "source")
+NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
 PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
 
 
@@ -136,6 +138,7 @@ def write_frame(
     recombine: bool = False,
     keep: tuple[str, ...] = (),  # layers or channels of the input to pass on, or "all"; plain layout only
     float32: bool = False,
+    extra: Mapping[str, np.ndarray] = NOTHING,  # layer -> [1, C, H, W], written too; plain layout only
 ) -> dict[str, int]:
     """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in each
     channel that is passed on unchanged and has some.
@@ -155,7 +158,7 @@ def write_frame(
                              "weights of --model sound, and the frame's values plausible?")  # fmt: skip
     if layout == "plain":
         result = image if beauty is None else beauty
-        return _write_plain(out / sequence.names[index], sequence, index, result, keep, float32)
+        return _write_plain(out / sequence.names[index], sequence, index, result, keep, float32, extra)
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
         planes |= _planes(rule, beauty)
@@ -183,9 +186,15 @@ def _planes(rule: Rule, image: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _write_plain(
-    path: Path, sequence: Sequence, index: int, image: np.ndarray, keep: tuple[str, ...], float32: bool
+    path: Path,
+    sequence: Sequence,
+    index: int,
+    image: np.ndarray,
+    keep: tuple[str, ...],
+    float32: bool,
+    extra: Mapping[str, np.ndarray],
 ) -> dict[str, int]:
-    layers: dict[str, np.ndarray] = {"color": np.moveaxis(image[0], 0, 2)}
+    layers = {name: np.moveaxis(array[0], 0, 2) for name, array in {"color": image, **extra}.items()}
     dtypes = {"color": "float" if float32 else "half"}
     if keep:
         types = sequence.header.channels
@@ -196,7 +205,11 @@ def _write_plain(
         layers |= sequence.files[index].read(names)
         dtypes |= {name: types[name] for name in names}
     write_layers(path, layers, dtypes=dtypes)
-    return {name: bad for name, plane in layers.items() if name != "color" and (bad := int(np.isnan(plane).sum()))}
+    return {
+        name: bad
+        for name, plane in layers.items()
+        if name not in ("color", *extra) and (bad := int(np.isnan(plane).sum()))
+    }
 
 
 def _kept(channel: str, keep: tuple[str, ...]) -> bool:

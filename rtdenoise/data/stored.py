@@ -57,5 +57,5 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
         fits = array.ndim == 4 and array.shape[0] == like[0]
     if not fits or not array.size:
         raise InputError(f"{label} is {array.shape}, expected {expected}")
-    if not np.isfinite(array).all() or (name != "motion_next" and np.abs(array).max() > LARGEST):
+    if not np.isfinite(array).all() or (name != "motion_next" and float(np.abs(array).max()) > LARGEST):
         raise InputError(f"{label} holds values that no denoiser writes (NaN, Inf or beyond {LARGEST:g})")

@@ -20,6 +20,7 @@ from ..frame import Frame
 from ..models import CombinerConfig, available, available_combiners, load, load_combiner
 from ..models.weights import read_model
 from ..run.graphs import stepper
+from ..run.passes import InMemory, Passes
 from ..sanitise import sanitise
 from .corrected import Corrected
 from .sequence import Step
@@ -71,7 +72,9 @@ def methods() -> dict[str, Method]:
         *(Method(name, what, family, partial(_plain, start)) for name, (what, family, start) in plain.items()),
         *_oidn(),
         *(method for name in available() for method in _network(name)),
-    ]
+        Method("offline", "denoise --offline: both directions in time, with OIDN", "network", _offline,
+               delay=InMemory.delay, weights="default"),
+    ]  # fmt: skip
     for base in [method for method in found if method.name in CORRECTED]:
         found += [_corrected(base, combiner) for combiner in ("shrinkage", *available_combiners())]
     return {method.name: method for method in found}
@@ -181,6 +184,10 @@ def _of_file(name: str, file: str) -> Method:
 def _start(weights: str, device: str | torch.device, precision: str, history: bool = True, **overrides: str) -> Step:
     step = stepper(load(weights, device, precision, **overrides))
     return step if history else partial(_without_history, step)
+
+
+def _offline(device: str | torch.device, precision: str) -> Step:
+    return InMemory(Passes("default", str(device), precision)).step
 
 
 def _noisy(frame: Frame, history: None) -> tuple[Tensor, None]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -50,11 +50,15 @@ def outputs(step: Step, frames: Iterable[Frame], delay: int = 0, cuts: Collectio
             seconds = 0.0
 
     def flush() -> Iterator[Output]:
+        """The images at the end of a shot share the time that they took together: the first one may wait for all."""
+        late: list[Output] = []
         while waiting:
             left = len(waiting)
-            yield from advance(None)
+            late += advance(None)
             if len(waiting) == left:
                 raise ValueError(f"{step}: returned no image at the end of a shot, with {left} frames to come")
+        share = sum(output.seconds for output in late) / max(len(late), 1)
+        yield from (replace(output, seconds=share) for output in late)
 
     for frame in frames:
         if before is not None and (frame.number > before + 1 or frame.number in cuts):

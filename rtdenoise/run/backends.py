@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
+from ..models.config import Config
 from .memory import explained
 from .plan import Plan, count, look, make_plan
 
@@ -71,6 +72,11 @@ class TorchBackend:
         self.device = choose_device(device)
         self._denoiser = load(model, self.device, precision)
         self._step = self._whole = stepper(self._denoiser)
+
+    @property
+    def config(self) -> Config:
+        """The configuration of its network."""
+        return self._denoiser.config
 
     def prepare(self, frame: Frame) -> Frame:
         import torch

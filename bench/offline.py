@@ -1,0 +1,205 @@
+"""Is the offline mode worth its time? And with which weights does it combine its candidates?
+
+python bench/offline.py SEQ ...          # sequences with references that no network was trained on
+python bench/offline.py --fit CLIPS      # the weights, by least squares on training clips
+
+Measures OIDN, `default` and `offline` on every sequence and both signals, over the frame and in uncovered regions, and
+the time of each; writes bench/results/offline.json and the tables of docs/results/offline.md. The aims: corrected PSNR
+over OIDN's by 2.5 dB on average and 1.5 dB on each, by 1 dB in uncovered regions of each, tPSNR by 2.5 dB.
+
+`--fit` prints weights for `rtdenoise/run/combination.py`: those with the least squared error on the display transform,
+with the sum 1 and the same weight for both directions in time, with OIDN and without.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, ROOT, harness
+
+# isort: split
+import numpy as np
+import torch
+import tyro
+
+from rtdenoise.color import display, display_exposure
+from rtdenoise.data.clips import ClipDataset
+from rtdenoise.evaluate.run import Options, run
+from rtdenoise.frame import Frame
+from rtdenoise.run import combination
+from rtdenoise.run.passes import Passes, reverse
+from rtdenoise.sanitise import sanitise
+
+RESULT, PAGES = RESULTS / "offline.json", (DOCS / "results" / "offline.md",)
+OUT = ROOT / "out" / "offline"
+SIGNALS = ("indirect", "color")
+METHODS = ("oidn", "default", "offline")
+METRICS = ("psnr", "psnr_corrected", "mse_corrected", "flip", "tpsnr")
+REGIONS = ("frame", "uncovered")
+AIMS = {
+    ("frame", "psnr_corrected"): (2.5, 1.5),
+    ("uncovered", "psnr_corrected"): (None, 1.0),
+    ("frame", "tpsnr"): (2.5, None),
+}
+"""(region, metric) -> gain over OIDN in dB: on average, on each sequence and signal."""
+MIN_UNCOVERED = 500  # pixels in all frames together: fewer say nothing about uncovered regions
+
+
+def main(sequences: tyro.conf.Positional[tuple[str, ...]] = (), fit: Path | None = None) -> None:
+    """Measure, or fit.
+
+    Args:
+        sequences: Folders of EXR files with references.
+        fit: Folder of training clips.
+    """
+    if fit is not None:
+        fit_weights(fit)
+    if not sequences:
+        return
+    documents = {
+        signal: run(sequences, OUT / signal, Options(METHODS, metrics=METRICS, signal=signal)) for signal in SIGNALS
+    }
+    rows = []
+    for signal, document in documents.items():
+        for row in document.results:
+            facts = document.sequences[row["sequence"]]
+            rows.append({
+                "signal": signal, "sequence": row["sequence"], "method": row["method"], "frames": len(facts["frames"]),
+                "size": facts["size"], "ms": row["ms"]["median"],
+                "uncovered_pixels": facts["uncovered_share"] * math.prod(facts["size"]) * (len(facts["frames"]) - 1),
+                **{region: {m: row["errors"][region][m] for m in METRICS} for region in REGIONS},
+            })  # fmt: skip
+    weights = {"with OIDN": combination.WEIGHTS, "without": combination.WEIGHTS_WITHOUT_OIDN}
+    harness.publish(RESULT, {"weights": weights, "rows": rows}, digits=5, pages=PAGES, tables=tables)
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def tables(document: dict) -> dict[str, str]:
+    """Sections `offline-aims` and `offline`."""
+    return {"offline-aims": _aims(document), "offline": _all(document)}
+
+
+def _aims(document: dict) -> str:
+    """A line for each aim."""
+    lines = ["| gain over OIDN | average | aim | least | aim |", "|---" * 5 + "|"]
+    names = {"psnr_corrected": "corrected PSNR", "tpsnr": "tPSNR"}
+    for (region, metric), (average, least) in AIMS.items():
+        gains = [gain for pair in _pairs(document) if (gain := _gain(*pair, region, metric)) is not None]
+        cells = [_judged(float(np.mean(gains)), average), _judged(min(gains), least)]
+        lines.append(f"| {names[metric]}, {region} | {' | '.join(cells)} |")
+    times = [pair[0]["ms"] / pair[1]["ms"] for pair in _pairs(document)]
+    lines.append(f"| time as a multiple of OIDN's | {np.median(times):.1f}× | – | {min(times):.1f}× | – |")
+    return "\n".join(lines)
+
+
+def _judged(value: float, aim: float | None) -> str:
+    if aim is None:
+        return f"{value:+.2f} dB | –"
+    return f"{value:+.2f} dB | {aim} dB: {'met' if value >= aim else 'missed'}"
+
+
+def _all(document: dict) -> str:
+    lines = [
+        "| sequence, signal | frames | method | corrected PSNR | gain | uncovered | gain | FLIP | tPSNR | gain |",
+        "|---" * 10 + "|",
+    ]
+    for ours, oidn in _pairs(document):
+        for row in (oidn, _find(document, ours, "default"), ours):
+            gains = [_gain(row, oidn, region, metric) for region, metric in AIMS]
+            shown = ["–" if row is oidn or gain is None else f"{gain:+.2f}" for gain in gains]
+            frame, uncovered = row["frame"], row["uncovered"]
+            hidden = _number(uncovered["psnr_corrected"]) if gains[1] is not None else "–"
+            cells = [
+                f"{row['sequence']}, {row['signal']}", str(row["frames"]), f"`{row['method']}`",
+                _number(frame["psnr_corrected"]), shown[0], hidden, shown[1], f"{frame['flip']:.3f}",
+                _number(frame["tpsnr"]), shown[2],
+            ]  # fmt: skip
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _pairs(document: dict) -> list[tuple[dict, dict]]:
+    """(offline, OIDN) of every sequence and signal."""
+    ours = [row for row in document["rows"] if row["method"] == "offline"]
+    return [(row, _find(document, row, "oidn")) for row in ours]
+
+
+def _find(document: dict, like: dict, method: str) -> dict:
+    key = like["sequence"], like["signal"], method
+    return next(row for row in document["rows"] if (row["sequence"], row["signal"], row["method"]) == key)
+
+
+def _gain(row: dict, peer: dict, region: str, metric: str) -> float | None:
+    values = row[region][metric], peer[region][metric]
+    few = region == "uncovered" and row["uncovered_pixels"] < MIN_UNCOVERED
+    return None if None in values or few else values[0] - values[1]
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+# --- fit --------------------------------------------------------------------------------------------------------------
+
+
+@torch.inference_mode()
+def fit_weights(folder: Path) -> None:
+    """Print the weights with the least squared error, every clip and signal counting alike."""
+    passes, data = Passes(device="cpu"), ClipDataset(folder)
+    names = list(combination.WEIGHTS)
+    gram, vector = np.zeros((len(names), len(names))), np.zeros(len(names))
+    for index in range(len(data)):
+        for signal in SIGNALS:
+            frames = data.load(index, signal=signal)
+            scale = display_exposure(torch.cat([frame.reference for frame in frames]))
+            shown = [_shown(c, names, scale) for c in candidates(passes, frames)]
+            inputs, truth = np.concatenate(shown), _values([frame.reference for frame in frames], scale)
+            weight = 1 / np.mean((inputs[:, names.index("second")] - truth) ** 2) / len(truth)
+            gram, vector = gram + weight * inputs.T @ inputs, vector + weight * inputs.T @ truth
+    for kept in (names, list(combination.WEIGHTS_WITHOUT_OIDN)):
+        print(dict(zip(kept, (round(w, 2) for w in solve(gram, vector, names, kept)), strict=True)))
+
+
+def candidates(passes: Passes, frames: list[Frame]) -> list[combination.Candidates]:
+    """Of every frame of a shot."""
+    frames = [sanitise(frame) for frame in frames]
+    forward, history = [], None
+    for frame in frames:
+        estimate, history = passes.step(frame, history)
+        forward.append(estimate)
+    found, history, following = [], None, None
+    for frame, estimate in zip(reversed(frames), reversed(forward), strict=True):
+        backward, history = passes.step(reverse(frame, following), history)
+        found.insert(0, passes.candidates(frame, estimate, backward))
+        following = frame
+    return found
+
+
+def solve(gram: np.ndarray, vector: np.ndarray, names: list[str], kept: list[str]) -> list[float]:
+    """Least squares with the sum 1 and equal weights of forward and backward pass."""
+    free = [name for name in kept if name != "backward"]
+    spread = np.array([[float(name == f or (name, f) == ("backward", "forward")) for f in free] for name in names])
+    spread *= np.array([[float(name in kept)] for name in names])
+    count, total = len(free), spread.sum(0)
+    system = np.zeros((count + 1, count + 1))
+    system[:count, :count], system[count, :count], system[:count, count] = spread.T @ gram @ spread, total, total
+    found = np.linalg.solve(system, np.append(spread.T @ vector, 1))[:count]
+    weights = dict(zip(names, spread @ found, strict=True))
+    return [float(weights[name]) for name in kept]
+
+
+def _shown(found: combination.Candidates, names: list[str], scale: torch.Tensor) -> np.ndarray:
+    return np.stack([_values([getattr(found, name)], scale) for name in names], axis=-1)
+
+
+def _values(images: list[torch.Tensor], scale: torch.Tensor) -> np.ndarray:
+    return display(torch.cat(images), scale).double().flatten().numpy()
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)

@@ -1,0 +1,112 @@
+"""Correct denoised frames by the noisy ones they were made from: `rtdenoise combine NOISY DENOISED --out DIR`.
+
+The denoised frames may come from any denoiser. A combiner (`models.combiner`) takes each with the noisy frame and both
+of its neighbours in time, and writes it in the place and layout that `denoise` would write it in. Five frames are in
+memory at a time. A run that was interrupted goes on where it stopped; frames appended since count as neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from ..data.output import check_output, protect_input
+from ..data.sequences import Sequence, open_sequence
+from ..errors import InputError
+from ..files import lock, remove_unfinished
+from .denoise import EXAMINED, Summary
+from .folder import prepare
+
+FEATURES = ("albedo", "normal", "depth")
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of a run."""
+
+    signal: str = "color"
+    """The denoised signal: 'color' (the beauty) or 'indirect'."""
+    model: str = "combiner"
+    """The combiner: a shipped one, or a .safetensors file that `rtdenoise train` wrote."""
+    preset: str = "auto"
+    """Layout of the noisy files: as for denoise."""
+    layout: str = "plain"
+    """Channels of the output files: 'plain' (the result in R,G,B) or 'source' (a copy of the noisy file with the result
+    in its place)."""
+    recombine: bool = False
+    """Add the rest of the light to the corrected signal: the result is the beauty."""
+    keep: tuple[str, ...] = ()
+    """Layers of the noisy files to copy into the output ('albedo', 'depth' ...), or 'all'."""
+    float32: bool = False
+    """Write 32-bit float instead of 16-bit half."""
+    confidence: bool = False
+    """Also write the size of each pixel's correction, in radiance, as the layer 'confidence'."""
+    allow_gaps: bool = False
+    """Accept missing frame numbers; no frame is corrected by frames beyond a gap."""
+    detect_cuts: bool = True
+    """Use no frames beyond one where most pixels show another surface than their motion vectors promise."""
+    device: str = "auto"
+    """'auto', 'cpu' or 'cuda'."""
+    precision: str = "auto"
+    """Precision of the network: 'fp32', 'bf16', or 'auto' (bf16 where the hardware is faster with it)."""
+
+
+def combine(
+    noisy: str,
+    denoised: str,
+    out: str | Path,
+    options: Options = Options(),
+    overwrite: bool = False,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+) -> Summary:
+    """Correct every frame of `denoised` (folder or glob) into `out`, under the name of its noisy file.
+
+    `denoised` holds the same frames as `noisy`, in the place that `denoise` writes them to: `R,G,B`, or the finished
+    picture in the renderer's own layout. Layers that the noisy files lack are done without; the summary's notes name
+    them. `on_frame(done, total)` is called at the start and after each frame.
+
+    Raises InputError where frames of one are missing in the other, sizes or exposures differ, the denoised frames are
+    tone-mapped, and for anything else wrong with the input, the options or the output folder.
+    """
+    if find_spec("torch") is None:
+        raise InputError("combine needs PyTorch, which is not installed")
+    from ..models import load_combiner
+    from ..models.inference import choose_device
+    from .correcting import Run
+    from .pairs import check_pairs, open_denoised
+
+    source = open_sequence(noisy, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
+    estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
+    check_output(source, options.layout, options.recombine, options.keep)
+    if options.confidence and options.layout != "plain":
+        raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
+    check_pairs(source, estimates, EXAMINED)
+    device = choose_device(options.device)
+    combiner = load_combiner(options.model, device, options.precision)
+    protect_input(estimates, Path(out), "plain", False)
+    out = prepare(Path(out), source, options)
+    with lock(out):
+        remove_unfinished(out)
+        return Run(source, estimates, out, options, combiner, device, on_frame).run(overwrite, missing_layers(source))
+
+
+def missing_layers(source: Sequence) -> list[str]:
+    """What the noisy files lack and what that costs, a line each."""
+    lacking = [layer for layer in FEATURES if not _has(source, layer)]
+    lines = [f"the noisy files have no {', '.join(lacking)}: corrected without"] if lacking else []
+    if len(source) > 1 and not _has(source, "motion"):
+        return [*lines, "the noisy files have no motion: every frame is corrected by itself alone"]
+    if len(source) > 1 and not _has(source, "motion_next"):
+        instead = "it is approximated from motion and depth" if _has(source, "depth") else "frames after are not used"
+        lines.append(f"the noisy files have no motion_next: {instead}")
+    return lines
+
+
+def _has(source: Sequence, layer: str) -> bool:
+    try:
+        source.require(layer)
+    except InputError:
+        return False
+    return True

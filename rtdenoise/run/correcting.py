@@ -1,0 +1,155 @@
+"""The loop of `rtdenoise combine`: a stream of frames with their estimates, windows of it, corrected frames on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from ..data.output import output_names, write_frame
+from ..data.sequences import Sequence
+from ..frame import MAX_CUT_MISMATCH, Frame, History
+from ..history import mismatch
+from ..models import Combiner, Window
+from ..splat import splat_motion_next
+from .combine import Options
+from .denoise import STATE, SUMMARY, Summary, read_state, save_state
+from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
+from .memory import explained
+from .pairs import read_estimate
+from .windows import windows
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A frame of the stream."""
+
+    index: int
+    raw: Frame  # numpy, as it was read
+    frame: Frame  # tensors on the device; motion and motion_next only within the shot
+    estimate: Tensor  # [1, 3, H, W] the denoised frame
+
+
+@dataclass
+class Run:
+    """One run over one pair of sequences."""
+
+    source: Sequence
+    estimates: Sequence
+    out: Path
+    options: Options
+    combiner: Combiner
+    device: str
+    on_frame: Callable[[int, int], None]
+
+    def run(self, overwrite: bool, notes: list[str]) -> Summary:
+        """Correct and write the frames that are not there yet."""
+        count, reach = len(self.source), max(abs(offset) for offset in self.combiner.config.offsets)
+        self.fingerprints = self._fingerprints()
+        self.names = output_names(self.source, self.options.layout, self.options.recombine)
+        done, self.summary = (0, Summary()) if overwrite else self._resume(reach)
+        self.written = Written(self.out, self.names[:done])
+        self.summary.skipped, self.summary.gaps = done, list(self.source.gaps)
+        self.summary.notes = notes
+        if not done:
+            self._save(0)
+        self.on_frame(done, count)
+        started = time.perf_counter()
+        if done < count:
+            for window in windows(self._pairs(max(0, done - reach)), reach):
+                pair = window[reach]
+                if pair.index < done:
+                    continue
+                self._write(pair, window)
+                self.written.add(self.names[pair.index])
+                self.summary.seconds += time.perf_counter() - started
+                self._save(pair.index + 1)
+                self.summary.written += 1
+                self.on_frame(pair.index + 1, count)
+                started = time.perf_counter()
+        write_summary(self.out / SUMMARY, self.source, self.options, self.summary)
+        return self.summary
+
+    def _write(self, pair: Pair, window: tuple[Pair | None, ...]) -> None:
+        """Correct the frame in the middle of a window and write it."""
+        chosen = [window[len(window) // 2 + offset] for offset in self.combiner.config.offsets]
+        frames, estimates = zip(*((p and p.frame, None if p is None else p.estimate) for p in chosen), strict=True)
+        with torch.inference_mode(), explained(pair.raw.name, pair.raw.size, self.device):
+            combined = self.combiner.combine(Window(frames, estimates))
+        extra = {"confidence": combined.confidence.cpu().numpy()} if self.options.confidence else {}
+        nans = write_frame(
+            self.out, self.source, pair.index, pair.raw, combined.image.cpu().numpy(), layout=self.options.layout,
+            recombine=self.options.recombine, keep=self.options.keep, float32=self.options.float32, extra=extra,
+        )  # fmt: skip
+        for channel, bad in nans.items():
+            self.summary.passed_on[channel] = self.summary.passed_on.get(channel, 0) + bad
+
+    def _pairs(self, first: int) -> Iterator[tuple[Pair, bool]]:
+        """The frames from `first` on, and whether a shot begins with each. A frame without `motion_next` gets an
+        approximate one from the next frame of its shot, so it is handed on when that is known."""
+        before, began = None, True
+        for i in range(first, len(self.source)):
+            pair = self._read(i)
+            begins = before is None or self._begins(pair, before)
+            if before is not None:
+                yield self._linked(before, None if begins else pair), began
+            before, began = pair, begins
+        if before is not None:
+            yield self._linked(before, None), began
+
+    def _read(self, i: int) -> Pair:
+        raw = self.source.read(i)
+        frame = raw.map(torch.from_numpy).to(self.device)
+        return Pair(i, raw, frame, read_estimate(self.estimates, i).to(self.device))
+
+    def _begins(self, pair: Pair, before: Pair) -> bool:
+        """Whether a shot begins with a frame: after a gap, at a cut, and everywhere without motion."""
+        frame, last = pair.frame, before.frame
+        if frame.motion is None or frame.number != last.number + 1:
+            return True
+        if not self.options.detect_cuts:
+            return False
+        history = History(last.radiance, last.motion_next, last.depth, last.normal)
+        cut = mismatch(frame, history).item() > MAX_CUT_MISMATCH
+        if cut and frame.number not in self.summary.cuts:
+            self.summary.cuts.append(frame.number)
+        return cut
+
+    def _linked(self, pair: Pair, following: Pair | None) -> Pair:
+        frame = pair.frame
+        if frame.motion_next is not None or following is None or frame.depth is None:
+            return pair
+        onward = splat_motion_next(following.frame.motion, following.frame.depth, frame.depth)
+        return replace(pair, frame=replace(frame, motion_next=onward))
+
+    def _fingerprints(self) -> list[str]:
+        """`folder.digest` of both sequences."""
+        both = zip(digest(self.source, self.options), digest(self.estimates, self.options), strict=True)
+        return [hashlib.sha256("".join(pair).encode()).hexdigest() for pair in both]
+
+    def _resume(self, reach: int) -> tuple[int, Summary]:
+        """How many frames are finished and will stay as they are, and the summary so far."""
+        path = self.out / STATE
+        if not path.exists():
+            refuse_foreign(self.out, self.names)
+            return 0, Summary()
+        done, _, summary, state = read_state(path)
+        if done <= 0:
+            return 0, Summary()
+        seen = next((k for k, mark in enumerate(self.fingerprints) if mark == state.get("fingerprint")), None)
+        refuse_other(self.out, state, self.options, "" if seen is None else self.fingerprints[seen])
+        if not are_finished(self.out, self.names[:done], self.source.size, state.get("written", "")):
+            return 0, Summary()
+        if seen < len(self.source):  # the last frames could not look ahead then
+            done = min(done, max(0, seen - reach))
+        return done, summary
+
+    def _save(self, done: int) -> None:
+        save_state(
+            self.out / STATE, {}, done, self.fingerprints[-1], self.summary, self.options, self.written.digest
+        )  # fmt: skip

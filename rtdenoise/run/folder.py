@@ -1,0 +1,135 @@
+"""The output folder of a run: never that of the input; what tells runs apart; the summary that it ends with."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..data.exr import read_header
+from ..data.output import protect_input
+from ..data.sequences import Sequence
+from ..errors import InputError
+from ..files import dumps, write_atomically
+from ..models.weights import find
+
+if TYPE_CHECKING:
+    from .denoise import Options, Summary
+
+INDECISIVE = ("backend", "device")  # options that leave the files as they are
+YOUNG = {"offline": False, "confidence": False}  # options that older runs did not have, as these ran
+
+
+def prepare(out: Path, sequence: Sequence, options: Options) -> Path:
+    """The output folder, made if need be. Raises InputError where it holds the input or cannot be written to."""
+    protect_input(sequence, out, options.layout, options.recombine)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=out).close()
+    except OSError as error:
+        raise InputError(f"{out}: cannot write there: {error.strerror}") from None
+    return out
+
+
+def refuse_foreign(out: Path, names: Iterable[list[str]]) -> None:
+    """Raise InputError where `out`, which has no state, holds a file of the output. `names`: `data.output_names`."""
+    if clash := [name for name in chain(*names) if (out / name).exists()]:
+        raise InputError(
+            f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"
+        )
+
+
+def digest(sequence: Sequence, options: Options) -> list[str]:
+    """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
+    parts = {name: value for name, value in _decisive(options).items() if YOUNG.get(name) != value or name not in YOUNG}
+    parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
+    parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
+    scene = sequence.scene or {}
+    parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
+    cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
+    running = hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode())
+    found = [running.hexdigest()]
+    for frame in sequence.files:
+        inputs = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in frame.files.values()]
+        seen = [cameras.get(frame.number + step) for step in (-1, 0, 1)]  # what its motion is computed from
+        running.update(json.dumps([inputs, seen], sort_keys=True).encode())
+        found.append(running.hexdigest())
+    return found
+
+
+def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) -> None:
+    """Raise InputError where the state in `out` (`denoise.read_state`) is of a run with another fingerprint."""
+    if state.get("fingerprint") == fingerprint:
+        return
+    before, now = (
+        YOUNG | state["options"],
+        json.loads(json.dumps(_decisive(options))),
+    )  # tuples become lists, as in `before`
+    changed = [key for key in now if key in before and before[key] != now[key]]
+    told = ", ".join(f"{key.replace('_', '-')} {before[key]}, now {now[key]}" for key in changed)
+    other = f"other options: {told}" if told else "other options or input"
+    raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
+
+
+class Written:
+    """The finished files, as one digest of their names and sizes in bytes."""
+
+    def __init__(self, out: Path, frames: Iterable[list[str]]) -> None:
+        self._out, self._hash = out, hashlib.sha256()
+        for names in frames:
+            self.add(names)
+
+    def add(self, names: list[str]) -> None:
+        """Take in the files of one more frame."""
+        for name in names:
+            self._hash.update(f"{name}\0{(self._out / name).stat().st_size}\n".encode("utf-8", "surrogateescape"))
+
+    @property
+    def digest(self) -> str:
+        """Hexadecimal."""
+        return self._hash.hexdigest()
+
+
+def are_finished(out: Path, frames: list[list[str]], size: tuple[int, int], written: str) -> bool:
+    """Whether all files of these frames are there. Raises InputError where one is no complete EXR file of this size
+    (height, width) any more, or the files are not those of `written`, a `Written.digest`; "": unknown."""
+    finished = list(chain(*frames))
+    if any(not (out / name).exists() for name in finished):
+        return False
+    for name in finished:
+        _refuse_junk(out / name, size)
+    if written not in ("", Written(out, frames).digest):  # older states do not record it
+        raise InputError(f"{out}: a finished frame has another size in bytes than it was written with; pass "
+                         "--overwrite to denoise all of them again")  # fmt: skip
+    return True
+
+
+def write_summary(path: Path, sequence: Sequence, options: Options, summary: Summary) -> None:
+    """Write what a run did as JSON."""
+    plan = summary.plan and summary.plan.to_json()
+    document = {
+        "frames": len(sequence), "first": sequence.numbers[0], "last": sequence.numbers[-1], "size": sequence.size,
+        "options": asdict(options), **asdict(summary), "plan": plan,
+    }  # fmt: skip
+    write_atomically(path, (dumps(document, indent=1) + "\n").encode())
+
+
+def _decisive(options: Options) -> dict:
+    """The options that change the files. States of older runs do not record all of them."""
+    return {name: value for name, value in asdict(options).items() if name not in INDECISIVE}
+
+
+def _refuse_junk(path: Path, size: tuple[int, int]) -> None:
+    try:
+        header = read_header(path)
+        problem = None if (header.height, header.width) == size else f"{header.width}×{header.height} pixels"
+    except InputError as error:
+        problem = str(error).removeprefix(f"{path}: ")
+    if problem:
+        raise InputError(f"{path}: this frame was finished, and has been damaged or replaced since ({problem}); remove "
+                         "it, or pass --overwrite")  # fmt: skip

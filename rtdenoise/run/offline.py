@@ -1,0 +1,240 @@
+"""The best picture for frames on disk: `rtdenoise denoise SEQ --out DIR --offline`.
+
+Two passes over the sequence. The first one runs forward in time and leaves its estimates in a hidden folder inside DIR.
+The second one runs backward, from the last frame to the first; it combines both estimates of each frame (`passes`),
+writes the frame and removes the stored estimate. A frame and two histories are in memory at a time. An interrupted run
+goes on where it stopped, in either pass, to the same result: the first pass's estimates are always read back from disk.
+
+A shot begins at the first frame, after a gap, and at a cut, which the first pass finds. No pass looks beyond its shot.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..data.output import check_output, output_names, write_frame
+from ..data.sequences import Sequence, open_sequence
+from ..data.stored import read_history, write_history
+from ..errors import InputError
+from ..files import lock, remove_unfinished
+from ..frame import MAX_CUT_MISMATCH, Frame
+from ..sanitise import faults
+from .denoise import EXAMINED, STATE, SUMMARY, Options, Summary, read_state, save_state
+from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
+
+if TYPE_CHECKING:
+    from .passes import Estimate, Passes
+
+ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
+LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
+STORED = {"radiance": "image", "mean": "mean", "mean_albedo": "mean_albedo", "length": "length"}  # in a file -> field
+LIGHT = ("radiance", "mean")
+BYTES_PER_PIXEL = 20  # of a stored estimate: ten halves
+
+
+def denoise_offline(
+    source: str,
+    out: str | Path,
+    options: Options,
+    overwrite: bool = False,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+) -> Summary:
+    """As `denoise.denoise`, for options with `offline`. `on_frame(done, total)` counts the frames of both passes: total
+    is twice the number of frames.
+
+    Frames appear in the output folder from the last one to the first. Appended frames change what the frames before
+    them look like, so a finished run is not continued: `overwrite` starts anew.
+    """
+    if options.backend == "glsl":
+        raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
+    if find_spec("torch") is None:
+        raise InputError("--offline needs PyTorch, which is not installed; leave it out")
+    sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
+    sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
+    check_output(sequence, options.layout, options.recombine, options.keep)
+    if options.confidence and options.layout != "plain":
+        raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
+    from .passes import Passes
+
+    passes = Passes(options.model, options.device, options.precision)
+    out = prepare(Path(out), sequence, options)
+    with lock(out):
+        remove_unfinished(out)
+        return _Run(sequence, out, options, passes, on_frame).run(overwrite)
+
+
+@dataclass
+class _Run:
+    """One run over one sequence. `done` counts the frames of both passes."""
+
+    sequence: Sequence
+    out: Path
+    options: Options
+    passes: Passes
+    on_frame: Callable[[int, int], None]
+
+    def run(self, overwrite: bool) -> Summary:
+        opinions = "with OIDN" if self.passes.has_oidn else "without OIDN"  # frames of both must not be mixed
+        self.fingerprint = f"{digest(self.sequence, self.options)[-1]} {opinions}"
+        self.names = output_names(self.sequence, self.options.layout, self.options.recombine)[::-1]  # as they appear
+        count = len(self.sequence)
+        done, history, summary = (0, None, Summary()) if overwrite else self._resume()
+        self.summary, self.written = summary, Written(self.out, self.names[: max(0, done - count)])
+        summary.skipped, summary.gaps, summary.notes = max(0, done - count), list(self.sequence.gaps), self._notes()
+        if not done:
+            shutil.rmtree(self.estimates, ignore_errors=True)
+            self._save(0, None)
+        if done < 2 * count:
+            self._check_disk()
+            self.estimates.mkdir(exist_ok=True)
+            remove_unfinished(self.estimates)
+        if self.options.plan:  # tiles for large frames
+            self.passes.backend.plan(self.sequence.size, count, self._examined(), {})
+
+        self.on_frame(done, 2 * count)
+        for step in range(done, 2 * count):
+            started = time.perf_counter()
+            if step < count:
+                history = self._forward(step, history)
+            else:
+                history = self._backward(2 * count - 1 - step, history if step > count else None)
+                self.written.add(self.names[step - count])
+                summary.written += 1
+            summary.seconds += time.perf_counter() - started
+            self._save(step + 1, history)
+            if step >= count:
+                self._path(2 * count - 1 - step).unlink(missing_ok=True)
+            self.on_frame(step + 1, 2 * count)
+        shutil.rmtree(self.estimates, ignore_errors=True)
+        write_summary(self.out / SUMMARY, self.sequence, self.options, summary)
+        return summary
+
+    def _forward(self, i: int, history: Any) -> Any:
+        """Estimate frame i from the frames before; store the estimate."""
+        backend, frame = self.passes.backend, self.sequence.read(i)
+        for what, count in faults(frame).items():
+            self.summary.replaced[what] = self.summary.replaced.get(what, 0) + count
+        prepared = backend.prepare(frame)
+        if i and frame.number != self.sequence.numbers[i - 1] + 1:
+            history = None
+        cut = self.options.detect_cuts and history is not None
+        if cut and backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
+            self.summary.cuts.append(frame.number)
+            history = None
+        estimate, history = self.passes.step(prepared, history)
+        write_estimate(self._path(i), estimate)
+        return history
+
+    def _backward(self, i: int, history: Any) -> Any:
+        """Estimate frame i from the frames after, combine, and write the frame."""
+        from .passes import reverse
+
+        raw = self.sequence.read(i)
+        frame, following = self.passes.backend.prepare(raw), None
+        if history is not None and self._linked(i + 1):
+            following = self._geometry(i + 1) if raw.motion_next is None else None
+        else:
+            history = None
+        backward, history = self.passes.step(reverse(frame, following), history)
+        forward = read_estimate(self._path(i), self.passes.backend.device)
+        combined = self.passes.combine(frame, forward, backward)
+        extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
+        nans = write_frame(
+            self.out, self.sequence, i, raw, combined.image.cpu().numpy(), layout=self.options.layout,
+            recombine=self.options.recombine, keep=self.options.keep, float32=self.options.float32, extra=extra,
+        )  # fmt: skip
+        for channel, bad in nans.items():
+            self.summary.passed_on[channel] = self.summary.passed_on.get(channel, 0) + bad
+        return history
+
+    def _linked(self, i: int) -> bool:
+        """Whether frame i goes on with the shot of the frame before."""
+        number = self.sequence.numbers[i]
+        return number == self.sequence.numbers[i - 1] + 1 and number not in self.summary.cuts
+
+    def _geometry(self, i: int) -> Frame:
+        return self.passes.backend.prepare(self.sequence.only(("radiance", "depth", "motion")).read(i))
+
+    def _examined(self) -> list[Frame]:
+        return [self.sequence.read(i) for i in range(min(EXAMINED, len(self.sequence)))]
+
+    def _notes(self) -> list[str]:
+        notes = list(self.passes.notes)
+        lacks = "motion_next" not in self.sequence.available and self.sequence.scene is None
+        if len(self.sequence) > 1 and lacks:
+            notes.append("the files have no motion_next: the backward pass approximates it from motion and depth")
+        return notes
+
+    def _check_disk(self) -> None:
+        H, W = self.sequence.size
+        needed, free = BYTES_PER_PIXEL * H * W * len(self.sequence), shutil.disk_usage(self.out).free
+        if needed > free:
+            raise InputError(f"{self.out}: --offline keeps {needed / 1e9:.1f} GB there while it runs, {free / 1e9:.1f} "
+                             "GB are free; choose another --out or fewer frames at a time")  # fmt: skip
+
+    @property
+    def estimates(self) -> Path:
+        return self.out / ESTIMATES
+
+    def _path(self, i: int) -> Path:
+        return self.estimates / f"{i:06d}.safetensors"
+
+    def _resume(self) -> tuple[int, Any, Summary]:
+        """How far an earlier run came: frames done in both passes, the history, and the summary so far."""
+        path = self.out / STATE
+        if not path.exists():
+            refuse_foreign(self.out, self.names)
+            return 0, None, Summary()
+        done, history, summary, state = read_state(path, self.passes.backend)
+        if done <= 0:
+            return 0, None, Summary()
+        refuse_other(self.out, state, self.options, self.fingerprint)
+        count = len(self.sequence)
+        waiting = range(done) if done < count else range(2 * count - done)
+        finished = self.names[: max(0, done - count)]
+        complete = are_finished(self.out, finished, self.sequence.size, state.get("written", ""))
+        if not complete or not all(self._path(i).exists() for i in waiting):
+            return 0, None, Summary()
+        return done, history, summary
+
+    def _save(self, done: int, history: Any) -> None:
+        fields = {} if history is None or done == 2 * len(self.sequence) else self.passes.backend.save(history)
+        save_state(
+            self.out / STATE, fields, done, self.fingerprint, self.summary, self.options, self.written.digest
+        )  # fmt: skip
+
+
+def write_estimate(path: Path, estimate: Estimate) -> None:
+    """Store an estimate in half precision. Raises InputError where it cannot be written."""
+    arrays, scales = {}, {}
+    for name, field in STORED.items():
+        array = getattr(estimate, field).cpu().numpy()
+        if name in LIGHT:
+            scales[name] = 2.0 ** np.floor(np.log2(max(float(array.max()), 1e-30) / LARGEST_HALF))
+            array = array / np.float32(scales[name])
+        arrays[name] = array.astype(np.float16)
+    write_history(path, arrays, {"scales": json.dumps(scales), "first": str(int(estimate.first))})
+
+
+def read_estimate(path: Path, device: str) -> Estimate:
+    """The inverse of `write_estimate`. Raises InputError where the file cannot be read."""
+    import torch
+
+    from .passes import Estimate
+
+    arrays, metadata = read_history(path)
+    scales = json.loads(metadata["scales"])
+    tensors = {
+        field: torch.from_numpy(arrays[name].astype(np.float32)).to(device) * scales.get(name, 1.0)
+        for name, field in STORED.items()
+    }
+    return Estimate(**tensors, first=metadata["first"] == "1")

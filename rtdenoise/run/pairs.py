@@ -1,0 +1,72 @@
+"""Denoised frames beside the noisy ones they were made from: opening them, and finding out whether they belong
+together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..color import luminance
+from ..data.sequences import Sequence, convert, open_sequence
+from ..errors import InputError
+from ..frame import Frame
+from ..ops.block_luminance import block_luminance
+from ..sanitise import sanitise
+
+MAX_RATIO = 1.6  # of the mean luminance of denoised and noisy frames, either way: noise moves it less, an f-stop more
+WHITE = 1.001  # a tone-mapped picture ends at 1, up to rounding
+BRIGHT = 1.25  # 8×8 means of the noisy frames above this are light that a picture ending at 1 has lost
+
+
+def open_denoised(denoised: str, source: Sequence, preset: str, allow_gaps: bool) -> Sequence:
+    """The denoised frames of `source`: in the channels where `denoise --layout source` writes them, or else in
+    `R,G,B`.
+
+    Raises InputError where they cannot be opened, are others than those of `source`, or have another size.
+    """
+    try:
+        found = open_sequence(denoised, signal=source.signal, preset=preset, allow_gaps=allow_gaps)
+        beauty = found.layout.beauty_rule(found.header) if source.signal == "color" else None
+        found = replace(found, rules={"radiance": beauty or found.rules["radiance"]})
+    except InputError:
+        found = open_sequence(denoised, allow_gaps=allow_gaps)
+        found = replace(found, rules={"radiance": found.rules["radiance"]})
+    if found.size != source.size:
+        (h, w), (H, W) = found.size, source.size
+        raise InputError(f"{found.paths[0]}: is {w}×{h}, the noisy frames are {W}×{H}; name the frames that were "
+                         "denoised from them")  # fmt: skip
+    if alone := sorted(set(source.numbers) ^ set(found.numbers)):
+        where, other = (source, "denoised") if alone[0] in source.numbers else (found, "noisy")
+        raise InputError(f"{where.paths[0].parent}: frame {alone[0]} has no {other} frame: {len(source)} noisy frames, "
+                         f"{len(found)} denoised ones; both need the same frame numbers")  # fmt: skip
+    return found
+
+
+def read_estimate(denoised: Sequence, i: int) -> Tensor:
+    """Denoised frame i, `[1, 3, H, W]`."""
+    rule = denoised.rules["radiance"]
+    return torch.from_numpy(convert(rule, denoised.files[i].read(rule.channels), "radiance").astype(np.float32))
+
+
+def check_pairs(source: Sequence, denoised: Sequence, count: int) -> None:
+    """Compare the light of the first `count` frames. Raises InputError where the denoised ones are tone-mapped or have
+    another exposure."""
+    places = range(min(count, len(source)))
+    noisy = torch.cat([_light(torch.from_numpy(source.only(("radiance",)).read(i).radiance)) for i in places])
+    clean = torch.cat([_light(read_estimate(denoised, i)) for i in places])
+    path, brightest = denoised.paths[0], block_luminance(noisy, 8)[0].max().item()
+    if clean.max() <= WHITE and clean.max() > 0.9 and brightest > BRIGHT:
+        raise InputError(f"{path}: the denoised light ends at {clean.max():.2f}, the noisy light reaches "
+                         f"{brightest:.1f} over 8×8 pixels: it looks tone-mapped; save it as linear light")  # fmt: skip
+    ratio = (luminance(clean).mean().item() + 1e-12) / (luminance(noisy).mean().item() + 1e-12)
+    if not 1 / MAX_RATIO <= ratio <= MAX_RATIO:
+        raise InputError(f"{path}: the denoised frames are {ratio:.3g} times as bright as the noisy ones; both need "
+                         "the same exposure, in linear light")  # fmt: skip
+
+
+def _light(image: Tensor) -> Tensor:
+    """Without values that no filter can use, and without fireflies."""
+    return sanitise(Frame(image)).radiance

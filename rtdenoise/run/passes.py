@@ -1,0 +1,149 @@
+"""One frame of an animation on disk: what the passes over the sequence know of it, and their combination.
+
+The network runs over a sequence forward in time and backward. Read backward, a sequence is one whose `motion` and
+`motion_next` have changed places. `combination` joins both passes, the frame alone and OIDN's two opinions.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..baselines.oidn import Oidn
+from ..color import albedo_divisor
+from ..errors import InputError
+from ..frame import Frame, History
+from ..ops.pixels import demodulate
+from ..sanitise import sanitise
+from ..splat import splat_motion_next
+from .backends import TorchBackend
+from .combination import Candidates, Combination, combine
+
+WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds about 0.6 dB"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One pass's knowledge of a frame."""
+
+    image: Tensor  # [1, 3, H, W] the denoised frame
+    mean: Tensor  # [1, 3, H, W] irradiance averaged over time
+    mean_albedo: Tensor  # [1, 3, H, W] likewise
+    length: Tensor  # [1, 1, H, W] frames in these means
+    first: bool  # whether the pass begins a shot here: the image is that of the frame alone
+
+
+class Passes:
+    """The steps of both passes, and the combination. Frames are prepared once (`prepare`)."""
+
+    def __init__(self, model: str = "default", device: str = "auto", precision: str = "auto") -> None:
+        """Raises InputError for a model that keeps no running mean, and what loading it raises."""
+        self.backend = TorchBackend(model, device, precision)
+        if "mean" not in self.backend.config.carries:
+            raise InputError(f"--offline: model {model!r} does not average light over time; choose default, fast or "
+                             "quality")  # fmt: skip
+        self.has_oidn = importlib.util.find_spec("pyoidn") is not None
+        self._second, self._averaged = Oidn(prefilter=True), Oidn()
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user should know, a line each."""
+        return [] if self.has_oidn else [WITHOUT_OIDN]
+
+    def step(self, frame: Frame, history: History | None) -> tuple[Estimate, Any]:
+        """One step of a pass over prepared frames."""
+        image, after = self.backend.step(frame, history)
+        image = torch.from_numpy(image).to(frame.radiance.device)
+        return Estimate(image, after.mean, after.mean_albedo, after.length, history is None), after
+
+    @torch.inference_mode()
+    def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
+        """The best picture of a prepared frame."""
+        return combine(self.candidates(frame, forward, backward))
+
+    def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:
+        """What is known of a prepared frame."""
+        ours = forward.image, backward.image, self._single(frame, forward, backward)
+        if not self.has_oidn:
+            return Candidates(*ours)
+        light, albedo = two_sided(frame, forward, backward)
+        second, _ = self._second.step(frame)
+        averaged, _ = self._averaged.step(replace(frame, radiance=light, albedo=albedo))
+        return Candidates(*ours, second, averaged)
+
+    def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
+        """The network's image of the frame alone; a pass that begins here has it already."""
+        for estimate in (forward, backward):
+            if estimate.first:
+                return estimate.image
+        return torch.from_numpy(self.backend.step(frame, None)[0]).to(frame.radiance.device)
+
+
+def reverse(frame: Frame, following: Frame | None) -> Frame:
+    """A frame as the backward pass sees it: motion and motion_next have changed places. `following` is the next frame
+    of the shot, None at its end; it gives an approximate `motion_next` to a frame that has none
+    (`splat.splat_motion_next`)."""
+    onward = frame.motion_next
+    if onward is None and following is not None:
+        onward = splat_motion_next(following.motion, following.depth, frame.depth)
+    return replace(frame, motion=onward, motion_next=frame.motion)
+
+
+def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor]:
+    """Radiance and albedo, `[1, 3, H, W]` each, averaged over the frames before and after.
+
+    With n frames in the forward mean m and n' in the backward mean m', which share the frame itself, y:
+    (n m + n' m' - y) / (n + n' - 1), of light over albedo; then multiplied by the averaged albedo.
+    """
+    noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
+    count = forward.length + backward.length - 1
+
+    def joined(before: Tensor, after: Tensor, now: Tensor) -> Tensor:
+        return ((forward.length * before + backward.length * after - now) / count).clamp(min=0)
+
+    light = joined(forward.mean, backward.mean, noisy)
+    albedo = joined(forward.mean_albedo, backward.mean_albedo, frame.albedo)
+    return light * albedo_divisor(albedo, frame.depth), albedo
+
+
+class InMemory:
+    """Both passes as a step with a delay (`evaluate.sequence`), for short sequences: it keeps the frames of a shot, and
+    returns all images at its end."""
+
+    delay = sys.maxsize
+
+    def __init__(self, passes: Passes) -> None:
+        self._passes = passes
+
+    def step(self, frame: Frame | None, history: Shot | None) -> tuple[Tensor | None, Shot]:
+        """None for a frame; the next image of the shot for None."""
+        shot = history or Shot([], [], None)
+        if frame is not None:
+            frame = sanitise(frame)
+            estimate, after = self._passes.step(frame, shot.history)
+            return None, Shot([*shot.frames, frame], [*shot.estimates, estimate], after)
+        images = shot.images or self._backward(shot)
+        return images[0], replace(shot, images=images[1:])
+
+    def _backward(self, shot: Shot) -> list[Tensor]:
+        images, history, following = [], None, None
+        for frame, forward in zip(reversed(shot.frames), reversed(shot.estimates), strict=True):
+            backward, history = self._passes.step(reverse(frame, following), history)
+            images.insert(0, self._passes.combine(frame, forward, backward).image)
+            following = frame
+        return images
+
+
+@dataclass(frozen=True)
+class Shot:
+    """The state of `InMemory`."""
+
+    frames: list[Frame]  # prepared
+    estimates: list[Estimate]  # of the forward pass
+    history: Any  # of the forward pass
+    images: list[Tensor] = field(default_factory=list)  # yet to be returned

@@ -1,0 +1,228 @@
+"""`rtdenoise combine`: any denoiser's files corrected by the noisy ones; resuming; everything that can be wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import make_frames, write_sequence
+from test_denoise import pixels, refused
+
+import rtdenoise
+from rtdenoise.cli.main import main
+from rtdenoise.data.exr import read_header, write_layers
+from rtdenoise.models import CombinerConfig, Window, create, save
+from rtdenoise.run.combine import Options, combine
+
+TINY = CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3)
+COUNT = 6
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    torch.manual_seed(0)
+    combiner = create(TINY)
+    for parameter in combiner.parameters():
+        parameter.data.normal_(std=0.2)
+    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
+    save(combiner, path)
+    return str(path)
+
+
+@pytest.fixture
+def options(model):
+    return Options(model=model, float32=True)
+
+
+def estimate(frame):
+    """A denoiser that blurs."""
+    return torch.nn.functional.avg_pool2d(frame.radiance, 5, 1, 2, count_include_pad=False)
+
+
+def write_images(folder, images, first=0):
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, image in enumerate(images, first):
+        layers = {"color": image[0].permute(1, 2, 0).numpy()}
+        write_layers(folder / f"frame.{number:04d}.exr", layers, dtypes={"color": "float"})
+    return folder
+
+
+@pytest.fixture
+def frames():
+    return make_frames(COUNT)
+
+
+@pytest.fixture
+def shot(tmp_path, frames):
+    return write_sequence(tmp_path / "shot", frames)
+
+
+@pytest.fixture
+def clean(tmp_path, frames):
+    return write_images(tmp_path / "clean", [estimate(frame) for frame in frames])
+
+
+def run(*paths, **more):
+    return combine(*(str(path) for path in paths[:2]), paths[2], **more)
+
+
+def assert_same(one, other, numbers=range(COUNT)):
+    for number in numbers:
+        name = f"frame.{number:04d}.exr"
+        assert np.array_equal(pixels(one / name), pixels(other / name)), name
+
+
+def test_it_writes_what_the_combiner_returns(shot, clean, tmp_path, options, model):
+    run(shot, clean, tmp_path / "out", options=options)
+    combiner, frames = rtdenoise.models.load_combiner(model), list(rtdenoise.open_sequence(shot))
+    for i in range(COUNT):
+        places = [j if 0 <= j < COUNT else None for j in range(i - 2, i + 3)]
+        window = Window(
+            tuple(None if j is None else frames[j] for j in places),
+            tuple(None if j is None else estimate(frames[j]) for j in places),
+        )
+        expected = combiner.combine(window).image[0].numpy()
+        assert np.allclose(pixels(tmp_path / "out" / f"frame.{i:04d}.exr"), expected, atol=1e-6)
+
+
+def test_frames_without_error_stay_as_they_are(shot, tmp_path, options):
+    """y = z: nothing to correct, to the bit."""
+    run(shot, shot, tmp_path / "out", options=options)
+    assert_same(tmp_path / "out", shot)
+
+
+@pytest.mark.parametrize("killed", [(0,), (1,), (3,), (1, 4)])
+def test_an_interrupted_run_goes_on_to_the_same_result(shot, clean, tmp_path, options, killed):
+    run(shot, clean, tmp_path / "whole", options=options)
+    for count in killed:
+
+        def stop(done, total, count=count):
+            if done == count:
+                raise Stop
+
+        with pytest.raises(Stop):
+            run(shot, clean, tmp_path / "out", options=options, on_frame=stop)
+    summary = run(shot, clean, tmp_path / "out", options=options)
+    assert (summary.skipped, summary.written) == (killed[-1], COUNT - killed[-1])
+    assert_same(tmp_path / "out", tmp_path / "whole")
+    assert run(shot, clean, tmp_path / "out", options=options).written == 0
+
+
+def test_appended_frames_are_neighbours_of_those_before(shot, clean, tmp_path, options, frames):
+    write_sequence(tmp_path / "growing", frames[:4])
+    grown = write_images(tmp_path / "grown", [estimate(frame) for frame in frames[:4]])
+    run(tmp_path / "growing", grown, tmp_path / "out", options=options)
+    write_images(grown, [estimate(frame) for frame in frames[4:]], first=4)
+    write_sequence(tmp_path / "growing", frames[4:])
+    summary = run(tmp_path / "growing", grown, tmp_path / "out", options=options)
+    assert (summary.skipped, summary.written) == (2, 4)
+    run(shot, clean, tmp_path / "once", options=options)
+    assert_same(tmp_path / "out", tmp_path / "once")
+
+
+def test_no_window_looks_across_a_cut(tmp_path, options):
+    first = make_frames(3)
+    second = [replace(f, depth=f.depth * 5, normal=-f.normal) for f in make_frames(3, seed=1)]
+    joined = [replace(frame, number=i) for i, frame in enumerate([*first, *second])]
+    shot = write_sequence(tmp_path / "shot", joined)
+    clean = write_images(tmp_path / "clean", [estimate(frame) for frame in joined])
+    assert run(shot, clean, tmp_path / "both", options=options).cuts == [3]
+    for name, part in (("first", first), ("second", second)):
+        alone = write_images(tmp_path / f"{name} clean", [estimate(frame) for frame in part])
+        run(write_sequence(tmp_path / name, part), alone, tmp_path / f"{name} out", options=options)
+    for i in range(6):
+        expected = tmp_path / ("first out" if i < 3 else "second out") / f"frame.{i % 3:04d}.exr"
+        assert np.array_equal(pixels(tmp_path / "both" / f"frame.{i:04d}.exr"), pixels(expected)), i
+
+
+def test_no_window_looks_across_a_gap(shot, clean, tmp_path, options, frames):
+    for folder in (shot, clean):
+        (folder / "frame.0002.exr").unlink()
+    assert run(shot, clean, tmp_path / "out", options=replace(options, allow_gaps=True)).gaps == [(2, 2)]
+    before = write_sequence(tmp_path / "before", frames[:2])
+    run(before, write_images(tmp_path / "z", [estimate(f) for f in frames[:2]]), tmp_path / "two", options=options)
+    assert_same(tmp_path / "out", tmp_path / "two", range(2))
+
+
+def test_one_frame(tmp_path, options, frames):
+    shot = write_sequence(tmp_path / "shot", frames[:1])
+    run(shot, write_images(tmp_path / "clean", [estimate(frames[0])]), tmp_path / "out", options=options)
+    assert np.isfinite(pixels(tmp_path / "out" / "frame.0000.exr")).all()
+
+
+def test_without_motion_every_frame_is_corrected_alone_and_it_says_so(clean, tmp_path, options, frames):
+    still = write_sequence(tmp_path / "still", frames, without=("motion", "motion_next"))
+    notes = run(still, clean, tmp_path / "out", options=options).notes
+    assert notes == ["the noisy files have no motion: every frame is corrected by itself alone"]
+    for i in (0, 3):
+        one = write_sequence(tmp_path / f"one {i}", [replace(frames[i], number=0)])
+        z = write_images(tmp_path / f"z {i}", [estimate(frames[i])])
+        run(one, z, tmp_path / f"out {i}", options=options)
+        alone = pixels(tmp_path / f"out {i}" / "frame.0000.exr")
+        assert np.array_equal(pixels(tmp_path / "out" / f"frame.{i:04d}.exr"), alone)
+
+
+def test_missing_layers_are_named(clean, tmp_path, options, frames, capsys):
+    bare = write_sequence(tmp_path / "bare", frames, without=("albedo", "normal", "motion_next"))
+    main(["combine", str(bare), str(clean), "--out", str(tmp_path / "out"), "--model", options.model])
+    told = capsys.readouterr().out
+    assert "no albedo, normal: corrected without" in told
+    assert "no motion_next: it is approximated from motion and depth" in told
+
+
+def test_layouts_of_the_denoised_frames(shot, clean, tmp_path, options):
+    """The signal indirect in R,G,B of plain files, and in its own channels of copies of the input."""
+    indirect = replace(options, signal="indirect")
+    run(shot, clean, tmp_path / "plain", options=indirect)
+    run(shot, clean, tmp_path / "source", options=replace(indirect, layout="source"))
+    header = read_header(tmp_path / "source" / "frame.0000.exr")
+    assert {"albedo.R", "indirect.R", "motion.X"} <= set(header.channels)
+    run(shot, tmp_path / "source", tmp_path / "again", options=indirect)
+    run(shot, tmp_path / "plain", tmp_path / "twice", options=indirect)
+    assert_same(tmp_path / "again", tmp_path / "twice")
+
+
+def test_confidence_is_a_layer_of_its_own(shot, clean, tmp_path, options):
+    run(shot, clean, tmp_path / "out", options=replace(options, confidence=True))
+    assert "confidence.V" in read_header(tmp_path / "out" / "frame.0000.exr").channels
+
+
+def test_frames_that_do_not_belong_together_are_refused(shot, clean, tmp_path, model, frames, capsys):
+    def line(denoised, *more):
+        return refused(capsys, "combine", shot, denoised, "--out", tmp_path / "out", "--model", model, *more)
+
+    images = [estimate(frame) for frame in frames]
+    small = write_images(tmp_path / "small", [image[..., :16, :16] for image in images])
+    assert "is 16×16, the noisy frames are 32×24" in line(small)
+    few = write_images(tmp_path / "few", images[:4])
+    assert "frame 4 has no denoised frame: 6 noisy frames, 4 denoised ones" in line(few)
+    later = write_images(tmp_path / "later", images, first=1)
+    assert "frame 0 has no denoised frame" in line(later)
+    bright = write_images(tmp_path / "bright", [4 * image for image in images])
+    assert "times as bright as the noisy ones" in line(bright)
+    mapped = write_images(tmp_path / "mapped", [(3 * image).clamp(max=1) for image in images])
+    loud = write_sequence(tmp_path / "loud", [replace(frame, radiance=3 * frame.radiance) for frame in frames])
+    told = refused(capsys, "combine", loud, mapped, "--out", tmp_path / "out", "--model", model)
+    assert "the denoised light ends at 1.00" in told and "it looks tone-mapped" in told
+    assert "does not exist" in line(tmp_path / "nowhere")
+    assert "--layout plain" in line(clean, "--confidence", "--layout", "source")
+    assert "no model 'nosuch'" in refused(
+        capsys, "combine", shot, clean, "--out", tmp_path / "out", "--model", "nosuch"
+    )
+    assert "expected a combiner" in refused(
+        capsys, "combine", shot, clean, "--out", tmp_path / "out", "--model", "default"
+    )
+    for folder in (shot, clean):
+        assert "holds the input" in refused(capsys, "combine", shot, clean, "--out", folder, "--model", model)
+    assert not list((tmp_path / "out").glob("*.exr"))
+
+
+def test_other_options_are_not_mixed(shot, clean, tmp_path, model, options, capsys):
+    run(shot, clean, tmp_path / "out", options=options)
+    command = ("combine", shot, clean, "--out", tmp_path / "out", "--model", model)
+    assert "float32 True, now False" in refused(capsys, *command)
+    main([str(word) for word in (*command, "--overwrite")])

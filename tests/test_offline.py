@@ -1,0 +1,290 @@
+"""`rtdenoise denoise --offline`: both passes, interrupted in each, cuts, gaps, what is told and refused."""
+
+import gc
+import weakref
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import make_frames, write_sequence
+from test_denoise import pixels, refused
+
+import rtdenoise
+from rtdenoise.cli.main import main
+from rtdenoise.data.exr import read_channels, read_header
+from rtdenoise.evaluate import evaluate, outputs
+from rtdenoise.evaluate.registry import choose
+from rtdenoise.frame import Frame
+from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, save
+from rtdenoise.run import passes as passes_module
+from rtdenoise.run.combination import WEIGHTS, WEIGHTS_WITHOUT_OIDN, Candidates, combine
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.offline import ESTIMATES, read_estimate, write_estimate
+from rtdenoise.run.passes import Estimate, InMemory, Passes, reverse, two_sided
+
+TINY = AccumulatedKPNConfig(widths=(4, 4, 4), scales=2, kernel=3)
+NAMES = [f"frame.{i:04d}.exr" for i in range(4)]
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
+    save(AccumulatedKPN(TINY), path)
+    return str(path)
+
+
+@pytest.fixture
+def shot(tmp_path):
+    return write_sequence(tmp_path / "shot", make_frames())
+
+
+@pytest.fixture
+def options(model):
+    return Options(model=model, float32=True, offline=True)
+
+
+def stop_after(count):
+    def on_frame(done, total):
+        if done == count:
+            raise Stop
+
+    return on_frame
+
+
+def assert_same(one, other, names=NAMES):
+    for name in names:
+        assert np.array_equal(pixels(one / name), pixels(other / name)), name
+
+
+@pytest.mark.parametrize("killed", [(0,), (2,), (4,), (5,), (7,), (1, 3, 4, 6)])
+def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, options, killed):
+    """Killed in the first pass, between both, and in the second one."""
+    denoise(str(shot), tmp_path / "whole", options)
+    out = tmp_path / "out"
+    for count in killed:
+        with pytest.raises(Stop):
+            denoise(str(shot), out, options, on_frame=stop_after(count))
+    counted = []
+    denoise(str(shot), out, options, on_frame=lambda *progress: counted.append(progress))
+    assert counted[0] == (killed[-1], 8) and counted[-1] == (8, 8)
+    assert_same(out, tmp_path / "whole")
+    assert not (out / ESTIMATES).exists()
+    assert denoise(str(shot), out, options).written == 0
+
+
+def test_a_run_killed_before_it_could_note_a_frame(shot, tmp_path, options, monkeypatch):
+    """The frame is there, its state is not: it is written again, and alike."""
+    denoise(str(shot), tmp_path / "whole", options)
+    out, real = tmp_path / "out", rtdenoise.run.denoise.write_history
+
+    def dies(path, fields, metadata):
+        if metadata.get("done") == "6":
+            raise Stop
+        real(path, fields, metadata)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("rtdenoise.run.denoise.write_history", dies)
+        with pytest.raises(Stop):
+            denoise(str(shot), out, options)
+    assert (out / NAMES[2]).exists()
+    denoise(str(shot), out, options)
+    assert_same(out, tmp_path / "whole")
+
+
+def test_lost_estimates_start_the_run_anew(shot, tmp_path, options):
+    denoise(str(shot), tmp_path / "whole", options)
+    out = tmp_path / "out"
+    with pytest.raises(Stop):
+        denoise(str(shot), out, options, on_frame=stop_after(5))
+    for path in (out / ESTIMATES).iterdir():
+        path.unlink()
+    assert denoise(str(shot), out, options).skipped == 0
+    assert_same(out, tmp_path / "whole")
+
+
+def test_frames_in_memory_and_on_disk_agree(shot, tmp_path, options, model):
+    """What `evaluate` measures is what the command writes, but for the half floats of stored estimates."""
+    denoise(str(shot), tmp_path / "out", options)
+    method = InMemory(Passes(model, "cpu"))
+    for output in outputs(method.step, rtdenoise.open_sequence(shot), method.delay):
+        written = pixels(tmp_path / "out" / f"frame.{output.frame.number:04d}.exr")
+        assert np.allclose(written, output.image[0].numpy(), rtol=5e-3, atol=5e-3)
+
+
+def joined(tmp_path, *parts):
+    """A sequence of several, numbered on."""
+    frames = [frame for part in parts for frame in part]
+    folder = write_sequence(tmp_path / "joined", [replace(frame, number=i) for i, frame in enumerate(frames)])
+    return folder, len(frames)
+
+
+def test_no_pass_looks_across_a_cut(tmp_path, options):
+    """Two shots in one sequence give the pictures of each alone."""
+    first = make_frames(3)
+    second = [replace(f, depth=f.depth * 5, normal=-f.normal) for f in make_frames(3, seed=1)]
+    folder, count = joined(tmp_path, first, second)
+    summary = denoise(str(folder), tmp_path / "both", options)
+    assert summary.cuts == [3]
+    for name, frames in (("first", first), ("second", second)):
+        denoise(str(write_sequence(tmp_path / name, frames)), tmp_path / f"{name} out", options)
+    for i in range(count):
+        alone = tmp_path / ("first out" if i < 3 else "second out") / f"frame.{i % 3:04d}.exr"
+        assert np.array_equal(pixels(tmp_path / "both" / f"frame.{i:04d}.exr"), pixels(alone)), i
+
+
+def test_no_pass_looks_across_a_gap(tmp_path, options):
+    frames = make_frames(5)
+    gappy = write_sequence(tmp_path / "gappy", [*frames[:2], *frames[3:]])
+    summary = denoise(str(gappy), tmp_path / "out", replace(options, allow_gaps=True))
+    assert summary.gaps == [(2, 2)]
+    for name, part in (("before", frames[:2]), ("after", frames[3:])):
+        denoise(str(write_sequence(tmp_path / name, part)), tmp_path / f"{name} out", options)
+        assert_same(tmp_path / "out", tmp_path / f"{name} out", [f"frame.{f.number:04d}.exr" for f in part])
+
+
+def test_two_frames_are_in_memory_at_a_time(tmp_path, options, monkeypatch):
+    shot, alive, most = write_sequence(tmp_path / "shot", make_frames(12, H=16, W=16)), [], []
+    real = rtdenoise.data.sequences.Sequence.read
+
+    def read(self, i):
+        frame = real(self, i)
+        alive.append(weakref.ref(frame.radiance))
+        return frame
+
+    monkeypatch.setattr("rtdenoise.data.sequences.Sequence.read", read)
+
+    def count(done, total):
+        gc.collect()
+        most.append(sum(array() is not None for array in alive))
+
+    denoise(str(shot), tmp_path / "out", replace(options, plan=False), on_frame=count)
+    assert max(most) <= 2 and len(most) == 25
+
+
+def test_one_frame(tmp_path, options, model):
+    """Without past and future all three images of the network are one."""
+    shot = write_sequence(tmp_path / "shot", make_frames(1))
+    denoise(str(shot), tmp_path / "out", options)
+    assert np.isfinite(pixels(tmp_path / "out" / NAMES[0])).all()
+
+
+def test_motion_next_is_approximated_where_it_is_missing(tmp_path, options, capsys):
+    frames = make_frames()
+    write_sequence(tmp_path / "shot", frames, without=("motion_next",))
+    main(["denoise", str(tmp_path / "shot"), "--out", str(tmp_path / "out"), "--offline", "--model", options.model])
+    assert "the files have no motion_next: the backward pass approximates it" in capsys.readouterr().out
+    lacking = replace(frames[1], motion_next=None)
+    found = reverse(lacking, frames[2]).motion
+    hidden = found.abs().amax(1, keepdim=True) > 100  # wall that the square covers in the next frame
+    covered = (frames[1].depth > 5) & hidden
+    exact = torch.where(covered, found, frames[1].motion_next)
+    assert torch.allclose(found, exact) and covered.float().mean() < 0.05
+    assert reverse(lacking, None).motion is None and reverse(frames[1], None).motion is frames[1].motion_next
+
+
+def test_without_oidn_it_says_so_and_runs(shot, tmp_path, options, monkeypatch):
+    monkeypatch.setattr(passes_module.importlib.util, "find_spec", lambda name: None if name == "pyoidn" else True)
+    summary = denoise(str(shot), tmp_path / "out", options)
+    assert len(summary.notes) == 1 and "OIDN is not installed" in summary.notes[0]
+    assert all(np.isfinite(pixels(tmp_path / "out" / name)).all() for name in NAMES)
+
+
+def test_frames_with_and_without_oidn_are_not_mixed(shot, tmp_path, options, monkeypatch):
+    with pytest.raises(Stop):
+        denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(6))
+    monkeypatch.setattr(passes_module.importlib.util, "find_spec", lambda name: None if name == "pyoidn" else True)
+    with pytest.raises(rtdenoise.InputError, match="other options or input"):
+        denoise(str(shot), tmp_path / "out", options)
+
+
+def test_confidence_is_a_layer_of_its_own(shot, tmp_path, options):
+    denoise(str(shot), tmp_path / "out", replace(options, confidence=True))
+    header = read_header(tmp_path / "out" / NAMES[1])
+    assert set(header.channels) == {"R", "G", "B", "confidence.V"}
+    spread = read_channels(tmp_path / "out" / NAMES[1], ["confidence.V"])["confidence.V"]
+    assert (spread >= 0).all() and spread.max() > 0
+
+
+def test_what_does_not_go_together_is_refused(shot, tmp_path, model, capsys):
+    common = ("denoise", shot, "--out", tmp_path / "out", "--model", model)
+    assert "--confidence: goes with --offline" in refused(capsys, *common, "--confidence")
+    assert "goes with --backend torch" in refused(capsys, *common, "--offline", "--backend", "glsl")
+    assert "--layout plain" in refused(capsys, *common, "--offline", "--confidence", "--layout", "source")
+    assert "does not average light" in refused(capsys, *common[:4], "--model", "paper", "--offline")
+    main([str(word) for word in common])
+    assert "offline False, now True" in refused(capsys, *common, "--offline")
+
+
+def test_a_full_disk_is_found_before_the_first_frame(shot, tmp_path, options, monkeypatch):
+    monkeypatch.setattr("rtdenoise.run.offline.shutil.disk_usage", lambda path: type("Usage", (), {"free": 10}))
+    with pytest.raises(rtdenoise.InputError, match="GB there while it runs"):
+        denoise(str(shot), tmp_path / "out", options)
+    assert not list((tmp_path / "out").glob("*.exr"))
+
+
+# --- the combination --------------------------------------------------------------------------------------------------
+
+
+def test_weights_sum_to_one():
+    assert sum(WEIGHTS.values()) == pytest.approx(1) and sum(WEIGHTS_WITHOUT_OIDN.values()) == pytest.approx(1)
+
+
+def test_equal_candidates_come_out_to_the_bit():
+    image = torch.rand(1, 3, 9, 11) * 50
+    for candidates in (Candidates(*[image] * 5), Candidates(*[image] * 3)):
+        found = combine(candidates)
+        assert torch.equal(found.image, image) and not found.spread.any()
+
+
+def test_it_scales_with_the_light_and_stays_near_the_candidates():
+    candidates = [torch.rand(1, 3, 16, 16) for _ in range(5)]
+    plain = combine(Candidates(*candidates))
+    for scale in (1e-4, 1e4):
+        scaled = combine(Candidates(*(scale * c for c in candidates)))
+        assert torch.allclose(scaled.image / scale, plain.image, rtol=1e-3, atol=1e-5)
+    assert plain.image.min() >= 0 and plain.image.max() < 4
+
+
+def estimate(image, length, first=False):
+    ones = torch.ones_like(image[:, :1])
+    return Estimate(image, image, torch.full_like(image, 0.5), length * ones, first)
+
+
+def test_the_frame_itself_counts_once_in_the_mean_of_both_sides():
+    """Forward mean of (1, y), backward mean of (y, 4): the mean of 1, y and 4."""
+    y = torch.full((1, 3, 4, 4), 2.5)
+    frame = Frame(0.5 * y, torch.full_like(y, 0.5), torch.zeros_like(y), torch.ones_like(y[:, :1]))
+    light, albedo = two_sided(frame, estimate((1 + y) / 2, 2.0), estimate((y + 4) / 2, 2.0))
+    assert torch.allclose(light, 0.5 * (1 + y + 4) / 3) and torch.allclose(albedo, torch.full_like(y, 0.5))
+    light, _ = two_sided(frame, estimate(y, 1.0), estimate(y, 1.0))
+    assert torch.allclose(light, frame.radiance)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_estimates_survive_the_disk(tmp_path, scale):
+    stored = estimate(scale * torch.rand(1, 3, 8, 8), 3.0, first=True)
+    write_estimate(tmp_path / "e.safetensors", stored)
+    found = read_estimate(tmp_path / "e.safetensors", "cpu")
+    assert found.first and torch.allclose(found.image, stored.image, rtol=1e-3)
+    assert torch.equal(found.length, stored.length)
+
+
+def test_a_black_estimate_survives_too(tmp_path):
+    write_estimate(tmp_path / "e.safetensors", estimate(torch.zeros(1, 3, 8, 8), 1.0))
+    assert not read_estimate(tmp_path / "e.safetensors", "cpu").image.any()
+
+
+# --- evaluate ---------------------------------------------------------------------------------------------------------
+
+
+def test_evaluate_has_it_as_a_method():
+    (method,) = choose(["offline"])
+    assert method.delay >= 2000 and method.weights == "default"
+    (result,) = evaluate(make_frames(3), ["offline"], metrics=("psnr",))
+    assert len(result.images) == 3 and min(result.times) > 0
