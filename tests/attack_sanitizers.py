@@ -18,7 +18,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow,bounds-strict",
+SANITIZERS = ("-O0", "-g", "-fsanitize=address,undefined,float-cast-overflow,bounds-strict",
               "-fno-sanitize-recover=all", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared",
               "-fPIC")  # fmt: skip
 KINDS = ("ordinary", "NaN", "denormal", "zero", "motion 1e4", "motion NaN", "motion Inf", "motion 1e30", "bright")

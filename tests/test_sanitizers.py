@@ -7,7 +7,7 @@ import json
 
 from attack_sanitizers import KINDS, start
 
-SIZES = ("1x1", "1x7", "9x1", "5x17")
+SIZES = ("1x1", "5x17")
 
 
 def test_under_the_sanitizers():
