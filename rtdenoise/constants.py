@@ -25,3 +25,5 @@ SKY_BLOCK = 8  # side in pixels of the blocks that are compared
 SKY_TOLERANCE = 1e-3  # largest relative difference in an even sky; half floats round by half of that
 
 MIN_DISTANCE = 1e-12  # least mean depth of a frame: never zero (`frame.mean_distance`)
+
+MAX_HALF = 65504.0  # the largest half float

@@ -13,7 +13,7 @@ from synthetic import TINY
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, History
 from rtdenoise.models import PRESETS, AccumulatedKPNConfig, TemporalKPNConfig, create, load
-from rtdenoise.models.config import from_stored, with_settings
+from rtdenoise.models.presets import from_stored, with_settings
 
 CONFIGS = {
     **PRESETS,

@@ -20,7 +20,7 @@ LEVELS = 5  # of the wavelet
 MAX_LENGTH = 32  # frames of history that are counted
 MIN_TEMPORAL_LENGTH = 4  # frames of history for an estimate of variance over time (SVGF)
 MIN_WEIGHT = 1e-3  # sum of bilinear weights below which a pixel has no history
-MIN_ALBEDO = 0.01  # darker surfaces are not demodulated
+MIN_TEXTURED_ALBEDO = 0.01  # darker surfaces are not demodulated
 BARE, TEXTURED = 2.0, 3.0  # kinds of surfaces beside MISS: filtered as radiance, filtered as irradiance
 MAX_IRRADIANCE = 1e18  # its square is still a float32
 
@@ -60,7 +60,7 @@ class Svgf:
         """
         frame = admit(frame, history and history.irradiance)
         kind = kind_of(frame)
-        albedo = torch.where(kind == TEXTURED, frame.albedo.clamp(min=MIN_ALBEDO), 1.0)
+        albedo = torch.where(kind == TEXTURED, frame.albedo.clamp(min=MIN_TEXTURED_ALBEDO), 1.0)
         irradiance = (frame.radiance / albedo).clamp(max=MAX_IRRADIANCE)
         surface = Surface.of(frame.depth, frame.normal, kind, self.sigma_z, self.sigma_n)
 
@@ -140,12 +140,12 @@ class Svgf:
 
 
 def kind_of(frame: Frame) -> Tensor:
-    """The kind of each pixel, `[B, 1, H, W]`: MISS, BARE where all of the albedo is below `MIN_ALBEDO`, else TEXTURED.
+    """The kind of each pixel, `[B, 1, H, W]`: MISS, BARE where all of the albedo is below `MIN_TEXTURED_ALBEDO`, else TEXTURED.
 
     Only TEXTURED pixels are demodulated (radiance divided by albedo). Kinds keep radiance and irradiance from being
     averaged.
     """
-    surface = torch.where(frame.albedo.amax(1, keepdim=True) < MIN_ALBEDO, BARE, TEXTURED)
+    surface = torch.where(frame.albedo.amax(1, keepdim=True) < MIN_TEXTURED_ALBEDO, BARE, TEXTURED)
     return torch.where(frame.depth > 0, surface, MISS)
 
 

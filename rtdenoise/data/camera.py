@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InputError
 from ..frame import OFF_SCREEN
 
-MIN_DISTANCE = 1e-6  # w of the nearest points that count as in front of a camera
+MIN_W = 1e-6  # w of the nearest points that count as in front of a camera
 AXES = {"mitsuba": (-1, -1, 1), "opengl": (1, -1, -1), "opencv": (1, 1, 1)}
 """Convention of a camera's own axes -> the signs that turn them into x right, y down, z forward."""
 
@@ -116,7 +116,7 @@ def pixel_motion(
     """Where `there` sees the moved point minus where `here` sees the point; `OFF_SCREEN` where it is behind `there`."""
     now, then = np.tensordot(here, point, 1), np.tensordot(there, moved, 1)
     with np.errstate(all="ignore"):
-        return np.where(then[2:] > MIN_DISTANCE, then[:2] / then[2:] - now[:2] / now[2:], OFF_SCREEN)
+        return np.where(then[2:] > MIN_W, then[:2] / then[2:] - now[:2] / now[2:], OFF_SCREEN)
 
 
 def projection(matrix: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save
 
+from ..constants import MAX_HALF
 from ..errors import InputError
 from ..files import open_regular, write_atomically
 from ..frame import Frame
@@ -32,7 +33,6 @@ RADIANCE = tuple(layer for names in zip(*(SIGNALS[s].values() for s in SIGNALS),
 FEATURES = tuple(name for name, layer in LAYERS.items() if layer.in_every_clip and name not in RADIANCE)
 OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_clip)
 SHOT = "shot"  # kind of the clips that are cut from frames on disk
-HALF_MAX = float(np.finfo(np.float16).max)
 FLOAT_TYPES, ID_TYPES = ("F16", "F32"), ("U16", "U8", "F32")  # names of safetensors; older clips have the later ones
 MAX_SCALE = 1024.0  # more would leave half precision no digits for dark pixels; beyond it values are clamped
 
@@ -68,7 +68,7 @@ def write_clip(
         if dtype is np.float16:
             if name in layers and (scale := _scale(values)) > 1:
                 values, scales[name] = values / scale, scale
-            values = np.clip(values, -HALF_MAX, HALF_MAX)
+            values = np.clip(values, -MAX_HALF, MAX_HALF)
         tensors[name] = np.ascontiguousarray(values, dtype)
         if not np.isfinite(tensors[name]).all():
             raise ValueError(f"{path}: {name} is not finite")
@@ -107,7 +107,7 @@ def write_estimates(clip: Path, method: str, estimates: Mapping[str, np.ndarray]
     path = estimate_path(clip, method)
     path.parent.mkdir(exist_ok=True)
     before = load_file(path) if path.is_file() else {}
-    now = {signal: np.clip(z, 0, HALF_MAX).astype(np.float16) for signal, z in estimates.items()}
+    now = {signal: np.clip(z, 0, MAX_HALF).astype(np.float16) for signal, z in estimates.items()}
     write_atomically(path, save(before | now))
 
 
@@ -251,7 +251,7 @@ def _stacked(tensors: list[Tensor]) -> Tensor:
 def _scale(values: np.ndarray) -> float:
     """The least power of two that brings the values within float16, at most `MAX_SCALE`."""
     largest = float(np.abs(values[np.isfinite(values)]).max(initial=0))
-    return min(2.0 ** max(math.ceil(math.log2(largest / HALF_MAX)), 0), MAX_SCALE) if largest > HALF_MAX else 1.0
+    return min(2.0 ** max(math.ceil(math.log2(largest / MAX_HALF)), 0), MAX_SCALE) if largest > MAX_HALF else 1.0
 
 
 def _scales(path: Path, clip) -> dict[str, float]:

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
+from ..constants import MAX_HALF
 from ..errors import InputError
 from ..files import open_regular, read_bytes, write_atomically
 from .exr_chunks import single_part
@@ -30,7 +31,6 @@ from .exr_header import parse_file
 from .layers import LAYERS
 
 NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}
-HALF_MAX = 65504.0
 DECODER_NEEDS = 3  # times the decoded pixels: the file, OpenEXR's buffers, the result
 
 GEOMETRY = {name: layer.components for name, layer in LAYERS.items() if layer.components != "RGB"}
@@ -162,7 +162,7 @@ def _planes(key: str, array: np.ndarray) -> list[tuple[str, np.ndarray]]:
 
 def _convert(plane: np.ndarray, dtype: str) -> np.ndarray:
     if dtype == "half":
-        plane = np.clip(plane, -HALF_MAX, HALF_MAX)
+        plane = np.clip(plane, -MAX_HALF, MAX_HALF)
     elif dtype == "uint":
         plane = np.rint(np.clip(np.nan_to_num(plane.astype(np.float64)), 0, 2**32 - 1))
     return np.ascontiguousarray(plane, dtype=NUMPY_TYPES[dtype])

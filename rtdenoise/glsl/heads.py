@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import moderngl
 import numpy as np
 
-from ..models.config import Config
+from ..models.presets import Config
 from .context import GpuArray
 from .network import Layer, filled
 

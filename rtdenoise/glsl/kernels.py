@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..models.config import Config
+from ..models.presets import Config
 from .context import GpuArray
 from .dispatch import dispatch
 from .heads import Heads

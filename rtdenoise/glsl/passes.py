@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, SKY_BLOCK
-from ..models.config import Config
+from ..models.presets import Config
 from .context import GpuArray
 from .dispatch import dispatch, fill
 from .network import HalfSizeUNet, UNet

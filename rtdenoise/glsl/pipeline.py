@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
-from ..models.config import Config
+from ..models.presets import Config
 from ..models.weights import read_model
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context

@@ -1,14 +1,14 @@
 """Denoisers: a name or a file -> configuration -> network with its weights.
 
-Each name is imported on first use: `config` and `weights` need no torch.
+Each name is imported on first use: `presets` and `weights` need no torch.
 """
 
 from importlib import import_module
 
 _HOMES = {
-    "AccumulatedKPN": "accumulated_kpn", "AccumulatedKPNConfig": "config", "COMBINERS": "config",
-    "Combined": "combiner", "Combiner": "combiner", "CombinerConfig": "config", "Config": "config",
-    "Denoiser": "denoiser", "PRESETS": "config", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config",
+    "AccumulatedKPN": "accumulated_kpn", "AccumulatedKPNConfig": "config", "COMBINERS": "presets",
+    "Combined": "combiner", "Combiner": "combiner", "CombinerConfig": "combiner_config", "Config": "presets",
+    "Denoiser": "denoiser", "PRESETS": "presets", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config",
     "Window": "combiner", "available": "weights", "available_combiners": "weights", "create": "loading",
     "find": "weights", "grow": "growing", "load": "loading", "load_combiner": "loading", "read": "loading",
     "save": "loading",

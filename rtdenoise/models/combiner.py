@@ -38,7 +38,7 @@ from ..ops import apply_kernel, downsample, fetch, pick, reproject
 from ..ops.logits import whole
 from ..ops.pixels import nearness
 from ..sanitise import sanitise
-from .config import CombinerConfig
+from .combiner_config import CombinerConfig
 from .inference import as_weights
 from .losses import smape_ratio
 from .unet import ConvRelu, UNet

@@ -7,11 +7,8 @@ with a shader in `shaders/frame/`; and its value in `growing.WITHOUT`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import ClassVar
-
-from ..errors import InputError
 
 CELL = 32  # pixels; reaches are rounded up to it, and windows of a frame start at multiples of it
 MAX_WIDTH, MAX_KERNEL = 1024, 31  # larger networks are refused before memory is allocated for them
@@ -27,7 +24,7 @@ class Head:
     """Initial logit of the middle channel; all its weights and other biases start at 0. None: random weights."""
 
 
-class _Config:
+class NetworkConfig:
     """The base of the configurations of all architectures."""
 
     architecture: ClassVar[str]  # stored in weights files; the name of the module with the network
@@ -37,7 +34,7 @@ class _Config:
 
     widths: tuple[int, ...]
 
-    def _check(self, *kernels: str) -> None:
+    def check(self, *kernels: str) -> None:
         """Raise ValueError for fields that no network can have."""
         object.__setattr__(self, "widths", tuple(self.widths))
         integers = [*self.widths, *(getattr(self, name) for name in kernels)]
@@ -76,7 +73,7 @@ class _Config:
         """The channels of the heads of a scale, for `Tensor.split`."""
         return [head.channels for head in self.heads[scale]]
 
-    def _unet_shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+    def unet_shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
         below = zip(self.widths[1:], self.widths, strict=False)
         blocks = {f"encoder.{i}": ab for i, ab in enumerate(zip((inputs, *self.widths), self.widths, strict=False))}
         blocks |= {f"decoder.{i}": (a + b, b) for i, (a, b) in enumerate(below)}
@@ -86,8 +83,18 @@ class _Config:
         return shapes
 
 
+def with_biases(shapes: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+    """The shapes of weights with those of their biases."""
+    return shapes | {name.replace("weight", "bias"): shape[:1] for name, shape in shapes.items()}
+
+
+def rounded_up(length: int) -> int:
+    """`length` in pixels, rounded up to a multiple of `CELL`."""
+    return -(-length // CELL) * CELL
+
+
 @dataclass(frozen=True)
-class TemporalKPNConfig(_Config):
+class TemporalKPNConfig(NetworkConfig):
     """The paper's network (`temporal_kpn`)."""
 
     architecture: ClassVar[str] = "temporal_kpn"
@@ -106,7 +113,7 @@ class TemporalKPNConfig(_Config):
     """Motion vectors that fetch history: 'dual', or 'traditional' (setting A of the paper)."""
 
     def __post_init__(self) -> None:
-        self._check("kernel")
+        self.check("kernel")
         if len(self.widths) <= self.scales:
             raise ValueError(f"expected at least {self.scales + 1} widths, got {self.widths}")
         if self.pool not in ("mean", "max"):
@@ -121,26 +128,26 @@ class TemporalKPNConfig(_Config):
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """As `_Config.shapes`."""
-        shapes = self._unet_shapes(self.features)
+        """As `NetworkConfig.shapes`."""
+        shapes = self.unet_shapes(self.features)
         for scale, width in enumerate(self.widths[: self.scales]):
             shapes[f"heads.{scale}.weight"] = (sum(self.channels(scale)), width, 1, 1)
-        return _with_biases(shapes)
+        return with_biases(shapes)
 
     @property
     def network_reach(self) -> int:
-        """As `_Config.network_reach`. A level of the U-Net has two 3×3 convolutions on the way down and two on the way
-        up; pooling and enlarging add a cell."""
-        return _up(3 * 2 ** len(self.widths) + 1) + self.light_reach
+        """As `NetworkConfig.network_reach`. A level of the U-Net has two 3×3 convolutions on the way down and two on
+        the way up; pooling and enlarging add a cell."""
+        return rounded_up(3 * 2 ** len(self.widths) + 1) + self.light_reach
 
     @property
     def light_reach(self) -> int:
-        """As `_Config.light_reach`: the coarsest kernel, and two bilinear enlargements."""
-        return _up(self.kernel // 2 * 2 ** (self.scales - 1) + 6)
+        """As `NetworkConfig.light_reach`: the coarsest kernel, and two bilinear enlargements."""
+        return rounded_up(self.kernel // 2 * 2 ** (self.scales - 1) + 6)
 
 
 @dataclass(frozen=True)
-class AccumulatedKPNConfig(_Config):
+class AccumulatedKPNConfig(NetworkConfig):
     """The network that ships (`accumulated_kpn`)."""
 
     architecture: ClassVar[str] = "accumulated_kpn"
@@ -170,7 +177,7 @@ class AccumulatedKPNConfig(_Config):
     """Motion vectors that fetch history: 'dual' or 'traditional'."""
 
     def __post_init__(self) -> None:
-        self._check("kernel", "temporal_kernel", "edge_kernel", "pick_kernel")
+        self.check("kernel", "temporal_kernel", "edge_kernel", "pick_kernel")
         if not isinstance(self.scales, int) or not 2 <= self.scales <= len(self.widths):
             raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
         if not isinstance(self.detail, bool):
@@ -195,190 +202,25 @@ class AccumulatedKPNConfig(_Config):
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """As `_Config.shapes`. The head at full size is a transposed convolution: four pixels per stem pixel."""
-        shapes = self._unet_shapes(self.widths[0])
+        """As `NetworkConfig.shapes`. The head at full size is a transposed convolution: four pixels per stem pixel."""
+        shapes = self.unet_shapes(self.widths[0])
         for scale, width in enumerate(self.widths[: self.scales - 1], start=1):
             shapes[f"heads.{scale - 1}.weight"] = (sum(self.channels(scale)), width, 1, 1)
         shapes["stem.weight"] = (self.widths[0], self.features, 4, 4)
         full = sum(self.channels(0))
-        return _with_biases(shapes) | {"full_head.weight": (self.widths[0], full, 2, 2), "full_head.bias": (full,)}
+        return with_biases(shapes) | {"full_head.weight": (self.widths[0], full, 2, 2), "full_head.bias": (full,)}
 
     @property
     def network_reach(self) -> int:
-        """As `_Config.network_reach`. The U-Net works at half size."""
-        return _up(6 * 2 ** len(self.widths)) + self.light_reach
+        """As `NetworkConfig.network_reach`. The U-Net works at half size."""
+        return rounded_up(6 * 2 ** len(self.widths)) + self.light_reach
 
     @property
     def light_reach(self) -> int:
-        """As `_Config.light_reach`: the kernels of all scales one after the other, an enlargement at each, then the
-        edge and the temporal kernel."""
+        """As `NetworkConfig.light_reach`: the kernels of all scales one after the other, an enlargement at each, then
+        the edge and the temporal kernel."""
         cells = 2**self.scales
         enlarged = self.pick_kernel // 2 * (cells - 2) if self.pick_kernel > 1 else cells // 2 - 1
-        return _up(self.kernel // 2 * (cells - 1) + enlarged + self.edge_kernel // 2 + self.temporal_kernel // 2 + 1)
-
-
-@dataclass(frozen=True)
-class CombinerConfig(_Config):
-    """A network that corrects denoised frames by their noisy originals (`combiner`)."""
-
-    architecture: ClassVar[str] = "combiner"
-    carries: ClassVar[tuple[str, ...]] = ()
-    max_levels: ClassVar[int] = 5
-
-    widths: tuple[int, ...] = (32, 48, 64, 80)
-    """Channels of the U-Net, finest level first."""
-    half_size: bool = True
-    """The U-Net works at half the image size, behind a strided convolution; else at full size."""
-    frames: int = 5
-    """Frames in the window; an odd number unless `causal`."""
-    causal: bool = False
-    """The current frame is the window's last one, not its middle one."""
-    scales: int = 3
-    """Scales at which residuals are filtered: 1, 1/2, 1/4 ... of the image size."""
-    kernel: int = 5
-    """Side of the kernels over residuals, odd; one for each frame and scale."""
-    pick_kernel: int = 3
-    """Side of the kernels by which pixels pick from the next coarser scale, odd."""
-    nothing: bool = True
-    """A share for no correction competes with those of the frames; without it the weights of a pixel sum to 1."""
-    demodulate: bool = True
-    """Residuals are divided by the albedo."""
-    statistics: bool = True
-    """The input has means of residuals over neighbourhoods, in units of their standard errors."""
-
-    def __post_init__(self) -> None:
-        self._check("kernel", "pick_kernel")
-        if not isinstance(self.frames, int) or not 1 <= self.frames <= 9 or not (self.causal or self.frames % 2):
-            raise ValueError(f"expected 1 to 9 frames, an odd number unless causal, got {self.frames}")
-        most = len(self.widths) - 1 + self.half_size
-        if not isinstance(self.scales, int) or not 1 <= self.scales <= most:
-            raise ValueError(f"expected 1 to {most} scales for widths {self.widths}, got {self.scales}")
-
-    @property
-    def offsets(self) -> tuple[int, ...]:
-        """Frame numbers of the window relative to the current frame."""
-        first = 1 - self.frames if self.causal else -(self.frames // 2)
-        return tuple(range(first, first + self.frames))
-
-    @property
-    def current(self) -> int:
-        """Place of the current frame in the window."""
-        return self.offsets.index(0)
-
-    @property
-    def features(self) -> int:
-        """Input channels: of each frame y 3, z 3, residual 3, validity 1; albedo 3, normal 3, nearness 1 of the current
-        one; statistics 13."""
-        return 10 * self.frames + 7 + (13 if self.statistics else 0)
-
-    @property
-    def heads(self) -> tuple[tuple[Head, ...], ...]:
-        """At every scale a kernel for each frame and the shares of the frames and, if there is one, of nothing; at all
-        but the coarsest the pick kernel with its weight. The share of no correction starts like that of a frame."""
-        kernels = [Head(f"taps{offset:+d}", self.kernel**2) for offset in self.offsets]
-        shares = [Head("shares", self.frames), *([Head("nothing", 1, start=0.0)] if self.nothing else [])]
-        pick = Head("pick", self.pick_kernel**2), Head("pick_share", 1, start=0.0)
-        return *[(*kernels, *shares, *pick)] * (self.scales - 1), (*kernels, *shares)
-
-    @property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """As `_Config.shapes`. Behind a U-Net at half size the heads at full size predict for four pixels at once."""
-        shapes = self._unet_shapes(self.widths[0] if self.half_size else self.features)
-        if self.half_size:
-            shapes["stem.weight"] = (self.widths[0], self.features, 4, 4)
-        for scale, heads in enumerate(self.heads):
-            width, pixels = self.widths[self.level(scale)], 4 if self.half_size and scale == 0 else 1
-            shapes |= {f"heads.{scale}.{h.name}.weight": (pixels * h.channels, width, 1, 1) for h in heads}
-        return _with_biases(shapes)
-
-    def level(self, scale: int) -> int:
-        """The level of the U-Net that predicts the heads of a scale."""
-        return max(0, scale - 1) if self.half_size else scale
-
-    @property
-    def network_reach(self) -> int:
-        """As `_Config.network_reach`, without motion between frames. The statistics reach 7 pixels."""
-        return _up(3 * 2 ** (len(self.widths) + self.half_size) + 8) + self.light_reach
-
-    @property
-    def light_reach(self) -> int:
-        """As `_Config.light_reach`: the kernel and the pick kernel of every scale, likewise without motion."""
-        cells = 2**self.scales
-        return _up((self.kernel // 2 + self.pick_kernel // 2 + 1) * (cells - 1))
-
-
-Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig
-CONFIGS: dict[str, type[Config]] = {
-    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig)
-}
-
-PRESETS: dict[str, Config] = {
-    "paper": TemporalKPNConfig(),
-    "fast": AccumulatedKPNConfig(widths=(16, 24, 32, 48, 64), kernel=3, edge_kernel=3),
-    "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3),
-    "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
-}
-"""Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
-
-COMBINERS: dict[str, CombinerConfig] = {
-    "combiner": CombinerConfig(),
-    "combiner-causal": CombinerConfig(frames=3, causal=True),
-    "drc": CombinerConfig(
-        widths=(48, 64, 96, 128), half_size=False, kernel=15, pick_kernel=5, nothing=False, demodulate=False,
-        statistics=False,
-    ),
-}  # fmt: skip
-"""Name of a combiner -> its configuration: ours, ours without future frames, and its paper's."""
-
-
-def from_stored(architecture: str, values: Mapping[str, object]) -> Config:
-    """The configuration in a weights file. Raises ValueError where it is none of this version."""
-    if architecture not in CONFIGS:
-        raise ValueError(f"expected an architecture of {', '.join(CONFIGS)}, got {architecture!r}")
-    if unknown := values.keys() - {field.name for field in fields(CONFIGS[architecture])}:
-        raise ValueError(f"unknown field {min(unknown)!r}")
-    try:
-        return CONFIGS[architecture](**values)
-    except TypeError as error:
-        raise ValueError(str(error)) from None
-
-
-def with_settings(config: Config, settings: Iterable[str]) -> Config:
-    """`config` with fields replaced as `NAME=VALUE` says, e.g. `widths=32,48,64` or `motion=traditional`.
-
-    Raises InputError for a setting of another form, an unknown field, or a value that the field cannot have.
-    """
-    known = {field.name: getattr(config, field.name) for field in fields(config)}
-    changes: dict[str, object] = {}
-    for setting in settings:
-        name, equals, value = setting.partition("=")
-        if not equals or name not in known:
-            raise InputError(f"--set {setting}: expected NAME=VALUE with a NAME of {', '.join(known)}")
-        try:
-            changes[name] = _parsed(value, known[name])
-        except (ValueError, KeyError):
-            raise InputError(f"--set {setting}: expected a value like {_shown(known[name])}") from None
-    try:
-        return replace(config, **changes)
-    except ValueError as error:
-        raise InputError(f"--set {' '.join(settings)}: {error}") from None
-
-
-def _parsed(text: str, like: object) -> object:
-    if isinstance(like, bool):
-        return {"true": True, "false": False}[text.lower()]
-    if isinstance(like, tuple):
-        return tuple(int(part) for part in text.split(","))
-    return type(like)(text)
-
-
-def _shown(value: object) -> str:
-    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value).lower()
-
-
-def _with_biases(shapes: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
-    return shapes | {name.replace("weight", "bias"): shape[:1] for name, shape in shapes.items()}
-
-
-def _up(length: int) -> int:
-    return -(-length // CELL) * CELL
+        return rounded_up(
+            self.kernel // 2 * (cells - 1) + enlarged + self.edge_kernel // 2 + self.temporal_kernel // 2 + 1
+        )

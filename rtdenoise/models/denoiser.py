@@ -7,8 +7,8 @@ from typing import Protocol
 from torch import Tensor
 
 from ..frame import NOTHING_KNOWN, Frame, History, Known
-from .config import Config
 from .losses import Loss
+from .presets import Config
 
 
 class Denoiser(Protocol):

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor, nn
 
 from .accumulated_kpn import AccumulatedKPN
-from .config import AccumulatedKPNConfig, Config, Head
+from .config import AccumulatedKPNConfig, Head
+from .presets import Config
 
 WITHOUT = {"edge_kernel": 1, "pick_kernel": 1, "detail": False}  # values of networks without these heads
 

@@ -13,9 +13,9 @@ from ..errors import InputError
 from ..files import write_atomically
 from .accumulated_kpn import AccumulatedKPN
 from .combiner import Combiner
-from .config import Config
 from .denoiser import Denoiser
 from .inference import prepare, resolve
+from .presets import Config
 from .temporal_kpn import TemporalKPN
 from .weights import read_model
 

@@ -15,7 +15,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from ..errors import InputError, did_you_mean
-from .config import COMBINERS, Config, from_stored
+from .presets import COMBINERS, Config, from_stored
 
 MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
 _SHIPPED = resources.files("rtdenoise") / "weights"

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..constants import MAX_HALF
 from ..errors import InputError
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-HALF_MAX = 65504.0  # the largest half float
 
 
 @dataclass(frozen=True)
@@ -53,13 +52,13 @@ def from_planes(image: np.ndarray | Tensor, form: Form) -> np.ndarray | Tensor:
     if form.device is None:
         image = image if isinstance(image, np.ndarray) else image.cpu().numpy()
         if form.dtype == np.float16:
-            image = image.clip(max=HALF_MAX)
+            image = image.clip(max=MAX_HALF)
         return np.array(np.moveaxis(image[0], 0, 2) if form.last else image, form.dtype, order="C")
     import torch
 
     image = torch.as_tensor(image)
     if form.dtype == torch.float16:
-        image = image.clamp(max=HALF_MAX)
+        image = image.clamp(max=MAX_HALF)
     image = (image[0].permute(1, 2, 0) if form.last else image).to(form.device, form.dtype, copy=True)
     return image.contiguous()
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
-from ..models.config import Config
+from ..models.presets import Config
 from .memory import explained
 from .plan import Plan, count, look, make_plan
 

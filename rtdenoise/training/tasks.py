@@ -14,7 +14,7 @@ from ..data.clips import ClipDataset
 from ..exposure import exposure
 from ..frame import Frame
 from ..models import Combiner, Denoiser, Window
-from ..models.config import Config
+from ..models.presets import Config
 from ..motion import occlusion_weights, uncovered
 from .batches import clips, windows
 from .config import TrainConfig

@@ -14,8 +14,8 @@ import torch
 from ..errors import InputError, did_you_mean
 from ..files import open_regular, write_atomically
 from ..models import COMBINERS, PRESETS, Combiner, Config, Denoiser, create, grow, read
-from ..models.config import with_settings
 from ..models.inference import choose_device
+from ..models.presets import with_settings
 from .config import TrainConfig
 from .distributed import average_gradients, means
 from .muon import Muon

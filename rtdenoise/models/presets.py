@@ -1,0 +1,78 @@
+"""The networks that there are, by name; configurations from weights files and from settings. Needs no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
+
+from ..errors import InputError
+from .combiner_config import CombinerConfig
+from .config import AccumulatedKPNConfig, TemporalKPNConfig
+
+Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig
+CONFIGS: dict[str, type[Config]] = {
+    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig)
+}
+
+PRESETS: dict[str, Config] = {
+    "paper": TemporalKPNConfig(),
+    "fast": AccumulatedKPNConfig(widths=(16, 24, 32, 48, 64), kernel=3, edge_kernel=3),
+    "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3),
+    "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
+}
+"""Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
+
+COMBINERS: dict[str, CombinerConfig] = {
+    "combiner": CombinerConfig(),
+    "combiner-causal": CombinerConfig(frames=3, causal=True),
+    "drc": CombinerConfig(
+        widths=(48, 64, 96, 128), half_size=False, kernel=15, pick_kernel=5, nothing=False, demodulate=False,
+        statistics=False,
+    ),
+}  # fmt: skip
+"""Name of a combiner -> its configuration: ours, ours without future frames, and its paper's."""
+
+
+def from_stored(architecture: str, values: Mapping[str, object]) -> Config:
+    """The configuration in a weights file. Raises ValueError where it is none of this version."""
+    if architecture not in CONFIGS:
+        raise ValueError(f"expected an architecture of {', '.join(CONFIGS)}, got {architecture!r}")
+    if unknown := values.keys() - {field.name for field in fields(CONFIGS[architecture])}:
+        raise ValueError(f"unknown field {min(unknown)!r}")
+    try:
+        return CONFIGS[architecture](**values)
+    except TypeError as error:
+        raise ValueError(str(error)) from None
+
+
+def with_settings(config: Config, settings: Iterable[str]) -> Config:
+    """`config` with fields replaced as `NAME=VALUE` says, e.g. `widths=32,48,64` or `motion=traditional`.
+
+    Raises InputError for a setting of another form, an unknown field, or a value that the field cannot have.
+    """
+    known = {field.name: getattr(config, field.name) for field in fields(config)}
+    changes: dict[str, object] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals or name not in known:
+            raise InputError(f"--set {setting}: expected NAME=VALUE with a NAME of {', '.join(known)}")
+        try:
+            changes[name] = _parsed(value, known[name])
+        except (ValueError, KeyError):
+            raise InputError(f"--set {setting}: expected a value like {_shown(known[name])}") from None
+    try:
+        return replace(config, **changes)
+    except ValueError as error:
+        raise InputError(f"--set {' '.join(settings)}: {error}") from None
+
+
+def _parsed(text: str, like: object) -> object:
+    if isinstance(like, bool):
+        return {"true": True, "false": False}[text.lower()]
+    if isinstance(like, tuple):
+        return tuple(int(part) for part in text.split(","))
+    return type(like)(text)
+
+
+def _shown(value: object) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value).lower()
