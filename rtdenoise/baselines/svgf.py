@@ -140,7 +140,8 @@ class Svgf:
 
 
 def kind_of(frame: Frame) -> Tensor:
-    """The kind of each pixel, `[B, 1, H, W]`: MISS, BARE where all of the albedo is below `MIN_TEXTURED_ALBEDO`, else TEXTURED.
+    """The kind of each pixel, `[B, 1, H, W]`: MISS, BARE where all of the albedo is below `MIN_TEXTURED_ALBEDO`, else
+    TEXTURED.
 
     Only TEXTURED pixels are demodulated (radiance divided by albedo). Kinds keep radiance and irradiance from being
     averaged.
