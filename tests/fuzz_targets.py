@@ -187,7 +187,7 @@ def _resumable() -> tuple:
     except Stop:
         (out / "later").mkdir()
     sequence, seed = open_sequence(_shot()), unpacked((out / run.STATE).read_bytes())
-    seed = seed.replace(run._fingerprints(sequence, options)[2].encode(), FINGERPRINT.encode())
+    seed = seed.replace(run.digest(sequence, options)[2].encode(), FINGERPRINT.encode())
     return sequence, options, TorchBackend(options.model, "cpu", "auto"), out, seed
 
 
