@@ -1,5 +1,6 @@
 """Compiled code: nothing damaged and nothing foreign is loaded, and without a cache the plain ops run."""
 
+import contextlib
 import ctypes
 import logging
 import os
@@ -130,39 +131,39 @@ def test_a_new_folder_is_its_owners_alone(place):
     assert place.stat().st_mode & 0o077 == 0 and not any(path.stat().st_mode & 0o077 for path in place.iterdir())
 
 
+@contextlib.contextmanager
 def full_disk():
-    """No file may grow beyond 1 KB: the system's own refusal. The compiler is stopped by it as by a full disk."""
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
-
-
-@pytest.fixture
-def limits():
+    """No file may grow beyond 1 KB: the system's own refusal. The compiler is stopped by it as by a full disk. It ends
+    with the block, before the test runner reports the result, perhaps into a longer file."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_runs_plain(place, caplog, limits):
-    full_disk()
-    plain_with_one_warning(caplog, "failed")
+def test_a_full_disk_runs_plain(place, caplog):
+    with full_disk():
+        plain_with_one_warning(caplog, "failed")
     assert not any(place.iterdir())
 
 
-def test_a_disk_that_has_filled_up_since_the_start_runs_plain(place, caplog, limits):
+def test_a_disk_that_has_filled_up_since_the_start_runs_plain(place, caplog):
     """Ops that need another library than the first: forward with a gradient to come, and without."""
     compiled(place)
     downsampled()
-    full_disk()
     image, motion = IMAGE.clone().requires_grad_(), torch.full((1, 2, 9, 7), 0.5)
 
     def warped(choice):
         with ops.use(choice):
             return ops.warp(image, motion)
 
-    plain_with_one_warning(caplog, "failed", warped)
-    warped("auto").sum().backward()
+    with full_disk():
+        plain_with_one_warning(caplog, "failed", warped)
+        warped("auto").sum().backward()
     assert image.grad.isfinite().all()
-    with pytest.raises(RuntimeError, match="no fused path"):
+    with full_disk(), pytest.raises(RuntimeError, match="no fused path"):
         warped("fused")
 
 
