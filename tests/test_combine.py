@@ -12,7 +12,8 @@ import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.models import CombinerConfig, Window, create, save
-from rtdenoise.run.combine import Options, combine
+from rtdenoise.run.combine import combine
+from rtdenoise.run.options import CombineOptions
 
 TINY = CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3)
 COUNT = 6
@@ -35,7 +36,7 @@ def model(tmp_path_factory):
 
 @pytest.fixture
 def options(model):
-    return Options(model=model, float32=True)
+    return CombineOptions(model=model, float32=True)
 
 
 def estimate(frame):

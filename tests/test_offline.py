@@ -81,7 +81,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, options, 
 def test_a_run_killed_before_it_could_note_a_frame(shot, tmp_path, options, monkeypatch):
     """The frame is there, its state is not: it is written again, and alike."""
     denoise(str(shot), tmp_path / "whole", options)
-    out, real = tmp_path / "out", rtdenoise.run.denoise.write_history
+    out, real = tmp_path / "out", rtdenoise.run.state.write_history
 
     def dies(path, fields, metadata):
         if metadata.get("done") == "6":
@@ -89,7 +89,7 @@ def test_a_run_killed_before_it_could_note_a_frame(shot, tmp_path, options, monk
         real(path, fields, metadata)
 
     with monkeypatch.context() as patch:
-        patch.setattr("rtdenoise.run.denoise.write_history", dies)
+        patch.setattr("rtdenoise.run.state.write_history", dies)
         with pytest.raises(Stop):
             denoise(str(shot), out, options)
     assert (out / NAMES[2]).exists()

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from ..run.combine import Options
+from ..run.options import CombineOptions
 from .denoise import told
 from .progress import progress_bar
 
@@ -23,7 +23,7 @@ class Combine:
     """The same frames, denoised: a folder, or a glob in quotes."""
     out: Path
     """Folder for the corrected files; never a folder of the input."""
-    settings: OmitArgPrefixes[Options] = field(default_factory=Options)
+    settings: OmitArgPrefixes[CombineOptions] = field(default_factory=CombineOptions)
     overwrite: bool = False
     """Correct all frames again, whatever --out holds."""
 

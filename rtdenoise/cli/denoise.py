@@ -14,7 +14,7 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from ..errors import InputError
-from ..run.denoise import Options, Summary
+from ..run.options import Options, Summary
 from ..run.processes import end_with_parent, run_jobs
 from ..run.threads import cpu_limit
 from .progress import progress_bar

@@ -8,7 +8,6 @@ memory at a time. A run that was interrupted goes on where it stopped; frames ap
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,48 +15,17 @@ from ..data.output import check_output, protect_input
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from .denoise import EXAMINED, Summary
 from .folder import prepare
+from .options import EXAMINED, CombineOptions, Summary
 
 FEATURES = ("albedo", "normal", "depth")
-
-
-@dataclass(frozen=True)
-class Options:
-    """The options of a run."""
-
-    signal: str = "color"
-    """The denoised signal: 'color' (the beauty) or 'indirect'."""
-    model: str = "combiner"
-    """The combiner: a shipped one, or a .safetensors file that `rtdenoise train` wrote."""
-    preset: str = "auto"
-    """Layout of the noisy files: as for denoise."""
-    layout: str = "plain"
-    """Channels of the output files: 'plain' (the result in R,G,B) or 'source' (a copy of the noisy file with the result
-    in its place)."""
-    recombine: bool = False
-    """Add the rest of the light to the corrected signal: the result is the beauty."""
-    keep: tuple[str, ...] = ()
-    """Layers of the noisy files to copy into the output ('albedo', 'depth' ...), or 'all'."""
-    float32: bool = False
-    """Write 32-bit float instead of 16-bit half."""
-    confidence: bool = False
-    """Also write the size of each pixel's correction, in radiance, as the layer 'confidence'."""
-    allow_gaps: bool = False
-    """Accept missing frame numbers; no frame is corrected by frames beyond a gap."""
-    detect_cuts: bool = True
-    """Use no frames beyond one where most pixels show another surface than their motion vectors promise."""
-    device: str = "auto"
-    """'auto', 'cpu' or 'cuda'."""
-    precision: str = "auto"
-    """Precision of the network: 'fp32', 'bf16', or 'auto' (bf16 where the hardware is faster with it)."""
 
 
 def combine(
     noisy: str,
     denoised: str,
     out: str | Path,
-    options: Options = Options(),
+    options: CombineOptions = CombineOptions(),
     overwrite: bool = False,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> Summary:

@@ -17,11 +17,11 @@ from ..frame import MAX_CUT_MISMATCH, Frame, History
 from ..history import mismatch
 from ..models import Combiner, Window
 from ..splat import splat_motion_next
-from .combine import Options
-from .denoise import STATE, SUMMARY, Summary, read_state, save_state
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
+from .options import SUMMARY, CombineOptions, Summary
 from .pairs import read_estimate
+from .state import STATE, read_state, save_state
 from .windows import windows
 
 
@@ -42,7 +42,7 @@ class Run:
     source: Sequence
     estimates: Sequence
     out: Path
-    options: Options
+    options: CombineOptions
     combiner: Combiner
     device: str
     on_frame: Callable[[int, int], None]

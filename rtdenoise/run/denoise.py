@@ -3,86 +3,21 @@ stopped, and finished runs where frames were appended."""
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence, open_sequence
-from ..data.stored import read_history, write_history
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH
 from ..sanitise import faults
 from .backends import Backend, open_backend
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
-
-if TYPE_CHECKING:
-    from .plan import Plan
-
-STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
-SUMMARY = "denoise.json"
-EXAMINED = 3  # frames that the plan examines
-
-
-@dataclass(frozen=True)
-class Options:
-    """The options of a run."""
-
-    signal: str = "color"
-    """The signal to denoise: 'color' (the beauty) or 'indirect'."""
-    model: str = "default"
-    """The network: 'default', 'fast', 'quality', 'paper', or a .safetensors file that `rtdenoise train` wrote."""
-    preset: str = "auto"
-    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
-    file."""
-    layout: str = "plain"
-    """Channels of the output files: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in
-    its place)."""
-    recombine: bool = False
-    """Add the rest of the light to the denoised signal: the result is the beauty."""
-    keep: tuple[str, ...] = ()
-    """Layers of the input to copy into the output ('albedo', 'depth' ...), or 'all'."""
-    float32: bool = False
-    """Write 32-bit float instead of 16-bit half."""
-    allow_gaps: bool = False
-    """Accept missing frame numbers; history starts anew after each gap."""
-    detect_cuts: bool = True
-    """Start history anew where most pixels find another surface than their motion vectors promise."""
-    plan: bool = True
-    """Leave out work that a frame does not need (`rtdenoise inspect` lists it); off: everything runs."""
-    backend: str = "auto"
-    """'torch', 'glsl' (OpenGL compute shaders, needs no PyTorch), or 'auto': torch where it is installed."""
-    device: str = "auto"
-    """Device of the torch backend: 'auto', 'cpu' or 'cuda'."""
-    offline: bool = False
-    """The best picture for frames on disk: uses the frames after as well as those before, and OIDN where it is
-    installed. Takes several times as long."""
-    confidence: bool = False
-    """With --offline: also write how far the candidates lie apart, in radiance, as the layer 'confidence' (small is
-    sure)."""
-    precision: str = "auto"
-    """Precision of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl, for stored activations), or 'auto' (torch: bf16
-    where the hardware is faster with it; glsl: fp32)."""
-
-
-@dataclass
-class Summary:
-    """The outcome of a run. All but `written`, `skipped` and `seconds` include earlier, interrupted runs."""
-
-    written: int = 0
-    skipped: int = 0
-    seconds: float = 0.0  # in the denoiser alone
-    replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`sanitise.faults`)
-    passed_on: dict[str, int] = field(default_factory=dict)  # channel copied from the input -> NaNs in it
-    cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
-    gaps: list[tuple[int, int]] = field(default_factory=list)  # (first, last) missing frame number of each gap
-    left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
-    notes: list[str] = field(default_factory=list)  # what else the user should know
-    plan: Plan | None = None
+from .options import EXAMINED, SUMMARY, Options, Summary
+from .state import STATE, read_state, save_state
 
 
 def denoise(
@@ -183,35 +118,3 @@ def _resume(
     if not are_finished(out, names[:done], sequence.size, metadata.get("written", "")):
         return 0, None, Summary()
     return done, history, summary
-
-
-def read_state(path: Path, backend: Backend | None = None) -> tuple[int, Any, Summary, dict]:
-    """What `save_state` wrote: frames done, the history (None without a backend to restore it), the summary so far, and
-    the rest. Raises InputError where the file is damaged."""
-    try:
-        stored, metadata = read_history(path)
-        done, summary = int(metadata["done"]), _counts(json.loads(metadata["so_far"]))
-        options = dict(json.loads(metadata.get("options", "{}")))
-        history = backend.restore(stored) if stored and backend else None
-    except (InputError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path}: not readable ({error}); pass --overwrite to start anew") from None
-    return done, history, summary, {**metadata, "options": options}
-
-
-def _counts(so_far: dict) -> Summary:
-    """The summary of an earlier run, from its saved state. Raises ValueError and others where it is not one's."""
-    summary = Summary(**{key: so_far[key] for key in ("replaced", "cuts", "left_out")})
-    summary.passed_on = dict(so_far.get("passed_on", {}))  # older states lack it
-    counts = (summary.replaced, summary.left_out, summary.passed_on)
-    if not all(type(n) is int for n in (*summary.cuts, *(n for count in counts for n in count.values()))):
-        raise ValueError("counts that are no integers")
-    return summary
-
-
-def save_state(
-    path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options, written: str = ""
-) -> None:
-    """Write the state of a run: `history` is a backend's `save`, `written` a `folder.Written.digest`."""
-    so_far = {key: getattr(summary, key) for key in ("replaced", "passed_on", "cuts", "left_out")}
-    metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far), "written": written}
-    write_history(path, history, metadata | {"options": json.dumps(asdict(options))})

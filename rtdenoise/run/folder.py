@@ -19,7 +19,7 @@ from ..files import dumps, write_atomically
 from ..models.weights import find
 
 if TYPE_CHECKING:
-    from .denoise import Options, Summary
+    from .options import Options, Summary
 
 INDECISIVE = ("backend", "device")  # options that leave the files as they are
 YOUNG = {"offline": False, "confidence": False}  # options that older runs did not have, as these ran

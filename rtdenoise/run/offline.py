@@ -28,8 +28,9 @@ from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH, Frame
 from ..sanitise import faults
-from .denoise import EXAMINED, STATE, SUMMARY, Options, Summary, read_state, save_state
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
+from .options import EXAMINED, SUMMARY, Options, Summary
+from .state import STATE, read_state, save_state
 
 if TYPE_CHECKING:
     from .passes import Estimate, Passes

@@ -1,0 +1,100 @@
+"""The options and the outcome of `denoise` and `combine`. Needs no torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .plan import Plan
+
+SUMMARY = "denoise.json"
+EXAMINED = 3  # frames that the plan examines
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of `denoise`."""
+
+    signal: str = "color"
+    """The signal to denoise: 'color' (the beauty) or 'indirect'."""
+    model: str = "default"
+    """The network: 'default', 'fast', 'quality', 'paper', or a .safetensors file that `rtdenoise train` wrote."""
+    preset: str = "auto"
+    """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
+    file."""
+    layout: str = "plain"
+    """Channels of the output files: 'plain' (the result in R,G,B) or 'source' (a copy of the input with the result in
+    its place)."""
+    recombine: bool = False
+    """Add the rest of the light to the denoised signal: the result is the beauty."""
+    keep: tuple[str, ...] = ()
+    """Layers of the input to copy into the output ('albedo', 'depth' ...), or 'all'."""
+    float32: bool = False
+    """Write 32-bit float instead of 16-bit half."""
+    allow_gaps: bool = False
+    """Accept missing frame numbers; history starts anew after each gap."""
+    detect_cuts: bool = True
+    """Start history anew where most pixels find another surface than their motion vectors promise."""
+    plan: bool = True
+    """Leave out work that a frame does not need (`rtdenoise inspect` lists it); off: everything runs."""
+    backend: str = "auto"
+    """'torch', 'glsl' (OpenGL compute shaders, needs no PyTorch), or 'auto': torch where it is installed."""
+    device: str = "auto"
+    """Device of the torch backend: 'auto', 'cpu' or 'cuda'."""
+    offline: bool = False
+    """The best picture for frames on disk: uses the frames after as well as those before, and OIDN where it is
+    installed. Takes several times as long."""
+    confidence: bool = False
+    """With --offline: also write how far the candidates lie apart, in radiance, as the layer 'confidence' (small is
+    sure)."""
+    precision: str = "auto"
+    """Precision of the network: 'fp32', 'bf16' (torch), 'fp16' (glsl, for stored activations), or 'auto' (torch: bf16
+    where the hardware is faster with it; glsl: fp32)."""
+
+
+@dataclass
+class Summary:
+    """The outcome of a run. All but `written`, `skipped` and `seconds` include earlier, interrupted runs."""
+
+    written: int = 0
+    skipped: int = 0
+    seconds: float = 0.0  # in the denoiser alone
+    replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`sanitise.faults`)
+    passed_on: dict[str, int] = field(default_factory=dict)  # channel copied from the input -> NaNs in it
+    cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
+    gaps: list[tuple[int, int]] = field(default_factory=list)  # (first, last) missing frame number of each gap
+    left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
+    notes: list[str] = field(default_factory=list)  # what else the user should know
+    plan: Plan | None = None
+
+
+@dataclass(frozen=True)
+class CombineOptions:
+    """The options of `combine`."""
+
+    signal: str = "color"
+    """The denoised signal: 'color' (the beauty) or 'indirect'."""
+    model: str = "combiner"
+    """The combiner: a shipped one, or a .safetensors file that `rtdenoise train` wrote."""
+    preset: str = "auto"
+    """Layout of the noisy files: as for denoise."""
+    layout: str = "plain"
+    """Channels of the output files: 'plain' (the result in R,G,B) or 'source' (a copy of the noisy file with the result
+    in its place)."""
+    recombine: bool = False
+    """Add the rest of the light to the corrected signal: the result is the beauty."""
+    keep: tuple[str, ...] = ()
+    """Layers of the noisy files to copy into the output ('albedo', 'depth' ...), or 'all'."""
+    float32: bool = False
+    """Write 32-bit float instead of 16-bit half."""
+    confidence: bool = False
+    """Also write the size of each pixel's correction, in radiance, as the layer 'confidence'."""
+    allow_gaps: bool = False
+    """Accept missing frame numbers; no frame is corrected by frames beyond a gap."""
+    detect_cuts: bool = True
+    """Use no frames beyond one where most pixels show another surface than their motion vectors promise."""
+    device: str = "auto"
+    """'auto', 'cpu' or 'cuda'."""
+    precision: str = "auto"
+    """Precision of the network: 'fp32', 'bf16', or 'auto' (bf16 where the hardware is faster with it)."""
