@@ -22,7 +22,7 @@ SANITIZERS = ("-O0", "-g", "-fsanitize=address,undefined,float-cast-overflow,bou
               "-fno-sanitize-recover=all", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared",
               "-fPIC")  # fmt: skip
 KINDS = ("ordinary", "NaN", "denormal", "zero", "motion 1e4", "motion NaN", "motion Inf", "motion 1e30", "bright")
-SMALL = 512 * 512  # pixels: below, every kernel size and layout
+SMALL = 64 * 64  # pixels: up to here every kernel size, type and layout; above it one
 PASSES_ON = ("history_motion",)  # ops whose result contains the motion as it is; lookups take what is not finite as 0
 
 
