@@ -10,8 +10,8 @@ _HOMES = {
     "Combined": "combiner", "Combiner": "combiner", "CombinerConfig": "combiner_config", "Config": "presets",
     "Denoiser": "denoiser", "PRESETS": "presets", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config",
     "Window": "combiner", "available": "weights", "available_combiners": "weights", "create": "loading",
-    "find": "weights", "grow": "growing", "load": "loading", "load_combiner": "loading", "read": "loading",
-    "save": "loading",
+    "find": "weights", "grow": "growing", "load": "loading", "load_combiner": "loading",
+    "MLTDConfig": "mltd_config", "read": "loading", "RecurrentTransformer": "mltd", "save": "loading",
 }  # fmt: skip
 __all__ = [*_HOMES]
 

@@ -15,11 +15,15 @@ from .accumulated_kpn import AccumulatedKPN
 from .combiner import Combiner
 from .denoiser import Denoiser
 from .inference import prepare, resolve
+from .mltd import RecurrentTransformer
 from .presets import Config
 from .temporal_kpn import TemporalKPN
 from .weights import read_model
 
-NETWORKS = {"temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner}
+NETWORKS = {
+    "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner,
+    "mltd": RecurrentTransformer,
+}  # fmt: skip
 """`Config.architecture` -> the network."""
 
 

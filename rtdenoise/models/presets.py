@@ -8,10 +8,11 @@ from dataclasses import fields, replace
 from ..errors import InputError
 from .combiner_config import CombinerConfig
 from .config import AccumulatedKPNConfig, TemporalKPNConfig
+from .mltd_config import MLTDConfig
 
-Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig
+Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | MLTDConfig
 CONFIGS: dict[str, type[Config]] = {
-    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig)
+    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, MLTDConfig)
 }
 
 PRESETS: dict[str, Config] = {
@@ -19,6 +20,8 @@ PRESETS: dict[str, Config] = {
     "fast": AccumulatedKPNConfig(widths=(16, 24, 32, 48, 64), kernel=3, edge_kernel=3),
     "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3),
     "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
+    "mltd": MLTDConfig(),
+    "mltd-small": MLTDConfig(width=16, blocks=(1,) * 8, kernel=7),
 }
 """Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
 

@@ -57,6 +57,16 @@ def find(model: str | Path) -> Path:
     return path
 
 
+def read_config(model: str | Path) -> Config:
+    """The configuration of a model, from the head of its file alone. Raises InputError as `read_model`."""
+    path = find(model)
+    try:
+        with safe_open(path, framework="numpy") as file:
+            return _config(path, file.metadata() or {})
+    except (SafetensorError, OSError) as error:
+        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+
+
 def read_model(model: str | Path, **overrides: object) -> StoredModel:
     """Read a model that ships, or the weights file at a path. `overrides` replace fields of its configuration.
 

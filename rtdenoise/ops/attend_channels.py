@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import torch
@@ -62,7 +63,7 @@ def attend_channels(
 
 def sums(q: Tensor, k: Tensor, heads: int) -> Sums:
     """The sums of a picture or a part of it; `q` and `k` as in `attend_channels`."""
-    with torch.autocast(q.device.type, enabled=False):
+    with _as_given(q):
         q, k = (x.to(_dtype(x)).unflatten(1, (heads, -1)).flatten(3) for x in (q, k))
         return Sums(q @ k.mT, q.square().sum(3, keepdim=True), k.square().sum(3).unsqueeze(2))
 
@@ -70,8 +71,14 @@ def sums(q: Tensor, k: Tensor, heads: int) -> Sums:
 def mix(weights: Tensor, v: Tensor) -> Tensor:
     """Σ_j weights[b,h,i,j] · v[b,h,j,p], `[B, C, H, W]`: of a picture or a part of it."""
     values = v.unflatten(1, (weights.shape[1], -1)).flatten(3)
-    with torch.autocast(v.device.type, enabled=False):
+    with _as_given(v):
         return (weights.to(values.dtype) @ values).reshape(v.shape)
+
+
+def _as_given(x: Tensor) -> AbstractContextManager:
+    """Without autocast, which rounds the factors of a product to bfloat16."""
+    device = x.device.type
+    return torch.autocast(device, enabled=False) if device in ("cpu", "cuda") else nullcontext()
 
 
 def _norm(squares: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH
+from ..models.weights import read_config
 from ..sanitise import faults
 from .backends import Backend, open_backend
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
@@ -44,8 +45,11 @@ def denoise(
         return denoise_offline(source, out, options, overwrite, on_frame)
     if options.confidence:
         raise InputError("--confidence: goes with --offline")
-    sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
-    sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
+    reads = read_config(options.model).reads
+    sequence = open_sequence(
+        source, signal=options.signal, preset=options.preset, layers=reads, allow_gaps=options.allow_gaps
+    )
+    sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()), *reads)
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision)
     out = prepare(Path(out), sequence, options)
