@@ -235,7 +235,7 @@ def _at_centres(image: Tensor, scale: int) -> Tensor:
     rows, columns = (
         (torch.arange(0, n, 2**scale, device=image.device) + 2**scale // 2).clamp(max=n - 1) for n in image.shape[2:]
     )
-    return image[:, :, rows[:, None], columns] if scale else image
+    return image.index_select(2, rows).index_select(3, columns) if scale else image
 
 
 def _padded(image: Tensor, size: Sequence[int]) -> Tensor:
