@@ -35,7 +35,7 @@ from .config import Head
 from .inference import as_weights
 from .losses import mltd_loss
 from .mltd_config import MLTDConfig
-from .transformer import blocks, strips
+from .transformer import Points, blocks, strips
 from .unet import by_name
 
 MAX_HIDDEN = 6e4  # hidden features are carried as float16
@@ -70,8 +70,8 @@ class RecurrentTransformer(nn.Module):
         self.stages = nn.ModuleList(blocks(stage, config.recurrence) for stage in config.stages)
         self.down = nn.ModuleList(nn.Conv2d(w, w // 2, 3, padding=1, bias=False) for w in widths[:-1])
         self.up = nn.ModuleList(nn.Conv2d(2 * w, 4 * w, 3, padding=1, bias=False) for w in widths[:-1])
-        self.join = nn.ModuleList(nn.Conv2d(2 * w, w, 1) for w in widths)
-        self.heads = nn.ModuleList(nn.Conv2d(widths[s], sum(config.channels(s)), 1) for s in scales)
+        self.join = nn.ModuleList(Points(2 * w, w, bias=True) for w in widths)
+        self.heads = nn.ModuleList(Points(widths[s], sum(config.channels(s)), bias=True) for s in scales)
         for layer, heads in zip(self.heads, config.heads, strict=True):
             for head, weight, bias in zip(heads, *_rows(layer, heads), strict=True):
                 if head.start is not None:
@@ -177,7 +177,7 @@ class RecurrentTransformer(nn.Module):
             if stage.scale < coarsest:
                 x = F.pixel_unshuffle(self.down[stage.scale](x), 2)
         for stage, layers in stages[coarsest + 1 :]:
-            x = self.join[stage.scale](torch.cat([x, skips.pop()], dim=1))
+            x = self.join[stage.scale].of_two(x, skips.pop())
             for block in layers:
                 x = block(x)
             levels.insert(0, _cropped(x, size, stage.scale))

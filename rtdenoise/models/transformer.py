@@ -43,6 +43,26 @@ def in_strips(function: Callable[[Tensor], Tensor], picture: Tensor, halo: int =
     return out
 
 
+class Points(nn.Conv2d):
+    """A 1×1 convolution as the matrix product that it is; the layout is that of channels last."""
+
+    def __init__(self, inputs: int, outputs: int, bias: bool = False) -> None:
+        super().__init__(inputs, outputs, 1, bias=bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return points(x, self.weight, self.bias)
+
+    def of_two(self, x: Tensor, y: Tensor) -> Tensor:
+        """The convolution of both, joined along the channels; the joined picture is never stored."""
+        weights = self.weight.split([x.shape[1], y.shape[1]], dim=1)
+        return points(x, weights[0], self.bias) + points(y, weights[1])
+
+
+def points(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    """`F.conv2d` with a weight `[O, I, 1, 1]`."""
+    return F.linear(x.permute(0, 2, 3, 1), weight.flatten(1), bias).permute(0, 3, 1, 2)
+
+
 class Norm(nn.Module):
     """Layer normalisation over the channels of a pixel without bias: x / √(var + 1e-5) · scale. The mean stays."""
 
@@ -60,7 +80,7 @@ class Projection(nn.Module):
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.points = nn.Conv2d(inputs, outputs, 1, bias=False)
+        self.points = Points(inputs, outputs)
         self.depthwise = nn.Conv2d(outputs, outputs, 3, padding=1, groups=outputs, bias=False)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -74,7 +94,7 @@ class FeedForward(nn.Module):
         super().__init__()
         hidden = hidden_channels(width)
         self.norm, self.expand = Norm(width), Projection(width, 2 * hidden)
-        self.out = nn.Conv2d(hidden, width, 1, bias=False)
+        self.out = Points(hidden, width)
 
     def forward(self, x: Tensor) -> Tensor:
         def layer(x: Tensor) -> Tensor:
@@ -101,8 +121,8 @@ class Attention(nn.Module):
             self.cross_q, self.cross_kv = Projection(width, width), Projection(width, 2 * width)
             self.cross_temperature = nn.Parameter(torch.ones(heads))
         if self.concat:
-            self.merge = nn.Conv2d(2 * width, width, 1, bias=False)
-        self.out = nn.Conv2d((1 + self.cross) * width, width, 1, bias=False)
+            self.merge = Points(2 * width, width)
+        self.out = Points((1 + self.cross) * width, width)
 
     def forward(self, x: Tensor, hidden: Tensor | None = None) -> Tensor:
         if self.concat:
@@ -112,11 +132,11 @@ class Attention(nn.Module):
             attended.append(self._attended(x, hidden, self.cross_kv, self.cross_q, self.cross_temperature))
         weight = self.out.weight[:, : len(attended) * x.shape[1]]
         if len(list(strips(x))) == 1:
-            return x + F.conv2d(torch.cat([mix(*pair) for pair in attended], dim=1), weight)
+            return x + points(torch.cat([mix(*pair) for pair in attended], dim=1), weight)
         out = torch.empty_like(x)
         for _, core, _ in strips(x):
             mixed = torch.cat([mix(weights, values[:, :, core]) for weights, values in attended], dim=1)
-            out[:, :, core] = x[:, :, core] + F.conv2d(mixed, weight)
+            out[:, :, core] = x[:, :, core] + points(mixed, weight)
         return out
 
     def _attended(
