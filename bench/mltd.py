@@ -57,6 +57,11 @@ class Network:
     tuned: bool = False  # from the weights that ship
     seeds: int = 2
 
+    @property
+    def loss(self) -> dict[str, float]:
+        """Options of the loss: for `default` those that its weights were trained with."""
+        return {"huber": 0.2, "loss_exposure": 4.0} if self.model == "default" else {}
+
 
 NETWORKS = {
     MAIN: Network("large and small steps, cross-attention"),
@@ -117,7 +122,8 @@ def train_for(seconds: float, run: Path, clips: tuple[Path, ...], network: Netwo
         return
     config = TrainConfig(
         data=clips, out=run, init=find("default") if network.tuned else None, model=network.model, set=network.set,
-        signal="color", batch=2, frames=7, size=64, lr=1e-3, warmup=10, seed=seed, amp=False,
+        signal="color", batch=1, frames=7, size=64, lr=1e-3, warmup=10, seed=seed, amp=False,
+        **network.loss,
     )  # fmt: skip
     planned = run / "steps.json"
     if not planned.is_file():
