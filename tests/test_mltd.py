@@ -13,6 +13,9 @@ from rtdenoise.data.clips import clip_path, write_clip
 from rtdenoise.data.exr import read_channels
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
+from rtdenoise.evaluate import evaluate
+from rtdenoise.evaluate.inputs import Source
+from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import Frame
 from rtdenoise.glsl import Pipeline
 from rtdenoise.history import load_history, save_history
@@ -316,6 +319,14 @@ def test_what_is_no_metropolis_render_is_said(tmp_path, weights):
     split_shot = write_shot(tmp_path / "shot", frames(2))
     message = refused(str(split_shot), tmp_path / "out", Options(model=weights, signal="indirect"))
     assert "the components make up the beauty; take --signal color" in message
+
+
+def test_evaluation_hands_components_to_the_networks_that_read_them(tmp_path, weights):
+    shot = write_shot(tmp_path / "shot", frames(3))
+    found = Source.open(shot, "color", "auto", None).frames(1)
+    (method,) = choose([f"ours={weights}"])
+    (result,) = evaluate(found, {"ours": method.step("cpu", "fp32")})
+    assert math.isfinite(result.errors["frame"]["psnr"])
 
 
 def test_components_that_do_not_add_up_are_refused(tmp_path, weights):
