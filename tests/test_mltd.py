@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import make_frames, write_sequence
+from synthetic import make_frames, write_clips, write_sequence
 from tolerances import TOLERANCES
 
 from rtdenoise.data.clips import clip_path, write_clip
@@ -296,6 +296,12 @@ def test_a_saved_history_goes_on_to_the_bit(tmp_path, weights):
         assert torch.equal(one, other)
 
 
+def test_bfloat16_is_close(weights):
+    exact, rounded = (run(load(weights, precision=p), frames())[0][-1] for p in ("fp32", "bf16"))
+    relative, absolute = TOLERANCES["bfloat16 network"]
+    torch.testing.assert_close(rounded, exact, rtol=relative, atol=absolute)
+
+
 def run_from(model, sequence, history):
     for frame in sequence:
         image, history = model.step(frame, history)
@@ -389,3 +395,6 @@ def test_training_on_components(tmp_path):
     assert trained.config.position and trained.step(frames(1)[0])[0].isfinite().all()
     with pytest.raises(InputError, match="signal: mltd-small splits the beauty; expected 'color', got 'indirect'"):
         train(replace(config, signal="indirect", out=tmp_path / "other"))
+    traced = write_clips(tmp_path / "traced", range(2))
+    with pytest.raises(InputError, match="has no layer 'large'; it has "):
+        train(replace(config, data=(traced,), out=tmp_path / "other"))
