@@ -4,8 +4,8 @@ python bench/mltd.py SEQ ... [--clips CLIPS ... --minutes 2]
 
 SEQ holds frames of `rtdenoise render --integrator pssmlt` with references, SEQ/spp16, SEQ/spp32 ... the same frames at
 more mutations a pixel. With --clips the networks of `NETWORKS` are first trained on these clips, each for the same CPU
-time: the number of steps follows from the time of a few. `default` trained on the same clips for the same time is the
-fair control. Runs are kept in --runs and resumed. Writes bench/results/mltd.json and the tables of
+time: the number of steps follows from the time of a few; variants of one network take as many steps as it. `default`
+trained on the same clips for the same time is the fair control. Runs are kept in --runs and resumed. Writes bench/results/mltd.json and the tables of
 docs/results/mltd.md.
 """
 
@@ -125,9 +125,9 @@ def train_for(seconds: float, run: Path, clips: tuple[Path, ...], network: Netwo
         signal="color", batch=1, frames=7, size=64, lr=1e-3, warmup=10, seed=seed, amp=False,
         **network.loss,
     )  # fmt: skip
-    planned = run / "steps.json"
+    planned = run.parent / (f"{MAIN}.0" if network.model == MAIN else run.name) / "steps.json"  # variants take as many
     if not planned.is_file():
-        steps = max(2, int(seconds / seconds_a_step(config)))
+        steps = max(2, int(seconds / seconds_a_step(replace(config, out=planned.parent))))
         write_atomically(planned, json.dumps(steps).encode())
     config = replace(config, steps=json.loads(planned.read_text()))
     started = time.process_time()
