@@ -5,8 +5,8 @@ python bench/mltd.py SEQ ... [--clips CLIPS ... --minutes 2]
 SEQ holds frames of `rtdenoise render --integrator pssmlt` with references, SEQ/spp16, SEQ/spp32 ... the same frames at
 more mutations a pixel. With --clips the networks of `NETWORKS` are first trained on these clips, each for the same CPU
 time: the number of steps follows from the time of a few; variants of one network take as many steps as it. `default`
-trained on the same clips for the same time is the fair control. Runs are kept in --runs and resumed. Writes bench/results/mltd.json and the tables of
-docs/results/mltd.md.
+trained on the same clips for the same time is the fair control. Runs are kept in --runs and resumed. Writes
+bench/results/mltd.json and the tables of docs/results/mltd.md.
 """
 
 from __future__ import annotations
