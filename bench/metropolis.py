@@ -36,12 +36,12 @@ RESULT, PAGES = RESULTS / "metropolis.json", (DOCS / "results" / "metropolis.md"
 PICTURE = DOCS / "images" / "metropolis.webp"
 SCENES = {"caustic:2000000": "caustic", "caustic:2000002": "caustic", "sample": "plain", "procedural:3": "plain"}
 SIGNALS = ("color", "indirect")
-CHAINS = (512, 2304, 9216)
+CHAINS = (1024, 4096)
 REFERENCE_STREAM = 1000  # streams from here on make references
 RESERVE = 32  # samples of path tracing that its time is measured with
 
 
-def main(size: int = 96, mutations: tuple[int, ...] = (16, 64), runs: int = 2, reference: int = 256) -> None:
+def main(size: int = 64, mutations: tuple[int, ...] = (32,), runs: int = 2, reference: int = 192) -> None:
     """Measure, write the results and the picture.
 
     Args:
