@@ -37,7 +37,7 @@ from rtdenoise.files import write_atomically
 from rtdenoise.frame import Frame
 from rtdenoise.models import Window, find, load
 from rtdenoise.training.config import TrainConfig
-from rtdenoise.training.loop import WEIGHTS, train
+from rtdenoise.training.loop import CHECKPOINT, WEIGHTS, train
 from rtdenoise.training.trainer import Trainer
 
 RESULT, PAGES = RESULTS / "mltd.json", (DOCS / "results" / "mltd.md",)
@@ -130,11 +130,11 @@ def train_for(seconds: float, run: Path, clips: tuple[Path, ...], network: Netwo
         steps = max(2, int(seconds / seconds_a_step(replace(config, out=planned.parent))))
         write_atomically(planned, json.dumps(steps).encode())
     config = replace(config, steps=json.loads(planned.read_text()))
-    started = time.process_time()
+    started, whole = time.process_time(), not (run / CHECKPOINT).is_file()
     train(config)
-    data = ClipDataset(*clips)
-    cost = {"steps": config.steps, "cpu_seconds": round(time.process_time() - started, 1), "clips": len(data),
-            "what": network.what}  # fmt: skip
+    spent = round(time.process_time() - started, 1) if whole else None  # an interrupted run was not timed as a whole
+    count = len(ClipDataset(*clips))
+    cost = {"steps": config.steps, "cpu_seconds": spent, "clips": count, "what": network.what}
     write_atomically(run / "cost.json", json.dumps(cost).encode())
     print(run.name, cost, flush=True)
 
@@ -218,9 +218,9 @@ def tables(document: dict) -> dict[str, str]:
     over = [f"| frame | {' | '.join(map(str, numbers))} |", "|---" * (len(numbers) + 1) + "|"]
     over += [f"| `{m}` | {' | '.join(f'{np.mean(by_frame[m][i]):.2f}' for i in numbers)} |" for m in main]
     cost = ["| | network | steps | CPU seconds | clips |", "|---|---|---|---|---|"]
-    cost += [
-        f"| `{n}` | {c['what']} | {c['steps']} | {c['cpu_seconds']:.0f} | {c['clips']} |" for n, c in costs.items()
-    ]
+    for name, c in costs.items():
+        spent = "–" if c["cpu_seconds"] is None else f"{c['cpu_seconds']:.0f}"
+        cost.append(f"| `{name}` | {c['what']} | {c['steps']} | {spent} | {c['clips']} |")
     sections = {"mltd": lines, "mltd-sequences": each, "mltd-ablation": ablation, "mltd-frames": over}
     return {name: "\n".join(text) for name, text in (sections | {"mltd-training": cost}).items()}
 
