@@ -95,6 +95,7 @@ class Strip:
 
     height: int = 1
     width: int = 16
+    pixels: int = 16
     dimensions: int = 1
 
 
