@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from ..errors import InputError
 from .progress import progress_bar
-from .render import at_least_one
+from .render import at_least_one, not_negative
 
 OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error", "assets"}
 OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
@@ -77,6 +77,7 @@ class Clips:
 
     def run(self) -> None:
         at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers")
+        not_negative(self, "seed", "reference_spp")
         if self.shots:
             self._cut()
         else:
