@@ -33,7 +33,7 @@ from rtdenoise.errors import InputError
 
 RESULT, PAGES = RESULTS / "attacks.json", (DOCS / "results" / "attacks.md",)
 TESTS = ROOT / "tests"
-COMMANDS = ("denoise", "evaluate", "train", "render", "clips")
+COMMANDS = ("denoise", "combine", "evaluate", "train", "render", "clips")
 FORMATS = {"exr": "EXR files", "layout": "layout presets", "scene": "scene.json", "state": "saved states",
            "weights": "weights", "clip": "training clips", "evaluation": "evaluation.json"}  # fmt: skip
 SIZES = ("1x1", "1x7", "9x1", "2x2", "5x17", "31x23", "64x64", "270x480", "1080x1920", "2160x3840")
