@@ -59,6 +59,7 @@ class Outcome:
     left: list[str] = field(default_factory=list)  # unfinished files in the folder of a completed run
     lost: list[str] = field(default_factory=list)  # files that were there at a kill and not at the end
     outside: list[str] = field(default_factory=list)  # files that appeared or changed beside the output folder
+    files: int = 0  # of an undisturbed run
     files_at_kill: list[int] = field(default_factory=list)
     seconds: float = 0.0  # of an undisturbed run
 
@@ -79,6 +80,7 @@ def attack(command: str, kills: int, seed: int, folder: Path, warm_up: bool = Tr
     run([*arguments, "--out", str(folder / "whole")], None, outcome)
     outcome.seconds = time.monotonic() - started
     expected, input_files, seen = contents(folder / "whole"), beside(folder), set()
+    outcome.files = len(visible(folder / "whole"))
     for _ in range(MOST_RUNS * kills):
         if outcome.kills == kills:
             break
