@@ -306,6 +306,11 @@ def test_frames_of_other_options_are_not_mixed(shot, tmp_path):
             assert complaint in str(caught.value) and str(caught.value).startswith(f"{folder}: ")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert len(render_sequence(room, folder, 2, OPTIONS, first=4, progress=None)) == 2  # nothing is rendered
+    document = json.loads(before["scene.json"])
+    del document["rendered"]["seed"]  # of a version without this option: its default was in use
+    (folder / "scene.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=f"seed {RenderOptions().seed}, now {OPTIONS.seed};"):
+        render_sequence(room, folder, 2, OPTIONS, first=4, progress=None)
 
 
 def test_options_of_frames_that_record_none(shot, tmp_path):

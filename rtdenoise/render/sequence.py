@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 from ..errors import InputError
@@ -48,33 +49,32 @@ def write_scene_json(scene: Scene, path: Path, numbers: range, options: RenderOp
         document["rendered"] = rendered_with(scene, options)
     if path.exists():
         if begun:
-            _refuse_other_options(path, before, document)
+            _refuse_other_options(path, before, document, rendered_with(scene, RenderOptions()))
         document["frames"] = _joined(path, before, document)
     write_atomically(path, json.dumps(document).encode())
 
 
 def rendered_with(scene: Scene, options: RenderOptions) -> dict[str, object]:
-    """What the pixels of every frame depend on beside cameras, transforms and size, by the names of the options."""
+    """What the pixels of every frame depend on beside cameras, transforms and size, by the names of the options; as
+    JSON reads it back."""
     name = scene.name
     if scene.file:
         name = f"{Path(scene.file).name} with SHA-256 {hashlib.sha256(read_bytes(Path(scene.file))).hexdigest()[:12]}"
-    return {
-        "scene": f"{name}, with a sun" if scene.sun else name,
-        "textures": scene.facts.get("pictures", {}).get("folder"),
-        "spp": options.spp,
-        "reference-spp": options.reference_spp,
-        "max-depth": options.max_depth,
-        "seed": options.seed,
-    }
+    chosen = {key.replace("_", "-"): value for key, value in asdict(options).items() if key != "size"}
+    textures = scene.facts.get("pictures", {}).get("folder")
+    lit = f"{name}, with a sun" if scene.sun else name
+    return json.loads(json.dumps({"scene": lit, "textures": textures} | chosen))
 
 
-def _refuse_other_options(path: Path, before: object, now: dict) -> None:
-    """Raise InputError where frames beside the file were rendered with another value of an option; it names them."""
+def _refuse_other_options(path: Path, before: object, now: dict, usual: dict) -> None:
+    """Raise InputError where frames beside the file were rendered with another value of an option; it names them.
+    `usual`: `rendered_with` for the options' defaults."""
     if not isinstance(before, dict) or not isinstance(before.get("rendered", {}), dict):
         raise InputError(f"{path}: damaged: not as `rtdenoise render` writes it; remove it, or choose another --out")
     pairs = {name: (before.get(name), now[name]) for name in ("width", "height") if name in before}
-    wanted = now.get("rendered", {})
-    pairs |= {name: (value, wanted[name]) for name, value in before.get("rendered", {}).items() if name in wanted}
+    if recorded := before.get("rendered", {}):
+        recorded = usual | recorded  # options that older versions did not have, as these rendered
+        pairs |= {name: (recorded.get(name), value) for name, value in now["rendered"].items()}
     if changed := {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}:
         told = ", ".join(f"{name} {before}, now {now}" for name, (before, now) in changed.items())
         raise InputError(f"{path.parent}: holds frames rendered with other options: {told}; {REMEDY}")
