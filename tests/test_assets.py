@@ -127,9 +127,9 @@ def test_an_index_of_other_things_is_one_line(folder, models):
 
 BAD_PARTS = (
     {"base_color": None}, {"base_color": -1}, {"base_color": [10**400, 0, 0]}, {"base_color": [1, 2, 3, 4]},
-    {"roughness": None}, {"roughness": 1e300}, {"metallic": {}}, {"normal": [1, {}]}, {"alpha": 3}, {"alpha": {"map": 3}},
+    {"roughness": None}, {"roughness": 1e300}, {"metallic": {}}, {"normal": [1, {}]}, {"alpha": 3},
     {"emissive": 3}, {"emissive": "x"}, {"emissive": {"rgb": [1, 2, 3], "scale": 1e300}}, {"transmission": [1, 2]},
-    {"ior": "x"}, {"ply": 3}, {"ply": "a\0"}, {"ply": ".."},
+    {"alpha": {"map": 3}}, {"ior": "x"}, {"ply": 3}, {"ply": "a\0"}, {"ply": ".."},
 )  # fmt: skip
 
 
