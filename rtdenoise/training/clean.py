@@ -33,8 +33,8 @@ training, not for validation. The rest is as it was, and so are its licences:
 def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> int:
     """Write the clips of `folder` to `out` with cleaned references; returns their number. Existing clips are kept.
 
-    Raises InputError where there are no clips, `out` is `folder`, holds other clips or is being written to, a clip was cleaned before, or
-    `pyoidn` is missing.
+    Raises InputError where there are no clips, `out` is `folder`, holds other clips or is being written to, a clip was
+    cleaned before, or `pyoidn` is missing.
     """
     out = Path(out)
     if out.resolve() == Path(folder).resolve():
