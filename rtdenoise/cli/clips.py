@@ -74,7 +74,7 @@ class Clips:
     """'i/n' renders the i-th of n equal parts of the set, counted from 0."""
     workers: int = 2
     """Processes, of one thread each."""
-    ray: str | None = None
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Render on an existing Ray cluster: HOST:PORT, 'auto' or ray://HOST:PORT; a clip takes one core."""
 
     def run(self) -> None:

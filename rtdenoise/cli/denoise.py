@@ -39,7 +39,7 @@ class Denoise:
     """Also write preview.png and an animation: noisy | denoised | reference."""
     workers: Annotated[int | None, arg(help_behavior_hint="(default: one for every four cores)")] = None
     """Shots that are denoised at a time, by a process each."""
-    ray: str | None = None
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Denoise several shots on an existing Ray cluster: HOST:PORT, 'auto' or ray://HOST:PORT."""
 
     def run(self) -> None:
