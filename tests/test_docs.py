@@ -153,6 +153,13 @@ def test_every_page_is_reached_from_the_entry():
     assert {page.resolve() for page in DOCS.rglob("*.md")} <= reached
 
 
+def test_the_files_to_change_for_an_extension_exist():
+    text = (DOCS / "reference" / "extending.md").read_text()
+    paths = set(re.findall(r"`((?:rtdenoise|tests|shaders|docs|tools|bench)/[^`]*)`", text))
+    assert len(paths) > 50
+    assert not [path for path in paths if not list(ROOT.glob(path.replace("NAME", "*")))]
+
+
 def test_no_page_sends_its_reader_into_the_history():
     for page in [*PAGES, ROOT / "CHANGELOG.md"]:
         assert "git show" not in page.read_text(), page.name
