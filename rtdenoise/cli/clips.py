@@ -74,6 +74,8 @@ class Clips:
     """'i/n' renders the i-th of n equal parts of the set, counted from 0."""
     workers: int = 2
     """Processes, of one thread each."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Render on an existing Ray cluster: HOST:PORT, 'auto' or ray://HOST:PORT; a clip takes one core."""
 
     def run(self) -> None:
         at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers")
@@ -116,7 +118,7 @@ class Clips:
             self.reference_error, (32, 128 if self.assets else 512), self.reference_spp or 64, self.max_depth,
             self.workers, parse_shard(self.shard),
             find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (), self.generator, self.sun,
-            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed,
+            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, self.ray or "",
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
@@ -141,6 +143,8 @@ class Clips:
             raise InputError(f"--{min(unused)}: is for generated scenes, not for --assets")
         if self.allow_unlicensed and not self.assets:
             raise InputError("--allow-unlicensed: goes with --assets")
+        if given >= {"ray", "workers"}:
+            raise InputError("--workers: is for processes of this machine; with --ray every core of the cluster works")
         if given & {"motions", "exclude"} and not self.scenes:
             raise InputError("--motions, --exclude: go with --scenes")
 

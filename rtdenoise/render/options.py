@@ -31,6 +31,7 @@ class ClipOptions:
     textures: str = ""  # folder of pictures that some surfaces get; "": none
     assets: str = ""  # folder of a library: compositions of it take the place of generated scenes; "": none
     allow_unlicensed: bool = False  # use assets without a licence
+    ray: str = ""  # address of a Ray cluster that takes the place of processes here; "": none
 
     @property
     def takes_per_scene(self) -> int:
