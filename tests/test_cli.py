@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from synthetic import make_frames, write_sequence
@@ -107,6 +108,13 @@ def test_near_names_are_suggested(tmp_path, capsys):
     line = refused(capsys, "evaluate", shot, "--out", tmp_path / "o", "--methods", "svfg")
     assert "unknown method 'svfg' (did you mean 'svgf'?)" in line
     assert "cycles" in refused(capsys, "inspect", shot, "--preset", "cycels")
+    assert "no command 'denoyse' (did you mean 'denoise'?)" in refused(capsys, "denoyse", shot)
+
+
+def test_missing_references_may_be_in_another_folder(tmp_path, capsys):
+    shot = write_sequence(tmp_path / "shot", [replace(frame, reference=None) for frame in make_frames(2)])
+    line = refused(capsys, "evaluate", shot, "--out", tmp_path / "o", "--methods", "noisy")
+    assert "no layer 'reference'" in line and line.rstrip().endswith("--reference DIR")
 
 
 def test_no_bar_before_an_error(tmp_path, capsys):

@@ -36,7 +36,8 @@ from rtdenoise.render.scenes.scene import Scene
 from rtdenoise.render.sequence import render_sequence
 from rtdenoise.render.stage import Stage
 from rtdenoise.render.windows import Window, choose, look_through
-from rtdenoise.render.workers import only_run, run_jobs
+from rtdenoise.render.workers import KILLED, only_run
+from rtdenoise.run.processes import Processes
 
 ROOT = Path(__file__).parent.parent
 TINY = ClipOptions(count=6, size=(32, 32), frames=3, seed=5, reference_range=(4, 8), workers=1)
@@ -399,7 +400,7 @@ def test_a_killed_worker_is_one_line():
 
     threading.Thread(target=kill, daemon=True).start()
     with pytest.raises(InputError, match="a rendering process was killed"):
-        list(run_jobs(time.sleep, [(60,)], 1))
+        list(Processes(1).run(time.sleep, [(60,)], torch.set_num_threads, KILLED))
 
 
 def test_two_runs_into_one_folder(tmp_path, capsys):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from ..errors import InputError
 
@@ -16,7 +17,7 @@ class Render:
 
     out: Path
     """Folder for the frames; existing ones are kept."""
-    scene: Positional[str] = ""
+    scene: Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="(required)")] = ""
     """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', or a Mitsuba scene file (.xml)."""
     motion: Path | None = None
     """TOML file that moves camera and objects of a scene file."""

@@ -15,7 +15,8 @@ from .accumulated_kpn import AccumulatedKPN
 from .combiner import Combiner
 from .denoiser import Denoiser
 from .inference import prepare, resolve
-from .presets import Config
+from .presets import SHRINKAGE, Config
+from .shrinkage import Shrinkage
 from .temporal_kpn import TemporalKPN
 from .weights import StoredModel, read_denoiser, read_model
 
@@ -47,10 +48,14 @@ def load(
 
 
 def load_combiner(
-    model: str | Path = "combiner", device: str | torch.device = "cpu", precision: str = "auto", **overrides
-) -> Combiner:
-    """A combiner with its weights, ready to run; arguments and errors as those of `load`."""
-    dtype, network = resolve(precision, device), read(model, **overrides)
+    model: str | Path = SHRINKAGE, device: str | torch.device = "cpu", precision: str = "auto", **overrides
+) -> Combiner | Shrinkage:
+    """A combiner, ready to run: 'shrinkage', which has no weights, or a network; arguments and errors as those of
+    `load`."""
+    dtype = resolve(precision, device)
+    if model == SHRINKAGE:
+        return Shrinkage()
+    network = read(model, **overrides)
     if not isinstance(network, Combiner):
         raise InputError(f"{model}: is a denoiser; expected a combiner, which corrects frames that a denoiser made")
     return prepare(network, dtype).to(device)
