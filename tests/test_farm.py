@@ -34,8 +34,9 @@ def cluster():
                 "--ray-client-server-port", str(_free_port()))  # fmt: skip
         nodes = [_start(*head, folder=folder)]
         try:
-            _wait(lambda: _listens(address))
+            _wait(lambda: _started(folder) == 1)
             nodes.append(_start("--address", address, folder=folder))
+            _wait(lambda: _started(folder) == 2)
             yield address
         finally:
             for node in reversed(nodes):
@@ -47,9 +48,8 @@ def _start(*words, folder):
     """A machine of a cluster."""
     command = (sys.executable, "-m", "ray.scripts.scripts", "start", "--num-cpus=1", "--block", "--node-ip-address",
                "127.0.0.1", "--object-store-memory=80000000", *words)  # fmt: skip
-    environment = os.environ | {
-        "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "RAY_USAGE_STATS_ENABLED": "0", "OMP_WAIT_POLICY": "passive"
-    }  # fmt: skip
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "PYTHONUNBUFFERED": "1",
+                                "RAY_USAGE_STATS_ENABLED": "0", "OMP_WAIT_POLICY": "passive"}  # fmt: skip
     log = open(Path(folder) / f"{time.monotonic_ns()}.log", "wb")  # noqa: SIM115 (the process holds it)
     return subprocess.Popen(command, env=environment, stdout=log, stderr=log)
 
@@ -60,9 +60,9 @@ def _free_port():
         return server.getsockname()[1]
 
 
-def _listens(address):
-    with socket.socket() as client:
-        return client.connect_ex(("127.0.0.1", int(address.partition(":")[2]))) == 0
+def _started(folder):
+    """How many machines say that they are ready."""
+    return sum(b"Ray runtime started" in path.read_bytes() for path in Path(folder).glob("*.log"))
 
 
 def _wait(condition, seconds=60):
@@ -140,7 +140,7 @@ def test_options_that_do_not_go_together(tmp_path, capsys):
     for words, complaint in (
         (["clips", "--workers", "3"], "--workers: is for processes of this machine"),
         (["denoise", "a", "b", "--workers", "3"], "--workers: is for processes of this machine"),
-        (["denoise", str(tmp_path)], "a sequence is one: name several"),
+        (["denoise", str(tmp_path)], "a sequence is one; name several"),
     ):
         with pytest.raises(SystemExit):
             main([*words, "--out", str(tmp_path / "out"), "--ray", "auto"])
