@@ -44,6 +44,7 @@ class Render:
         if not self.scene:
             raise InputError("nothing to render: name a scene; training sets are rendered by `rtdenoise clips`")
         at_least_one(self, "frames", "width", "height", "size", "spp", "max_depth")
+        not_negative(self, "reference_spp", "seed")
         from ..render.frames import RenderOptions
         from ..render.scenes.named import open_scene
         from ..render.sequence import render_sequence
@@ -58,3 +59,10 @@ def at_least_one(command: object, *names: str) -> None:
     for name in names:
         if (value := getattr(command, name)) is not None and value < 1:
             raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
+
+
+def not_negative(command: object, *names: str) -> None:
+    """Raise InputError where one of these options is given and below 0."""
+    for name in names:
+        if (value := getattr(command, name)) is not None and value < 0:
+            raise InputError(f"--{name.replace('_', '-')}: expected 0 or more, got {value}")
