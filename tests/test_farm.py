@@ -27,7 +27,7 @@ TINY = ClipOptions(count=5, size=(32, 32), frames=2, seed=5, reference_range=(2,
 
 @pytest.fixture(scope="module")
 def cluster():
-    """HOST:PORT of a cluster of two machines with one core each, both of them this one."""
+    """HOST:PORT of a cluster of two machines with one core each, both of them this one; one claims to have a GPU."""
     address = f"127.0.0.1:{_free_port()}"
     with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp") as folder:  # short: sockets have short paths
         head = ("--head", "--port", address.partition(":")[2], "--temp-dir", folder, "--include-dashboard=false",
@@ -35,7 +35,7 @@ def cluster():
         nodes = [_start(*head, folder=folder)]
         try:
             _wait(lambda: _started(folder) == 1)
-            nodes.append(_start("--address", address, folder=folder))
+            nodes.append(_start("--address", address, "--num-gpus=1", folder=folder))
             _wait(lambda: _started(folder) == 2)
             yield address
         finally:
@@ -96,6 +96,12 @@ def test_what_ends_a_run(cluster, tmp_path, monkeypatch):
         list(Farm(cluster, tmp_path).run(divmod, [(1, 0)], set_threads, "killed"))
     with pytest.raises(InputError, match=r"killed .WorkerCrashedError, 1 times"):
         list(Farm(cluster, tmp_path).run(os._exit, [(1,)], set_threads, "killed"))
+
+
+def test_a_job_gets_a_gpu_where_there_is_one(cluster, tmp_path):
+    for gpu, visible in ((True, "0"), (False, None)):
+        farm = Farm(cluster, tmp_path, gpu=gpu)
+        assert [r for _, r in farm.run(os.getenv, [("CUDA_VISIBLE_DEVICES",)], set_threads, "killed")] == [visible]
 
 
 def test_clips_and_shots(cluster, tmp_path, monkeypatch, capsys):
