@@ -1,0 +1,87 @@
+"""A Python with rtdenoise: found, or made once beside Blender's settings. Needs no bpy."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from .process import Stage, Trouble, clean_environment, last_line
+
+READY = "rtdenoise-is-ready"  # a file in the environment: its installation has ended well
+OIDN = "pyoidn>=2.3"  # a second opinion on every frame, used where it can be installed
+PYTHON = Path("Scripts", "python.exe") if os.name == "nt" else Path("bin", "python")
+OFFLINE_WORDS = ("Temporary failure in name resolution", "NewConnectionError", "Name or service not known",
+                 "getaddrinfo failed", "No matching distribution", "Max retries exceeded", "ProxyError")  # fmt: skip
+
+
+def find(chosen: str, own: Path) -> list[str] | None:
+    """The start of a command that runs rtdenoise: the Python (or `rtdenoise`) that the user has chosen, the environment
+    `own`, or `rtdenoise` on the PATH. None: there is none. Raises Trouble where the chosen one has no rtdenoise."""
+    if chosen:
+        path = Path(chosen).expanduser()
+        if not path.is_file():
+            raise Trouble(f"{path} is no file: choose a Python that has rtdenoise in the add-on's preferences, or none")
+        command = _command(path)
+        if not _works(command):
+            raise Trouble(f"{path} has no rtdenoise with light passes: type '{path} -m pip install rtdenoise[torch]', or "
+                          "clear the field in the add-on's preferences")  # fmt: skip
+        return command
+    if (own / READY).is_file() and (own / PYTHON).exists():
+        return [str(own / PYTHON), "-m", "rtdenoise"]
+    found = shutil.which("rtdenoise")
+    return [found] if found and _works([found]) else None
+
+
+def stages_to_make(own: Path, wheel: Path | None, index: str, online: bool, base: str = sys.executable) -> list[Stage]:
+    """The stages that make the environment `own` with Blender's Python. `index`: pip's address of PyTorch builds.
+
+    Raises Trouble where that cannot work.
+    """
+    if not base or not Path(base).is_file():
+        raise Trouble("Blender came without Python: install Python 3.11 or later, then rtdenoise into it, and choose it in "
+                      "the add-on's preferences")  # fmt: skip
+    if wheel is None:
+        raise Trouble("this copy of the add-on holds no rtdenoise: install the zip that 'make addon' builds, or choose a "
+                      "Python that has rtdenoise in the add-on's preferences")  # fmt: skip
+    if not online:
+        raise Trouble("allow online access in Preferences > System: PyTorch is downloaded once; or choose a Python that "
+                      "has rtdenoise in the add-on's preferences")  # fmt: skip
+    python = str(own / PYTHON)
+    pip = [python, "-m", "pip", "--disable-pip-version-check", "install", "--no-input"]
+    extra = ["--extra-index-url", index] if index else []
+    return [
+        Stage("Making a Python environment", [base, "-m", "venv", "--clear", str(own)], _about_venv),
+        Stage("Downloading PyTorch and rtdenoise", [*pip, *extra, f"{wheel}[torch]"], _about_pip),
+        Stage("Downloading OIDN", [*pip, OIDN], _about_pip, optional=True),
+        Stage("Trying rtdenoise", [python, "-m", "rtdenoise", "--version"], _about_pip, after=(own / READY).touch),
+    ]
+
+
+def _command(path: Path) -> list[str]:
+    return [str(path)] if path.stem == "rtdenoise" else [str(path), "-m", "rtdenoise"]
+
+
+def _works(command: list[str]) -> bool:
+    """Whether the command is an rtdenoise that knows light passes."""
+    try:
+        help_text = subprocess.run(
+            [*command, "denoise", "--help"], capture_output=True, timeout=60, env=clean_environment(), check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return help_text.returncode == 0 and b"--lights" in help_text.stdout
+
+
+def _about_venv(lines: list[str]) -> str:
+    return f"no Python environment could be made: {last_line(lines)}; choose a Python that has rtdenoise in the add-on's \
+preferences"
+
+
+def _about_pip(lines: list[str]) -> str:
+    if any(word in line for line in lines for word in OFFLINE_WORDS):
+        return "pip found no way to the internet: connect and click again, or choose a Python that has rtdenoise in the \
+add-on's preferences"
+    return f"pip failed: {last_line(lines)}"
