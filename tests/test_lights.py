@@ -200,6 +200,22 @@ def test_other_renderers_have_no_such_passes(tmp_path):
         denoise(str(shot), tmp_path / "out", Options(model="fast", lights=True))
 
 
+def test_an_environment_and_an_emission_are_passed(tmp_path):
+    """An even sky behind everything, and a lamp: light without noise comes out as it went in."""
+
+    def add(planes):
+        for c, sky in zip("RGB", (0.2, 0.3, 0.5), strict=True):
+            planes[f"ViewLayer.Environment.{c}"] += sky
+            planes[f"ViewLayer.Combined.{c}"] += sky
+
+    options = {"lights": True, "layout": "source", "float32": True}
+    before = run(tmp_path / "before", relit(tmp_path / "dark", frames=3), **options)
+    after = run(tmp_path / "after", relit(tmp_path / "light", add, frames=3), **options)
+    for a, b in zip(before, after, strict=True):
+        sky = image(b, "Environment") - image(a, "Environment")
+        np.testing.assert_allclose(sky, np.broadcast_to([[[0.2]], [[0.3]], [[0.5]]], sky.shape), rtol=1e-3)
+
+
 def test_broken_pixels_in_a_pass_stay_there(tmp_path):
     def broken(planes):
         planes["ViewLayer.Glossy Direct.R"][5, 5] = np.nan

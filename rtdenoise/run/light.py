@@ -173,7 +173,7 @@ def split(images: dict[str, Tensor], passes: LightPasses, each: bool) -> tuple[P
 
 def _check_sum(frame: Frame, images: dict[str, Tensor], passes: LightPasses) -> None:
     """Raise InputError where the passes do not add up to the picture."""
-    total = _sum(images[name] * images.get(name.split()[0], 1) for name in passes.summands)
+    total = _sum(images[n] * images[n.split()[0]] if n in passes.lights else images[n] for n in passes.summands)
     apart = ((total - frame.radiance).abs().mean() / frame.radiance.mean().clamp(min=1e-12)).item()
     if apart > MAX_APART:
         advice = "" if passes.volumes else "; are there volumes? switch on View Layer > Passes > Light > Volume"

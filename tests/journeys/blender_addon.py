@@ -1,6 +1,8 @@
 """An artist with Blender: install the zip, build a small scene, click, look at the result in the compositor.
 
-    python blender_addon.py ADDON.zip PYTHON FOLDER            # with Blender as a Python module, and a Python with rtdenoise
+    python blender_addon.py ADDON.zip PYTHON FOLDER
+
+The Python that runs this has Blender as a module (bpy); PYTHON has rtdenoise.
 
 BLENDER_USER_RESOURCES names a folder for Blender's settings, so that nobody's own are touched.
 """

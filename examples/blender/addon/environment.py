@@ -13,6 +13,7 @@ from .process import Stage, Trouble, clean_environment, last_line
 READY = "rtdenoise-is-ready"  # a file in the environment: its installation has ended well
 OIDN = "pyoidn>=2.3"  # a second opinion on every frame, used where it can be installed
 PYTHON = Path("Scripts", "python.exe") if os.name == "nt" else Path("bin", "python")
+CHOOSE = "choose a Python that has rtdenoise in the add-on's preferences"
 OFFLINE_WORDS = ("Temporary failure in name resolution", "NewConnectionError", "Name or service not known",
                  "getaddrinfo failed", "No matching distribution", "Max retries exceeded", "ProxyError")  # fmt: skip
 
@@ -26,8 +27,8 @@ def find(chosen: str, own: Path) -> list[str] | None:
             raise Trouble(f"{path} is no file: choose a Python that has rtdenoise in the add-on's preferences, or none")
         command = _command(path)
         if not _works(command):
-            raise Trouble(f"{path} has no rtdenoise with light passes: type '{path} -m pip install rtdenoise[torch]', or "
-                          "clear the field in the add-on's preferences")  # fmt: skip
+            raise Trouble(f"{path} has no rtdenoise that knows light passes: clear the field in the add-on's preferences, or "
+                          " install rtdenoise there")  # fmt: skip
         return command
     if (own / READY).is_file() and (own / PYTHON).exists():
         return [str(own / PYTHON), "-m", "rtdenoise"]
@@ -41,14 +42,11 @@ def stages_to_make(own: Path, wheel: Path | None, index: str, online: bool, base
     Raises Trouble where that cannot work.
     """
     if not base or not Path(base).is_file():
-        raise Trouble("Blender came without Python: install Python 3.11 or later, then rtdenoise into it, and choose it in "
-                      "the add-on's preferences")  # fmt: skip
+        raise Trouble(f"Blender came without Python: {CHOOSE}")
     if wheel is None:
-        raise Trouble("this copy of the add-on holds no rtdenoise: install the zip that 'make addon' builds, or choose a "
-                      "Python that has rtdenoise in the add-on's preferences")  # fmt: skip
+        raise Trouble(f"this copy of the add-on holds no rtdenoise: install the zip that 'make addon' builds, or {CHOOSE}")
     if not online:
-        raise Trouble("allow online access in Preferences > System: PyTorch is downloaded once; or choose a Python that "
-                      "has rtdenoise in the add-on's preferences")  # fmt: skip
+        raise Trouble(f"allow online access in Preferences > System: PyTorch is downloaded once; or {CHOOSE}")
     python = str(own / PYTHON)
     pip = [python, "-m", "pip", "--disable-pip-version-check", "install", "--no-input"]
     extra = ["--extra-index-url", index] if index else []
@@ -76,12 +74,10 @@ def _works(command: list[str]) -> bool:
 
 
 def _about_venv(lines: list[str]) -> str:
-    return f"no Python environment could be made: {last_line(lines)}; choose a Python that has rtdenoise in the add-on's \
-preferences"
+    return f"no Python environment could be made: {last_line(lines)}; {CHOOSE}"
 
 
 def _about_pip(lines: list[str]) -> str:
     if any(word in line for line in lines for word in OFFLINE_WORDS):
-        return "pip found no way to the internet: connect and click again, or choose a Python that has rtdenoise in the \
-add-on's preferences"
+        return f"pip found no way to the internet: connect and click again, or {CHOOSE}"
     return f"pip failed: {last_line(lines)}"

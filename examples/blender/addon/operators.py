@@ -160,7 +160,7 @@ class RTDENOISE_OT_passes(bpy.types.Operator):
     """Switch on the passes of this view layer that the denoiser reads"""
 
     bl_idname, bl_label = "rtdenoise.passes", "Switch On"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (as Blender wants it)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         passes.switch_on(context.view_layer)

@@ -8,10 +8,11 @@ import bpy
 
 from . import operators, passes, work
 
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5) else set()
 LIGHT = (
-    ("BEST", "Best picture", "The whole picture, with the frames before and after each: the best look, the longest time"),
-    ("PASSES", "Every light pass", "Diffuse, glossy, transmission and volume, direct and indirect, each for itself, for "
-     "compositing: a tenth of the time, a little more noise"),
+    ("BEST", "Best picture", "The whole picture, by the frames before and after each: the best look, the longest time"),
+    ("PASSES", "Every light pass", "Diffuse, glossy, transmission and volume, direct and indirect, each for itself: "
+     "for compositing"),
 )  # fmt: skip
 
 
@@ -25,7 +26,7 @@ class RTDENOISE_Settings(bpy.types.PropertyGroup):
     )
     folder: bpy.props.StringProperty(
         name="Folder", description="Where noisy and clean frames go, a folder a scene", default="//denoised/",
-        subtype="DIR_PATH",
+        subtype="DIR_PATH", options=RELATIVE,
     )  # fmt: skip
 
 
@@ -51,7 +52,9 @@ class RTDENOISE_Preferences(bpy.types.AddonPreferences):
 class Panel:
     """The panel, wherever it is shown."""
 
-    bl_label, bl_space_type, bl_region_type, bl_options = "Denoise Animation", "PROPERTIES", "WINDOW", {"DEFAULT_CLOSED"}
+    bl_label = "Denoise Animation"
+    bl_space_type, bl_region_type = "PROPERTIES", "WINDOW"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (as Blender wants it)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, scene, settings = self.layout, context.scene, context.scene.rtdenoise

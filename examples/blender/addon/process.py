@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
@@ -135,7 +136,5 @@ def _signal_group(process: subprocess.Popen, end: bool) -> None:
     if os.name != "posix":
         process.terminate() if end else process.kill()
         return
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGTERM if end else signal.SIGKILL)
-    except ProcessLookupError:
-        pass

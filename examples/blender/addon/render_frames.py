@@ -16,7 +16,7 @@ from pathlib import Path
 import bpy
 
 sys.path.insert(0, str(Path(__file__).parent))
-import passes  # noqa: E402
+import passes
 
 
 def configure(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int) -> None:

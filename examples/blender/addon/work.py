@@ -36,11 +36,11 @@ class Work:
     finished: bool = False
 
     @property
-    def stages(self) -> list[tuple[str, list[str]]]:
-        """(label, arguments of rtdenoise) of the denoiser."""
+    def arguments(self) -> list[str]:
+        """Of rtdenoise."""
         how = ["--offline"] if self.light == "BEST" else ["--lights", *(("--also", *self.also) if self.also else ())]
-        return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}", "--layout", "source",
-                "--progress", "lines", *how]  # fmt: skip
+        return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}",
+                "--layout", "source", "--progress", "lines", *how]  # fmt: skip
 
 
 def folder_of(scene: bpy.types.Scene) -> Path:
@@ -71,14 +71,14 @@ def begin(context: bpy.types.Context) -> Work:
     """
     scene, settings, folder = context.scene, context.scene.rtdenoise, folder_of(context.scene)
     if reason := is_writable(folder):
-        raise Trouble(f"{folder} cannot be written to ({reason}): choose another folder under Denoise animation")
+        raise Trouble(f"{folder} cannot be written to ({reason}): choose another folder under Denoise Animation")
     work = Work(
         scene.name, context.view_layer.name, settings.samples, scene.frame_start, scene.frame_end, settings.light,
         tuple(settings.also.replace(",", " ").split()), str(folder), str(folder / "noisy"), str(folder / "clean"),
     )  # fmt: skip
     parts = Path(work.noisy), Path(work.clean)
     if not (folder / JOB).exists() and any(part.exists() and any(part.iterdir()) for part in parts):
-        raise Trouble(f"{folder} holds frames that are not of this add-on: choose another folder under Denoise animation")
+        raise Trouble(f"{folder} holds frames that are not this add-on's: choose another folder under Denoise Animation")
     for part in parts:
         for path in [*part.glob("frame.*.exr"), *part.glob(".rtdenoise*"), *part.glob("denoise.json")]:
             path.unlink()
@@ -119,7 +119,7 @@ def stages(work: Work, rtdenoise: list[str]) -> list[Stage]:
         command = [sys.executable, str(RENDERER), copy, "--", job]
     return [
         Stage("Rendering", command, lambda lines: f"rendering failed: {last_line(lines)}"),
-        Stage("Denoising", [*rtdenoise, *work.stages], _about_denoising),
+        Stage("Denoising", [*rtdenoise, *work.arguments], _about_denoising),
     ]
 
 
