@@ -27,8 +27,8 @@ def find(chosen: str, own: Path) -> list[str] | None:
             raise Trouble(f"{path} is no file: choose a Python that has rtdenoise in the add-on's preferences, or none")
         command = _command(path)
         if not _works(command):
-            raise Trouble(f"{path} has no rtdenoise that knows light passes: clear the field in the add-on's preferences, or "
-                          " install rtdenoise there")  # fmt: skip
+            raise Trouble(f"{path} has no rtdenoise that knows light passes: clear the field in the add-on's "
+                          "preferences, or install rtdenoise there")  # fmt: skip
         return command
     if (own / READY).is_file() and (own / PYTHON).exists():
         return [str(own / PYTHON), "-m", "rtdenoise"]
@@ -44,7 +44,7 @@ def stages_to_make(own: Path, wheel: Path | None, index: str, online: bool, base
     if not base or not Path(base).is_file():
         raise Trouble(f"Blender came without Python: {CHOOSE}")
     if wheel is None:
-        raise Trouble(f"this copy of the add-on holds no rtdenoise: install the zip that 'make addon' builds, or {CHOOSE}")
+        raise Trouble(f"this copy of the add-on lacks rtdenoise: take the zip that 'make addon' builds, or {CHOOSE}")
     if not online:
         raise Trouble(f"allow online access in Preferences > System: PyTorch is downloaded once; or {CHOOSE}")
     python = str(own / PYTHON)

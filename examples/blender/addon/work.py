@@ -78,7 +78,7 @@ def begin(context: bpy.types.Context) -> Work:
     )  # fmt: skip
     parts = Path(work.noisy), Path(work.clean)
     if not (folder / JOB).exists() and any(part.exists() and any(part.iterdir()) for part in parts):
-        raise Trouble(f"{folder} holds frames that are not this add-on's: choose another folder under Denoise Animation")
+        raise Trouble(f"{folder} holds frames of something else: choose another folder under Denoise Animation")
     for part in parts:
         for path in [*part.glob("frame.*.exr"), *part.glob(".rtdenoise*"), *part.glob("denoise.json")]:
             path.unlink()
