@@ -12,6 +12,7 @@ from .process import Stage, Trouble, clean_environment, last_line
 
 READY = "rtdenoise-is-ready"  # a file in the environment: its installation has ended well
 OIDN = "pyoidn>=2.3"  # a second opinion on every frame, used where it can be installed
+TRIAL = "import rtdenoise.cli.main; rtdenoise.load()"
 PYTHON = Path("Scripts", "python.exe") if os.name == "nt" else Path("bin", "python")
 CHOOSE = "choose a Python that has rtdenoise in the add-on's preferences"
 OFFLINE_WORDS = ("Temporary failure in name resolution", "NewConnectionError", "Name or service not known",
@@ -54,7 +55,7 @@ def stages_to_make(own: Path, wheel: Path | None, index: str, online: bool, base
         Stage("Making a Python environment", [base, "-m", "venv", "--clear", str(own)], _about_venv),
         Stage("Downloading PyTorch and rtdenoise", [*pip, *extra, f"{wheel}[torch]"], _about_pip),
         Stage("Downloading OIDN", [*pip, OIDN], _about_pip, optional=True),
-        Stage("Trying rtdenoise", [python, "-m", "rtdenoise", "--version"], _about_pip, after=(own / READY).touch),
+        Stage("Trying rtdenoise", [python, "-c", TRIAL], _about_pip, after=(own / READY).touch),
     ]
 
 

@@ -71,9 +71,8 @@ class Panel:
             _sentence(layout, obstacle, "ERROR")
             return
         if off := passes.missing(context.view_layer):
-            row = layout.row()
-            row.label(text=f"{len(off)} passes are off and will be switched on", icon="INFO")
-            row.operator("rtdenoise.passes")
+            _sentence(layout, f"{len(off)} passes are off, the job switches them on: {', '.join(off[:3])} …", "INFO")
+            layout.operator("rtdenoise.passes", text="Switch On Now")
         if scene.render.use_motion_blur:
             _sentence(layout, "Motion blur is left out: with it Cycles writes no motion vectors", "INFO")
         layout.operator("rtdenoise.animation", icon="RENDER_ANIMATION")
