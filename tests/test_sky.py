@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from synthetic import write_sequence
 
-from rtdenoise import models, ops
+from rtdenoise import models, open_sequence, ops
+from rtdenoise.data.exr import read_channels
 from rtdenoise.frame import Frame
 from rtdenoise.glsl import Pipeline
 from rtdenoise.ops.even_sky import even_sky
+from rtdenoise.run.denoise import denoise
+from rtdenoise.run.options import Options
 
 SKY = torch.tensor([0.5, 0.7, 1.0]).reshape(1, 3, 1, 1)
 H, W = 40, 56
@@ -70,6 +74,17 @@ def test_an_even_sky_has_no_outlines(run, model):
     for frame, image in zip(frames, run(model, frames), strict=True):
         kept = shows_sky(frame)
         assert (kept & ~open_sky(frame)).any(), "a pixel with a silhouette at a corner alone"
+        assert torch.equal(image[kept], frame.radiance[kept])
+        assert not torch.equal(image[~kept], frame.radiance[~kept])
+
+
+def test_the_offline_mode_keeps_an_even_sky(tmp_path):
+    frames = list(ball_in_the_sky())
+    shot = write_sequence(tmp_path / "shot", frames)
+    denoise(str(shot), tmp_path / "out", Options(offline=True, float32=True))
+    for frame, path in zip(open_sequence(shot), sorted((tmp_path / "out").glob("*.exr")), strict=True):
+        image = torch.from_numpy(np.stack(list(read_channels(path, "RGB").values())))[None]
+        kept = shows_sky(frame)
         assert torch.equal(image[kept], frame.radiance[kept])
         assert not torch.equal(image[~kept], frame.radiance[~kept])
 

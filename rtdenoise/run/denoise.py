@@ -13,7 +13,7 @@ from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from ..frame import MAX_CUT_MISMATCH
+from ..frame import MAX_CUT_MISMATCH, Frame
 from ..sanitise import faults
 from .backends import Backend, open_backend
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
@@ -54,12 +54,13 @@ def denoise(
     backend = open_backend(options.backend, options.model, options.device, options.precision)
     write = partial(write_frame, layout=options.layout, recombine=options.recombine, keep=options.keep,
                     float32=options.float32)  # fmt: skip
+    read = Sequence.read
     if options.lights or options.also:
-        backend, write = in_parts(sequence, options, backend)
+        backend, read, write = in_parts(sequence, options, backend)
     out = prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
-        return _run(sequence, out, options, backend, write, overwrite, on_frame)
+        return _run(sequence, out, options, backend, read, write, overwrite, on_frame)
 
 
 def _run(
@@ -67,6 +68,7 @@ def _run(
     out: Path,
     options: Options,
     backend: Backend,
+    read: Callable[[Sequence, int], Frame],
     write: Callable[..., dict[str, int]],
     overwrite: bool,
     on_frame: Callable[[int, int], None],
@@ -88,7 +90,7 @@ def _run(
 
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
-        frame = sequence.read(i)
+        frame = read(sequence, i)
         for what, count in faults(frame).items():
             summary.replaced[what] = summary.replaced.get(what, 0) + count
         if i and frame.number != sequence.numbers[i - 1] + 1:

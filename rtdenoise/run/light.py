@@ -34,8 +34,8 @@ MAX_APART = 0.02  # of the mean radiance; half floats round by less than 0.001
 PICTURE = ""  # the name of the sum of all light
 
 
-def in_parts(sequence: Sequence, options: Options, backend: Backend) -> tuple[Backend, Any]:
-    """A backend for light in parts around `backend`, and the function that writes its results.
+def in_parts(sequence: Sequence, options: Options, backend: Backend) -> tuple[Backend, Any, Any]:
+    """A backend for light in parts around `backend`, and the functions that read its frames and write its results.
 
     Raises InputError for options that do not go together, and as `find_light`.
     """
@@ -47,8 +47,8 @@ def in_parts(sequence: Sequence, options: Options, backend: Backend) -> tuple[Ba
     passes = find_light(sequence, options.lights, options.also)
     if not isinstance(backend, TorchBackend):
         raise InputError(f"{told}: goes with --backend torch; {INSTALL_TORCH}")
-    lit = LightBackend(backend, sequence, passes, each=options.layout == "source", told=told)
-    return lit, partial(_write, passes=passes, layout=options.layout, float32=options.float32)
+    lit = LightBackend(backend, passes, each=options.layout == "source", told=told)
+    return lit, lit.read, partial(_write, passes=passes, layout=options.layout, float32=options.float32)
 
 
 def _write(
@@ -70,16 +70,15 @@ class Prepared:
 class LightBackend:
     """A `Backend` around torch's. An image is a dict of `[1, 3, H, W]`: the whole, named `PICTURE`, and the passes."""
 
-    def __init__(
-        self, inner: TorchBackend, sequence: Sequence, passes: LightPasses, each: bool, told: str = "--lights"
-    ) -> None:
+    def __init__(self, inner: TorchBackend, passes: LightPasses, each: bool, told: str = "--lights") -> None:
         """`each`: every pass is a result; else the picture and the layers of `also`."""
         from ..models.accumulated_kpn import AccumulatedKPN
 
         self.network = inner.network
         if not isinstance(self.network, AccumulatedKPN):
             raise InputError(f"{told}: goes with --model default, fast or quality, which divide light by its colour")
-        self._inner, self._sequence, self._passes, self._each = inner, sequence, passes, each
+        self._inner, self._passes, self._each = inner, passes, each
+        self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
         self._left_out: dict[str, int] | None = None
         self._checked = False  # whether the passes add up
 
@@ -87,14 +86,17 @@ class LightBackend:
         self._left_out = left_out
         return make_plan(size, frames, self.network.config.motion, first, windows=False)
 
+    def read(self, sequence: Sequence, index: int) -> Frame:
+        """A frame; its passes are kept for `prepare`, which comes next."""
+        self._stored = read_light(sequence, index, self._passes)
+        return sequence.read(index)
+
     def prepare(self, frame: Frame) -> Prepared:
         import torch
 
         ready, device = self._inner.prepare(frame), self._inner.device
-        index = self._sequence.numbers.index(frame.number)
         with torch.inference_mode(), explained(ready.name, ready.size, device):
-            stored = read_light(self._sequence, index, self._passes)
-            images = {name: _valid(torch.from_numpy(image).to(device)) for name, image in stored.items()}
+            images = {name: _valid(torch.from_numpy(image).to(device)) for name, image in self._stored.items()}
             noisy = torch.as_tensor(frame.radiance).to(device)
             # Fireflies are dimmed in the parts as in the whole.
             dimmed = torch.where(ready.radiance < noisy, ready.radiance / noisy, 1.0)

@@ -62,5 +62,5 @@ def _show(tree: bpy.types.NodeTree, node: bpy.types.Node) -> None:
 
 
 def _below(tree: bpy.types.NodeTree, node: bpy.types.Node) -> float:
-    """A place below all nodes that are there."""
-    return min((other.location.y - 400 for other in tree.nodes if other != node), default=0)
+    """A place below all nodes that are there; nodes that were never drawn have no size yet."""
+    return min((other.location.y - 150 - 25 * len(other.outputs) for other in tree.nodes if other != node), default=0)

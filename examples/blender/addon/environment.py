@@ -49,11 +49,12 @@ def stages_to_make(own: Path, wheel: Path | None, index: str, online: bool, base
     if not online:
         raise Trouble(f"allow online access in Preferences > System: PyTorch is downloaded once; or {CHOOSE}")
     python = str(own / PYTHON)
-    pip = [python, "-m", "pip", "--disable-pip-version-check", "install", "--no-input"]
-    extra = ["--extra-index-url", index] if index else []
+    pip = [python, "-m", "pip", "--disable-pip-version-check", "--retries", "1", "install", "--no-input"]
+    chosen = [Stage("Downloading PyTorch", [*pip, "--index-url", index, "torch"], _about_pip, optional=True)]
     return [
         Stage("Making a Python environment", [base, "-m", "venv", "--clear", str(own)], _about_venv),
-        Stage("Downloading PyTorch and rtdenoise", [*pip, *extra, f"{wheel}[torch]"], _about_pip),
+        *(chosen if index else ()),  # as a requirement of the wheel alone PyTorch comes in pip's usual build
+        Stage("Downloading rtdenoise", [*pip, f"{wheel}[torch]"], _about_pip),
         Stage("Downloading OIDN", [*pip, OIDN], _about_pip, optional=True),
         Stage("Trying rtdenoise", [python, "-c", TRIAL], _about_pip, after=(own / READY).touch),
     ]
