@@ -180,6 +180,7 @@ def dark(planes):
     (without("Glossy Color", "Emission"), {"lights": True}, "missing: Glossy Color, Emission; switch on View Layer"),
     (dark, {"lights": True}, "do not add up to the picture"),
     (without(), {"also": ("Emision",)}, "did you mean 'Emission'?"),
+    (without(), {"lights": True, "also": ("Emission",)}, "--also Emission: --lights denoises this pass already"),
     (without(), {"lights": True, "signal": "indirect"}, "goes with --signal color"),
     (without(), {"lights": True, "keep": ("all",)}, "goes without --keep"),
     (without(), {"lights": True, "offline": True}, "go without --offline"),
@@ -229,7 +230,7 @@ def test_the_command(tmp_path, capsys):
     shot = tmp_path / "shot"
     shot.mkdir()
     shutil.copy(SHOT / "frame.0001.exr", shot)
-    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", "--lights", "--also", "Emission"])
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", "--also", "Emission"])
     assert "1 frames written" in capsys.readouterr().out
     assert {"R", "G", "B", "A", "Emission.R"} <= read_header(tmp_path / "out" / "frame.0001.exr").channels.keys()
     assert rtdenoise.open_sequence(tmp_path / "out", signal="color")[0].size == open_sequence(shot)[0].size

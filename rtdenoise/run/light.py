@@ -166,7 +166,7 @@ def split(images: dict[str, Tensor], passes: LightPasses, each: bool) -> tuple[P
             lights["volume"] = (_sum(images[name] for name in passes.volumes), None)
         outputs = {PICTURE: Output(tuple(range(len(lights))), (1,))}
     outputs |= {name: Output(lights=(len(lights) + i,)) for i, name in enumerate(passes.also)}
-    lights |= {name: (images[name], ALBEDO) for name in passes.also}
+    lights |= {f"also {name}": (images[name], ALBEDO) for name in passes.also}
     light, colors = zip(*lights.values(), strict=True)
     nothing = light[0][:, :0]
     parts = Parts(torch.cat(light, 1), torch.cat([nothing, *passed.values()], 1), colors, tuple(outputs.values()))
