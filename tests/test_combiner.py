@@ -6,16 +6,27 @@ import pytest
 import torch
 from synthetic import make_frames, write_clips
 
-from rtdenoise.baselines import DeepCombiner, Shrinkage
+from rtdenoise.baselines import DeepCombiner
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.estimates import write_all
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.evaluate.sequence import outputs
 from rtdenoise.frame import Frame
-from rtdenoise.models import COMBINERS, Combiner, CombinerConfig, Window, create, load, load_combiner, losses, save
+from rtdenoise.models import (
+    COMBINERS,
+    Combiner,
+    CombinerConfig,
+    Shrinkage,
+    Window,
+    create,
+    load,
+    load_combiner,
+    losses,
+    save,
+)
 from rtdenoise.models import combiner as module
-from rtdenoise.models.combiner import comparable, two_step
+from rtdenoise.models.window import comparable, two_step
 from rtdenoise.training.config import TrainConfig
 from rtdenoise.training.trainer import Trainer
 
@@ -320,16 +331,76 @@ def halves(noise, bias, size=64):
     return first.clamp(min=0), second.clamp(min=0), torch.full_like(first, 1 + bias)
 
 
+def window_of_pictures(pictures, z, samples=None, motion=True):
+    """Five noisy pictures of a flat white wall that stands still, and its estimates."""
+    def frame(y):
+        B, _, H, W = y.shape
+        still = torch.zeros(B, 2, H, W) if motion else None
+        wall = torch.ones(B, 1, H, W)
+        return Frame(y, torch.ones_like(y), torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1).expand_as(y), wall, still,
+                     still, samples=None if samples is None else samples * wall)  # fmt: skip
+
+    return Window(tuple(map(frame, pictures)), (z,) * len(pictures))
+
+
+def errors_of(*images):
+    return [(image - 1).square().mean().item() for image in images]
+
+
 @pytest.mark.parametrize("with_halves", [True, False])
-def test_shrinkage_takes_the_better_of_both(with_halves):
-    """Little noise and a large bias: about the noisy picture; the reverse: the denoised one; else better than it."""
-    for noise, bias in ((0.02, 0.3), (0.3, 0.0), (0.15, 0.2)):
-        first, second, z = halves(noise, bias)
-        y = (first + second) / 2
-        window = Window((Frame(y),), (z,))
-        image = Shrinkage().combine(window, first if with_halves else None).image
-        error, of_y, of_z = ((x - 1).square().mean().item() for x in (image, y, z))
-        assert error < 1.2 * max(min(of_y, of_z), 0.1 * of_y) and error < max(of_z, 0.1 * of_y)
+@pytest.mark.parametrize(("noise", "bias"), [(0.02, 0.3), (0.3, 0.0), (0.15, 0.2), (0.3, 0.02)])
+def test_shrinkage_takes_the_better_of_both(with_halves, noise, bias):
+    """Little noise and a large bias: about the noisy pictures; the reverse: the denoised one; else better than it."""
+    first, second = ([(1 + noise * torch.randn(1, 3, 64, 64)).clamp(min=0) for _ in range(5)] for _ in range(2))
+    z = torch.full_like(first[0], 1 + bias)
+    window = window_of_pictures([(a + b) / 2 for a, b in zip(first, second, strict=True)], z)
+    if with_halves:
+        window = replace(window, halves=tuple(first))
+    error, of_y, of_z = errors_of(Shrinkage().combine(window).image, window.frames[2].radiance, z)
+    assert error < 1.05 * of_z + 1e-9 and error < 1.2 * max(min(of_y, of_z), 0.1 * of_y)
+
+
+def test_shrinkage_leaves_a_frame_that_nothing_speaks_against():
+    y = torch.rand(1, 3, 16, 16)
+    alone = Window((None, None, Frame(y), None, None), (None, None, y + 0.1, None, None))
+    assert torch.equal(Shrinkage().combine(alone).image, y + 0.1)
+    causal = Window((None, None, Frame(y)), (None, None, y + 0.1))
+    assert torch.equal(Shrinkage(causal=True).combine(causal).image, y + 0.1)
+    still = window_of_pictures([y] * 5, y + 0.1, motion=False)
+    assert torch.equal(Shrinkage().combine(still).image, y + 0.1)
+
+
+def test_shrinkage_corrects_edges_of_frames_with_samples_enough():
+    """One sample of an edge pixel shows one surface: its residual repeats though z is right."""
+    z, y = torch.full((1, 3, 32, 32), 1.5), torch.full((1, 3, 32, 32), 1.0)
+    for samples, corrected in ((None, False), (1, False), (4, True)):
+        window = window_of_pictures([y + 0.01 * torch.randn_like(y) for _ in range(5)], z, samples)
+        stepped = tuple(replace(f, depth=f.depth + 9 * (torch.arange(32) >= 16)) for f in window.frames)
+        image = Shrinkage().combine(replace(window, frames=stepped)).image
+        assert (image[..., 15:17].mean() < 1.1) == corrected and image[..., :12].mean() < 1.1
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_shrinkage_scales_with_the_light(scale):
+    pictures = [(1 + 0.1 * torch.randn(1, 3, 32, 32)).clamp(min=0) for _ in range(5)]
+    window, scaled = (window_of_pictures([s * y for y in pictures], torch.full_like(pictures[0], 1.2 * s)) for s in
+                      (1.0, scale))  # fmt: skip
+    images = [Shrinkage().combine(one).image for one in (window, scaled)]
+    torch.testing.assert_close(images[1] / scale, images[0], rtol=1e-4, atol=1e-5)
+
+
+def test_shrinkage_is_finite_whatever_comes():
+    window = window_of_pictures([torch.rand(1, 3, 24, 24) for _ in range(5)], torch.rand(1, 3, 24, 24))
+    bad = window.frames[2].radiance.clone()
+    bad[0, 0, 5, 5], bad[0, 1, 9, 9] = torch.nan, torch.inf
+    frames = (*window.frames[:2], replace(window.frames[2], radiance=bad), *window.frames[3:])
+    spoiled = window.estimates[2].clone()
+    spoiled[0, 2, 7, 7] = torch.nan
+    estimates = (*window.estimates[:2], spoiled, *window.estimates[3:])
+    for halves in ((), tuple(frame.radiance for frame in frames)):
+        combined = Shrinkage().combine(Window(frames, estimates, halves))
+        assert combined.image.isfinite().all() and combined.confidence.isfinite().all()
+        assert (combined.image >= 0).all()
 
 
 def test_the_deep_combiner_in_strips_is_the_whole(monkeypatch):

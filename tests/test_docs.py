@@ -6,6 +6,7 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent
@@ -152,6 +153,13 @@ def test_every_page_is_reached_from_the_entry():
     assert {page.resolve() for page in DOCS.rglob("*.md")} <= reached
 
 
+def test_the_files_to_change_for_an_extension_exist():
+    text = (DOCS / "reference" / "extending.md").read_text()
+    paths = set(re.findall(r"`((?:rtdenoise|tests|shaders|docs|tools|bench)/[^`]*)`", text))
+    assert len(paths) > 50
+    assert not [path for path in paths if not list(ROOT.glob(path.replace("NAME", "*")))]
+
+
 def test_no_page_sends_its_reader_into_the_history():
     for page in [*PAGES, ROOT / "CHANGELOG.md"]:
         assert "git show" not in page.read_text(), page.name
@@ -169,6 +177,11 @@ def test_the_readmes_rooms_are_complete():
     assert {"shaders", "tests", "bench", "docs", "examples", "tools", "samples"} <= named
 
 
-def test_the_readmes_example_runs():
-    (code,) = re.findall(r"```python\n(import rtdenoise.*?)```", (ROOT / "README.md").read_text(), re.S)
-    exec(code.replace('"samples/mural"', repr(str(ROOT / "samples" / "mural"))), {})
+def test_the_readmes_examples_run():
+    codes = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    assert len(codes) == 3 and len([line for line in codes[0].splitlines() if line]) == 3  # lines to a clean frame
+    layers = {name: np.ones((16, 24, c)) for name, c in (("color", 3), ("albedo", 3), ("normal", 3), ("depth", 1))}
+    names = layers | {"motion": np.zeros((16, 24, 2))}
+    for code in codes:
+        exec(code.replace('"samples/mural"', repr(str(ROOT / "samples" / "mural-window"))), names)
+    assert names["clean"].shape == (16, 24, 3)

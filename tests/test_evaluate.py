@@ -3,7 +3,9 @@
 import json
 import math
 import shutil
+import webbrowser
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -408,6 +410,9 @@ def test_the_report_opens_in_a_browser(shot, tmp_path, monkeypatch, capsys):
     for _ in range(2):
         main(["view", str(out)])
     assert opened == [(out / "report.html").resolve().as_uri()] * 2 and (out / "report.html").is_file()
+    monkeypatch.setattr("webbrowser.open", Mock(side_effect=webbrowser.Error("could not locate runnable browser")))
+    main(["view", str(out)])
+    assert f"no browser to be found here; the report is {out / 'report.html'}" in capsys.readouterr().out
     with pytest.raises(SystemExit, match="2"):
         main(["view", str(tmp_path / "nowhere")])
     assert "rtdenoise evaluate SEQ --out" in capsys.readouterr().err

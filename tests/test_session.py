@@ -179,6 +179,12 @@ BAD = {
     "another size": ({"normal": np.zeros((8, 9, 3), np.float32)}, r"normal: expected 8×8 as color .*, got 9×8"),
     "a word": ({"color": "frame.exr"}, "color: expected a numpy array or a torch tensor, got str"),
     "nothing": ({"color": None}, "color: expected a numpy array or a torch tensor, got NoneType"),
+    "a sparse tensor": ({"color": torch.zeros(8, 8, 3).to_sparse()}, "color: expected a dense .*, got a sparse_"),
+    "no values": ({"depth": torch.zeros(8, 8, device="meta")}, "depth: expected a dense tensor .*, got a meta one"),
+    "nested": (
+        {"normal": torch.nested.nested_tensor([torch.zeros(8, 3)], layout=torch.jagged)},
+        "normal: expected a dense .*, got a nested one",
+    ),
     "a ragged list": ({"color": [[1.0], [1.0, 2.0]]}, "color: expected a numpy array or a torch tensor, got list"),
 }
 

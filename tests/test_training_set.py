@@ -36,7 +36,8 @@ from rtdenoise.render.scenes.scene import Scene
 from rtdenoise.render.sequence import render_sequence
 from rtdenoise.render.stage import Stage
 from rtdenoise.render.windows import Window, choose, look_through
-from rtdenoise.render.workers import only_run, run_jobs
+from rtdenoise.render.workers import KILLED, only_run
+from rtdenoise.run.processes import Processes
 
 ROOT = Path(__file__).parent.parent
 TINY = ClipOptions(count=6, size=(32, 32), frames=3, seed=5, reference_range=(4, 8), workers=1)
@@ -399,7 +400,7 @@ def test_a_killed_worker_is_one_line():
 
     threading.Thread(target=kill, daemon=True).start()
     with pytest.raises(InputError, match="a rendering process was killed"):
-        list(run_jobs(time.sleep, [(60,)], 1))
+        list(Processes(1).run(time.sleep, [(60,)], torch.set_num_threads, KILLED))
 
 
 def test_two_runs_into_one_folder(tmp_path, capsys):
@@ -448,7 +449,10 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
         ("clips --generator 1 --reference-spp 0", "need references; expected 2 or more, got 0"),
         ("clips --generator 1 --sun 1", "--sun: goes with --generator 2 and 3, not with 1"),
         ("clips --motions x", "go with --scenes"),
+        ("clips --seed -1", "--seed: expected 0 or more, got -1"),
         ("render", "nothing to render: name a scene"),
+        ("render sample --seed -1", "--seed: expected 0 or more, got -1"),
+        ("render sample --reference-spp -2", "--reference-spp: expected 0 or more, got -2"),
         ("render --clips 2", "rtdenoise clips --count 2 --out "),
         ("render --clips=2", "--generator 1"),
         ("render --preset train --clips 2 --sun 1", "rtdenoise clips --count 2 --sun 1 --out "),

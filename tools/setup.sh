@@ -22,7 +22,7 @@ TORCH_FALLBACK=torch==2.13.0  # where that index is out of reach
 main() {
     case "${1-}" in
         demo) extras="[torch]" ;;
-        test) extras="[render,noisebase,tensorboard,bench,dev]" ;;
+        test) extras="[render,noisebase,tensorboard,bench,farm,dev]" ;;
         gpu) extras="[bench,dev]" ;;
         build)
             make_venv

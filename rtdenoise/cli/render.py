@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from ..errors import InputError
 
@@ -16,7 +17,7 @@ class Render:
 
     out: Path
     """Folder for the frames; existing ones are kept."""
-    scene: Positional[str] = ""
+    scene: Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="(required)")] = ""
     """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', or a Mitsuba scene file (.xml)."""
     motion: Path | None = None
     """TOML file that moves camera and objects of a scene file."""
@@ -43,6 +44,7 @@ class Render:
         if not self.scene:
             raise InputError("nothing to render: name a scene; training sets are rendered by `rtdenoise clips`")
         at_least_one(self, "frames", "width", "height", "size", "spp", "max_depth")
+        not_negative(self, "reference_spp", "seed")
         from ..render.frames import RenderOptions
         from ..render.scenes.named import open_scene
         from ..render.sequence import render_sequence
@@ -57,3 +59,10 @@ def at_least_one(command: object, *names: str) -> None:
     for name in names:
         if (value := getattr(command, name)) is not None and value < 1:
             raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
+
+
+def not_negative(command: object, *names: str) -> None:
+    """Raise InputError where one of these options is given and below 0."""
+    for name in names:
+        if (value := getattr(command, name)) is not None and value < 0:
+            raise InputError(f"--{name.replace('_', '-')}: expected 0 or more, got {value}")

@@ -60,7 +60,7 @@ def find_light(sequence: Sequence, lights: bool, also: tuple[str, ...]) -> Light
                              f"is {sequence.layout.name}: leave --lights out, or name layers by --also")
         found = _light_passes(sequence, prefix)
         if taken := [name for name in also if name in found or f"{name} Color" in found]:
-            raise InputError(f"--also {taken[0]}: --lights denoises this pass already; leave it out, or rename the layer")
+            raise InputError(f"--also {taken[0]}: --lights denoises this pass already: leave it out, or rename it")
     alpha = beauty.channels[0].removesuffix("R") + "A" if beauty else ""
     return LightPasses(
         lights={k: v for k, v in found.items() if k.endswith("irect") and k not in VOLUMES},  # Direct, Indirect

@@ -14,10 +14,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ..baselines import Accumulate, DeepCombiner, Oidn, Shrinkage, Svgf, Trmv
+from ..baselines import Accumulate, DeepCombiner, Oidn, Svgf, Trmv
 from ..errors import InputError, did_you_mean
 from ..frame import Frame
-from ..models import CombinerConfig, available, available_combiners, load, load_combiner
+from ..models import CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
+from ..models.presets import SHRINKAGE
 from ..models.weights import read_model
 from ..run.graphs import stepper
 from ..run.passes import InMemory, Passes
@@ -76,7 +77,7 @@ def methods() -> dict[str, Method]:
                delay=InMemory.delay, weights="default"),
     ]  # fmt: skip
     for base in [method for method in found if method.name in CORRECTED]:
-        found += [_corrected(base, combiner) for combiner in ("shrinkage", *available_combiners())]
+        found += [_corrected(base, combiner) for combiner in (SHRINKAGE, *available_combiners())]
     return {method.name: method for method in found}
 
 
@@ -144,8 +145,8 @@ def _network(name: str) -> list[Method]:
 def _corrected(base: Method, combiner: str) -> Method:
     """A method whose frames a combiner corrects. Raises InputError if `combiner` names none."""
     weights, offsets, family, name = combiner.removeprefix("dc:"), (0,), "filter", combiner
-    if combiner == "shrinkage":
-        weights, make, what = "", lambda device, precision: Shrinkage(), "shrunk residuals"
+    if combiner == SHRINKAGE:
+        weights, make, what, offsets = "", partial(load_combiner, combiner), "shrunk residuals", Shrinkage().offsets
     elif combiner.startswith("dc:"):
         name, what = "dc", "Deep Combiner (2020)"
         make = lambda device, precision: DeepCombiner.load(weights).to(device)  # noqa: E731

@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
 from ..models.presets import Config
-from ..models.weights import read_model
+from ..models.weights import read_denoiser
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
 from .kernels import Kernels
@@ -52,10 +52,10 @@ class Pipeline:
     def load(cls, model: str | Path = "default", half: bool = False, **overrides) -> Pipeline:
         """As `rtdenoise.load`: a shipped name or a .safetensors file; `overrides` replace fields of its configuration.
 
-        Raises InputError for an unknown name, an unreadable file, weights that do not fit their configuration, and
-        where there is no OpenGL 4.3.
+        Raises InputError for an unknown name, a combiner, an unreadable file, weights that do not fit their
+        configuration, and where there is no OpenGL 4.3.
         """
-        stored = read_model(model, **overrides)
+        stored = read_denoiser(model, **overrides)
         return cls(stored.config, stored.tensors, half)
 
     def step(

@@ -69,11 +69,16 @@ def candidates(found: Survey, size: tuple[int, int], frames: int) -> list[Window
                         first,
                         top * COARSE,
                         left * COARSE,
-                        float(found.uncovered[(slice(first + 1, first + frames), *part)].mean()),
+                        mean(found.uncovered[(slice(first + 1, first + frames), *part)]),
                         float(found.motion[(slice(first, first + frames), *part)].mean()),
                     )
                 )
     return windows
+
+
+def mean(values: np.ndarray) -> float:
+    """Their mean, 0 for none: a single frame uncovers nothing."""
+    return float(values.mean()) if values.size else 0.0
 
 
 def choose(windows: list[Window], taken: list[Window], size, frames: int, active: bool, rng) -> Window:

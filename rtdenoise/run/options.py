@@ -80,8 +80,13 @@ class CombineOptions:
 
     signal: str = "color"
     """The denoised signal: 'color' (the beauty) or 'indirect'."""
-    model: str = "combiner"
-    """The combiner: a shipped one, or a .safetensors file that `rtdenoise train` wrote."""
+    model: str = "shrinkage"
+    """The combiner: 'shrinkage', which needs no training, or a .safetensors file that `rtdenoise train` wrote."""
+    second: str = ""
+    """A second render of the noisy frames (folder or glob) with another seed and as many samples: both are used, and
+    their differences tell noise from light."""
+    samples: int = 0
+    """Samples a pixel of each noisy frame, where the files do not say. From 4 on edges are corrected, too."""
     preset: str = "auto"
     """Layout of the noisy files: as for denoise."""
     layout: str = "plain"

@@ -18,7 +18,7 @@ from ..baselines.oidn import Oidn
 from ..data.clips import OPTIONAL, ClipDataset, read_facts, read_layers, write_clip
 from ..data.layers import SIGNALS
 from ..errors import InputError
-from ..files import write_atomically
+from ..files import read_bytes, utf8, write_atomically
 from ..frame import Frame
 
 CARD = """# Training clips with cleaned references
@@ -49,7 +49,7 @@ def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda
     progress(len(missing), len(missing))
     card = CARD.format(count=len(paths), cleaned=read_facts(out / paths[0].name)["references"])
     described = Path(folder) / "DATA.md"
-    write_atomically(out / "DATA.md", (card + (described.read_text() if described.is_file() else "")).encode())
+    write_atomically(out / "DATA.md", utf8(card) + (read_bytes(described) if described.is_file() else b""))
     return len(missing)
 
 

@@ -20,7 +20,7 @@ from ..errors import InputError
 from ..evaluate.inputs import Source
 from ..evaluate.measure import check_references
 from ..evaluate.sequence import uncovered
-from ..files import dumps, lock, remove_unfinished, write_atomically
+from ..files import dumps, lock, remove_unfinished, utf8, write_atomically
 from ..frame import Frame
 from ..sanitise import sanitise
 
@@ -207,4 +207,4 @@ def _describe(out: Path, clips: list[Window], shots: tuple[str, ...], options: C
         lines="\n".join(f"- {shot}: {count} clips" for shot, count in counts.items()),
     )  # fmt: skip
     write_atomically(out / "dataset.json", dumps(card, indent=2).encode())
-    write_atomically(out / "DATA.md", text.encode())
+    write_atomically(out / "DATA.md", utf8(text))
