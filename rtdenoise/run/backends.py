@@ -18,6 +18,8 @@ from .plan import Plan, count, look, make_plan
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ..models import Denoiser
+
 BACKENDS = ("auto", "torch", "glsl")
 
 
@@ -77,6 +79,11 @@ class TorchBackend:
     def config(self) -> Config:
         """The configuration of its network."""
         return self._denoiser.config
+
+    @property
+    def network(self) -> Denoiser:
+        """Its network, a torch module."""
+        return self._denoiser
 
     def prepare(self, frame: Frame) -> Frame:
         import torch
