@@ -55,7 +55,9 @@ class GuidedAttentionConfig(NetworkConfig):
             if not least <= (value := getattr(self, name)) <= most:
                 raise ValueError(f"{name}: expected {least} to {most}, got {value}")
         if self.width % (2 * self.attention_heads):
-            raise ValueError(f"expected a width in {self.attention_heads} heads of an even number each, got {self.width}")
+            raise ValueError(
+                f"expected a width in {self.attention_heads} heads of an even number each, got {self.width}"
+            )
         if self.kernel % 2 == 0:
             raise ValueError(f"kernel: expected an odd size up to {MAX_KERNEL}, got {self.kernel}")
         if self.guide not in ("guided", "concatenated", "none"):

@@ -12,8 +12,7 @@ from .config import AccumulatedKPNConfig, TemporalKPNConfig
 
 Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | GuidedAttentionConfig
 CONFIGS: dict[str, type[Config]] = {
-    kind.architecture: kind
-    for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, GuidedAttentionConfig)
+    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, GuidedAttentionConfig)
 }
 
 PRESETS: dict[str, Config] = {

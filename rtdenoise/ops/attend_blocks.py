@@ -52,9 +52,10 @@ def attend_blocks(
     across = -(-W // block)
     picture = []
     for top, bottom, inside in _spans(H, block, halo, max(1, most // across)):
-        spans = _spans(W, block, halo, most) if inside else ((i, min(i + most, across), False) for i in range(0, across, most))
-        strip = [_attend(q, k, v, offsets, (top, left, bottom, right), inside_x, block, halo, heads)
-                 for left, right, inside_x in spans]  # fmt: skip
+        strip = [
+            _attend(q, k, v, offsets, (top, left, bottom, right), inside_x, block, halo, heads)
+            for left, right, inside_x in _spans(W, block, halo if inside else W, most)  # by W: no window is inside
+        ]
         picture.append(torch.cat(strip, dim=3))
     return torch.cat(picture, dim=2)
 
