@@ -27,6 +27,8 @@ from .passes import Means, Passes
 from .scratch import Scratch
 from .state import History
 
+SHADED = ("temporal_kpn", "accumulated_kpn")  # architectures
+
 
 class Pipeline:
     """A denoiser like those of `rtdenoise.models`, for one context and thread. State is explicit: the history
@@ -52,10 +54,13 @@ class Pipeline:
     def load(cls, model: str | Path = "default", half: bool = False, **overrides) -> Pipeline:
         """As `rtdenoise.load`: a shipped name or a .safetensors file; `overrides` replace fields of its configuration.
 
-        Raises InputError for an unknown name, an unreadable file, weights that do not fit their configuration, and
-        where there is no OpenGL 4.3.
+        Raises InputError for an unknown name, an unreadable file, weights that do not fit their configuration, a
+        network that has no shaders, and where there is no OpenGL 4.3.
         """
         stored = read_model(model, **overrides)
+        if stored.config.architecture not in SHADED:
+            raise InputError(f"{model}: there are no shaders for networks of the kind {stored.config.architecture!r}; "
+                             "use the backend torch")  # fmt: skip
         return cls(stored.config, stored.tensors, half)
 
     def step(

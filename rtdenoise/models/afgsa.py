@@ -54,8 +54,8 @@ class GuidedAttention(nn.Module):
         side = 3 if config.output == "residual" else 1
         outputs = [sum(config.channels(scale)) for scale in range(len(config.heads))]
         self.heads = nn.ModuleList(nn.Conv2d(width, n, side, padding=side // 2) for n in outputs)
-        for head in self.heads:  # begin near no residual, or near even kernels
-            nn.init.xavier_uniform_(head.weight, gain=0.01)
+        for head in self.heads:
+            nn.init.xavier_uniform_(head.weight)
             nn.init.zeros_(head.bias)
 
     def step(
