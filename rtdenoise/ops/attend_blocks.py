@@ -94,20 +94,20 @@ def _attend(
     (B, C, H, W), window = q.shape, block + 2 * halo
     top, left, bottom, right = (block * place for place in blocks)
     height, width = (bottom - top) // block, (right - left) // block
-    queries = _cut(q, top, left, bottom, right).unfold(2, block, block).unfold(3, block, block)
-    keys, values = (
-        _cut(x, top - halo, left - halo, bottom + halo, right + halo).unfold(2, window, block).unfold(3, window, block)
-        for x in (k, v)
-    )
-    queries, keys, values = (  # [B, C, height, width, side, side] -> [blocks, heads, positions, d]
-        x.permute(0, 2, 3, 4, 5, 1).reshape(B * height * width, -1, heads, C // heads).transpose(1, 2)
-        for x in (queries, keys, values)
+    corner = top - halo, left - halo
+    queries, keys, values = (  # [blocks, heads, positions, d]
+        x.reshape(B * height * width, -1, heads, C // heads).transpose(1, 2)
+        for x in (
+            _windows(q, (top, left), (height, width), block, block),
+            _windows(k, corner, (height, width), block, window),
+            _windows(v, corner, (height, width), block, window),
+        )
     )
     mask = None
     if not inside:
         y, x = (
             (torch.arange(count, device=q.device)[:, None] * block + torch.arange(window, device=q.device)) + start
-            for count, start in ((height, top - halo), (width, left - halo))
+            for count, start in zip((height, width), corner, strict=True)
         )
         mask = ((y >= 0) & (y < H))[:, None, :, None] & ((x >= 0) & (x < W))[None, :, None, :]
         mask = mask.reshape(1, height * width, 1, 1, window**2).expand(B, -1, -1, -1, -1).flatten(0, 1)
@@ -116,12 +116,23 @@ def _attend(
     return out.reshape(B, C, bottom - top, right - left)[:, :, : H - top, : W - left]
 
 
-def _cut(x: Tensor, top: int, left: int, bottom: int, right: int) -> Tensor:
-    """A window of a picture, 0 where it lies outside."""
-    H, W = x.shape[2:]
+def _windows(
+    x: Tensor,  # [B, C, H, W], taken as 0 outside
+    corner: tuple[int, int],  # row and column of the first window's first pixel
+    count: tuple[int, int],  # windows in a column and in a row
+    block: int,  # pixels from window to window
+    window: int,  # their side
+) -> Tensor:  # [B, rows, columns, window, window, C]
+    """Windows as pieces of neighbouring cells of block×block pixels: `Tensor.unfold` has a slow backward."""
+    (H, W), (top, left) = x.shape[2:], corner
+    pieces = [min(block, window - i) for i in range(0, window, block)]
+    bottom, right = (start + (n + len(pieces) - 1) * block for start, n in zip(corner, count, strict=True))
     beyond = max(0, -left), max(0, right - W), max(0, -top), max(0, bottom - H)
-    part = x[:, :, max(0, top) : min(H, bottom), max(0, left) : min(W, right)]
-    return F.pad(part, beyond) if any(beyond) else part
+    x = x[:, :, max(0, top) : min(H, bottom), max(0, left) : min(W, right)]
+    x = (F.pad(x, beyond) if any(beyond) else x).permute(0, 2, 3, 1)
+    x = x.unflatten(2, (-1, block)).unflatten(1, (-1, block))  # [B, rows, y, columns, x, C] of cells
+    x = torch.cat([x[:, i : i + count[0], :side] for i, side in enumerate(pieces)], dim=2).transpose(2, 3)
+    return torch.cat([x[:, :, i : i + count[1], :, :side] for i, side in enumerate(pieces)], dim=4)
 
 
 def _spans(length: int, block: int, halo: int, most: int) -> Iterator[tuple[int, int, bool]]:
