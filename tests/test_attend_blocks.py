@@ -3,9 +3,12 @@
 import itertools
 import sys
 
+import numpy as np
 import pytest
 import torch
 
+from rtdenoise import glsl
+from rtdenoise.glsl import GpuArray
 from rtdenoise.ops import attend_blocks, use
 
 SIZES = [(1, 1), (1, 9), (5, 17), (16, 24), (29, 35)]  # (H, W): sizes below a block, with cut-off blocks, in blocks
@@ -149,3 +152,34 @@ def test_wrong_shapes_are_named(change, message):
     q, k, v, rows, columns = arguments(8, 8)
     with pytest.raises(ValueError, match="of one shape, got"):
         attend_blocks(q, k, v[:, :4], rows, columns, heads=2)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("block", "halo", "heads"), [(8, 3, 2), (8, 0, 1), (5, 6, 4)])
+def test_the_shader_is_its_twin(gl, assert_images_close, size, block, halo, heads):
+    options = {"block": block, "halo": halo, "heads": heads}
+    given = [x.numpy() for x in arguments(*size, **options)]
+    expected = attend_blocks(*(torch.from_numpy(x) for x in given), **options).numpy()
+    resident = [GpuArray.upload(gl, x) for x in given]
+    out = GpuArray.upload(gl, np.full(expected.shape, np.nan))
+    assert glsl.attend_blocks(*resident, out, **options) is out
+    assert_images_close(out.read(), expected, "float32 attention")
+    assert np.array_equal(glsl.attend_blocks(*given, **options), out.read())
+
+
+def test_the_shader_keeps_constants_and_survives_extreme_scores(gl, assert_images_close):
+    q, k, v, rows, columns = (x.numpy() for x in arguments(13, 9))
+    even = np.full_like(v, 0.7)
+    for size in (0.0, 1e4):
+        out = glsl.attend_blocks(size * q, size * k, even, rows, columns, heads=2)
+        assert_images_close(out, even, "float32 attention")
+
+
+def test_the_shader_names_what_does_not_fit():
+    q, k, v, rows, columns = (x.numpy() for x in arguments(8, 8))
+    with pytest.raises(ValueError, match=r"expected v \(2, 8, 8, 8\), got \(2, 4, 8, 8\)"):
+        glsl.attend_blocks(q, k, v[:, :4], rows, columns, heads=2)
+    with pytest.raises(ValueError, match=r"expected columns \(2, 12\), got \(2, 14\)"):
+        glsl.attend_blocks(q, k, v, rows[:, 1:-1], columns, halo=2, heads=2)
+    with pytest.raises(ValueError, match="channels in 3 heads of an even number each"):
+        glsl.attend_blocks(q, k, v, rows, columns, heads=3)
