@@ -33,6 +33,7 @@ KINDS = {
     "none": replace(SMALL, guide="none"),
     "kernel": replace(SMALL, output="kernel", kernel=5),
     "no halo": replace(SMALL, halo=0),
+    "zeros": replace(SMALL, mirrored=False),
     "control": replace(SMALL, unet=(8, 8, 8)),
 }
 
@@ -82,6 +83,7 @@ def test_the_description_is_what_torch_builds(config):
         ({"halo": 1.5}, "expected whole numbers"),
         ({"kernel": 4}, "kernel: expected an odd size"),
         ({"guide": "both"}, "expected a guide 'guided', 'concatenated' or 'none', got 'both'"),
+        ({"mirrored": 1}, "mirrored: expected true or false, got 1"),
         ({"output": "picture"}, "expected an output 'residual' or 'kernel', got 'picture'"),
         ({"unet": (8,)}, "unet: expected 2 to 6 widths"),
     ],
@@ -184,15 +186,15 @@ def test_kernels_keep_even_light_on_any_texture():
 
 
 def test_border_rows_are_no_darker():
-    """Even light: attention takes the same mean at borders as within. The authors' code weighs zeros there."""
+    """Even light stays even: attention takes the same mean at borders as within."""
     model = made(SMALL)
     frame = replace(make_frame(40, 48), radiance=torch.ones(1, 3, 40, 48))
     values = []
     hooks = [block.register_forward_hook(lambda _m, _i, out: values.append(out)) for block in model.blocks]
-    model.step(frame)
+    image, _ = model.step(frame)
     for hook in hooks:
         hook.remove()
-    for value in values:
+    for value in (*values, image):
         torch.testing.assert_close(value, value[..., 20:21, 24:25].expand_as(value))
 
 

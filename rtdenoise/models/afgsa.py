@@ -7,8 +7,8 @@ and leave no trace of their own.
 
 The preset `afgsa` is the published network with these differences: windows end at the border of the picture, depth is
 `ops.pixels.nearness` instead of depth over the greatest depth, light is exposed before its logarithm is taken, and the
-learned offsets of keys begin near 0. Heads, offsets, the second ReLU of a block and the layers of the extractors are
-those of the authors' code.
+learned offsets of keys begin near 0. Heads, offsets, the second ReLU of a block, the layers of the extractors and the
+zeros around the last convolutions are those of the authors' code.
 
 Read `GuidedAttention.step` first. History is neither read nor written: every frame is denoised alone.
 """
@@ -43,17 +43,17 @@ class GuidedAttention(nn.Module):
         super().__init__()
         self.config = config
         light, guide = config.inputs
-        width = config.width
+        width, outside = config.width, 0 if config.mirrored else 1
         if config.unet:
             self.unet, width = UNet(light + guide, config.unet), config.unet[0]
         else:
             self.light = Extractor(light, width)
             self.guide = Extractor(guide, width, SLOPE) if guide else None
             self.blocks = nn.ModuleList(AttentionBlock(config) for _ in range(config.blocks))
-            self.decoder = nn.Sequential(*(ConvRelu(width, width, 3, padding=1) for _ in range(2)))
-        side = 3 if config.output == "residual" else 1
+            self.decoder = nn.Sequential(*(ConvRelu(width, width, 3, padding=outside) for _ in range(2)))
+        side, outside = (3, outside) if config.output == "residual" else (1, 0)
         outputs = [sum(config.channels(scale)) for scale in range(len(config.heads))]
-        self.heads = nn.ModuleList(nn.Conv2d(width, n, side, padding=side // 2) for n in outputs)
+        self.heads = nn.ModuleList(nn.Conv2d(width, n, side, padding=outside) for n in outputs)
         for head in self.heads:
             nn.init.xavier_uniform_(head.weight)
             nn.init.zeros_(head.bias)
@@ -117,6 +117,7 @@ class GuidedAttention(nn.Module):
         features = as_weights(features[:, : light + guide], self)
         if missing := (max(0, 3 - W), max(0, 3 - H)) if min(H, W) < 3 else None:  # 2 pixels are reflected at borders
             features = F.pad(features, (0, missing[0], 0, missing[1]), mode="replicate")
+        radius = 1 if self.config.mirrored else 0
         if self.config.unet:
             (x,) = self.unet(features, 1)
         else:
@@ -124,7 +125,10 @@ class GuidedAttention(nn.Module):
             about = self.guide(features[:, LIGHT:]) if guide else None
             for block in self.blocks:
                 x = block(x, about)
-            x = self.decoder(x)
+            for convolve in self.decoder:
+                x = convolve(_reflected(x, radius))
+        if self.config.output == "residual":
+            return [by_name(self.heads[0](_reflected(x, radius))[:, :, :H, :W], self.config.heads[0])]
         x, outputs = x[:, :, :H, :W], []
         for head, names in zip(self.heads, self.config.heads, strict=True):
             x = downsample(x.float()).to(x.dtype) if outputs else x

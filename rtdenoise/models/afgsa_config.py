@@ -42,6 +42,8 @@ class GuidedAttentionConfig(NetworkConfig):
     over albedo."""
     kernel: int = 9
     """Side of the kernels of the output 'kernel', odd."""
+    mirrored: bool = True
+    """The last convolutions mirror the picture at its borders, as all others do; else zeros lie there."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unet", tuple(self.unet))
@@ -58,6 +60,8 @@ class GuidedAttentionConfig(NetworkConfig):
             raise ValueError(
                 f"expected a width in {self.attention_heads} heads of an even number each, got {self.width}"
             )
+        if not isinstance(self.mirrored, bool):
+            raise ValueError(f"mirrored: expected true or false, got {self.mirrored!r}")
         if self.kernel % 2 == 0:
             raise ValueError(f"kernel: expected an odd size up to {MAX_KERNEL}, got {self.kernel}")
         if self.guide not in ("guided", "concatenated", "none"):

@@ -24,7 +24,7 @@ PRESETS: dict[str, Config] = {
 """Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
 
 STILLS: dict[str, GuidedAttentionConfig] = {
-    "afgsa": GuidedAttentionConfig(),
+    "afgsa": GuidedAttentionConfig(mirrored=False),
     "afgsa-small": GuidedAttentionConfig(width=48, blocks=3),
 }
 """Name of a denoiser of single frames -> its configuration: its paper's, and one that a CPU can train."""
