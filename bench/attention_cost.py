@@ -1,6 +1,6 @@
 """What does guided self-attention cost in time and memory, at 720p and at 4K?
 
-python bench/attention_cost.py [--cases afgsa:1280x720 afgsa-small:1280x720 afgsa-small:3840x2160]
+python bench/attention_cost.py [--cases afgsa-small:1280x720 ...]
 
 A frame of random light in a process of its own, with random weights, which cost the same as trained ones. Frames too
 large for memory are denoised in windows (`GuidedAttention.filtered`). With `NAME:SIZE:1` only the largest window is:
@@ -29,7 +29,7 @@ from rtdenoise.models import STILLS, create
 from rtdenoise.models.inference import prepare
 
 RESULT, PAGES = RESULTS / "attention_cost.json", (DOCS / "results" / "attention.md",)
-CASES = ("afgsa-small:1280x720", "afgsa-small:3840x2160", "afgsa:1280x720:1")
+CASES = ("afgsa-small:1280x720", "afgsa:1280x720:1", "afgsa-small:3840x2160")
 
 
 def main(cases: tuple[str, ...] = CASES) -> None:
