@@ -58,9 +58,10 @@ class Pipeline:
         network that has no shaders, and where there is no OpenGL 4.3.
         """
         stored = read_model(model, **overrides)
-        if stored.config.architecture not in SHADED:
-            raise InputError(f"{model}: there are no shaders for networks of the kind {stored.config.architecture!r}; "
-                             "use the backend torch")  # fmt: skip
+        kind, guided = stored.config.architecture, getattr(stored.config, "guided", False)
+        if kind not in SHADED or guided:
+            raise InputError(f"{model}: there are no shaders for networks of the kind {kind!r}"
+                             f"{' that are guided' if guided else ''}; use the backend torch")  # fmt: skip
         return cls(stored.config, stored.tensors, half)
 
     def step(
