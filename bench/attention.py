@@ -14,9 +14,14 @@ docs/results/attention.md.
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from collections import defaultdict
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
@@ -35,12 +40,15 @@ from rtdenoise.data.clips import ClipDataset
 from rtdenoise.exposure import exposure
 from rtdenoise.frame import Frame, Known
 from rtdenoise.metrics.image import decibels, mse_corrected, relmse, ssim
-from rtdenoise.models import load
+from rtdenoise.models import GuidedAttentionConfig, load
+from rtdenoise.models.weights import read_model
 
 RESULT, PAGES = RESULTS / "attention.json", (DOCS / "results" / "attention.md",)
 LEVELS = (1, 4, 8, 16, 32)
 BLOCK, MIRRORED, BORDER = 8, 32, 2  # pixels: a block, the mirrored margin, the rows at a border
 MIRRORED_AT = 4  # samples a pixel of the frames that are mirrored
+ZEROS = "zeros-0"  # `guided-0` with zeros around its last convolutions
+FACTS = ("cpu_seconds_per_megapixel", "seam_ratio", "border_bias")
 # RMSE of table 1 of Yu et al. 2021, half of relMSE, on 14 other scenes; times 1000 there.
 PAPER = {4: 9.979e-3, 8: 4.855e-3, 16: 2.766e-3, 32: 1.839e-3}
 WHAT = {
@@ -51,12 +59,13 @@ WHAT = {
 }  # fmt: skip
 
 
-@torch.inference_mode()
 def main(
     held: tyro.conf.Positional[Path],
     runs: tyro.conf.Positional[Path],
     data: tuple[Path, ...] = (),
     levels: tuple[int, ...] = LEVELS,
+    frames: int = 1,
+    workers: int = 1,
 ) -> None:
     """Measure every network on every frame.
 
@@ -65,53 +74,66 @@ def main(
         runs: Folder of runs, KIND-SEED each.
         data: The clips that the runs were trained on, to be counted.
         levels: Sample counts.
+        frames: Frames of each clip, from its first one.
+        workers: Processes, with one thread each.
     """
-    torch.set_num_threads(1)
     files = {path.parent.name: path for path in sorted(runs.glob("*-*/weights.safetensors"))}
-    networks = {name: load(path, precision="fp32") for name, path in files.items()}
-    networks["zeros-0"] = load(files["guided-0"], precision="fp32", mirrored=False)
-    opened = {spp: ClipDataset(held / f"spp{spp:02d}") for spp in levels}
-    rows, seams, borders = [], defaultdict(list), defaultdict(list)
-    clock = dict.fromkeys(networks, 0.0)
-    pixels = 0
-    for index in range(len(opened[levels[0]])):
-        for spp in levels:
-            frames = opened[spp].load(index)
-            images = defaultdict(list)
-            for frame in frames:
-                pixels += frame.size[0] * frame.size[1]
-                images["noisy"].append(frame.radiance)
-                images["oidn"].append(Oidn().step(frame)[0])
-                for name, network in networks.items():
-                    started = time.process_time()
-                    images[name].append(network.step(frame)[0])
-                    clock[name] += time.process_time() - started
-                    seams[name].append(seam(images[name][-1], frame.reference))
-                    if spp == MIRRORED_AT:
-                        borders[name].append(border(network, frame))
-            for name, found in images.items():
-                rows.append({"sequence": index, "spp": spp, "network": name} | errors(found, frames))
-        print(f"sequence {index}: {len(rows)} rows", flush=True)
-    described = {
+    clips = ClipDataset(held / f"spp{levels[0]:02d}")
+    with ProcessPoolExecutor(workers, get_context("spawn")) as processes:
+        parts = list(processes.map(partial(measured, held, files, levels, frames), range(len(clips))))
+    rows = [row for part, _ in parts for row in part]
+    networks = {
         name: {
-            "multiplications": networks[name].config.multiplications,
-            "parameters": sum(p.numel() for p in networks[name].parameters()),
-            "cpu_seconds_per_megapixel": clock[name] / (pixels / 1e6),
-            "seam_ratio": float(np.mean(seams[name])), "border_bias": float(np.mean(borders[name])),
+            "multiplications": config.multiplications,
+            "parameters": sum(math.prod(shape) for shape in config.shapes.values()),
+            **{key: float(np.mean([facts[name][key] for _, facts in parts])) for key in FACTS},
         }
-        for name in networks
-    }  # fmt: skip
+        for name, config in configs(files).items()
+    }
     training = json.loads((files[min(files)].parent / "config.json").read_text())["options"]
-    kept = ("steps", "batch", "size", "frames", "lr", "signal")
-    scenes = [opened[levels[0]].facts(i) for i in range(len(opened[levels[0]]))]
+    told = ("steps", "batch", "size", "frames", "lr", "signal")
+    scenes = [clips.facts(index) for index in range(len(clips))]
     document = {
-        "training": {key: training[key] for key in kept} | _counted(data),
+        "training": {key: training[key] for key in told} | _counted(data),
         "sequences": [f"{facts.get('place', facts['kind'])}, {facts['reference_spp']} spp" for facts in scenes],
-        "networks": described,
+        "networks": networks,
         "rows": rows,
         "differences": differences(rows),
     }
     harness.publish(RESULT, document, digits=4, pages=PAGES, tables=tables)
+
+
+def configs(files: dict[str, Path]) -> dict[str, GuidedAttentionConfig]:
+    """The configurations of the runs, and of `ZEROS`."""
+    found = {name: read_model(path).config for name, path in files.items()}
+    return found | {ZEROS: replace(found["guided-0"], mirrored=False)}
+
+
+@torch.inference_mode()
+def measured(held: Path, files: dict[str, Path], levels: tuple[int, ...], count: int, index: int) -> tuple:
+    """The rows of one sequence; and of each network its `FACTS` there."""
+    torch.set_num_threads(1)
+    networks = {name: load(path, precision="fp32") for name, path in files.items()}
+    networks[ZEROS] = load(files["guided-0"], precision="fp32", mirrored=False)
+    rows, facts, pixels = [], {name: dict.fromkeys(FACTS, 0.0) for name in networks}, 0
+    for spp in levels:
+        frames = ClipDataset(held / f"spp{spp:02d}").load(index)[:count]
+        images = defaultdict(list)
+        for frame in frames:
+            pixels += frame.size[0] * frame.size[1]
+            images["noisy"].append(frame.radiance)
+            images["oidn"].append(Oidn().step(frame)[0])
+            for name, network in networks.items():
+                started = time.process_time()
+                images[name].append(network.step(frame)[0])
+                facts[name]["cpu_seconds_per_megapixel"] += time.process_time() - started
+                facts[name]["seam_ratio"] += seam(images[name][-1], frame.reference) / len(frames) / len(levels)
+                if spp == MIRRORED_AT:
+                    facts[name]["border_bias"] += border(network, frame) / len(frames)
+        rows += [{"sequence": index, "spp": spp, "network": name} | errors(x, frames) for name, x in images.items()]
+    for network in facts.values():
+        network["cpu_seconds_per_megapixel"] /= pixels / 1e6
+    return rows, facts
 
 
 def errors(images: list[Tensor], frames: list[Frame]) -> dict[str, float]:
