@@ -80,13 +80,14 @@ def main(
     files = {path.parent.name: path for path in sorted(runs.glob("*-*/weights.safetensors"))}
     clips = ClipDataset(held / f"spp{levels[0]:02d}")
     with ProcessPoolExecutor(workers, get_context("spawn")) as processes:
-        parts = list(processes.map(partial(measured, held, files, levels, frames), range(len(clips))))
+        places = [(index, spp) for index in range(len(clips)) for spp in levels]
+        parts = list(processes.map(partial(measured, held, files, frames), *zip(*places, strict=True)))
     rows = [row for part, _ in parts for row in part]
     networks = {
         name: {
             "multiplications": config.multiplications,
             "parameters": sum(math.prod(shape) for shape in config.shapes.values()),
-            **{key: float(np.mean([facts[name][key] for _, facts in parts])) for key in FACTS},
+            **{key: float(np.mean([f[name][key] for _, f in parts if key in f[name]])) for key in FACTS},
         }
         for name, config in configs(files).items()
     }
@@ -110,30 +111,26 @@ def configs(files: dict[str, Path]) -> dict[str, GuidedAttentionConfig]:
 
 
 @torch.inference_mode()
-def measured(held: Path, files: dict[str, Path], levels: tuple[int, ...], count: int, index: int) -> tuple:
-    """The rows of one sequence; and of each network its `FACTS` there."""
+def measured(held: Path, files: dict[str, Path], count: int, index: int, spp: int) -> tuple[list[dict], dict]:
+    """The rows of one sequence at one sample count; and of each network its `FACTS` there."""
     torch.set_num_threads(1)
     networks = {name: load(path, precision="fp32") for name, path in files.items()}
     networks[ZEROS] = load(files["guided-0"], precision="fp32", mirrored=False)
-    rows, facts, pixels = [], {name: dict.fromkeys(FACTS, 0.0) for name in networks}, 0
-    for spp in levels:
-        frames = ClipDataset(held / f"spp{spp:02d}").load(index)[:count]
-        images = defaultdict(list)
-        for frame in frames:
-            pixels += frame.size[0] * frame.size[1]
-            images["noisy"].append(frame.radiance)
-            images["oidn"].append(Oidn().step(frame)[0])
-            for name, network in networks.items():
-                started = time.process_time()
-                images[name].append(network.step(frame)[0])
-                facts[name]["cpu_seconds_per_megapixel"] += time.process_time() - started
-                facts[name]["seam_ratio"] += seam(images[name][-1], frame.reference) / len(frames) / len(levels)
-                if spp == MIRRORED_AT:
-                    facts[name]["border_bias"] += border(network, frame) / len(frames)
-        rows += [{"sequence": index, "spp": spp, "network": name} | errors(x, frames) for name, x in images.items()]
-    for network in facts.values():
-        network["cpu_seconds_per_megapixel"] /= pixels / 1e6
-    return rows, facts
+    images, facts = defaultdict(list), {name: defaultdict(list) for name in networks}
+    frames = ClipDataset(held / f"spp{spp:02d}").load(index)[:count]
+    for frame in frames:
+        images["noisy"].append(frame.radiance)
+        images["oidn"].append(Oidn().step(frame)[0])
+        for name, network in networks.items():
+            started = time.process_time()
+            images[name].append(network.step(frame)[0])
+            seconds = time.process_time() - started
+            facts[name]["cpu_seconds_per_megapixel"].append(seconds / (frame.size[0] * frame.size[1] / 1e6))
+            facts[name]["seam_ratio"].append(seam(images[name][-1], frame.reference))
+            if spp == MIRRORED_AT:
+                facts[name]["border_bias"].append(border(network, frame))
+    rows = [{"sequence": index, "spp": spp, "network": name} | errors(x, frames) for name, x in images.items()]
+    return rows, {name: {key: np.mean(values) for key, values in found.items()} for name, found in facts.items()}
 
 
 def errors(images: list[Tensor], frames: list[Frame]) -> dict[str, float]:
