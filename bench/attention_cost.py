@@ -5,7 +5,7 @@ python bench/attention_cost.py [--cases afgsa-small:1280x720 ...]
 A frame of random light in a process of its own, with random weights, which cost the same as trained ones. Frames too
 large for memory are denoised in windows (`GuidedAttention.filtered`). With `NAME:SIZE:1` only the largest window is:
 its peak memory is that of the frame, and the time is that of the window times the frame's pixels in all windows. CPU
-time, one thread. Writes bench/results/attention_cost.json and a section of docs/results/attention.md.
+time, of all threads together. Writes bench/results/attention_cost.json and a section of docs/results/attention.md.
 """
 
 from __future__ import annotations
@@ -32,26 +32,27 @@ RESULT, PAGES = RESULTS / "attention_cost.json", (DOCS / "results" / "attention.
 CASES = ("afgsa-small:1280x720", "afgsa:1280x720:1", "afgsa-small:3840x2160")
 
 
-def main(cases: tuple[str, ...] = CASES) -> None:
+def main(cases: tuple[str, ...] = CASES, threads: int = 1) -> None:
     """Measure each case.
 
     Args:
         cases: NAME:WIDTHxHEIGHT, with :1 for the largest window alone.
+        threads: Of torch.
     """
     rows = []
     for case in cases:
         with ProcessPoolExecutor(1, get_context("spawn")) as process:  # a fresh one: its peak memory is the case's own
-            rows.append(process.submit(measure, case).result())
+            rows.append(process.submit(measure, case, threads).result())
         print(rows[-1], flush=True)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
 
 
 @torch.inference_mode()
-def measure(case: str) -> dict:
+def measure(case: str, threads: int) -> dict:
     """Time and peak memory of one step."""
     name, size, *alone = case.split(":")
     width, height = map(int, size.split("x"))
-    torch.set_num_threads(1)
+    torch.set_num_threads(threads)
     torch.manual_seed(0)
     model = prepare(create(STILLS[name]).eval().requires_grad_(False), torch.float32)
     light = torch.rand(1, 3, height, width)
