@@ -49,9 +49,11 @@ def denoise(
     if options.confidence:
         raise InputError("--confidence: goes with --offline")
     sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
-    sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
+    sequence.require("albedo", "normal", "depth")
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision)
+    if len(sequence) > 1 and backend.config.motion is not None:
+        sequence.require("motion")
     write = partial(write_frame, layout=options.layout, recombine=options.recombine, keep=options.keep,
                     float32=options.float32)  # fmt: skip
     read = Sequence.read
@@ -80,6 +82,8 @@ def _run(
     if not done:  # so that the next run knows the first frame for its own
         save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps = done, list(sequence.gaps)
+    if len(sequence) > 1 and backend.config.motion is None:
+        summary.notes.append(f"{options.model} denoises each frame alone: nothing is carried from frame to frame")
     names = output_names(sequence, options.layout, options.recombine)
     written = Written(out, names[:done])
     if options.plan:
