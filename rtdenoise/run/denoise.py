@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from ..frame import MAX_CUT_MISMATCH
+from ..frame import MAX_CUT_MISMATCH, Frame
 from ..sanitise import faults
 from .backends import Backend, open_backend
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
@@ -38,6 +41,10 @@ def denoise(
 
     Raises InputError for anything wrong with the input, the options or the output folder.
     """
+    if options.offline and options.correct:
+        raise InputError("--correct: does not go with --offline; `rtdenoise combine` corrects its frames")
+    if options.samples < 0 or (options.samples and not options.correct):
+        raise InputError(f"--samples {options.samples}: goes with --correct, and is 1 or more")
     if options.offline:
         from .offline import denoise_offline
 
@@ -47,7 +54,7 @@ def denoise(
     sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
-    backend = open_backend(options.backend, options.model, options.device, options.precision)
+    backend = open_backend(options.backend, options.model, options.device, options.precision, options.correct)
     out = prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
@@ -75,11 +82,11 @@ def _run(
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
         summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
     if summary.plan:
-        sequence = sequence.only(summary.plan.layers)
+        sequence = sequence.only({*summary.plan.layers, *(("samples",) if options.correct else ())})
 
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
-        frame = sequence.read(i)
+        frame = with_samples(sequence.read(i), options.samples)
         for what, count in faults(frame).items():
             summary.replaced[what] = summary.replaced.get(what, 0) + count
         if i and frame.number != sequence.numbers[i - 1] + 1:
@@ -101,6 +108,13 @@ def _run(
         on_frame(i + 1, len(sequence))
     write_summary(out / SUMMARY, sequence, options, summary)
     return summary
+
+
+def with_samples(frame: Frame, samples: int) -> Frame:
+    """The frame with so many samples a pixel, unless it says how many or `samples` is 0."""
+    if not samples or frame.samples is not None:
+        return frame
+    return replace(frame, samples=np.full_like(frame.radiance[:, :1], samples))
 
 
 def _resume(

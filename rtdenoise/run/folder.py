@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from .options import Options, Summary
 
 INDECISIVE = ("backend", "device")  # options that leave the files as they are
-YOUNG = {"offline": False, "confidence": False, "second": "", "samples": 0}  # not among the options of older runs
+YOUNG = {  # options that older runs did not have, as these ran
+    "offline": False, "confidence": False, "correct": False, "second": "", "samples": 0,
+}  # fmt: skip
 
 
 def prepare(out: Path, sequence: Sequence, options: Options) -> Path:
