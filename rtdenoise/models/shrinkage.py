@@ -38,7 +38,7 @@ MAX_DEPTH_STEP, MIN_AGREEMENT = 0.1, 0.95  # of an edge: relative range of depth
 Step = Callable[..., tuple[Tensor, History]]
 SIDE = 9  # of the neighbourhood in pixels, odd
 SMOOTH = 5  # side of the neighbourhood over which the weights w are averaged
-SHARE_OF_HALVES = 3.5  # t for two halves,
+SHARE_OF_HALVES = 5.0  # t for two halves,
 SHARE_OF_FRAMES = 1.5  # and for a frame and its neighbours
 MAX_LENGTH = 8  # frames in a running mean of residuals: z changes, and resampling blurs
 
@@ -89,17 +89,16 @@ def by_neighbours(window: Window, place: int) -> Tensor:
 
 
 def correct(
-    frame: Frame,  # with valid features
-    estimate: Tensor,  # [B, 3, H, W] z of the frame
+    frame: Frame,  # sanitised
+    estimate: Tensor,  # [B, 3, H, W] z of the frame, finite
     history: History | None,  # of the frame before
     onward: History,  # of this frame, from the denoiser
 ) -> tuple[Tensor, History]:
     """The recurrent form, without a look ahead: instead of the neighbours the running mean of the residuals of the
     frames before, along tested motion. Returns the corrected image, and `onward` with the mean that goes on.
     """
-    noisy, z = comparable(frame.radiance, estimate)
     divisor = albedo_divisor(frame.albedo, frame.depth)
-    own = (noisy - z) / divisor
+    own = (frame.radiance - estimate) / divisor
     mean, count = torch.zeros_like(own), torch.zeros_like(own[:, :1])
     if history is not None and history.residual is not None:
         surfaces = (frame.depth, frame.normal), (history.depth, history.normal)
@@ -130,7 +129,10 @@ def supported(
     """w (a + b) / 2 for a = `own` and b = `mean`, weighted as a mean of all frames."""
     divisor = albedo_divisor(frame.albedo, frame.depth)
     own, mean = own * divisor, mean * divisor
-    usable = ((count > 0) & ~(edges(frame) & few_samples(frame))).to(own.dtype)
+    usable = count > 0
+    if (few := few_samples(frame)).any():
+        usable &= ~(edges(frame) & few)
+    usable = usable.to(own.dtype)
     share = box(usable, SIDE).clamp(min=1e-6)
     # a - b has (count + 1) / count of a frame's variance, the mean of all frames 1 / (count + 1) of it
     error, variance = (
@@ -156,8 +158,12 @@ def few_samples(frame: Frame) -> Tensor:
 def edges(frame: Frame) -> Tensor:  # [B, 1, H, W] bool
     """Pixels next to another surface, of a frame with valid features. A single sample of such a pixel shows one of the
     two, and the neighbour frames that pass the test show the same one: their residuals agree although z is right."""
-    far, near = F.max_pool2d(frame.depth, 3, 1, 1), -F.max_pool2d(-frame.depth, 3, 1, 1)
-    normal = F.normalize(frame.normal, dim=1, eps=1e-6)
-    bent = box(normal, 3).norm(dim=1, keepdim=True) < MIN_AGREEMENT
-    known = frame.normal.abs().sum(1, keepdim=True) > 0
-    return (far - near > MAX_DEPTH_STEP * near.clamp(min=1e-6)) | (bent & known)
+    far, near = (sign * F.max_pool2d(sign * frame.depth, 3, 1, 1) for sign in (1, -1))
+    length = _squares(frame.normal)
+    agreement = _squares(box(frame.normal * length.clamp(min=1e-12).rsqrt(), 3))
+    return (far - near > MAX_DEPTH_STEP * near.clamp(min=1e-6)) | ((agreement < MIN_AGREEMENT**2) & (length > 0))
+
+
+def _squares(vectors: Tensor) -> Tensor:
+    """Squared lengths; `torch.norm` over channels is many times slower on the CPU."""
+    return vectors[:, :1].square() + vectors[:, 1:2].square() + vectors[:, 2:].square()
