@@ -158,10 +158,17 @@ def few_samples(frame: Frame) -> Tensor:
 def edges(frame: Frame) -> Tensor:  # [B, 1, H, W] bool
     """Pixels next to another surface, of a frame with valid features. A single sample of such a pixel shows one of the
     two, and the neighbour frames that pass the test show the same one: their residuals agree although z is right."""
-    far, near = (sign * F.max_pool2d(sign * frame.depth, 3, 1, 1) for sign in (1, -1))
+    far, near = (_extreme(frame.depth, which) for which in (torch.maximum, torch.minimum))
     length = _squares(frame.normal)
     agreement = _squares(box(frame.normal * length.clamp(min=1e-12).rsqrt(), 3))
     return (far - near > MAX_DEPTH_STEP * near.clamp(min=1e-6)) | ((agreement < MIN_AGREEMENT**2) & (length > 0))
+
+
+def _extreme(image: Tensor, which: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+    """The greatest or least of 3×3 pixels; faster on the CPU than `max_pool2d`."""
+    image = F.pad(image, (1, 1, 1, 1), mode="replicate")
+    rows = which(which(image[:, :, :-2], image[:, :, 1:-1]), image[:, :, 2:])
+    return which(which(rows[..., :-2], rows[..., 1:-1]), rows[..., 2:])
 
 
 def _squares(vectors: Tensor) -> Tensor:
