@@ -6,12 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 
 from ..errors import InputError
+from .afgsa_config import GuidedAttentionConfig
 from .combiner_config import CombinerConfig
 from .config import AccumulatedKPNConfig, TemporalKPNConfig
 
-Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig
+Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | GuidedAttentionConfig
 CONFIGS: dict[str, type[Config]] = {
-    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig)
+    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, GuidedAttentionConfig)
 }
 
 PRESETS: dict[str, Config] = {
@@ -22,6 +23,12 @@ PRESETS: dict[str, Config] = {
 }
 """Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
 
+STILLS: dict[str, GuidedAttentionConfig] = {
+    "afgsa": GuidedAttentionConfig(mirrored=False),
+    "afgsa-small": GuidedAttentionConfig(width=48, blocks=3),
+}
+"""Name of a denoiser of single frames -> its configuration: its paper's, and one that a CPU can train."""
+
 COMBINERS: dict[str, CombinerConfig] = {
     "combiner": CombinerConfig(),
     "combiner-causal": CombinerConfig(frames=3, causal=True),
@@ -31,6 +38,8 @@ COMBINERS: dict[str, CombinerConfig] = {
     ),
 }  # fmt: skip
 """Name of a combiner -> its configuration: ours, ours without future frames, and its paper's."""
+SHRINKAGE = "shrinkage"
+"""Name of the combiner without weights, `shrinkage.Shrinkage`."""
 
 
 def from_stored(architecture: str, values: Mapping[str, object]) -> Config:

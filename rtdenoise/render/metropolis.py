@@ -8,7 +8,7 @@ blotches that long stays of a chain leave. `chains.py` has the mathematics.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -108,11 +108,6 @@ def metropolis(
         },
     }
     return layers, facts
-
-
-def describe(options: MetropolisOptions) -> dict:
-    """The options, for files that record them."""
-    return {"integrator": "pssmlt", **asdict(options)}
 
 
 def unseen_lamps(stage: Stage) -> str:
