@@ -35,7 +35,7 @@ from rtdenoise.render.scenes.named import open_scene
 from rtdenoise.render.scenes.scene import Scene
 from rtdenoise.render.sequence import render_sequence
 from rtdenoise.render.stage import Stage
-from rtdenoise.render.windows import Window, choose, look_through
+from rtdenoise.render.windows import ClipWindow, choose, look_through
 from rtdenoise.render.workers import KILLED, only_run
 from rtdenoise.run.processes import Processes
 
@@ -139,7 +139,7 @@ def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
 
 
 def test_windows_are_chosen_where_most_is_uncovered():
-    windows = [Window(0, 0, x, 0.01 * x, 1.0) for x in range(0, 33, 8)]
+    windows = [ClipWindow(0, 0, x, 0.01 * x, 1.0) for x in range(0, 33, 8)]
     rng = np.random.default_rng(0)
     first = choose(windows, [], (32, 32), 10, True, rng)
     second = choose(windows, [first], (32, 32), 10, True, rng)
@@ -151,7 +151,7 @@ def test_windows_are_chosen_where_most_is_uncovered():
 def test_a_window_is_a_part_of_the_picture():
     scene = wide.procedural(4)
     stage = Stage(scene)
-    view, window = (48, 64), Window(0, 8, 20, 0.0, 0.0)
+    view, window = (48, 64), ClipWindow(0, 8, 20, 0.0, 0.0)
     whole = describe_frame(scene, 3, view)["world_to_pixel"]
     part = describe_frame(look_through(stage, window, view).scene, 3, (16, 24))["world_to_pixel"]
     point = np.array([0.3, 0.7, -3.0, 1.0])

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from .options import Options, Summary
 
 INDECISIVE = ("backend", "device")  # options that leave the files as they are
-YOUNG = {"offline": False, "confidence": False, "second": "", "samples": 0}  # not among the options of older runs
+# Not among the options of older runs.
+YOUNG = {"offline": False, "confidence": False, "second": "", "samples": 0, "lights": False, "also": ()}
 
 
 def prepare(out: Path, sequence: Sequence, options: Options) -> Path:
@@ -69,7 +70,7 @@ def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) 
     if state.get("fingerprint") == fingerprint:
         return
     before, now = (
-        YOUNG | state["options"],
+        {**YOUNG, "also": [], **state["options"]},
         json.loads(json.dumps(_decisive(options))),
     )  # tuples become lists, as in `before`
     changed = [key for key in now if key in before and before[key] != now[key]]

@@ -14,7 +14,7 @@ import torch
 
 from ..errors import InputError, did_you_mean
 from ..files import open_regular, write_atomically
-from ..models import COMBINERS, PRESETS, Combiner, Config, Denoiser, create, grow, read
+from ..models import COMBINERS, PRESETS, STILLS, Combiner, Config, Denoiser, create, grow, read
 from ..models.inference import choose_device
 from ..models.presets import with_settings
 from .config import TrainConfig
@@ -141,7 +141,7 @@ def _optimisers(model: Denoiser | Combiner, config: TrainConfig) -> list[torch.o
 
 def _initial(config: TrainConfig, wanted: Config) -> Denoiser | Combiner:
     """The network of the file `init`, grown to `wanted`. Raises InputError where it cannot grow to it."""
-    overrides = {} if config.model in COMBINERS else {"motion": config.motion}
+    overrides = {"motion": config.motion} if config.model in PRESETS else {}
     model = read(config.init, **overrides)
     if model.config != wanted:
         try:
@@ -153,8 +153,8 @@ def _initial(config: TrainConfig, wanted: Config) -> Denoiser | Combiner:
 
 def model_config(config: TrainConfig) -> Config:
     """The configuration of the network that a run trains. Raises InputError for unknown fields in `set`."""
-    if config.model in COMBINERS:
-        return with_settings(COMBINERS[config.model], config.set)
+    if config.model not in PRESETS:
+        return with_settings((COMBINERS | STILLS)[config.model], config.set)
     return with_settings(replace(PRESETS[config.model], motion=config.motion), config.set)
 
 
@@ -172,7 +172,7 @@ def check(config: TrainConfig) -> None:
     for name in ("cuts", "relight"):
         if not 0 <= getattr(config, name) <= 1:
             raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
-    if config.model not in (known := PRESETS | COMBINERS):
+    if config.model not in (known := PRESETS | STILLS | COMBINERS):
         near = did_you_mean(config.model, known)
         raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(known)}")
     if config.signal not in ("indirect", "color", "both"):
