@@ -1,17 +1,22 @@
 """The combiner: exact where there is nothing to correct, bounded where something is broken, the same in strips."""
 
+import math
+import re
+import shutil
 from dataclasses import replace
 
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 from synthetic import make_frames, write_clips
 
 from rtdenoise.baselines import DeepCombiner
-from rtdenoise.data.clips import ClipDataset
+from rtdenoise.data.clips import ClipDataset, estimate_path
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.estimates import write_all
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.evaluate.sequence import outputs
+from rtdenoise.files import _machine
 from rtdenoise.frame import Frame
 from rtdenoise.models import (
     COMBINERS,
@@ -293,6 +298,24 @@ def test_estimates_are_of_the_clips_own_frames_and_kept(clips):
     assert write_all([clips], ["svgf"], ["color", "indirect"]) == 4
     with pytest.raises(InputError, match="rtdenoise estimates"):
         ClipDataset(clips).load(1, signal="indirect", estimates="fast")
+
+
+@pytest.mark.parametrize("damage", ["another size", "not finite", "integers", "junk"])
+def test_a_damaged_estimate_is_one_line(clips, tmp_path, damage):
+    folder = shutil.copytree(clips, tmp_path / "clips")
+    path = estimate_path(ClipDataset(folder).paths[0], "fast")
+    light = load_file(path)["color"]
+    changed = {"another size": light[..., :8], "not finite": light * math.nan, "integers": light.int()}.get(damage)
+    path.unlink()
+    path.write_bytes(b"junk") if changed is None else save_file({"color": changed.contiguous()}, path)
+    with pytest.raises(InputError, match=re.escape(str(path))):
+        ClipDataset(folder).load(0, signal="color", size=4, estimates="fast")
+
+
+def test_what_killed_runs_left_among_the_estimates_is_removed(clips):
+    left = clips / "svgf" / f".rtdenoise-999999999-{_machine()}00000000.tmp"
+    left.touch()
+    assert write_all([clips], ["svgf"], ["color"]) == 0 and not left.exists()
 
 
 def test_training_corrects_the_estimate(clips, tmp_path, monkeypatch):

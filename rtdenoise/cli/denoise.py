@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from glob import glob, has_magic
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
@@ -37,6 +37,8 @@ class Denoise:
     """Denoise all frames again, whatever --out holds."""
     preview: bool = False
     """Also write preview.png and an animation: noisy | denoised | reference."""
+    progress: Literal["bar", "lines"] = "bar"
+    """How far it is: a bar, or a line such as 3/24 after each frame, for programs that show it themselves."""
     workers: Annotated[int | None, arg(help_behavior_hint="(default: one for every four cores)")] = None
     """Shots that are denoised at a time, by a process each."""
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
@@ -56,11 +58,14 @@ class Denoise:
             self._denoise_many(shots)
 
     def _denoise_one(self, source: str) -> None:
-        with progress_bar("denoising") as bar:
-            task = bar.add_task("denoise", total=None)
-            lines = denoise_shot(
-                self, source, self.out, lambda done, total: bar.update(task, completed=done, total=total)
-            )
+        if self.progress == "lines":
+            lines = denoise_shot(self, source, self.out, lambda done, total: print(f"{done}/{total}", flush=True))
+        else:
+            with progress_bar("denoising") as bar:
+                task = bar.add_task("denoise", total=None)
+                lines = denoise_shot(
+                    self, source, self.out, lambda done, total: bar.update(task, completed=done, total=total)
+                )
         print(f"{self.out}: " + "\n".join(lines))
 
     def _denoise_many(self, shots: dict[str, str]) -> None:

@@ -17,7 +17,7 @@ from torch import Tensor
 from ..baselines import Accumulate, DeepCombiner, Oidn, Svgf, Trmv
 from ..errors import InputError, did_you_mean
 from ..frame import Frame
-from ..models import CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
+from ..models import STILLS, CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
 from ..models.presets import SHRINKAGE
 from ..models.shrinkage import corrected
 from ..models.weights import read_model
@@ -134,8 +134,11 @@ def _oidn() -> list[Method]:
 def _network(name: str) -> list[Method]:
     """The methods of shipped weights: unchanged, on traditional motion, and without history."""
     start = partial(_start, name)
+    alone = Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name)
+    if name in STILLS:
+        return [alone]
     return [
-        Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name),
+        alone,
         Method(f"{name}-traditional", f"{name} on traditional motion, same weights", "ablation",
                partial(start, motion="traditional"), weights=name),
         Method(f"{name}-corrected", f"denoise --correct with {name}", "network", partial(start, correct=True),

@@ -18,11 +18,17 @@ from .plan import Plan, count, look, make_plan
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ..models import Denoiser
+
 BACKENDS = ("auto", "torch", "glsl")
 
 
 class Backend(Protocol):
     """A model, ready to run. `history` is the backend's own; None starts anew."""
+
+    @property
+    def config(self) -> Config:
+        """The configuration of its network."""
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         """Follow the plan (`plan.make_plan`) from now on; `left_out` counts the frames that leave work out."""
@@ -75,6 +81,8 @@ class TorchBackend:
 
         self.device = choose_device(device)
         self._denoiser = load(model, self.device, precision)
+        if correct and self._denoiser.config.motion is None:
+            raise InputError(f"{model}: denoises single pictures, and the correction needs the frames before")
         self._step = self._whole = stepper(self._denoiser)
         self._correct = correct
 
@@ -82,6 +90,11 @@ class TorchBackend:
     def config(self) -> Config:
         """The configuration of its network."""
         return self._denoiser.config
+
+    @property
+    def network(self) -> Denoiser:
+        """Its network, a torch module."""
+        return self._denoiser
 
     def prepare(self, frame: Frame) -> Frame:
         import torch
@@ -123,6 +136,8 @@ class TorchBackend:
 
         from ..history import mismatch
 
+        if self.config.motion is None:
+            return 0.0  # history leaves no trace
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
             return mismatch(frame, history).max().item()
 
@@ -147,6 +162,10 @@ class GlslBackend:
             raise InputError(f"precision {precision!r}: --backend glsl has 'fp32' and 'fp16' ('auto' is fp32)")
         self._pipeline = Pipeline.load(model, half=precision == "fp16")
         self._left_out: dict[str, int] | None = None  # None: nothing is left out
+
+    @property
+    def config(self) -> Config:
+        return self._pipeline.config
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 INDECISIVE = ("backend", "device")  # options that leave the files as they are
 YOUNG = {  # options that older runs did not have, as these ran
-    "offline": False, "confidence": False, "correct": False, "second": "", "samples": 0,
+    "offline": False, "confidence": False, "correct": False, "second": "", "samples": 0, "lights": False, "also": (),
 }  # fmt: skip
 
 
@@ -71,7 +71,7 @@ def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) 
     if state.get("fingerprint") == fingerprint:
         return
     before, now = (
-        YOUNG | state["options"],
+        {**YOUNG, "also": [], **state["options"]},
         json.loads(json.dumps(_decisive(options))),
     )  # tuples become lists, as in `before`
     changed = [key for key in now if key in before and before[key] != now[key]]

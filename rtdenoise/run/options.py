@@ -28,6 +28,11 @@ class Options:
     its place)."""
     recombine: bool = False
     """Add the rest of the light to the denoised signal: the result is the beauty."""
+    lights: bool = False
+    """Denoise every light pass that Blender's Cycles split, each divided by its own colour, and add them up; with
+    --layout source every pass is replaced."""
+    also: tuple[str, ...] = ()
+    """Additive layers (light groups, AOVs) to denoise by the kernels of the picture, by name."""
     keep: tuple[str, ...] = ()
     """Layers of the input to copy into the output ('albedo', 'depth' ...), or 'all'."""
     float32: bool = False
