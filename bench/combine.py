@@ -27,15 +27,16 @@ import tyro
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame
+from rtdenoise.frame import Frame, History
 from rtdenoise.metrics.image import mse_corrected
 from rtdenoise.models import Combiner, Shrinkage, Window, load_combiner
+from rtdenoise.models.shrinkage import correct
+from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "combine.json", (DOCS / "results" / "combine.md",)
 MAX_RATIO = 1.02  # of a combiner's error to that of z: more is a failure
 STEEP = 16  # spp from which the slope is taken
-PLAIN = ("shrinkage", "shrinkage-causal", "shrinkage-halves")  # combiners without weights
-CAUSAL = Shrinkage(causal=True)
+PLAIN = ("shrinkage", "recurrent", "shrinkage-halves")  # combiners without weights
 FIRST = 1  # frames before this one are not measured: temporal denoisers have no history there
 
 
@@ -81,12 +82,12 @@ def errors(
 ) -> dict[str, float]:
     """Mean corrected MSE of the frames: of `noisy`, of z (`estimate`) and of each combiner."""
     scale = display_exposure(torch.cat([frame.reference for frame in frames]))
-    found = defaultdict(list)
+    found, recurrent = defaultdict(list), _recurrent(frames, estimates)
     for i in range(FIRST, len(frames)):
         frame = frames[i]
         images = {"noisy": frame.radiance, "estimate": estimates[i]}
         images["shrinkage"] = Shrinkage().combine(_window(i, Shrinkage(), frames, estimates)).image
-        images["shrinkage-causal"] = CAUSAL.combine(_window(i, CAUSAL, frames, estimates)).image
+        images["recurrent"] = recurrent[i]
         if halves is not None:
             images["shrinkage-halves"] = Shrinkage().combine(_window(i, Shrinkage(), frames, estimates, halves)).image
         for name, network in networks.items():
@@ -94,6 +95,17 @@ def errors(
         for name, image in images.items():
             found[name].append(mse_corrected(image, frame.reference, scale, reference_half=frame.reference_half))
     return {name: float(np.mean(values)) for name, values in found.items()}
+
+
+def _recurrent(frames: list[Frame], estimates: list[torch.Tensor]) -> list[torch.Tensor]:
+    """The frames as `denoise --correct` corrects them, without a look ahead."""
+    images, history = [], None
+    for frame, estimate in zip(frames, estimates, strict=True):
+        frame = sanitise(frame)
+        onward = History(estimate, frame.motion_next, frame.depth, frame.normal)
+        image, history = correct(frame, estimate, history, onward)
+        images.append(image)
+    return images
 
 
 def _window(i: int, combiner: Combiner | Shrinkage, *parts: list) -> Window:

@@ -245,6 +245,12 @@ def test_frames_that_do_not_belong_together_are_refused(shot, clean, tmp_path, m
     assert not list((tmp_path / "out").glob("*.exr"))
 
 
+@pytest.mark.parametrize("samples", [-1, 1_000_001, 10**30])
+def test_samples_beyond_all_sense_are_one_line(shot, clean, tmp_path, samples, capsys):
+    command = ("combine", shot, clean, "--out", tmp_path / "out", "--samples", samples)
+    assert f"--samples: expected 1 to 1000000, or 0 for unknown, got {samples}" in refused(capsys, *command)
+
+
 def test_other_options_are_not_mixed(shot, clean, tmp_path, model, options, capsys):
     run(shot, clean, tmp_path / "out", options=options)
     command = ("combine", shot, clean, "--out", tmp_path / "out", "--model", model)

@@ -1,17 +1,22 @@
 """The combiner: exact where there is nothing to correct, bounded where something is broken, the same in strips."""
 
+import math
+import re
+import shutil
 from dataclasses import replace
 
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 from synthetic import make_frames, write_clips
 
 from rtdenoise.baselines import DeepCombiner
-from rtdenoise.data.clips import ClipDataset
+from rtdenoise.data.clips import ClipDataset, estimate_path
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.estimates import write_all
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.evaluate.sequence import outputs
+from rtdenoise.files import _machine
 from rtdenoise.frame import Frame
 from rtdenoise.models import (
     COMBINERS,
@@ -295,6 +300,24 @@ def test_estimates_are_of_the_clips_own_frames_and_kept(clips):
         ClipDataset(clips).load(1, signal="indirect", estimates="fast")
 
 
+@pytest.mark.parametrize("damage", ["another size", "not finite", "integers", "junk"])
+def test_a_damaged_estimate_is_one_line(clips, tmp_path, damage):
+    folder = shutil.copytree(clips, tmp_path / "clips")
+    path = estimate_path(ClipDataset(folder).paths[0], "fast")
+    light = load_file(path)["color"]
+    changed = {"another size": light[..., :8], "not finite": light * math.nan, "integers": light.int()}.get(damage)
+    path.unlink()
+    path.write_bytes(b"junk") if changed is None else save_file({"color": changed.contiguous()}, path)
+    with pytest.raises(InputError, match=re.escape(str(path))):
+        ClipDataset(folder).load(0, signal="color", size=4, estimates="fast")
+
+
+def test_what_killed_runs_left_among_the_estimates_is_removed(clips):
+    left = clips / "svgf" / f".rtdenoise-999999999-{_machine()}00000000.tmp"
+    left.touch()
+    assert write_all([clips], ["svgf"], ["color"]) == 0 and not left.exists()
+
+
 def test_training_corrects_the_estimate(clips, tmp_path, monkeypatch):
     monkeypatch.setitem(COMBINERS, "tiny", SMALL["causal"])
     config = TrainConfig(
@@ -364,8 +387,6 @@ def test_shrinkage_leaves_a_frame_that_nothing_speaks_against():
     y = torch.rand(1, 3, 16, 16)
     alone = Window((None, None, Frame(y), None, None), (None, None, y + 0.1, None, None))
     assert torch.equal(Shrinkage().combine(alone).image, y + 0.1)
-    causal = Window((None, None, Frame(y)), (None, None, y + 0.1))
-    assert torch.equal(Shrinkage(causal=True).combine(causal).image, y + 0.1)
     still = window_of_pictures([y] * 5, y + 0.1, motion=False)
     assert torch.equal(Shrinkage().combine(still).image, y + 0.1)
 
@@ -378,6 +399,23 @@ def test_shrinkage_corrects_edges_of_frames_with_samples_enough():
         stepped = tuple(replace(f, depth=f.depth + 9 * (torch.arange(32) >= 16)) for f in window.frames)
         image = Shrinkage().combine(replace(window, frames=stepped)).image
         assert (image[..., 15:17].mean() < 1.1) == corrected and image[..., :12].mean() < 1.1
+
+
+def test_the_recurrent_form_finds_a_lasting_error_and_forgets_it_at_cuts():
+    from rtdenoise.frame import History
+    from rtdenoise.models.shrinkage import MAX_LENGTH, correct
+
+    torch.manual_seed(3)
+    window = window_of_pictures([(1 + 0.2 * torch.randn(1, 3, 48, 48)).clamp(min=0) for _ in range(12)], torch.ones(1))
+    z, history, errors = torch.full((1, 3, 48, 48), 1.3), None, []
+    for frame in window.frames:
+        onward = History(z, frame.motion_next, frame.depth, frame.normal)
+        image, history = correct(frame, z, history, onward)
+        errors += errors_of(image)
+    assert errors[0] == pytest.approx(0.09) and errors[1] < 0.05 and errors[-1] < 0.01
+    assert history.residual_length.max() == MAX_LENGTH
+    image, _ = correct(window.frames[0], z, None, onward)
+    assert torch.equal(image, z)
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])

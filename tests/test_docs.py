@@ -128,7 +128,9 @@ def test_names_of_the_source_that_pages_mention_exist():
         for name in names:
             assert resolves(name), f"{page.relative_to(ROOT)}: {name}"
         for path in re.findall(r"`((?:rtdenoise|shaders|tests|tools|examples)/[\w/.-]+)`", text):
-            assert (ROOT / path).exists(), f"{page.relative_to(ROOT)}: {path}"
+            assert [*ROOT.glob(path.replace("NAME", "*"))], (
+                f"{page.relative_to(ROOT)}: {path}"
+            )  # NAME: the reader's own
 
 
 def test_pages_that_the_source_mentions_exist():
@@ -151,13 +153,6 @@ def test_every_page_is_reached_from_the_entry():
             target for link in links if not link.startswith("http") and (target := page.parent / link).is_file()
         ]
     assert {page.resolve() for page in DOCS.rglob("*.md")} <= reached
-
-
-def test_the_files_to_change_for_an_extension_exist():
-    text = (DOCS / "reference" / "extending.md").read_text()
-    paths = set(re.findall(r"`((?:rtdenoise|tests|shaders|docs|tools|bench)/[^`]*)`", text))
-    assert len(paths) > 50
-    assert not [path for path in paths if not list(ROOT.glob(path.replace("NAME", "*")))]
 
 
 def test_no_page_sends_its_reader_into_the_history():

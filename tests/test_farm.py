@@ -27,15 +27,16 @@ TINY = ClipOptions(count=5, size=(32, 32), frames=2, seed=5, reference_range=(2,
 
 @pytest.fixture(scope="module")
 def cluster():
-    """HOST:PORT of a cluster of two machines with one core each, both of them this one."""
+    """HOST:PORT of a cluster of two machines with one core each, both of them this one; one claims to have a GPU."""
     address = f"127.0.0.1:{_free_port()}"
     with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp") as folder:  # short: sockets have short paths
         head = ("--head", "--port", address.partition(":")[2], "--temp-dir", folder, "--include-dashboard=false",
                 "--ray-client-server-port", str(_free_port()))  # fmt: skip
         nodes = [_start(*head, folder=folder)]
         try:
-            _wait(lambda: _listens(address))
-            nodes.append(_start("--address", address, folder=folder))
+            _wait(lambda: _started(folder) == 1)
+            nodes.append(_start("--address", address, "--num-gpus=1", folder=folder))
+            _wait(lambda: _started(folder) == 2)
             yield address
         finally:
             for node in reversed(nodes):
@@ -47,9 +48,8 @@ def _start(*words, folder):
     """A machine of a cluster."""
     command = (sys.executable, "-m", "ray.scripts.scripts", "start", "--num-cpus=1", "--block", "--node-ip-address",
                "127.0.0.1", "--object-store-memory=80000000", *words)  # fmt: skip
-    environment = os.environ | {
-        "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "RAY_USAGE_STATS_ENABLED": "0", "OMP_WAIT_POLICY": "passive"
-    }  # fmt: skip
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "PYTHONUNBUFFERED": "1",
+                                "RAY_USAGE_STATS_ENABLED": "0", "OMP_WAIT_POLICY": "passive"}  # fmt: skip
     log = open(Path(folder) / f"{time.monotonic_ns()}.log", "wb")  # noqa: SIM115 (the process holds it)
     return subprocess.Popen(command, env=environment, stdout=log, stderr=log)
 
@@ -60,9 +60,9 @@ def _free_port():
         return server.getsockname()[1]
 
 
-def _listens(address):
-    with socket.socket() as client:
-        return client.connect_ex(("127.0.0.1", int(address.partition(":")[2]))) == 0
+def _started(folder):
+    """How many machines say that they are ready."""
+    return sum(b"Ray runtime started" in path.read_bytes() for path in Path(folder).glob("*.log"))
 
 
 def _wait(condition, seconds=60):
@@ -96,6 +96,12 @@ def test_what_ends_a_run(cluster, tmp_path, monkeypatch):
         list(Farm(cluster, tmp_path).run(divmod, [(1, 0)], set_threads, "killed"))
     with pytest.raises(InputError, match=r"killed .WorkerCrashedError, 1 times"):
         list(Farm(cluster, tmp_path).run(os._exit, [(1,)], set_threads, "killed"))
+
+
+def test_a_job_gets_a_gpu_where_there_is_one(cluster, tmp_path):
+    for gpu, visible in ((True, "0"), (False, None)):
+        farm = Farm(cluster, tmp_path, gpu=gpu)
+        assert [r for _, r in farm.run(os.getenv, [("CUDA_VISIBLE_DEVICES",)], set_threads, "killed")] == [visible]
 
 
 def test_clips_and_shots(cluster, tmp_path, monkeypatch, capsys):
@@ -140,7 +146,7 @@ def test_options_that_do_not_go_together(tmp_path, capsys):
     for words, complaint in (
         (["clips", "--workers", "3"], "--workers: is for processes of this machine"),
         (["denoise", "a", "b", "--workers", "3"], "--workers: is for processes of this machine"),
-        (["denoise", str(tmp_path)], "a sequence is one: name several"),
+        (["denoise", str(tmp_path)], "a sequence is one; name several"),
     ):
         with pytest.raises(SystemExit):
             main([*words, "--out", str(tmp_path / "out"), "--ray", "auto"])

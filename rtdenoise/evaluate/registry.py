@@ -17,8 +17,9 @@ from torch import Tensor
 from ..baselines import Accumulate, DeepCombiner, Oidn, Svgf, Trmv
 from ..errors import InputError, did_you_mean
 from ..frame import Frame
-from ..models import CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
+from ..models import STILLS, CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
 from ..models.presets import SHRINKAGE
+from ..models.shrinkage import corrected
 from ..models.weights import read_model
 from ..run.graphs import stepper
 from ..run.passes import InMemory, Passes
@@ -133,10 +134,15 @@ def _oidn() -> list[Method]:
 def _network(name: str) -> list[Method]:
     """The methods of shipped weights: unchanged, on traditional motion, and without history."""
     start = partial(_start, name)
+    alone = Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name)
+    if name in STILLS:
+        return [alone]
     return [
-        Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name),
+        alone,
         Method(f"{name}-traditional", f"{name} on traditional motion, same weights", "ablation",
                partial(start, motion="traditional"), weights=name),
+        Method(f"{name}-corrected", f"denoise --correct with {name}", "network", partial(start, correct=True),
+               precisions=PRECISIONS, weights=name),
         Method(f"{name}-spatial", f"{name} without history: spatial kernels only", "ablation",
                partial(start, history=False), weights=name),
     ]  # fmt: skip
@@ -182,8 +188,11 @@ def _of_file(name: str, file: str) -> Method:
     return Method(name, f"the network of {file}", "network", partial(_start, path), precisions=PRECISIONS, weights=path)
 
 
-def _start(weights: str, device: str | torch.device, precision: str, history: bool = True, **overrides: str) -> Step:
+def _start(
+    weights: str, device: str | torch.device, precision: str, history: bool = True, correct: bool = False, **overrides
+) -> Step:
     step = stepper(load(weights, device, precision, **overrides))
+    step = corrected(step) if correct else step
     return step if history else partial(_without_history, step)
 
 

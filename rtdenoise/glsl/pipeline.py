@@ -27,6 +27,8 @@ from .passes import Means, Passes
 from .scratch import Scratch
 from .state import History
 
+SHADED = ("temporal_kpn", "accumulated_kpn")  # architectures
+
 
 class Pipeline:
     """A denoiser like those of `rtdenoise.models`, for one context and thread. State is explicit: the history
@@ -53,9 +55,13 @@ class Pipeline:
         """As `rtdenoise.load`: a shipped name or a .safetensors file; `overrides` replace fields of its configuration.
 
         Raises InputError for an unknown name, a combiner, an unreadable file, weights that do not fit their
-        configuration, and where there is no OpenGL 4.3.
+        configuration, a network that has no shaders, and where there is no OpenGL 4.3.
         """
         stored = read_denoiser(model, **overrides)
+        kind, guided = stored.config.architecture, getattr(stored.config, "guided", False)
+        if kind not in SHADED or guided:
+            raise InputError(f"{model}: there are no shaders for networks of the kind {kind!r}"
+                             f"{' that are guided' if guided else ''}; use the backend torch")  # fmt: skip
         return cls(stored.config, stored.tensors, half)
 
     def step(

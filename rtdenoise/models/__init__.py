@@ -8,7 +8,8 @@ from importlib import import_module
 _HOMES = {
     "AccumulatedKPN": "accumulated_kpn", "AccumulatedKPNConfig": "config", "COMBINERS": "presets",
     "Combined": "window", "Combiner": "combiner", "CombinerConfig": "combiner_config", "Config": "presets",
-    "Denoiser": "denoiser", "PRESETS": "presets", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config",
+    "Denoiser": "denoiser", "GuidedAttention": "afgsa", "GuidedAttentionConfig": "afgsa_config",
+    "PRESETS": "presets", "STILLS": "presets", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config",
     "Window": "window", "available": "weights", "available_combiners": "weights", "create": "loading",
     "find": "weights", "grow": "growing", "load": "loading", "load_combiner": "loading", "read": "loading",
     "Shrinkage": "shrinkage", "save": "loading",

@@ -34,6 +34,7 @@ from ..splat import history_motion
 from .config import AccumulatedKPNConfig
 from .inference import as_weights
 from .losses import frame_loss
+from .refinement import GuidedRefinement
 from .unet import ConvRelu, UNet, by_name
 
 FIRST_FRAME = slice(0, 3), slice(6, 19)  # input channels that are not zero everywhere in a first frame
@@ -92,10 +93,15 @@ class AccumulatedKPN(nn.Module):
         full, *outputs = (sum(config.channels(scale)) for scale in range(config.scales))
         self.full_head = nn.ConvTranspose2d(config.widths[0], full, 2, stride=2)  # of the four pixels in each cell
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(config.widths, outputs, strict=False))
+        if config.guided:
+            self.refine = GuidedRefinement(config.widths[1])
         for module in self.modules():
             if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
                 nn.init.xavier_uniform_(module.weight)
-                nn.init.zeros_(module.bias)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+        if config.guided:
+            nn.init.zeros_(self.refine.out.weight)
         with torch.no_grad():
             self.full_head.bias[-2] = -4.0  # reset starts near 0: a plain running mean
             _start_heads(self)
@@ -201,6 +207,10 @@ class AccumulatedKPN(nn.Module):
         H, W = features.shape[2:]
         x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
+        if self.config.guided:
+            albedo = 9 if x.shape[1] == self.config.features else 6  # first channel: light comes before
+            surface = torch.cat([x[:, albedo : albedo + 3], x[:, albedo + 6 : albedo + 10]], dim=1)
+            levels[1] = self.refine(levels[1], surface)
         full = self._full_head(levels[0])
         coarser = [
             by_name(head(x), names) for head, x, names in zip(self.heads, levels, self.config.heads[1:], strict=True)

@@ -12,6 +12,7 @@ from safetensors.torch import save as serialise
 from ..errors import InputError
 from ..files import write_atomically
 from .accumulated_kpn import AccumulatedKPN
+from .afgsa import GuidedAttention
 from .combiner import Combiner
 from .denoiser import Denoiser
 from .inference import prepare, resolve
@@ -20,7 +21,9 @@ from .shrinkage import Shrinkage
 from .temporal_kpn import TemporalKPN
 from .weights import StoredModel, read_denoiser, read_model
 
-NETWORKS = {"temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner}
+NETWORKS = {
+    "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "afgsa": GuidedAttention,
+}  # fmt: skip
 """`Config.architecture` -> the network."""
 
 

@@ -6,12 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 
 from ..errors import InputError
+from .afgsa_config import GuidedAttentionConfig
 from .combiner_config import CombinerConfig
 from .config import AccumulatedKPNConfig, TemporalKPNConfig
 
-Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig
+Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | GuidedAttentionConfig
 CONFIGS: dict[str, type[Config]] = {
-    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig)
+    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, GuidedAttentionConfig)
 }
 
 PRESETS: dict[str, Config] = {
@@ -21,6 +22,12 @@ PRESETS: dict[str, Config] = {
     "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
 }
 """Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
+
+STILLS: dict[str, GuidedAttentionConfig] = {
+    "afgsa": GuidedAttentionConfig(mirrored=False),
+    "afgsa-small": GuidedAttentionConfig(width=48, blocks=3),
+}
+"""Name of a denoiser of single frames -> its configuration: its paper's, and one that a CPU can train."""
 
 COMBINERS: dict[str, CombinerConfig] = {
     "combiner": CombinerConfig(),

@@ -12,11 +12,13 @@ are uncorrelated (James and Stein 1961) and E is known. E is an estimate as nois
 so E must exceed a share t of V before it counts.
 
 There are two sources of such pairs, and `Shrinkage.combine` uses both, one after the other: two halves of the samples
-of a frame, where they are known; then the frame and the mean of its neighbours in time, along tested motion.
+of a frame, where they are known; then the frame and the mean of its neighbours in time, along tested motion. In real
+time `correct` takes a running mean of the frames before in place of the neighbours.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -24,27 +26,29 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..color import albedo_divisor
-from ..frame import Frame
+from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..ops import reproject
+from ..sanitise import sanitise
 from .window import Combined, Window, aligned, box, comparable, completed, current_of
 
 FEW_SAMPLES = 4  # below, an edge pixel's noisy light is that of one surface
 MAX_DEPTH_STEP, MIN_AGREEMENT = 0.1, 0.95  # of an edge: relative range of depth, length of the mean normal
 
 
+Step = Callable[..., tuple[Tensor, History]]
+SIDE = 9  # of the neighbourhood in pixels, odd
+SMOOTH = 5  # side of the neighbourhood over which the weights w are averaged
+SHARE_OF_HALVES = 5.0  # t for two halves,
+SHARE_OF_FRAMES = 1.5  # and for a frame and its neighbours
+MAX_LENGTH = 8  # frames in a running mean of residuals: z changes, and resampling blurs
+
+
 @dataclass(frozen=True)
 class Shrinkage:
-    """Corrects the middle frame of windows of five frames; with `causal` the last one of three."""
+    """Corrects the middle frame of windows of five, `combine`."""
 
-    causal: bool = False
-    side: int = 9  # of the neighbourhood in pixels, odd
-    smooth: int = 5  # side of the neighbourhood over which the weights w are averaged
-    share_of_halves: float = 2.0  # t for two halves,
-    share_of_frames: float = 1.5  # and for a frame and its neighbours
-
-    @property
-    def offsets(self) -> tuple[int, ...]:
-        """Frame numbers of the window relative to the corrected frame."""
-        return tuple(range(-2, 1 if self.causal else 3))
+    offsets: tuple[int, ...] = (-2, -1, 0, 1, 2)
+    """Frame numbers of the window relative to the corrected frame."""
 
     def combine(self, window: Window) -> Combined:
         """Correct one frame. Without `window.halves` and without neighbours, z is returned as it is.
@@ -56,46 +60,92 @@ class Shrinkage:
         frame, before = current_of(window, place, len(self.offsets))
         if window.halves:
             parts = zip(window.frames, window.estimates, window.halves, strict=True)
-            window = replace(window, estimates=tuple(self._by_halves(*part) for part in parts))
+            window = replace(window, estimates=tuple(by_halves(*part) for part in parts))
         known = comparable(frame.radiance, window.estimates[place])[1]
         estimate = window.estimates[place].where(window.estimates[place].isfinite(), known)
-        image = torch.maximum(estimate + self._by_neighbours(window, place), estimate.clamp(max=0))
+        image = torch.maximum(estimate + by_neighbours(window, place), estimate.clamp(max=0))
         return Combined(image, (image - before.where(before.isfinite(), image)).abs().mean(1, keepdim=True))
 
-    def _by_halves(self, frame: Frame | None, estimate: Tensor | None, half: Tensor | None) -> Tensor | None:
-        """z of a frame, corrected by two halves of its samples."""
-        if frame is None or half is None:
-            return estimate
-        noisy, z = comparable(frame.radiance, estimate)
-        a, b = (comparable(x, z)[0] - z for x in (half, 2 * frame.radiance - half))
-        error, variance = (box(x.mean(1, keepdim=True), self.side) for x in (a * b, (a - b).square() / 4))
-        return (estimate + self._weight(error, variance, self.share_of_halves) * (noisy - z)).clamp(min=0)
 
-    def _by_neighbours(self, window: Window, place: int) -> Tensor:
-        """w (a + b) / 2 for the residual a of the frame and the mean b of those of its neighbours, `[B, 3, H, W]`."""
-        frame = completed(window.frames[place])
-        found = aligned(window, place, demodulate=True)
-        divisor = albedo_divisor(frame.albedo, frame.depth)
-        own = found[place].residual * divisor
-        others = [one for k, one in enumerate(found) if one is not None and k != place]
-        if not others:
-            return torch.zeros_like(own)
-        count = sum(one.valid for one in others)
-        mean = sum(one.residual for one in others) * divisor / count.clamp(min=1)
-        usable = (count > 0) & ~(edges(frame) & few_samples(frame))
-        usable = usable.to(own.dtype)
-        share = box(usable, self.side).clamp(min=1e-6)
-        # a - b has (count + 1) / count of a frame's variance, the mean of all frames 1 / (count + 1) of it
-        error, variance = (
-            box(usable * x.mean(1, keepdim=True), self.side) / share
-            for x in (own * mean, (own - mean).square() * count / (count + 1).square())
-        )
-        weight = self._weight(error, variance, self.share_of_frames) * usable
-        return weight * (own + count * mean) / (count + 1)
+def by_halves(frame: Frame | None, estimate: Tensor | None, half: Tensor | None) -> Tensor | None:
+    """z of a frame, corrected by two halves of its samples; None without a frame."""
+    if frame is None or half is None:
+        return estimate
+    noisy, z = comparable(frame.radiance, estimate)
+    a, b = (comparable(x, z)[0] - z for x in (half, 2 * frame.radiance - half))
+    error, variance = (box(x.mean(1, keepdim=True), SIDE) for x in (a * b, (a - b).square() / 4))
+    return (estimate + weight(error, variance, SHARE_OF_HALVES) * (noisy - z)).clamp(min=0)
 
-    def _weight(self, error: Tensor, variance: Tensor, share: float) -> Tensor:
-        error = (error - share * variance).clamp(min=0)
-        return box(error / (error + variance).clamp(min=1e-30), self.smooth)
+
+def by_neighbours(window: Window, place: int) -> Tensor:
+    """The correction that the neighbours of the frame at `place` support, `[B, 3, H, W]`."""
+    frame, found = completed(window.frames[place]), aligned(window, place, demodulate=True)
+    others = [one for k, one in enumerate(found) if one is not None and k != place]
+    if not others:
+        return torch.zeros_like(frame.radiance)
+    count = sum(one.valid for one in others)
+    mean = sum(one.residual for one in others) / count.clamp(min=1)
+    return supported(frame, found[place].residual, mean, count)
+
+
+def correct(
+    frame: Frame,  # sanitised
+    estimate: Tensor,  # [B, 3, H, W] z of the frame, finite
+    history: History | None,  # of the frame before
+    onward: History,  # of this frame, from the denoiser
+) -> tuple[Tensor, History]:
+    """The recurrent form, without a look ahead: instead of the neighbours the running mean of the residuals of the
+    frames before, along tested motion. Returns the corrected image, and `onward` with the mean that goes on.
+    """
+    divisor = albedo_divisor(frame.albedo, frame.depth)
+    own = (frame.radiance - estimate) / divisor
+    mean, count = torch.zeros_like(own), torch.zeros_like(own[:, :1])
+    if history is not None and history.residual is not None:
+        surfaces = (frame.depth, frame.normal), (history.depth, history.normal)
+        found, valid = reproject((history.residual, history.residual_length), frame.motion, *surfaces)
+        mean, count = found[:, :3], (found[:, 3:] * valid).floor()
+    image = torch.maximum(estimate + supported(frame, own, mean, count), estimate.clamp(max=0))
+    mean = (own + count * mean) / (count + 1)
+    return image, replace(onward, residual=mean, residual_length=(count + 1).clamp(max=MAX_LENGTH))
+
+
+def corrected(step: Step) -> Step:
+    """A denoiser's step, followed by `correct`. Its images are corrected, its own history is not."""
+
+    def corrected_step(frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN):
+        before = history and replace(history, residual=None, residual_length=None)
+        estimate, onward = step(frame, before, known)
+        return correct(frame if known.sanitised else sanitise(frame), estimate, history, onward)
+
+    return corrected_step
+
+
+def supported(
+    frame: Frame,  # valid features
+    own: Tensor,  # [B, 3, H, W] residual of the frame over its albedo
+    mean: Tensor,  # [B, 3, H, W] mean of those of other frames, aligned to it
+    count: Tensor,  # [B, 1, H, W] number of these
+) -> Tensor:  # [B, 3, H, W]
+    """w (a + b) / 2 for a = `own` and b = `mean`, weighted as a mean of all frames."""
+    divisor = albedo_divisor(frame.albedo, frame.depth)
+    own, mean = own * divisor, mean * divisor
+    usable = count > 0
+    if (few := few_samples(frame)).any():
+        usable &= ~(edges(frame) & few)
+    usable = usable.to(own.dtype)
+    share = box(usable, SIDE).clamp(min=1e-6)
+    # a - b has (count + 1) / count of a frame's variance, the mean of all frames 1 / (count + 1) of it
+    error, variance = (
+        box(usable * x.mean(1, keepdim=True), SIDE) / share
+        for x in (own * mean, (own - mean).square() * count / (count + 1).square())
+    )
+    return weight(error, variance, SHARE_OF_FRAMES) * usable * (own + count * mean) / (count + 1)
+
+
+def weight(error: Tensor, variance: Tensor, share: float) -> Tensor:
+    """w of E and V, smoothed; both `[B, 1, H, W]`."""
+    error = (error - share * variance).clamp(min=0)
+    return box(error / (error + variance).clamp(min=1e-30), SMOOTH)
 
 
 def few_samples(frame: Frame) -> Tensor:
@@ -108,8 +158,19 @@ def few_samples(frame: Frame) -> Tensor:
 def edges(frame: Frame) -> Tensor:  # [B, 1, H, W] bool
     """Pixels next to another surface, of a frame with valid features. A single sample of such a pixel shows one of the
     two, and the neighbour frames that pass the test show the same one: their residuals agree although z is right."""
-    far, near = F.max_pool2d(frame.depth, 3, 1, 1), -F.max_pool2d(-frame.depth, 3, 1, 1)
-    normal = F.normalize(frame.normal, dim=1, eps=1e-6)
-    bent = box(normal, 3).norm(dim=1, keepdim=True) < MIN_AGREEMENT
-    known = frame.normal.abs().sum(1, keepdim=True) > 0
-    return (far - near > MAX_DEPTH_STEP * near.clamp(min=1e-6)) | (bent & known)
+    far, near = (_extreme(frame.depth, which) for which in (torch.maximum, torch.minimum))
+    length = _squares(frame.normal)
+    agreement = _squares(box(frame.normal * length.clamp(min=1e-12).rsqrt(), 3))
+    return (far - near > MAX_DEPTH_STEP * near.clamp(min=1e-6)) | ((agreement < MIN_AGREEMENT**2) & (length > 0))
+
+
+def _extreme(image: Tensor, which: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+    """The greatest or least of 3×3 pixels; faster on the CPU than `max_pool2d`."""
+    image = F.pad(image, (1, 1, 1, 1), mode="replicate")
+    rows = which(which(image[:, :, :-2], image[:, :, 1:-1]), image[:, :, 2:])
+    return which(which(rows[..., :-2], rows[..., 1:-1]), rows[..., 2:])
+
+
+def _squares(vectors: Tensor) -> Tensor:
+    """Squared lengths; `torch.norm` over channels is many times slower on the CPU."""
+    return vectors[:, :1].square() + vectors[:, 1:2].square() + vectors[:, 2:].square()

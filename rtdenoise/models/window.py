@@ -130,4 +130,6 @@ def two_step(
 
 def box(image: Tensor, side: int) -> Tensor:
     """Mean over `side` × `side` pixels, of those inside the image."""
-    return F.avg_pool2d(image, side, stride=1, padding=side // 2, count_include_pad=False)
+    half = side // 2
+    rows = F.avg_pool2d(image, (side, 1), stride=1, padding=(half, 0), count_include_pad=False)
+    return F.avg_pool2d(rows, (1, side), stride=1, padding=(0, half), count_include_pad=False)

@@ -10,6 +10,7 @@ Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, 
 
 from .alike import alike
 from .apply_kernel import apply_kernel
+from .attend_blocks import attend_blocks
 from .blend import blend
 from .compose import compose
 from .dispatch import use
@@ -22,6 +23,6 @@ from .upsample import upsample
 from .warp import warp
 
 __all__ = [
-    "alike", "apply_kernel", "blend", "compose", "downsample", "fetch", "pick", "reproject", "soften", "upsample",
-    "use", "warp",
+    "alike", "apply_kernel", "attend_blocks", "blend", "compose", "downsample", "fetch", "pick", "reproject", "soften",
+    "upsample", "use", "warp",
 ]  # fmt: skip

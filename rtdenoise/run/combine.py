@@ -19,6 +19,7 @@ from .folder import prepare
 from .options import EXAMINED, CombineOptions, Summary
 
 FEATURES = ("albedo", "normal", "depth")
+MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
 
 
 def combine(
@@ -40,6 +41,8 @@ def combine(
     """
     if find_spec("torch") is None:
         raise InputError("combine needs PyTorch, which is not installed")
+    if not 0 <= options.samples <= MAX_SAMPLES:
+        raise InputError(f"--samples: expected 1 to {MAX_SAMPLES}, or 0 for unknown, got {options.samples}")
     from ..models import load_combiner
     from ..models.inference import choose_device
     from .correcting import Run

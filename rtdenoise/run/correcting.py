@@ -17,6 +17,7 @@ from ..frame import MAX_CUT_MISMATCH, Frame, History
 from ..history import mismatch
 from ..models import Combiner, Shrinkage, Window
 from ..splat import splat_motion_next
+from .denoise import with_samples
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
 from .options import SUMMARY, CombineOptions, Summary
@@ -106,9 +107,7 @@ class Run:
 
     def _read(self, i: int) -> Pair:
         raw = self.source.read(i)
-        frame, half, samples = raw.map(torch.from_numpy).to(self.device), None, self.options.samples
-        if samples and frame.samples is None:
-            frame = replace(frame, samples=torch.full_like(frame.radiance[:, :1], samples))
+        frame, half = with_samples(raw, self.options.samples).map(torch.from_numpy).to(self.device), None
         if self.second:
             frame, half = both(frame, read_estimate(self.second, i).to(self.device))
         return Pair(i, raw, frame, read_estimate(self.estimates, i).to(self.device), half)

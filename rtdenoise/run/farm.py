@@ -32,14 +32,19 @@ class Farm:
         """As `processes.Place.run`, in the current folder of this process. A job whose worker is killed runs again, on
         any machine, and `killed` is raised after `ATTEMPTS` of them.
 
-        Raises InputError where Ray is not installed, no cluster answers, or a machine of it lacks the package or does
-        not see a folder.
+        Raises InputError where Ray is not installed, no cluster answers, it has no cores, or a machine of it lacks the
+        package or does not see a folder.
         """
         ray = _connect(self.address)
         try:
             machines = [node for node in ray.nodes() if node["Alive"]]
+            cores = int(max((node["Resources"].get("CPU", 0) for node in machines), default=0))
+            if not cores:
+                raise InputError(
+                    f"--ray {self.address}: no machine of the cluster offers a core (`ray start --num-cpus`)"
+                )
             _examine(ray, machines, self.folder)
-            threads = min(self.threads, int(max(node["Resources"].get("CPU", 0) for node in machines)))
+            threads = min(self.threads, cores)
             gpu = int(self.gpu and ray.cluster_resources().get("GPU", 0) >= 1)
             options = {"num_cpus": threads, "num_gpus": gpu, "max_retries": ATTEMPTS - 1}
             remote = ray.remote(**options)(_call)

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from .options import Options, Summary
 
 INDECISIVE = ("backend", "device")  # options that leave the files as they are
-# Not among the options of older runs.
-YOUNG = {"offline": False, "confidence": False, "second": "", "samples": 0, "lights": False, "also": ()}
+YOUNG = {  # options that older runs did not have, as these ran
+    "offline": False, "confidence": False, "correct": False, "second": "", "samples": 0, "lights": False, "also": (),
+}  # fmt: skip
 
 
 def prepare(out: Path, sequence: Sequence, options: Options) -> Path:

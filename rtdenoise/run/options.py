@@ -50,6 +50,10 @@ class Options:
     offline: bool = False
     """The best picture for frames on disk: uses the frames after as well as those before, and OIDN where it is
     installed. Takes several times as long."""
+    correct: bool = False
+    """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
+    samples: int = 0
+    """With --correct: samples a pixel of the frames, where the files do not say. From 4 on edges are corrected, too."""
     confidence: bool = False
     """With --offline: also write how far the candidates lie apart, in radiance, as the layer 'confidence' (small is
     sure)."""

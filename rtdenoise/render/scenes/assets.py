@@ -50,7 +50,7 @@ class Asset:
 
 
 @dataclass(frozen=True)
-class Part:
+class ModelPart:
     """One surface of a model, in the model's space: base at y = 0, front towards +z."""
 
     mesh: Mesh
@@ -127,7 +127,7 @@ def attribution(asset: Asset) -> dict[str, str]:
 
 
 @lru_cache(maxsize=64)
-def load_model(asset: Asset) -> tuple[Part, ...]:
+def load_model(asset: Asset) -> tuple[ModelPart, ...]:
     """The parts of a model. Raises InputError where one of its files cannot be read."""
     document, folder = _read_json(asset.file), asset.file.parent
     try:
@@ -138,7 +138,7 @@ def load_model(asset: Asset) -> tuple[Part, ...]:
         raise InputError(f"{asset.file}: a part is not as expected: {error!r}") from error
 
 
-def _part(folder: Path, part: dict) -> Part:
+def _part(folder: Path, part: dict) -> ModelPart:
     palette = bool(part.get("palette"))
     alpha, emissive = part.get("alpha"), part.get("emissive")
     material = Principled(
@@ -154,7 +154,7 @@ def _part(folder: Path, part: dict) -> Part:
         value = emissive.get("rgb", emissive.get("file"))
         emission = _texture(folder, value, 3) * _amounts(emissive.get("scale", 1.0))
         _amounts(emission)
-    return Part(_read_ply(_inside(folder, part["ply"])), material, emission)
+    return ModelPart(_read_ply(_inside(folder, part["ply"])), material, emission)
 
 
 def _inside(folder: Path, name: str) -> Path:
