@@ -85,7 +85,8 @@ class LightBackend:
 
     @property
     def config(self) -> Config:
-        return self.network.config
+        """As the inner backend's."""
+        return self._inner.config
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out
