@@ -38,6 +38,8 @@ COMBINERS: dict[str, CombinerConfig] = {
     ),
 }  # fmt: skip
 """Name of a combiner -> its configuration: ours, ours without future frames, and its paper's."""
+SHRINKAGE = "shrinkage"
+"""Name of the combiner without weights, `shrinkage.Shrinkage`."""
 
 
 def from_stored(architecture: str, values: Mapping[str, object]) -> Config:

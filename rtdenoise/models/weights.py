@@ -15,6 +15,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from ..errors import InputError, did_you_mean
+from .combiner_config import CombinerConfig
 from .presets import COMBINERS, Config, from_stored
 
 MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
@@ -77,6 +78,14 @@ def read_model(model: str | Path, **overrides: object) -> StoredModel:
             raise InputError(f"{path}: {name} holds values that are not finite or beyond ±{MAX_WEIGHT:g}; the file is "
                              "damaged: train or download it again")  # fmt: skip
     return StoredModel(path, config, tensors)
+
+
+def read_denoiser(model: str | Path, **overrides: object) -> StoredModel:
+    """`read_model`, for the weights of a denoiser. Raises InputError for a combiner too."""
+    stored = read_model(model, **overrides)
+    if isinstance(stored.config, CombinerConfig):
+        raise InputError(f"{model}: is a combiner, which corrects frames that a denoiser made; expected a denoiser")
+    return stored
 
 
 def _expect(path: Path, found: Mapping[str, tuple], config: Config, overrides: Collection[str]) -> None:

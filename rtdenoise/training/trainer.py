@@ -7,6 +7,7 @@ import math
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from reprlib import repr as shown
 from typing import Any
 
 import torch
@@ -20,6 +21,9 @@ from .config import TrainConfig
 from .distributed import average_gradients, means
 from .muon import Muon
 from .tasks import task_of
+
+MOST = 10**9  # of options that count something
+MAX_LR = 100.0
 
 
 class Trainer:
@@ -159,6 +163,12 @@ def check(config: TrainConfig) -> None:
     for name in ("steps", "batch", "frames", "size", "validate_every", "warmup"):
         if getattr(config, name) < 1:
             raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
+        if getattr(config, name) > MOST:
+            raise InputError(f"{name}: expected {MOST} at most, got {shown(getattr(config, name))}")
+    if not 0 <= config.seed < 2**63:
+        raise InputError(f"seed: expected 0 to 2^63 - 1, got {shown(config.seed)}")
+    if not 0 < config.lr <= MAX_LR:
+        raise InputError(f"lr: expected more than 0 and {MAX_LR:g} at most, got {config.lr}")
     for name in ("cuts", "relight"):
         if not 0 <= getattr(config, name) <= 1:
             raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
