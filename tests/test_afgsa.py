@@ -288,6 +288,11 @@ def test_it_trains_on_single_frames_of_clips(tmp_path):
     assert load(path).config == GuidedAttentionConfig(width=8, blocks=1, attention_heads=2)
 
 
+def test_without_weights_one_line_says_what_to_do():
+    with pytest.raises(InputError, match=r"no weights of 'afgsa-small' ship: train them \(rtdenoise train --model afgsa-s"):
+        load("afgsa-small")
+
+
 def test_weights_of_another_width_are_named(tmp_path):
     path = tmp_path / "wrong.safetensors"
     tensors = {name: np.zeros(shape, np.float32) for name, shape in SMALL.shapes.items()}

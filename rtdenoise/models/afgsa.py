@@ -30,7 +30,7 @@ from .inference import as_weights
 from .losses import Loss, temporal_kpn_loss
 from .unet import ConvRelu, UNet, by_name
 
-MAX_FEATURES = 3 << 24  # numbers in one layer's output: 192 MB in float32; larger frames are denoised in windows
+MAX_FEATURES = 5 << 23  # numbers in one layer's output: 168 MB in float32; larger frames are denoised in windows
 MAX_LOG = 80.0  # exp of more overflows float32
 SLOPE = 0.2  # of the leaky ReLUs in the extractor of features
 OFFSETS = 0.02  # deviation of the learned offsets at the start: the authors' 1 outweighs the keys of narrow networks

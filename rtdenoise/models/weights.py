@@ -16,7 +16,7 @@ from safetensors import SafetensorError, safe_open
 
 from ..errors import InputError, did_you_mean
 from .combiner_config import CombinerConfig
-from .presets import COMBINERS, Config, from_stored
+from .presets import COMBINERS, STILLS, Config, from_stored
 
 MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
 _SHIPPED = resources.files("rtdenoise") / "weights"
@@ -50,6 +50,9 @@ def find(model: str | Path) -> Path:
     """The file of a model that ships, or else the file at this path. Raises InputError where there is neither."""
     name = str(model)
     path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in _shipped() else Path(name)
+    if not path.is_file() and name in STILLS:
+        raise InputError(f"no weights of {name!r} ship: train them (rtdenoise train --model {name}) and name their "
+                         ".safetensors file")  # fmt: skip
     if not path.is_file():
         raise InputError(
             f"no model {name!r}{did_you_mean(name, available())}: expected one of {', '.join(available())} or the path "
