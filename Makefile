@@ -12,7 +12,7 @@ export PYTHON TORCH
 export OMP_WAIT_POLICY ?= passive
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint wheel fuzz clean
+.PHONY: help demo test lint wheel addon fuzz clean
 
 help:  ## show this list
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -28,6 +28,9 @@ lint: $(VENV)/.ready-test  ## ruff
 
 wheel: $(VENV)/.ready-build  ## build dist/*.whl
 	$(VENV)/bin/python -m build --wheel
+
+addon: wheel  ## build dist/rtdenoise-blender-*.zip, the add-on for Blender
+	$(VENV)/bin/python tools/addon.py "$$(ls -t dist/rtdenoise-*.whl | head -1)"
 
 fuzz: $(VENV)/.ready-test  ## attack files and commands for about an hour: kills, fuzzing, sanitizers; writes docs/results/attacks.md
 	$(VENV)/bin/python -m pip install --quiet --editable '.[fuzz]'

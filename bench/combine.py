@@ -1,6 +1,6 @@
 """Do combiners improve denoised frames at every sample count, and never make them worse?
 
-python bench/combine.py CLIPS [--combiners combiner]
+python bench/combine.py CLIPS ... [--combiners FILE]
 
 CLIPS/spp01, CLIPS/spp04 ... hold the same frames at several sample counts (`combine_clips.py --held-out`), with
 denoised frames beside them (`rtdenoise estimates CLIPS/spp* --methods oidn default svgf`). Corrected MSE
@@ -24,51 +24,61 @@ import numpy as np
 import torch
 import tyro
 
-from rtdenoise.baselines import Shrinkage
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame
+from rtdenoise.frame import Frame, History
 from rtdenoise.metrics.image import mse_corrected
-from rtdenoise.models import Combiner, Window, load_combiner
+from rtdenoise.models import Combiner, Shrinkage, Window, load_combiner
+from rtdenoise.models.shrinkage import correct
+from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "combine.json", (DOCS / "results" / "combine.md",)
 MAX_RATIO = 1.02  # of a combiner's error to that of z: more is a failure
 STEEP = 16  # spp from which the slope is taken
+PLAIN = ("shrinkage", "recurrent", "shrinkage-halves")  # combiners without weights
 FIRST = 1  # frames before this one are not measured: temporal denoisers have no history there
 
 
 def main(
-    clips: tyro.conf.Positional[Path],
+    clips: tyro.conf.Positional[tuple[Path, ...]],
     methods: tuple[str, ...] = ("oidn", "default", "svgf"),
-    combiners: tuple[str, ...] = ("combiner",),
-    levels: tuple[int, ...] = (1, 4, 16, 64),
+    combiners: tuple[str, ...] = (),
+    levels: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64, 128, 256),
 ) -> None:
     """Measure every clip.
 
     Args:
-        clips: Folder with a folder of clips for each sample count.
+        clips: Folders, each with a folder of clips for each sample count.
         methods: Denoisers to correct.
-        combiners: Models that ship, or weights files.
-        levels: Sample counts.
+        combiners: Weights files of networks.
+        levels: Sample counts; those that a folder lacks are left out.
     """
     networks = {Path(name).stem: load_combiner(name, precision="fp32") for name in combiners}
-    opened = {spp: ClipDataset(clips / f"spp{spp:02d}") for spp in levels}
+    rows = [row for folder in clips for row in measure(folder, methods, networks, levels)]
+    sets = {name: summary(some) for name, some in _by(rows, "set").items()}
+    document = {"max_ratio": MAX_RATIO, "rows": rows, "summary": summary(rows), "sets": sets}
+    harness.publish(RESULT, document, digits=4, pages=PAGES, tables=tables)
+
+
+def measure(
+    clips: Path, methods: tuple[str, ...], networks: dict[str, Combiner], levels: tuple[int, ...]
+) -> list[dict]:
+    """A row for each clip of a folder, signal, sample count and denoiser."""
+    found = {spp: clips / f"spp{spp:02d}" for spp in levels}
+    opened = {spp: ClipDataset(folder) for spp, folder in found.items() if folder.is_dir()}
     rows = []
-    for index in range(len(opened[levels[0]])):
+    for index in range(len(next(iter(opened.values())))):
         for signal in ("color", "indirect"):
-            for spp in levels:
+            for spp, clip in opened.items():
                 halves = _halves(clips, index, signal, spp)
                 for method in methods:
-                    both = opened[spp].load(index, signal=signal, estimates=method)
+                    both = clip.load(index, signal=signal, estimates=method)
                     frames, estimates = both[: len(both) // 2], [frame.radiance for frame in both[len(both) // 2 :]]
-                    rows.append(
-                        {"sequence": _name(opened[spp], index), "signal": signal, "spp": spp, "method": method}
-                        | errors(frames, estimates, halves, networks)
-                    )
+                    told = {"set": clips.name, "sequence": _name(clip, index), "signal": signal, "spp": spp}
+                    rows.append(told | {"method": method} | errors(frames, estimates, halves, networks))
                     print(rows[-1], flush=True)
-    document = {"max_ratio": MAX_RATIO, "rows": rows, "summary": summary(rows)}
-    harness.publish(RESULT, document, digits=4, pages=PAGES, tables=tables)
+    return rows
 
 
 @torch.inference_mode()
@@ -80,27 +90,43 @@ def errors(
 ) -> dict[str, float]:
     """Mean corrected MSE of the frames: of `noisy`, of z (`estimate`) and of each combiner."""
     scale = display_exposure(torch.cat([frame.reference for frame in frames]))
-    found = defaultdict(list)
+    found, recurrent = defaultdict(list), _recurrent(frames, estimates)
     for i in range(FIRST, len(frames)):
         frame = frames[i]
-        alone = Window((frame,), (estimates[i],))
-        images = {"noisy": frame.radiance, "estimate": estimates[i], "shrinkage": Shrinkage().combine(alone).image}
+        images = {"noisy": frame.radiance, "estimate": estimates[i]}
+        images["shrinkage"] = Shrinkage().combine(_window(i, Shrinkage(), frames, estimates)).image
+        images["recurrent"] = recurrent[i]
         if halves is not None:
-            images["shrinkage-halves"] = Shrinkage().combine(alone, halves[i]).image
+            images["shrinkage-halves"] = Shrinkage().combine(_window(i, Shrinkage(), frames, estimates, halves)).image
         for name, network in networks.items():
-            places = [p if 0 <= (p := i + offset) < len(frames) else None for offset in network.config.offsets]
-            window = (tuple(None if p is None else part[p] for p in places) for part in (frames, estimates))
-            images[name] = network.combine(Window(*window)).image
+            images[name] = network.combine(_window(i, network, frames, estimates)).image
         for name, image in images.items():
             found[name].append(mse_corrected(image, frame.reference, scale, reference_half=frame.reference_half))
     return {name: float(np.mean(values)) for name, values in found.items()}
+
+
+def _recurrent(frames: list[Frame], estimates: list[torch.Tensor]) -> list[torch.Tensor]:
+    """The frames as `denoise --correct` corrects them, without a look ahead."""
+    images, history = [], None
+    for frame, estimate in zip(frames, estimates, strict=True):
+        frame = sanitise(frame)
+        onward = History(estimate, frame.motion_next, frame.depth, frame.normal)
+        image, history = correct(frame, estimate, history, onward)
+        images.append(image)
+    return images
+
+
+def _window(i: int, combiner: Combiner | Shrinkage, *parts: list) -> Window:
+    """The window of a combiner around frame i."""
+    places = [p if 0 <= (p := i + offset) < len(parts[0]) else None for offset in combiner.offsets]
+    return Window(*(tuple(None if p is None else part[p] for p in places) for part in parts))
 
 
 def summary(rows: list[dict]) -> dict[str, dict]:
     """Combiner -> over all cells: their count, the failures, the geometric mean of its error over z's by spp and by
     denoiser, the worst cell, and the mean slopes, z's too."""
     found = {}
-    for name in ("shrinkage", "shrinkage-halves", *_networks(rows)):
+    for name in (*PLAIN, *_networks(rows)):
         cells = [row for row in rows if name in row and row["estimate"] > 0 and row[name] > 0]
         ratio = lambda some, name=name: float(np.exp(np.mean([np.log(r[name] / r["estimate"]) for r in some])))  # noqa: E731
         worst = max(cells, key=lambda row: row[name] / row["estimate"])
@@ -119,25 +145,40 @@ def summary(rows: list[dict]) -> dict[str, dict]:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Section `combine`: a line for each combiner; section `combine-cells`: mean ratios by denoiser and spp."""
+    """Sections `combine`: a line for each combiner; `combine-sets`: the same by folder of clips; `combine-cells`: mean
+    ratios by denoiser and spp."""
     levels = sorted({row["spp"] for row in document["rows"]})
     lines = [
-        f"| combiner | {' | '.join(f'{spp} spp' for spp in levels)} | all | worst | failures | slope of z | slope |",
-        "|---" * (len(levels) + 6) + "|",
+        f"| combiner | {' | '.join(f'{spp} spp' for spp in levels)} | all | worst | failures | above both | slope of z "
+        "| slope |",
+        "|---" * (len(levels) + 7) + "|",
     ]
     for name, found in document["summary"].items():
         ratios = [f"{found['by_spp'][str(spp)]:.3f}" if str(spp) in found["by_spp"] else "" for spp in levels]
         lines.append(
             f"| `{name}` | {' | '.join(ratios)} | {found['ratio']:.3f} | {found['worst']['ratio']:.3f} | "
-            f"{found['failures']} of {found['cells']} | {found['slope_of_estimate']:.2f} | {found['slope']:.2f} |"
+            f"{found['failures']} of {found['cells']} | {found['above_both']} | {found['slope_of_estimate']:.2f} | "
+            f"{found['slope']:.2f} |"
         )
+    sets = ["| clips | combiner | error over z's | worst | failures | above both |", "|---|---|---|---|---|---|"]
+    for name, combiners in document["sets"].items():
+        sets += [
+            f"| {name} | `{combiner}` | {found['ratio']:.3f} | {found['worst']['ratio']:.3f} | {found['failures']} of "
+            f"{found['cells']} | {found['above_both']} |"
+            for combiner, found in combiners.items()
+        ]
     cells = ["| z | signal | combiner | " + " | ".join(f"{spp} spp" for spp in levels) + " |"]
     cells.append("|---" * (len(levels) + 3) + "|")
     for (method, signal), some in _by(document["rows"], "method", "signal").items():
-        for name in _networks(document["rows"]):
-            means = [np.mean([np.log(r[name] / r["estimate"]) for r in s]) for s in _by(some, "spp").values()]
-            cells.append(f"| {method} | {signal} | `{name}` | {' | '.join(f'{np.exp(m):.3f}' for m in means)} |")
-    return {"combine": "\n".join(lines), "combine-cells": "\n".join(cells)}
+        for name in (*PLAIN, *_networks(document["rows"])):
+            ratios = {
+                spp: np.exp(np.mean([np.log(r[name] / r["estimate"]) for r in s if name in r]))
+                for spp, s in _by(some, "spp").items()
+                if name in s[0]
+            }
+            shown = [f"{ratios[spp]:.3f}" if spp in ratios else "" for spp in levels]
+            cells.append(f"| {method} | {signal} | `{name}` | {' | '.join(shown)} |")
+    return {"combine": "\n".join(lines), "combine-sets": "\n".join(sets), "combine-cells": "\n".join(cells)}
 
 
 def _halves(clips: Path, index: int, signal: str, spp: int) -> list[torch.Tensor] | None:
@@ -154,7 +195,7 @@ def _name(clips: ClipDataset, index: int) -> str:
 
 
 def _networks(rows: list[dict]) -> list[str]:
-    known = {"sequence", "signal", "spp", "method", "noisy", "estimate", "shrinkage", "shrinkage-halves"}
+    known = {"set", "sequence", "signal", "spp", "method", "noisy", "estimate", *PLAIN}
     return [name for name in rows[0] if name not in known]
 
 
@@ -168,8 +209,8 @@ def _by(rows: list[dict], *keys: str) -> dict:
 def _slope(rows: list[dict], name: str) -> float:
     """Mean slope of log MSE over log spp, from `STEEP` on; NaN with fewer than two levels."""
     slopes = []
-    for some in _by(rows, "sequence", "signal", "method").values():
-        points = [(row["spp"], row[name]) for row in some if row["spp"] >= STEEP]
+    for some in _by(rows, "set", "sequence", "signal", "method").values():
+        points = [(row["spp"], row[name]) for row in some if row["spp"] >= STEEP and name in row]
         if len(points) > 1:
             spp, mse = np.log(np.array(points)).T
             slopes.append(np.polyfit(spp, mse, 1)[0])

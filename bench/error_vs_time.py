@@ -46,13 +46,13 @@ def main(o: Options) -> None:
     started = time.perf_counter()
     out = ROOT / "out" / "quick" if o.quick else OUT
     if o.quick:
-        evaluation.run([str(SAMPLE)], out, evaluation.Options(OVER_SPP, signal="indirect", frames=4))
+        evaluation.run([str(SAMPLE)], out, evaluation.EvaluateOptions(OVER_SPP, signal="indirect", frames=4))
     else:
         folders = standard.prepare()
         standard.add_samples()
-        at_1_spp = evaluation.Options(("all",), precisions=("fp32", "bf16"), signal="indirect")
+        at_1_spp = evaluation.EvaluateOptions(("all",), precisions=("fp32", "bf16"), signal="indirect")
         evaluation.run([*folders, *o.sequences], out, at_1_spp)
-        evaluation.run(folders, out, evaluation.Options(OVER_SPP, spp=standard.SPP, signal="indirect"))
+        evaluation.run(folders, out, evaluation.EvaluateOptions(OVER_SPP, spp=standard.SPP, signal="indirect"))
     written = report(out)
     if not o.quick:
         keep(out)

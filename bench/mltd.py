@@ -28,14 +28,16 @@ import numpy as np
 import torch
 import tyro
 
-from rtdenoise.baselines import Oidn, Shrinkage
+from rtdenoise.baselines import Oidn
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.evaluate import Step, evaluate
 from rtdenoise.evaluate.inputs import Source
 from rtdenoise.files import write_atomically
 from rtdenoise.frame import Frame
-from rtdenoise.models import Window, find, load
+from rtdenoise.models import find, load
+from rtdenoise.models.shrinkage import correct
+from rtdenoise.sanitise import sanitise
 from rtdenoise.training.config import TrainConfig
 from rtdenoise.training.loop import CHECKPOINT, WEIGHTS, train
 from rtdenoise.training.trainer import Trainer
@@ -175,9 +177,9 @@ def corrected(step: Step, path_traced: dict[int, torch.Tensor]) -> Callable:
     """A step, corrected by the large proposals of its frame."""
 
     def chained(frame, history):
-        image, history = step(frame, history)
-        noisy = replace(frame, radiance=path_traced[frame.number])
-        return Shrinkage().combine(Window((noisy,), (image,))).image, history
+        image, onward = step(frame, history)
+        noisy = sanitise(replace(frame, radiance=path_traced[frame.number]))
+        return correct(noisy, image, history, onward)
 
     return chained
 

@@ -27,7 +27,7 @@ import tyro
 
 from rtdenoise.color import display, display_exposure
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.evaluate.run import Options, run
+from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.frame import Frame
 from rtdenoise.run import combination
 from rtdenoise.run.passes import Passes, reverse
@@ -60,7 +60,8 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]] = (), fit: Path | None
     if not sequences:
         return
     documents = {
-        signal: run(sequences, OUT / signal, Options(METHODS, metrics=METRICS, signal=signal)) for signal in SIGNALS
+        signal: run(sequences, OUT / signal, EvaluateOptions(METHODS, metrics=METRICS, signal=signal))
+        for signal in SIGNALS
     }
     rows = []
     for signal, document in documents.items():

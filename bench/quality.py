@@ -26,7 +26,7 @@ from bench.harness import standard, strips
 import tyro
 
 from rtdenoise.evaluate.document import Document
-from rtdenoise.evaluate.run import Options, run
+from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.report.markdown import write_number
 from rtdenoise.report.readings import METRICS, cost
 
@@ -64,7 +64,7 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]] = ()) -> None:
     chosen = tuple(f"{name}={SETTINGS[name]}" if name in SETTINGS else name for name in LABELS)
     documents = {}
     for signal in SIGNALS:
-        documents[signal] = run(folders, OUT / signal, Options(chosen, metrics=measured, signal=signal))
+        documents[signal] = run(folders, OUT / signal, EvaluateOptions(chosen, metrics=measured, signal=signal))
     draw(documents)
     harness.publish(RESULT, summary(documents), digits=5, pages=PAGES, tables=tables)
     print(f"{time.perf_counter() - started:.0f} s")

@@ -155,6 +155,11 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read: not a text file") from None
 
 
+def utf8(text: str) -> bytes:
+    """The text in UTF-8; what that lacks, as in names of files that are no text, becomes an escape."""
+    return text.encode(errors="backslashreplace")
+
+
 def read_json(path: Path) -> object:
     """The value in a JSON file. Raises InputError where it cannot be read or is not JSON; NaN and Infinity are not."""
     try:

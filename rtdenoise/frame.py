@@ -141,6 +141,8 @@ class History:
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None for models that do not count
     mean: Tensor | None = None  # [B, 3, H, W] running mean of irradiance; None for models that keep none
     mean_albedo: Tensor | None = None  # [B, 3, H, W] running mean of albedo, likewise
+    residual: Tensor | None = None  # [B, 3, H, W] running mean of (noisy - denoised) / albedo, for its correction
+    residual_length: Tensor | None = None  # [B, 1, H, W] frames in it
     hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features for the next step of the model, at any scale
 
     def layers(self) -> dict[str, Tensor]:

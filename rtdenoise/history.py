@@ -15,7 +15,7 @@ from .errors import InputError
 from .frame import Frame, History
 from .motion import on_screen, same_surface
 
-NEAREST = ("depth", "normal", "motion_next", "length")  # fields that must not be mixed across silhouettes
+NEAREST = ("depth", "normal", "motion_next", "length", "residual_length")  # must not be mixed across silhouettes
 
 
 def usable(frame: Frame, history: History) -> Tensor:

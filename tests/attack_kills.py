@@ -21,20 +21,21 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
 from synthetic import TINY, make_frames, write_clips, write_sequence
+from torch.nn.functional import avg_pool2d
 
-from rtdenoise.cli import clips, evaluate, render, train  # noqa: F401  (imported before the forks)
+from rtdenoise.cli import clips, combine, evaluate, render, train  # noqa: F401  (imported before the forks)
 from rtdenoise.cli.main import main
-from rtdenoise.models import PRESETS, TemporalKPN, save
+from rtdenoise.models import PRESETS, CombinerConfig, TemporalKPN, create, save
+from rtdenoise.run import correcting  # noqa: F401
 from rtdenoise.training import loop  # noqa: F401
 
-COMMANDS = ("denoise", "evaluate", "train", "render", "clips")
 MOST_RUNS = 6  # for each kill, before the attack counts as failed
 TIMES = {"seconds", "ms", "written", "skipped", "date", "sample_ms", "runs", "run", "command"}  # keys of JSON files
 OF_TRAIN = (
@@ -58,6 +59,7 @@ class Outcome:
     left: list[str] = field(default_factory=list)  # unfinished files in the folder of a completed run
     lost: list[str] = field(default_factory=list)  # files that were there at a kill and not at the end
     outside: list[str] = field(default_factory=list)  # files that appeared or changed beside the output folder
+    files: int = 0  # of an undisturbed run
     files_at_kill: list[int] = field(default_factory=list)
     seconds: float = 0.0  # of an undisturbed run
 
@@ -78,6 +80,7 @@ def attack(command: str, kills: int, seed: int, folder: Path, warm_up: bool = Tr
     run([*arguments, "--out", str(folder / "whole")], None, outcome)
     outcome.seconds = time.monotonic() - started
     expected, input_files, seen = contents(folder / "whole"), beside(folder), set()
+    outcome.files = len(visible(folder / "whole"))
     for _ in range(MOST_RUNS * kills):
         if outcome.kills == kills:
             break
@@ -162,6 +165,16 @@ def prepare(command: str, folder: Path) -> tuple[list[str], Callable[[Path], obj
     if command == "denoise":
         shot = write_sequence(folder / "shot", make_frames(24, H=96, W=128))
         return ["denoise", str(shot), "--model", str(model)], files
+    if command == "combine":
+        frames = make_frames(24, H=96, W=128)
+        shot = write_sequence(folder / "shot", frames)
+        blurred = [replace(frame, radiance=avg_pool2d(frame.radiance, 5, 1, 2)) for frame in frames]
+        clean = write_sequence(folder / "clean", blurred)
+        combiner = create(CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3))
+        for parameter in combiner.parameters():  # untrained it would correct nothing
+            parameter.data.normal_(std=0.2)
+        save(combiner, model := folder / "combiner.safetensors")
+        return ["combine", str(shot), str(clean), "--model", str(model)], files
     if command == "evaluate":
         shots = [str(write_sequence(folder / f"shot{i}", make_frames(3, seed=i))) for i in range(4)]
         return ["evaluate", *shots, "--methods", "noisy", "accumulate", f"tiny={model}", "--metrics", "psnr"], files

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from environments import Environment, build_wheel
+from environments import Environment, blender_python, build_wheel
 from PIL import Image
 from tolerances import TOLERANCES
 
@@ -79,6 +79,12 @@ def without_torch(tmp_path_factory, wheel):
 def with_torch(tmp_path_factory, wheel):
     """... as `pip install rtdenoise[torch] mitsuba` leaves it."""
     return Environment(tmp_path_factory.mktemp("torch") / "venv", wheel, ("torch",), also=("mitsuba",))
+
+
+@pytest.fixture(scope="session")
+def blender():
+    """A Python with Blender as a module."""
+    return blender_python()
 
 
 @pytest.fixture

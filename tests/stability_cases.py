@@ -21,6 +21,7 @@ from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.models import load, read
 from rtdenoise.models.losses import temporal_kpn_loss
+from rtdenoise.sanitise import GREATEST_ALBEDO
 
 MODES = ("float32", "bfloat16", "float16", "training")
 AUTOCAST = {"float16": torch.float16, "training": torch.bfloat16}  # the other two are precisions of a loaded model
@@ -239,7 +240,7 @@ def _salted(frame: Frame, share: float, value: float) -> Frame:
 for layer, bad, same, label in (
     ("normal", math.nan, 0.0, "NaN normals"), ("depth", math.inf, 0.0, "infinite depth"),
     ("depth", -1.0, 0.0, "negative depth"), ("depth", math.nan, 0.0, "NaN depth"),
-    ("albedo", math.nan, 0.0, "NaN albedo"), ("albedo", 1e6, 2.0, "albedo 1e6"),
+    ("albedo", math.nan, 0.0, "NaN albedo"), ("albedo", 1e6, GREATEST_ALBEDO, "albedo 1e6"),
 ):  # fmt: skip
 
     @case(f"{label} everywhere", f"as {layer} {same:g}", "greatest difference", 0.0)
@@ -247,7 +248,7 @@ for layer, bad, same, label in (
         return greatest(*(subject.play([filled(f, layer, value) for f in scene()]) for value in (bad, same)))
 
 
-for layer, value in (("normal", 0.0), ("depth", 0.0), ("albedo", 0.0), ("albedo", 2.0)):
+for layer, value in (("normal", 0.0), ("depth", 0.0), ("albedo", 0.0), ("albedo", GREATEST_ALBEDO)):
 
     @case(f"{layer} {value:g} everywhere", "not brighter than the brightest input", "relative", 1.0)
     def _(subject: Subject, layer: str = layer, value: float = value) -> float:

@@ -1,6 +1,7 @@
 """Libraries of assets: their index, compositions of them, several takes of one scene, and holes in surfaces."""
 
 import json
+import os
 import struct
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from rtdenoise.render.clips import render_clips
 from rtdenoise.render.frames import features, radiance
 from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scenes import meshes
-from rtdenoise.render.scenes.assets import load_model, read_library
+from rtdenoise.render.scenes.assets import load_hdri, load_model, read_library, read_picture
 from rtdenoise.render.scenes.composed import KINDS, Composer, compose
 from rtdenoise.render.scenes.extras import shapes_in_view
 from rtdenoise.render.scenes.file import open_file
@@ -101,12 +102,66 @@ def test_an_index_is_read(folder):
         ("models", {"license": None}, "a furniture table: has no 'license'; add it, or .* --allow-unlicensed"),
         ("models", {"bbox": None}, "a furniture table: has no 'bbox'"),
         ("hdris", {"tags": None}, "sky: has no 'tags'"),
+        ("hdris", {"tags": [{}]}, r"sky: tags: expected text or a list of it, got \[\{\}\]"),
+        ("hdris", {"file": ["sky.exr"]}, r"sky: file: expected a file name, got \['sky.exr'\]"),
+        ("textures", {"file": "wood\0.png"}, r"wood: file: expected a file name, got 'wood\\x00.png'"),
+        ("models", {"category": 3}, "a furniture table: category: expected text or a list of it, got 3"),
+        *(
+            ("models", {"bbox": box}, r"a furniture table: bbox: expected \[\[x, y, z\], \[x, y, z\]\], least and")
+            for box in ("box", [], [[0, 0, 0], [1, 1]], [[1, 1, 1], [0, 0, 0]], [[0, 0, 0], [1, 1, 10**400]], {})
+        ),
     ],
 )
 def test_a_bad_entry_is_named(folder, kind, entry, complaint):
     change(folder, kind, **entry)
-    with pytest.raises(InputError, match=complaint):
+    with pytest.raises(InputError, match=complaint) as caught:
         read_library(folder)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("models", [3, {}, [3], [None], ["table"], [[]]])
+def test_an_index_of_other_things_is_one_line(folder, models):
+    (folder / "index.json").write_text(json.dumps({"models": models}))
+    with pytest.raises(InputError, match=r"index\.json: (models: )?expected|lists no models"):
+        read_library(folder)
+
+
+BAD_PARTS = (
+    {"base_color": None}, {"base_color": -1}, {"base_color": [10**400, 0, 0]}, {"base_color": [1, 2, 3, 4]},
+    {"roughness": None}, {"roughness": 1e300}, {"metallic": {}}, {"normal": [1, {}]}, {"alpha": 3},
+    {"emissive": 3}, {"emissive": "x"}, {"emissive": {"rgb": [1, 2, 3], "scale": 1e300}}, {"transmission": [1, 2]},
+    {"alpha": {"map": 3}}, {"ior": "x"}, {"ply": 3}, {"ply": "a\0"}, {"ply": ".."},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("part", BAD_PARTS, ids=str)
+def test_a_damaged_model_is_one_line(folder, part):
+    path = folder / "models" / "furniture" / "model.json"
+    document = json.loads(path.read_text())
+    document["parts"][0] |= part
+    path.write_text(json.dumps(document, default=str))
+    with pytest.raises(InputError, match="furniture") as caught:
+        load_model(read_library(folder).models[0])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("line", ["element 24", "element vertex -1", "element vertex " + "9" * 30, "element point 24"])
+def test_a_damaged_mesh_is_one_line(folder, line):
+    path = folder / "models" / "furniture" / "0.ply"
+    path.write_bytes(path.read_bytes().replace(b"element vertex 24", line.encode()))
+    with pytest.raises(InputError, match="not a readable PLY mesh"):
+        load_model(read_library(folder).models[0])
+
+
+@pytest.mark.parametrize("name", ["models/furniture/model.json", "models/furniture/0.ply", "wood.png", "sky.exr"])
+def test_a_fifo_among_the_assets_does_not_hang(folder, name):
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    library = read_library(folder)
+    with pytest.raises(InputError, match="not a regular file"):
+        load_model(library.models[0])
+        load_hdri(library.hdris[0])
+        read_picture(library.textures[0].file)
 
 
 def test_unknown_licences_are_used_on_request_only(folder, tmp_path, capsys):

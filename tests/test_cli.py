@@ -1,9 +1,9 @@
 """The command line itself: start-up, help, old spellings, interruptions, consoles and pipes."""
 
 import os
-import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from synthetic import make_frames, write_sequence
@@ -18,7 +18,8 @@ from rtdenoise.cli.main import main
 from rtdenoise.cli.progress import progress_bar
 from rtdenoise.run.denoise import Summary
 
-VERBS = ("denoise", "inspect", "render", "clips", "clean", "train", "evaluate", "report", "view", "export", "demo")
+VERBS = ("denoise", "combine", "inspect", "render", "clips", "clean", "estimates", "train", "evaluate", "report",
+         "view", "export", "demo")  # fmt: skip
 RUN = "from rtdenoise.cli.main import main; import sys; main(sys.argv[1:])"
 
 
@@ -37,15 +38,23 @@ def refused(capsys, *arguments):
     return error
 
 
+HEAVY = {"torch", "mitsuba", "matplotlib", "skimage", "pyoidn", "OpenEXR", "scipy", "PIL", "numpy"}
+MAX_MODULES = 600  # that are imported for --help; 290 with Python 3.11
+MAX_SECONDS = 2.0  # of CPU; 0.25 s on an idle machine
+
+
 def test_help_starts_fast_and_imports_nothing_heavy():
-    heavy = {"torch", "mitsuba", "matplotlib", "skimage", "pyoidn"}
+    """The best of three runs: another process can make a run slower, but not faster."""
     code = ("import sys, time; start = time.process_time()\n"
             "from rtdenoise.cli.main import main\n"
             "try: main(['--help'])\n"
             "except SystemExit: pass\n"
-            f"print('seconds', time.process_time() - start, sorted({heavy} & set(sys.modules)))")  # fmt: skip
-    seconds, imported = re.search(r"seconds (\S+) (.*)", process(code=code).stdout).groups()
-    assert imported == "[]" and float(seconds) < 2.0  # CPU time; 0.25 s on an idle machine
+            f"seconds = time.process_time() - start; print(seconds, len(sys.modules), {HEAVY} & set(sys.modules))"
+            )  # fmt: skip
+    runs = [process(code=code).stdout.splitlines()[-1].split(maxsplit=2) for _ in range(3)]
+    _, modules, imported = runs[0]
+    assert imported == "set()" and int(modules) < MAX_MODULES
+    assert min(float(seconds) for seconds, *_ in runs) < MAX_SECONDS
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -55,6 +64,10 @@ def test_help_of_every_command_names_its_values(verb, capsys):
     shown = capsys.readouterr().out
     assert stop.value.code == 0 and f"rtdenoise {verb}" in shown
     assert "[[" not in shown and "{None}" not in shown and "(default: )" not in shown
+
+
+def test_no_folders_are_none(capsys):
+    assert refused(capsys, "estimates") == "rtdenoise: no clips: name at least one folder of clips\n"
 
 
 def test_version(capsys):
@@ -95,6 +108,13 @@ def test_near_names_are_suggested(tmp_path, capsys):
     line = refused(capsys, "evaluate", shot, "--out", tmp_path / "o", "--methods", "svfg")
     assert "unknown method 'svfg' (did you mean 'svgf'?)" in line
     assert "cycles" in refused(capsys, "inspect", shot, "--preset", "cycels")
+    assert "no command 'denoyse' (did you mean 'denoise'?)" in refused(capsys, "denoyse", shot)
+
+
+def test_missing_references_may_be_in_another_folder(tmp_path, capsys):
+    shot = write_sequence(tmp_path / "shot", [replace(frame, reference=None) for frame in make_frames(2)])
+    line = refused(capsys, "evaluate", shot, "--out", tmp_path / "o", "--methods", "noisy")
+    assert "no layer 'reference'" in line and line.rstrip().endswith("--reference DIR")
 
 
 def test_no_bar_before_an_error(tmp_path, capsys):

@@ -90,6 +90,29 @@ def test_it_writes_what_the_combiner_returns(shot, clean, tmp_path, options, mod
         assert np.allclose(pixels(tmp_path / "out" / f"frame.{i:04d}.exr"), expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("two", [False, True])
+def test_without_a_model_it_needs_no_training(shot, clean, frames, tmp_path, two):
+    torch.manual_seed(1)
+    others = [frame.radiance * (0.5 + torch.rand_like(frame.radiance)) for frame in frames]
+    second = str(write_images(tmp_path / "second", others)) if two else ""
+    run(shot, clean, tmp_path / "out", options=CombineOptions(second=second, samples=8, float32=True))
+    read = list(rtdenoise.open_sequence(shot))
+    noisy = [(frame.radiance + other) / 2 if two else frame.radiance for frame, other in zip(read, others, strict=True)]
+    samples = torch.full_like(read[0].depth, 16 if two else 8)
+    window = Window(
+        tuple(replace(frame, radiance=y, samples=samples) for frame, y in zip(read[:5], noisy, strict=False)),
+        tuple(estimate(frame) for frame in read[:5]),
+        tuple(frame.radiance for frame in read[:5]) if two else (),
+    )
+    expected = rtdenoise.models.Shrinkage().combine(window).image[0].numpy()
+    assert np.allclose(pixels(tmp_path / "out" / "frame.0002.exr"), expected, atol=1e-6)
+    assert not np.allclose(expected, estimate(read[2])[0], atol=1e-3)
+
+
+def test_a_second_render_must_differ(shot, clean, tmp_path, capsys):
+    assert "another seed" in refused(capsys, "combine", shot, clean, "--out", tmp_path / "out", "--second", shot)
+
+
 def test_frames_without_error_stay_as_they_are(shot, tmp_path, options):
     """y = z: nothing to correct, to the bit."""
     run(shot, shot, tmp_path / "out", options=options)
@@ -220,6 +243,12 @@ def test_frames_that_do_not_belong_together_are_refused(shot, clean, tmp_path, m
     for folder in (shot, clean):
         assert "holds the input" in refused(capsys, "combine", shot, clean, "--out", folder, "--model", model)
     assert not list((tmp_path / "out").glob("*.exr"))
+
+
+@pytest.mark.parametrize("samples", [-1, 1_000_001, 10**30])
+def test_samples_beyond_all_sense_are_one_line(shot, clean, tmp_path, samples, capsys):
+    command = ("combine", shot, clean, "--out", tmp_path / "out", "--samples", samples)
+    assert f"--samples: expected 1 to 1000000, or 0 for unknown, got {samples}" in refused(capsys, *command)
 
 
 def test_other_options_are_not_mixed(shot, clean, tmp_path, model, options, capsys):

@@ -1,21 +1,37 @@
 """The combiner: exact where there is nothing to correct, bounded where something is broken, the same in strips."""
 
+import math
+import re
+import shutil
 from dataclasses import replace
 
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 from synthetic import make_frames, write_clips
 
-from rtdenoise.baselines import DeepCombiner, Shrinkage
-from rtdenoise.data.clips import ClipDataset
+from rtdenoise.baselines import DeepCombiner
+from rtdenoise.data.clips import ClipDataset, estimate_path
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.estimates import write_all
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.evaluate.sequence import outputs
+from rtdenoise.files import _machine
 from rtdenoise.frame import Frame
-from rtdenoise.models import COMBINERS, Combiner, CombinerConfig, Window, create, load, load_combiner, losses, save
+from rtdenoise.models import (
+    COMBINERS,
+    Combiner,
+    CombinerConfig,
+    Shrinkage,
+    Window,
+    create,
+    load,
+    load_combiner,
+    losses,
+    save,
+)
 from rtdenoise.models import combiner as module
-from rtdenoise.models.combiner import comparable, two_step
+from rtdenoise.models.window import comparable, two_step
 from rtdenoise.training.config import TrainConfig
 from rtdenoise.training.trainer import Trainer
 
@@ -284,6 +300,24 @@ def test_estimates_are_of_the_clips_own_frames_and_kept(clips):
         ClipDataset(clips).load(1, signal="indirect", estimates="fast")
 
 
+@pytest.mark.parametrize("damage", ["another size", "not finite", "integers", "junk"])
+def test_a_damaged_estimate_is_one_line(clips, tmp_path, damage):
+    folder = shutil.copytree(clips, tmp_path / "clips")
+    path = estimate_path(ClipDataset(folder).paths[0], "fast")
+    light = load_file(path)["color"]
+    changed = {"another size": light[..., :8], "not finite": light * math.nan, "integers": light.int()}.get(damage)
+    path.unlink()
+    path.write_bytes(b"junk") if changed is None else save_file({"color": changed.contiguous()}, path)
+    with pytest.raises(InputError, match=re.escape(str(path))):
+        ClipDataset(folder).load(0, signal="color", size=4, estimates="fast")
+
+
+def test_what_killed_runs_left_among_the_estimates_is_removed(clips):
+    left = clips / "svgf" / f".rtdenoise-999999999-{_machine()}00000000.tmp"
+    left.touch()
+    assert write_all([clips], ["svgf"], ["color"]) == 0 and not left.exists()
+
+
 def test_training_corrects_the_estimate(clips, tmp_path, monkeypatch):
     monkeypatch.setitem(COMBINERS, "tiny", SMALL["causal"])
     config = TrainConfig(
@@ -320,16 +354,91 @@ def halves(noise, bias, size=64):
     return first.clamp(min=0), second.clamp(min=0), torch.full_like(first, 1 + bias)
 
 
+def window_of_pictures(pictures, z, samples=None, motion=True):
+    """Five noisy pictures of a flat white wall that stands still, and its estimates."""
+    def frame(y):
+        B, _, H, W = y.shape
+        still = torch.zeros(B, 2, H, W) if motion else None
+        wall = torch.ones(B, 1, H, W)
+        return Frame(y, torch.ones_like(y), torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1).expand_as(y), wall, still,
+                     still, samples=None if samples is None else samples * wall)  # fmt: skip
+
+    return Window(tuple(map(frame, pictures)), (z,) * len(pictures))
+
+
+def errors_of(*images):
+    return [(image - 1).square().mean().item() for image in images]
+
+
 @pytest.mark.parametrize("with_halves", [True, False])
-def test_shrinkage_takes_the_better_of_both(with_halves):
-    """Little noise and a large bias: about the noisy picture; the reverse: the denoised one; else better than it."""
-    for noise, bias in ((0.02, 0.3), (0.3, 0.0), (0.15, 0.2)):
-        first, second, z = halves(noise, bias)
-        y = (first + second) / 2
-        window = Window((Frame(y),), (z,))
-        image = Shrinkage().combine(window, first if with_halves else None).image
-        error, of_y, of_z = ((x - 1).square().mean().item() for x in (image, y, z))
-        assert error < 1.2 * max(min(of_y, of_z), 0.1 * of_y) and error < max(of_z, 0.1 * of_y)
+@pytest.mark.parametrize(("noise", "bias"), [(0.02, 0.3), (0.3, 0.0), (0.15, 0.2), (0.3, 0.02)])
+def test_shrinkage_takes_the_better_of_both(with_halves, noise, bias):
+    """Little noise and a large bias: about the noisy pictures; the reverse: the denoised one; else better than it."""
+    first, second = ([(1 + noise * torch.randn(1, 3, 64, 64)).clamp(min=0) for _ in range(5)] for _ in range(2))
+    z = torch.full_like(first[0], 1 + bias)
+    window = window_of_pictures([(a + b) / 2 for a, b in zip(first, second, strict=True)], z)
+    if with_halves:
+        window = replace(window, halves=tuple(first))
+    error, of_y, of_z = errors_of(Shrinkage().combine(window).image, window.frames[2].radiance, z)
+    assert error < 1.05 * of_z + 1e-9 and error < 1.2 * max(min(of_y, of_z), 0.1 * of_y)
+
+
+def test_shrinkage_leaves_a_frame_that_nothing_speaks_against():
+    y = torch.rand(1, 3, 16, 16)
+    alone = Window((None, None, Frame(y), None, None), (None, None, y + 0.1, None, None))
+    assert torch.equal(Shrinkage().combine(alone).image, y + 0.1)
+    still = window_of_pictures([y] * 5, y + 0.1, motion=False)
+    assert torch.equal(Shrinkage().combine(still).image, y + 0.1)
+
+
+def test_shrinkage_corrects_edges_of_frames_with_samples_enough():
+    """One sample of an edge pixel shows one surface: its residual repeats though z is right."""
+    z, y = torch.full((1, 3, 32, 32), 1.5), torch.full((1, 3, 32, 32), 1.0)
+    for samples, corrected in ((None, False), (1, False), (4, True)):
+        window = window_of_pictures([y + 0.01 * torch.randn_like(y) for _ in range(5)], z, samples)
+        stepped = tuple(replace(f, depth=f.depth + 9 * (torch.arange(32) >= 16)) for f in window.frames)
+        image = Shrinkage().combine(replace(window, frames=stepped)).image
+        assert (image[..., 15:17].mean() < 1.1) == corrected and image[..., :12].mean() < 1.1
+
+
+def test_the_recurrent_form_finds_a_lasting_error_and_forgets_it_at_cuts():
+    from rtdenoise.frame import History
+    from rtdenoise.models.shrinkage import MAX_LENGTH, correct
+
+    torch.manual_seed(3)
+    window = window_of_pictures([(1 + 0.2 * torch.randn(1, 3, 48, 48)).clamp(min=0) for _ in range(12)], torch.ones(1))
+    z, history, errors = torch.full((1, 3, 48, 48), 1.3), None, []
+    for frame in window.frames:
+        onward = History(z, frame.motion_next, frame.depth, frame.normal)
+        image, history = correct(frame, z, history, onward)
+        errors += errors_of(image)
+    assert errors[0] == pytest.approx(0.09) and errors[1] < 0.05 and errors[-1] < 0.01
+    assert history.residual_length.max() == MAX_LENGTH
+    image, _ = correct(window.frames[0], z, None, onward)
+    assert torch.equal(image, z)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_shrinkage_scales_with_the_light(scale):
+    pictures = [(1 + 0.1 * torch.randn(1, 3, 32, 32)).clamp(min=0) for _ in range(5)]
+    window, scaled = (window_of_pictures([s * y for y in pictures], torch.full_like(pictures[0], 1.2 * s)) for s in
+                      (1.0, scale))  # fmt: skip
+    images = [Shrinkage().combine(one).image for one in (window, scaled)]
+    torch.testing.assert_close(images[1] / scale, images[0], rtol=1e-4, atol=1e-5)
+
+
+def test_shrinkage_is_finite_whatever_comes():
+    window = window_of_pictures([torch.rand(1, 3, 24, 24) for _ in range(5)], torch.rand(1, 3, 24, 24))
+    bad = window.frames[2].radiance.clone()
+    bad[0, 0, 5, 5], bad[0, 1, 9, 9] = torch.nan, torch.inf
+    frames = (*window.frames[:2], replace(window.frames[2], radiance=bad), *window.frames[3:])
+    spoiled = window.estimates[2].clone()
+    spoiled[0, 2, 7, 7] = torch.nan
+    estimates = (*window.estimates[:2], spoiled, *window.estimates[3:])
+    for halves in ((), tuple(frame.radiance for frame in frames)):
+        combined = Shrinkage().combine(Window(frames, estimates, halves))
+        assert combined.image.isfinite().all() and combined.confidence.isfinite().all()
+        assert (combined.image >= 0).all()
 
 
 def test_the_deep_combiner_in_strips_is_the_whole(monkeypatch):

@@ -23,6 +23,7 @@ CONFIGS = {
     "two scales": AccumulatedKPNConfig(widths=(4, 4), scales=2, kernel=3),
     "large kernels": AccumulatedKPNConfig(widths=(4,) * 3, scales=2, kernel=7, temporal_kernel=5),
     "pick": AccumulatedKPNConfig(widths=(4,) * 5, pick_kernel=3, edge_kernel=3),
+    "guided": AccumulatedKPNConfig(widths=(4, 8, 4, 4, 4), guided=True),
     "detail": AccumulatedKPNConfig(widths=(4,) * 5, detail=True),
     "large pick": AccumulatedKPNConfig(widths=(4,) * 5, kernel=3, pick_kernel=5, edge_kernel=5),
 }

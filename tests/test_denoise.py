@@ -71,8 +71,9 @@ def test_layers_are_passed_on_when_asked_and_half_is_the_default(shot, tmp_path,
     assert np.array_equal(before, after)
 
 
-def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, model):
-    options = Options(model=model, float32=True)
+@pytest.mark.parametrize("more", [{}, {"correct": True, "samples": 4}])
+def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, model, more):
+    options = Options(model=model, float32=True, **more)
     denoise(str(shot), tmp_path / "whole", options)
 
     class Stop(Exception):

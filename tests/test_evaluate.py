@@ -3,7 +3,9 @@
 import json
 import math
 import shutil
+import webbrowser
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -17,7 +19,7 @@ from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, choose, evaluate, metho
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.inputs import reference_errors
 from rtdenoise.evaluate.registry import DEFAULTS
-from rtdenoise.evaluate.run import NEEDS, Options, run
+from rtdenoise.evaluate.run import NEEDS, EvaluateOptions, run
 from rtdenoise.files import lock
 from rtdenoise.models import available, find, load
 from rtdenoise.report import report
@@ -59,7 +61,7 @@ def test_weights_that_changed_are_measured_again(shot, tmp_path):
     mine, out = tmp_path / "weights.safetensors", tmp_path / "out"
     for weights in ("fast", "paper"):
         shutil.copy(find(weights), mine)
-        document = run([str(shot)], out, Options((f"mine={mine}", weights)))
+        document = run([str(shot)], out, EvaluateOptions((f"mine={mine}", weights)))
         (ours,) = (r["errors"] for r in document.results if r["method"] == "mine")
         (theirs,) = (r["errors"] for r in document.results if r["method"] == weights)
         assert ours == theirs
@@ -181,10 +183,10 @@ def test_metrics_can_be_chosen_and_what_is_missing_is_measured(shot, tmp_path, m
     (row,) = Document.read(out).results
     assert set(row["errors"]["frame"]) == {"psnr", "psnr_corrected"}
     with pytest.raises(InputError, match="unknown metric 'beauty'; expected some of psnr, psnr_corrected"):
-        run([str(shot)], out, Options(PLAIN, metrics=("beauty",)))
+        run([str(shot)], out, EvaluateOptions(PLAIN, metrics=("beauty",)))
     monkeypatch.setitem(NEEDS, "fovvideovdp", ("nowhere", "pyfvvdp"))
     with pytest.raises(InputError, match="metric fovvideovdp needs a package that is not there: pip install pyfvvdp"):
-        run([str(shot)], out, Options(PLAIN, metrics=("fovvideovdp",)))
+        run([str(shot)], out, EvaluateOptions(PLAIN, metrics=("fovvideovdp",)))
 
 
 def test_the_quality_of_a_sequence_is_one_number(monkeypatch):
@@ -238,40 +240,40 @@ def test_a_run_measures_and_leaves_out_with_reasons(shot, tmp_path, capsys):
 def test_two_runs_do_not_measure_into_one_folder(shot, tmp_path):
     (tmp_path / "out").mkdir()
     with lock(tmp_path / "out"), pytest.raises(InputError, match="another run is writing there"):
-        run([str(shot)], tmp_path / "out", Options(("noisy",)))
-    run([str(shot)], tmp_path / "out", Options(("noisy",)))
+        run([str(shot)], tmp_path / "out", EvaluateOptions(("noisy",)))
+    run([str(shot)], tmp_path / "out", EvaluateOptions(("noisy",)))
 
 
 def test_what_was_measured_is_not_measured_again(shot, tmp_path, monkeypatch):
     out, asked = tmp_path / "out", []
-    run([str(shot)], out, Options(("noisy",)))
+    run([str(shot)], out, EvaluateOptions(("noisy",)))
 
     def count(frames, steps, **options):
         asked.append(list(steps))
         return evaluate(frames, steps, **options)
 
     monkeypatch.setattr("rtdenoise.evaluate.run.evaluate", count)
-    run([str(shot)], out, Options(PLAIN))
+    run([str(shot)], out, EvaluateOptions(PLAIN))
     assert asked == [["accumulate fp32"]]
-    run([str(shot)], out, Options(PLAIN))
+    run([str(shot)], out, EvaluateOptions(PLAIN))
     assert len(asked) == 1
     shutil.rmtree(shot)
     write_sequence(shot, make_frames(4, seed=5))
-    run([str(shot)], out, Options(PLAIN))
+    run([str(shot)], out, EvaluateOptions(PLAIN))
     assert asked[1:] == [["noisy fp32", "accumulate fp32"]]
     assert len(Document.read(out).results) == 2
 
 
 def test_a_method_that_cannot_take_the_frames_is_left_out(tmp_path):
     folder = write_sequence(tmp_path / "bare", make_frames(3), without=("albedo",))
-    document = run([str(folder)], tmp_path / "out", Options(("accumulate", "svgf")))
+    document = run([str(folder)], tmp_path / "out", EvaluateOptions(("accumulate", "svgf")))
     assert [row["method"] for row in document.results] == ["accumulate"]
     assert "layer albedo is missing" in document.skipped[0]["reason"]
 
 
 def test_bad_requests_are_one_line(shot, tmp_path, capsys):
     out = tmp_path / "out"
-    run([str(shot)], out, Options(("noisy",)))
+    run([str(shot)], out, EvaluateOptions(("noisy",)))
     cases = [
         ([str(shot), "--signal", "indirect"], "holds results of the signal 'color'"),
         ([str(shot), "--precision", "int4"], "unknown precision 'int4'"),
@@ -289,11 +291,11 @@ def test_bad_requests_are_one_line(shot, tmp_path, capsys):
         assert expected in message and message.count("\n") == 1
     (shot / "samples.json").write_text("[3]")
     with pytest.raises(InputError, match=r"samples\.json: expected"):
-        run([str(shot)], out, Options(("noisy",)))
+        run([str(shot)], out, EvaluateOptions(("noisy",)))
 
 
 def test_the_file_is_json_without_nan(shot, tmp_path):
-    run([str(shot)], tmp_path, Options(("noisy",)))
+    run([str(shot)], tmp_path, EvaluateOptions(("noisy",)))
     content = json.loads((tmp_path / "evaluation.json").read_text(), parse_constant=pytest.fail)
     assert content["results"][0]["ghost_length"] is None
     (tmp_path / "evaluation.json").write_text('{"format": "other"}')
@@ -303,7 +305,7 @@ def test_the_file_is_json_without_nan(shot, tmp_path):
 
 def test_a_single_frame_is_measured_and_drawn(tmp_path):
     still = write_sequence(tmp_path / "still", make_frames(1), without=("motion", "motion_next"))
-    document = run([str(still)], tmp_path / "out", Options(PLAIN, metrics=("psnr", "tpsnr")))
+    document = run([str(still)], tmp_path / "out", EvaluateOptions(PLAIN, metrics=("psnr", "tpsnr")))
     (row, _) = document.results
     assert row["errors"]["frame"]["psnr"] > 0 and row["ms"]["steps"] == 1
     assert math.isnan(row["errors"]["frame"]["tpsnr"]) and math.isnan(row["ghost_length"])
@@ -330,7 +332,7 @@ HOSTILE = "a $x$ <script>alert(1)</script> | ${y} `z`"
 def test_names_of_folders_mean_nothing_to_the_report(tmp_path):
     name = HOSTILE.replace("/", "")
     shot = write_sequence(tmp_path / name, make_frames(3))
-    run([str(shot)], tmp_path / "out", Options((*PLAIN, "svgf", "paper"), metrics=("psnr", "ssim")))
+    run([str(shot)], tmp_path / "out", EvaluateOptions((*PLAIN, "svgf", "paper"), metrics=("psnr", "ssim")))
     report(tmp_path / "out")
     text = (tmp_path / "out" / "report.md").read_text()
     assert "<script>" not in text and "&lt;script&gt;" in text and r"\$x\$" in text and r"\|" in text
@@ -343,7 +345,7 @@ def content(tmp_path_factory):
     """An evaluation.json as JSON."""
     folder = tmp_path_factory.mktemp("content")
     shot = write_sequence(folder / "shot", make_frames(2))
-    run([str(shot)], folder / "out", Options(("noisy",), metrics=("psnr",)))
+    run([str(shot)], folder / "out", EvaluateOptions(("noisy",), metrics=("psnr",)))
     return json.loads((folder / "out" / "evaluation.json").read_text())
 
 
@@ -404,10 +406,13 @@ def test_references_in_other_files(tmp_path, capsys):
 def test_the_report_opens_in_a_browser(shot, tmp_path, monkeypatch, capsys):
     out, opened = tmp_path / "out", []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
-    run([str(shot)], out, Options(PLAIN, metrics=("psnr",)))
+    run([str(shot)], out, EvaluateOptions(PLAIN, metrics=("psnr",)))
     for _ in range(2):
         main(["view", str(out)])
     assert opened == [(out / "report.html").resolve().as_uri()] * 2 and (out / "report.html").is_file()
+    monkeypatch.setattr("webbrowser.open", Mock(side_effect=webbrowser.Error("could not locate runnable browser")))
+    main(["view", str(out)])
+    assert f"no browser to be found here; the report is {out / 'report.html'}" in capsys.readouterr().out
     with pytest.raises(SystemExit, match="2"):
         main(["view", str(tmp_path / "nowhere")])
     assert "rtdenoise evaluate SEQ --out" in capsys.readouterr().err

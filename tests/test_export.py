@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 
 from rtdenoise.cli.main import main
+from rtdenoise.errors import InputError
 from rtdenoise.frame import CHANNELS
 from rtdenoise.glsl import Pipeline
 from rtdenoise.glsl.export import export
 from rtdenoise.glsl.sample import sample_frames
+from rtdenoise.models import CombinerConfig, create, save
 
 PLAYER = Path(__file__).parent.parent / "examples" / "engines" / "player.py"
 SIZE = (19, 34)
@@ -136,3 +138,21 @@ def test_wrong_options_are_one_line(tmp_path, capsys, options, told):
         main(["export", "--out", str(tmp_path / "out"), *options])
     error = capsys.readouterr().err
     assert stop.value.code == 2 and told in error and error.count("\n") == 1
+
+
+def test_a_combiner_is_one_line(tmp_path):
+    save(create(CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3)), tmp_path / "combiner.safetensors")
+    with pytest.raises(InputError, match=r"is a combiner, .* expected a denoiser"):
+        export(tmp_path / "out", str(tmp_path / "combiner.safetensors"), (16, 16))
+
+
+@pytest.mark.parametrize("does", [r"printf 'bad \\377 line\\nmore\\n'; exit 3", "exit 0"])
+def test_a_broken_compiler_is_one_line(tmp_path, monkeypatch, does):
+    """It complains in bytes that are no text, or writes no file."""
+    compiler = tmp_path / "glslangValidator"
+    compiler.write_text(f"#!/bin/sh\n{does}\n")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
+    with pytest.raises(InputError, match=r"\.comp: .*glslangValidator rejects it: (bad|exit code 0)") as caught:
+        export(tmp_path / "out", "fast", (9, 5))
+    assert "\n" not in str(caught.value)

@@ -5,7 +5,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rtdenoise.models import PRESETS, create, grow, read
+from rtdenoise.errors import InputError
+from rtdenoise.frame import Frame
+from rtdenoise.glsl import Pipeline
+from rtdenoise.models import PRESETS, create, grow, read, save
+from rtdenoise.run.tiles import Tiled
 
 FEATURES = PRESETS["fast"].features
 WIDE = replace(PRESETS["fast"], widths=(20, 24, 40, 50, 70))
@@ -111,3 +115,49 @@ def test_a_pick_kernel_of_another_size_is_refused(wanted):
 def test_a_network_of_another_kind_does_not_grow():
     with pytest.raises(ValueError, match="wider"):
         grow(read("paper"), create(WIDE).config)
+
+
+def test_guided_attention_begins_as_nothing_and_learns(small):
+    """The very same picture at step 0, though it is another network: its last convolution is 0, and has a gradient."""
+    torch.manual_seed(0)
+    wanted = replace(small.config, guided=True)
+    model, inputs = grow(small, wanted), torch.rand(2, FEATURES, 52, 80)
+    before, after = small.predict(inputs), model.predict(inputs)
+    for a, b in zip(before.spatial + before.alpha, after.spatial + after.alpha, strict=True):
+        assert torch.equal(b, a)
+    frame = Frame(*(torch.rand(1, n, 45, 70) for n in (3, 3, 3, 1)))
+    with torch.no_grad():
+        assert torch.equal(model.step(frame)[0], small.step(frame)[0])
+    after.spatial[2].square().mean().backward()
+    assert model.refine.out.weight.grad.abs().max() > 0
+    with torch.no_grad():
+        model.refine.out.weight.normal_(std=0.1)
+    again = grow(model, replace(wanted, widths=(20, 24, 40, 50, 70))).predict(inputs)
+    for a, b in zip(model.predict(inputs).spatial, again.spatial, strict=True):
+        torch.testing.assert_close(b, a)
+    with pytest.raises(ValueError, match="or wider at any level"):
+        grow(model, replace(wanted, widths=(20, 32, 40, 50, 70)))
+
+
+def test_guided_attention_in_tiles_is_the_whole(assert_images_close):
+    torch.manual_seed(0)
+    model = create(replace(PRESETS["fast"], widths=(8, 16, 8), scales=3, guided=True)).eval().requires_grad_(False)
+    model.refine.out.weight.normal_(std=0.3)
+    frame = Frame(*(torch.rand(1, n, 200, 460) for n in (3, 3, 3, 1)))
+    with torch.inference_mode():
+        whole, _ = model.step(frame)
+        tiled, _ = Tiled(model, tile=64).step(frame)
+        model.refine.out.weight.zero_()
+        assert not torch.allclose(whole, model.step(frame)[0])
+    assert_images_close(tiled.numpy(), whole.numpy(), "float32 tiles")
+
+
+def test_a_guided_network_has_no_shaders(tmp_path):
+    path = tmp_path / "guided.safetensors"
+    save(create(replace(WIDE, guided=True)), path)
+    with pytest.raises(InputError, match="no shaders for networks of the kind 'accumulated_kpn' that are guided"):
+        Pipeline.load(path)
+    with pytest.raises(
+        ValueError, match="guided: expected 3 scales or more and a second width"
+    ):
+        replace(WIDE, widths=(20, 25, 40, 50, 70), guided=True)

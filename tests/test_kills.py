@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-KILLS = {"denoise": 4, "evaluate": 1, "train": 1}
+KILLS = {"denoise": 4, "combine": 2, "evaluate": 1, "train": 1}
 
 
 def test_killed_at_random_and_run_again():

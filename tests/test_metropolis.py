@@ -95,6 +95,7 @@ class Strip:
 
     height: int = 1
     width: int = 16
+    pixels: int = 16
     dimensions: int = 1
 
 
@@ -273,10 +274,10 @@ def test_a_sequence_resumes_with_its_own_options_only(tmp_path):
     found = read_channels(paths[0], names)
     for c in "RGB":  # half floats
         np.testing.assert_allclose(found[f"large.{c}"] + found[f"small.{c}"], found[c], rtol=2e-3, atol=1e-6)
-    assert json.loads((tmp_path / "scene.json").read_text())["render"]["chains"] == 64
+    assert json.loads((tmp_path / "scene.json").read_text())["rendered"]["metropolis"]["chains"] == 64
 
     for other in (replace(options, spp=4), replace(options, metropolis=None)):
-        with pytest.raises(InputError, match=r"rendered with integrator = pssmlt, .*expected .*choose another --out"):
+        with pytest.raises(InputError, match=r"rendered with other options: (spp 2, now 4|metropolis .*now None);"):
             render_sequence(room(), tmp_path, 2, other, progress=lambda line: None)
 
 

@@ -13,6 +13,8 @@ from test_denoise import pixels, refused
 import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header
+from rtdenoise.data.stored import read_history, write_history
+from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, outputs
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import Frame
@@ -20,8 +22,9 @@ from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, save
 from rtdenoise.run import passes as passes_module
 from rtdenoise.run.combination import WEIGHTS, WEIGHTS_WITHOUT_OIDN, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
-from rtdenoise.run.offline import ESTIMATES, read_estimate, write_estimate
+from rtdenoise.run.offline import ESTIMATES
 from rtdenoise.run.passes import Estimate, InMemory, Passes, reverse, two_sided
+from rtdenoise.run.stored_estimate import read_estimate, write_estimate
 
 TINY = AccumulatedKPNConfig(widths=(4, 4, 4), scales=2, kernel=3)
 NAMES = [f"frame.{i:04d}.exr" for i in range(4)]
@@ -106,6 +109,55 @@ def test_lost_estimates_start_the_run_anew(shot, tmp_path, options):
         path.unlink()
     assert denoise(str(shot), out, options).skipped == 0
     assert_same(out, tmp_path / "whole")
+
+
+DAMAGE = {  # what -> fields and metadata of a stored estimate, changed
+    "another size": lambda fields, facts: ({name: a[..., :5] for name, a in fields.items()}, facts),
+    "no mean": lambda fields, facts: ({name: a for name, a in fields.items() if name != "mean"}, facts),
+    "nothing": lambda fields, facts: ({}, facts),
+    "no scales": lambda fields, facts: (fields, {"first": "1"}),
+    "scales that are no JSON": lambda fields, facts: (fields, facts | {"scales": "{"}),
+    "a list of scales": lambda fields, facts: (fields, facts | {"scales": "[1]"}),
+    "scales that are no numbers": lambda fields, facts: (fields, facts | {"scales": '{"radiance": [1]}'}),
+    "scales beyond all numbers": lambda fields, facts: (fields, facts | {"scales": '{"radiance": 1e300}'}),
+    "not a word of the shot's start": lambda fields, facts: (fields, {"scales": facts["scales"]}),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_estimate_is_one_line(shot, tmp_path, options, damage, capsys):
+    out = tmp_path / "out"
+    with pytest.raises(Stop):
+        denoise(str(shot), out, options, on_frame=stop_after(4))
+    path = out / ESTIMATES / "000003.safetensors"
+    write_history(path, *DAMAGE[damage](*read_history(path)))
+    command = ("denoise", shot, "--out", out, "--model", options.model, "--offline", "--float32")
+    line = refused(capsys, *command)
+    assert str(path) in line or "not finite" in line
+    assert not list(out.glob("*.exr"))
+
+
+def test_the_folder_of_estimates_is_never_a_link(shot, tmp_path, options):
+    """Estimates would be written beside --out."""
+    elsewhere, out = tmp_path / "elsewhere", tmp_path / "out"
+    elsewhere.mkdir(), out.mkdir()
+    (out / ESTIMATES).symlink_to(elsewhere)
+    for kind in ("link", "file"):
+        with pytest.raises(InputError, match="not a folder of this program; remove it"):
+            denoise(str(shot), out, options)
+        assert not list(elsewhere.iterdir())
+        (out / ESTIMATES).unlink()
+        if kind == "link":
+            (out / ESTIMATES).touch()
+    denoise(str(shot), out, options)
+
+
+def test_other_files_among_the_estimates_stay(shot, tmp_path, options):
+    foreign = tmp_path / "out" / ESTIMATES / "mine.txt"
+    foreign.parent.mkdir(parents=True)
+    foreign.write_text("mine")
+    denoise(str(shot), tmp_path / "out", options)
+    assert [path.name for path in foreign.parent.iterdir()] == ["mine.txt"]
 
 
 def test_frames_in_memory_and_on_disk_agree(shot, tmp_path, options, model):
@@ -270,14 +322,14 @@ def test_the_frame_itself_counts_once_in_the_mean_of_both_sides():
 def test_estimates_survive_the_disk(tmp_path, scale):
     stored = estimate(scale * torch.rand(1, 3, 8, 8), 3.0, first=True)
     write_estimate(tmp_path / "e.safetensors", stored)
-    found = read_estimate(tmp_path / "e.safetensors", "cpu")
+    found = read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8))
     assert found.first and torch.allclose(found.image, stored.image, rtol=1e-3)
     assert torch.equal(found.length, stored.length)
 
 
 def test_a_black_estimate_survives_too(tmp_path):
     write_estimate(tmp_path / "e.safetensors", estimate(torch.zeros(1, 3, 8, 8), 1.0))
-    assert not read_estimate(tmp_path / "e.safetensors", "cpu").image.any()
+    assert not read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8)).image.any()
 
 
 # --- evaluate ---------------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """The renderer: radiance against Mitsuba's own integrator, motion against the pictures, clips on disk."""
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtdenoise.data.clips import FEATURES, RADIANCE, ClipDataset, clip_path, read_facts
-from rtdenoise.data.exr import read_channels, read_header
+from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.files import lock
 from rtdenoise.frame import OFF_SCREEN
@@ -29,8 +30,8 @@ from rtdenoise.render.scenes import meshes, procedural, textures
 from rtdenoise.render.scenes.motions import CameraPath, Motion
 from rtdenoise.render.scenes.named import open_scene
 from rtdenoise.render.scenes.sample import sample
-from rtdenoise.render.scenes.scene import Material, Object, Scene
-from rtdenoise.render.sequence import render_sequence
+from rtdenoise.render.scenes.scene import Material, Object, Scene, Sun
+from rtdenoise.render.sequence import render_sequence, write_scene_json
 from rtdenoise.render.stage import Stage, find_llvm, start_mitsuba
 
 SIZE = (64, 96)
@@ -282,15 +283,73 @@ def test_sequence_resumes_where_it_stopped(shot, tmp_path):
     assert visible == ["frame.0004.exr", "frame.0005.exr", "scene.json"]
 
 
+def test_frames_of_other_options_are_not_mixed(shot, tmp_path):
+    """Of every option that changes pixels; a run with the same ones goes on."""
+    folder = shutil.copytree(shot[0], tmp_path / "shot")
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    sun = Sun((0.0, 1.0, 0.0), (1.0, 1.0, 1.0))
+    file = tmp_path / "room.xml"
+    file.write_text(XML)
+    room = small_room()
+    for scene, options, complaint in (
+        (room, {"spp": 4}, f"spp {OPTIONS.spp}, now 4;"),
+        (room, {"reference_spp": 0}, f"reference-spp {OPTIONS.reference_spp}, now 0;"),
+        (room, {"max_depth": 3, "seed": 7}, f"max-depth {OPTIONS.max_depth}, now 3, seed {OPTIONS.seed}, now 7;"),
+        (room, {"size": (24, 40)}, "width 96, now 40, height 64, now 24;"),
+        (replace(room, sun=sun), {}, "scene small room, now small room, with a sun;"),
+        (replace(room, file=file), {}, "scene small room, now room.xml with SHA-256 "),
+        (replace(room, facts={"pictures": {"folder": "tiles"}}), {}, "textures None, now tiles;"),
+    ):
+        for first in (4, 6):  # the same frames, and others
+            with pytest.raises(InputError, match="holds frames rendered with other options: ") as caught:
+                render_sequence(scene, folder, 2, replace(OPTIONS, **options), first, progress=None)
+            assert complaint in str(caught.value) and str(caught.value).startswith(f"{folder}: ")
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert len(render_sequence(room, folder, 2, OPTIONS, first=4, progress=None)) == 2  # nothing is rendered
+    document = json.loads(before["scene.json"])
+    del document["rendered"]["seed"]  # of a version without this option: its default was in use
+    (folder / "scene.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=f"seed {RenderOptions().seed}, now {OPTIONS.seed};"):
+        render_sequence(room, folder, 2, OPTIONS, first=4, progress=None)
+
+
+def test_options_of_frames_that_record_none(shot, tmp_path):
+    """Frames of an older version are taken on trust, and stay so; options without a frame bind nobody."""
+    folder = shutil.copytree(shot[0], tmp_path / "shot")
+    document = shot[1] | {"frames": shot[1]["frames"]}
+    del document["rendered"]
+    (folder / "scene.json").write_text(json.dumps(document))
+    render_sequence(small_room(), folder, 2, replace(OPTIONS, spp=4), first=4, progress=None)
+    assert "rendered" not in json.loads((folder / "scene.json").read_text())
+    for frame in folder.glob("*.exr"):
+        frame.unlink()
+    write_scene_json(small_room(), folder / "scene.json", range(4, 6), replace(OPTIONS, spp=4), begun=False)
+    write_scene_json(small_room(), folder / "scene.json", range(4, 6), replace(OPTIONS, spp=2), begun=False)
+    assert json.loads((folder / "scene.json").read_text())["rendered"]["spp"] == 2
+
+
+@pytest.mark.parametrize("content, complaint", [(b"junk", "frame.0004.exr: "), (None, "is 4×4, expected 96×64")])
+def test_a_kept_frame_is_one_of_this_run(shot, tmp_path, content, complaint):
+    path = tmp_path / "frame.0004.exr"
+    path.write_bytes(content) if content else write_layers(path, {"color": np.zeros((4, 4, 3), np.float32)})
+    with pytest.raises(InputError, match=complaint):
+        render_sequence(small_room(), tmp_path, 2, OPTIONS, first=4, progress=None)
+
+
 def test_two_runs_do_not_render_into_one_folder(tmp_path):
     with lock(tmp_path), pytest.raises(InputError, match="another run is writing there"):
         render_sequence(small_room(), tmp_path, 1, OPTIONS)
 
 
-@pytest.mark.parametrize("content", ["[]", "{}", '{"frames": 3}', '{"frames": [1]}', "{"])
-def test_a_damaged_scene_json_of_an_earlier_run_is_one_line(tmp_path, content):
+@pytest.mark.parametrize("begun", [False, True])
+@pytest.mark.parametrize(
+    "content", ["[]", "{}", '{"frames": 3}', '{"frames": [1]}', "{", '{"rendered": 3}', '{"rendered": {"spp": [{}]}}']
+)
+def test_a_damaged_scene_json_of_an_earlier_run_is_one_line(tmp_path, content, begun):
     (tmp_path / "scene.json").write_text(content)
-    with pytest.raises(InputError, match=r"scene\.json: ") as caught:
+    if begun:
+        (tmp_path / "frame.0000.exr").touch()
+    with pytest.raises(InputError, match=f"^{tmp_path}") as caught:
         render_sequence(small_room(), tmp_path, 1, OPTIONS)
     assert "\n" not in str(caught.value) and (tmp_path / "scene.json").read_text() == content
 

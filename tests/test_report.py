@@ -20,7 +20,7 @@ from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.evaluate.document import Document
-from rtdenoise.evaluate.run import Options, run
+from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.report import report
 
 ARTEFACTS = Path(__file__).parent / "artefacts"
@@ -35,7 +35,7 @@ def measured(tmp_path_factory):
     write_sequence(square / "spp4", make_frames(3, H=36, W=64, noise=0.5), without=("reference", "reference_half"))
     (square / "samples.json").write_text('{"sample_ms": 10.0}')
     out = folder / "out"
-    run([str(SAMPLE), str(square)], out, Options(METHODS, spp=(1, 4), signal="indirect", frames=3))
+    run([str(SAMPLE), str(square)], out, EvaluateOptions(METHODS, spp=(1, 4), signal="indirect", frames=3))
     document = Document.read(out)
     decisions = [("warp of history", "3 of 3 frames examined", "where nothing moves"), ("tiles", "never", "small")]
     document.sequences["mural"]["plan"] = {

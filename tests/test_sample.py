@@ -4,10 +4,12 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 from synthetic import make_frames, write_sequence
 
 from rtdenoise.cli.main import main
 from rtdenoise.data.sequences import open_sequence
+from rtdenoise.errors import InputError
 from rtdenoise.evaluate import uncovered
 from rtdenoise.evaluate.demo import SAMPLE, demo
 from rtdenoise.models import available
@@ -34,6 +36,26 @@ def test_the_sample_is_what_its_readme_says():
 
 def test_its_motion_follows_the_convention():
     assert inspect(SAMPLE).convention.status == "ok"
+
+
+def test_the_packaged_part_is_a_window_of_the_same_frames():
+    part = ROOT / "samples" / "mural-window"
+    assert sum(path.stat().st_size for path in part.iterdir()) < 2e6
+    both = (open_sequence(folder, signal="indirect", layers=("reference",)) for folder in (SAMPLE, part))
+    for whole, cut in zip(*both, strict=True):
+        for name in ("radiance", "albedo", "normal", "depth", "motion", "motion_next"):
+            assert torch.equal(getattr(whole, name)[..., 26:138, 20:204], getattr(cut, name)), name
+        error = (whole.reference[..., 26:138, 20:204] - cut.reference).square().mean()
+        assert 10 * torch.log10(cut.reference.max().square() / error) > 38  # dB; denoisers reach 25
+
+
+def test_the_packaged_part_is_taken_where_the_whole_is_not_there(tmp_path, monkeypatch):
+    monkeypatch.setattr("rtdenoise.evaluate.demo.SAMPLE", tmp_path / "none")
+    monkeypatch.setattr("rtdenoise.evaluate.demo.WINDOW", ROOT / "samples" / "mural-window")
+    demo(tmp_path / "out", methods=("noisy", "accumulate"))
+    assert (tmp_path / "out" / "strip.png").is_file()
+    with pytest.raises(InputError, match="--signal color: the packaged sample has indirect light alone"):
+        demo(tmp_path / "out", signal="color")
 
 
 @pytest.mark.parametrize("model", ["paper", "default"])

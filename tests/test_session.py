@@ -179,6 +179,12 @@ BAD = {
     "another size": ({"normal": np.zeros((8, 9, 3), np.float32)}, r"normal: expected 8×8 as color .*, got 9×8"),
     "a word": ({"color": "frame.exr"}, "color: expected a numpy array or a torch tensor, got str"),
     "nothing": ({"color": None}, "color: expected a numpy array or a torch tensor, got NoneType"),
+    "a sparse tensor": ({"color": torch.zeros(8, 8, 3).to_sparse()}, "color: expected a dense .*, got a sparse_"),
+    "no values": ({"depth": torch.zeros(8, 8, device="meta")}, "depth: expected a dense tensor .*, got a meta one"),
+    "nested": (
+        {"normal": torch.nested.nested_tensor([torch.zeros(8, 3)], layout=torch.jagged)},
+        "normal: expected a dense .*, got a nested one",
+    ),
     "a ragged list": ({"color": [[1.0], [1.0, 2.0]]}, "color: expected a numpy array or a torch tensor, got list"),
 }
 
@@ -228,3 +234,28 @@ def test_help_states_shapes_units_and_errors():
         assert not [word for word in words if word not in text], f"{name}: {text}"
     text = models.load("fast").step.__doc__
     assert all(word in text for word in ("[B, 3, H, W]", "history", "InputError"))
+
+
+def test_frames_are_corrected_by_those_before(frames):
+    """A pattern that no feature shows is blurred; from the second frame on its residuals agree."""
+    pattern = 0.5 + (torch.arange(24)[:, None] + torch.arange(32)) % 2
+    still = torch.zeros_like(frames[0].motion)
+    frames = [replace(frames[0], radiance=pattern.expand(1, 3, 24, 32).clone(), motion=still, motion_next=still,
+                      albedo=torch.ones_like(frames[0].albedo))] * 4  # fmt: skip
+    plain, corrected = play(frames, batches), play(frames, batches, correct=True, samples=16)
+    assert torch.equal(plain[0], corrected[0])
+    before, after = ((images[3] - pattern).square().mean() for images in (plain, corrected))
+    assert after < 0.5 * before
+    network, history, images = models.load("fast"), None, []
+    with torch.inference_mode():
+        for frame in frames:
+            known = replace(frame, samples=torch.full_like(frame.depth, 16))
+            image, history = models.shrinkage.corrected(network.step)(known, history)
+            images.append(image)
+    for image, wanted in zip(corrected, images, strict=True):
+        torch.testing.assert_close(image, wanted)
+
+
+def test_the_correction_needs_torch_and_shaders_refuse_it():
+    with pytest.raises(InputError, match="PyTorch alone"):
+        rtdenoise.Denoiser("fast", backend="glsl", correct=True)

@@ -1,6 +1,7 @@
 """`rtdenoise clips SHOT …`: training clips from frames on disk."""
 
 import json
+import os
 from dataclasses import replace
 
 import pytest
@@ -97,6 +98,13 @@ def test_bad_pixels_do_not_get_into_clips(tmp_path):
     frames = [with_bad_pixels(frame) for frame in make_frames(4, H=26, W=36)]
     data = cut(tmp_path / "clips", write_sequence(tmp_path / "bad", frames))
     assert all(t.isfinite().all() for i in range(len(data)) for f in data.load(i) for _, t in f.layers())
+
+
+def test_names_that_are_no_text(tmp_path, shot):
+    strange = tmp_path / os.fsdecode(b"shot\xff")
+    shot.rename(strange)
+    cut(tmp_path / "clips", strange)
+    assert r"shot\udcff" in (tmp_path / "clips" / "DATA.md").read_text()
 
 
 def test_what_cannot_be_cut_is_one_line(tmp_path, shot, capsys):

@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from synthetic import write_sequence
 
-from rtdenoise import models
+from rtdenoise import models, open_sequence, ops
+from rtdenoise.data.exr import read_channels
 from rtdenoise.frame import Frame
 from rtdenoise.glsl import Pipeline
 from rtdenoise.ops.even_sky import even_sky
+from rtdenoise.run.denoise import denoise
+from rtdenoise.run.options import Options
 
 SKY = torch.tensor([0.5, 0.7, 1.0]).reshape(1, 3, 1, 1)
 H, W = 40, 56
@@ -40,6 +44,14 @@ def open_sky(frame, beside=1):
     return (torch.nn.functional.max_pool2d(hit, 2 * beside + 1, 1, beside) == 0).expand(1, 3, H, W)
 
 
+def shows_sky(frame):
+    """Pixels that hit nothing, nor do the four at their sides."""
+    hit = (frame.depth > 0).float()
+    pool = torch.nn.functional.max_pool2d
+    sides = pool(hit, (3, 1), 1, (1, 0)).maximum(pool(hit, (1, 3), 1, (0, 1)))
+    return (sides == 0).expand(1, 3, H, W)
+
+
 def through_torch(model, frames, precision="fp32"):
     denoiser, history = models.load(model, precision=precision), None
     with torch.inference_mode():
@@ -60,7 +72,19 @@ def through_shaders(model, frames):
 def test_an_even_sky_has_no_outlines(run, model):
     frames = list(ball_in_the_sky())
     for frame, image in zip(frames, run(model, frames), strict=True):
-        kept = open_sky(frame)
+        kept = shows_sky(frame)
+        assert (kept & ~open_sky(frame)).any(), "a pixel with a silhouette at a corner alone"
+        assert torch.equal(image[kept], frame.radiance[kept])
+        assert not torch.equal(image[~kept], frame.radiance[~kept])
+
+
+def test_the_offline_mode_keeps_an_even_sky(tmp_path):
+    frames = list(ball_in_the_sky())
+    shot = write_sequence(tmp_path / "shot", frames)
+    denoise(str(shot), tmp_path / "out", Options(offline=True, float32=True))
+    for frame, path in zip(open_sequence(shot), sorted((tmp_path / "out").glob("*.exr")), strict=True):
+        image = torch.from_numpy(np.stack(list(read_channels(path, "RGB").values())))[None]
+        kept = shows_sky(frame)
         assert torch.equal(image[kept], frame.radiance[kept])
         assert not torch.equal(image[~kept], frame.radiance[~kept])
 
@@ -79,7 +103,7 @@ def test_edges_gradients_and_sparse_light_are_left_to_the_filter():
     sparse = torch.where(torch.rand(1, 1, H, W, generator=torch.Generator().manual_seed(1)) < 0.03, 8.0, 0.0)
     for light in (gradient, sparse.expand(1, 3, H, W)):
         assert torch.equal(even_sky(filtered, light.expand_as(filtered), torch.zeros_like(frame.depth)), filtered)
-    beside = ~open_sky(frame)
+    beside = ~shows_sky(frame)
     assert torch.equal(even_sky(filtered, frame.radiance, frame.depth)[beside], filtered[beside])
     assert even_sky(filtered, frame.radiance, torch.ones_like(frame.depth)) is filtered
 
@@ -90,6 +114,23 @@ def test_a_pixel_of_another_colour_is_filtered_with_its_neighbourhood():
     filtered, nothing = torch.zeros_like(sky), torch.zeros(1, 1, H, W)
     kept = (even_sky(filtered, sky, nothing) != 0)[0, 0]
     assert not kept[:16, :16].any() and kept[16:].all() and kept[:, 16:].all()
+
+
+@pytest.mark.parametrize("choice", ["plain", "fused"])
+def test_a_gap_without_open_sky_around_it_is_filtered(choice):
+    """Sky between leaves: nothing tells whether it is even."""
+    y, x = torch.meshgrid(torch.arange(H), torch.arange(W), indexing="ij")
+    leaves = ((x % 2 == 0) & (y % 2 == 0)).float()[None, None]
+    filtered, sky = torch.zeros(1, 3, H, W), SKY.expand(1, 3, H, W).contiguous()
+    with ops.use(choice):
+        assert torch.equal(even_sky(filtered, sky, leaves), filtered)
+        mixed = sky.clone()
+        mixed[..., 20, 20] *= 0.9  # partly covered, by a leaf at a corner
+        far = torch.zeros(1, 1, H, W)
+        far[..., 21, 21] = 1.0
+        kept = (even_sky(filtered, mixed, far) != 0)[0, 0]
+    assert not kept[20:22, 20].any() and not kept[20, 21] and not kept[21, 21]
+    assert kept[22, 22] and kept[22, 20] and kept[20, 22] and kept[:19].all()
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 9), (17, 8)])

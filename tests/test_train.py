@@ -260,6 +260,12 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
             train(replace(config, **{wrong: "x"}))
     with pytest.raises(InputError, match="steps: expected 1 or more, got 0"):
         train(replace(config, steps=0))
+    for name in ("steps", "batch", "frames", "size", "validate_every", "warmup"):
+        with pytest.raises(InputError, match=f"{name}: expected .* at most, got 1000"):
+            train(replace(config, **{name: 10**30}))
+    for wrong in ({"seed": -1}, {"seed": 10**30}, *({"lr": lr} for lr in (0.0, -1.0, math.nan, math.inf, 1e300))):
+        with pytest.raises(InputError, match=f"{min(wrong)}: expected "):
+            train(replace(config, **wrong))
     with pytest.raises(InputError, match=r"relight: expected a share from 0 to 1, got 30"):
         train(replace(config, relight=30))
     with pytest.raises(InputError, match="no clips"):

@@ -35,8 +35,9 @@ from rtdenoise.render.scenes.named import open_scene
 from rtdenoise.render.scenes.scene import Scene
 from rtdenoise.render.sequence import render_sequence
 from rtdenoise.render.stage import Stage
-from rtdenoise.render.windows import Window, choose, look_through
-from rtdenoise.render.workers import only_run, run_jobs
+from rtdenoise.render.windows import ClipWindow, choose, look_through
+from rtdenoise.render.workers import KILLED, only_run
+from rtdenoise.run.processes import Processes
 
 ROOT = Path(__file__).parent.parent
 TINY = ClipOptions(count=6, size=(32, 32), frames=3, seed=5, reference_range=(4, 8), workers=1)
@@ -138,7 +139,7 @@ def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
 
 
 def test_windows_are_chosen_where_most_is_uncovered():
-    windows = [Window(0, 0, x, 0.01 * x, 1.0) for x in range(0, 33, 8)]
+    windows = [ClipWindow(0, 0, x, 0.01 * x, 1.0) for x in range(0, 33, 8)]
     rng = np.random.default_rng(0)
     first = choose(windows, [], (32, 32), 10, True, rng)
     second = choose(windows, [first], (32, 32), 10, True, rng)
@@ -150,7 +151,7 @@ def test_windows_are_chosen_where_most_is_uncovered():
 def test_a_window_is_a_part_of_the_picture():
     scene = wide.procedural(4)
     stage = Stage(scene)
-    view, window = (48, 64), Window(0, 8, 20, 0.0, 0.0)
+    view, window = (48, 64), ClipWindow(0, 8, 20, 0.0, 0.0)
     whole = describe_frame(scene, 3, view)["world_to_pixel"]
     part = describe_frame(look_through(stage, window, view).scene, 3, (16, 24))["world_to_pixel"]
     point = np.array([0.3, 0.7, -3.0, 1.0])
@@ -399,7 +400,7 @@ def test_a_killed_worker_is_one_line():
 
     threading.Thread(target=kill, daemon=True).start()
     with pytest.raises(InputError, match="a rendering process was killed"):
-        list(run_jobs(time.sleep, [(60,)], 1))
+        list(Processes(1).run(time.sleep, [(60,)], torch.set_num_threads, KILLED))
 
 
 def test_two_runs_into_one_folder(tmp_path, capsys):
@@ -448,7 +449,18 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
         ("clips --generator 1 --reference-spp 0", "need references; expected 2 or more, got 0"),
         ("clips --generator 1 --sun 1", "--sun: goes with --generator 2 and 3, not with 1"),
         ("clips --motions x", "go with --scenes"),
+        ("clips --seed -1", "--seed: expected 0 or more, got -1"),
         ("render", "nothing to render: name a scene"),
+        ("clips --count 99999999999999999999", "--count: expected 10000000 at most, got 99999999999999999999"),
+        (f"render sample --spp {10**30}", "--spp: expected 16777216 at most, got 1000"),
+        (f"render sample --max-depth {10**30}", "--max-depth: expected 10000 at most, got 1000"),
+        (f"render sample --reference-spp {10**30}", "--reference-spp: expected 16777216 at most, got 1000"),
+        ("render sample --frames 1000000000000", "--frames: expected 1000000 at most, got 1000000000000"),
+        ("render sample --size 200000", "--size: expected 65536 at most, got 200000"),
+        ("render sample --size 4096 --spp 256", "4096×4096 pixels take 4294967296 paths a frame, expected 4294967295"),
+        (f"render wide:{'9' * 5000}", "unknown scene 'wide:999"),
+        ("render sample --seed -1", "--seed: expected 0 or more, got -1"),
+        ("render sample --reference-spp -2", "--reference-spp: expected 0 or more, got -2"),
         ("render --clips 2", "rtdenoise clips --count 2 --out "),
         ("render --clips=2", "--generator 1"),
         ("render --preset train --clips 2 --sun 1", "rtdenoise clips --count 2 --sun 1 --out "),

@@ -13,6 +13,7 @@ def test_wheel_holds_the_package_its_shaders_and_nothing_else(wheel):
     shaders = [path.relative_to(ROOT).as_posix() for path in (ROOT / "shaders").rglob("*.glsl")]
     assert {f"rtdenoise/{name}" for name in shaders} <= set(names)
     assets = [path.relative_to(ROOT).as_posix() for path in (ROOT / "rtdenoise" / "report" / "assets").iterdir()]
+    assert "rtdenoise/sample/mural-window/frame.0008.exr" in names
     assert "rtdenoise/report/assets/report.html" in assets and set(assets) <= set(names)
     assert {name.split("/")[0].partition("-")[0] for name in names} == {"rtdenoise"}
 

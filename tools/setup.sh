@@ -22,7 +22,7 @@ TORCH_FALLBACK=torch==2.13.0  # where that index is out of reach
 main() {
     case "${1-}" in
         demo) extras="[torch]" ;;
-        test) extras="[render,noisebase,tensorboard,bench,dev]" ;;
+        test) extras="[render,noisebase,tensorboard,bench,farm,dev]" ;;
         gpu) extras="[bench,dev]" ;;
         build)
             make_venv
@@ -42,6 +42,7 @@ main() {
     if [ "$1" = test ]; then
         has_mitsuba || install "a library for Mitsuba" libatomic1
         has_llvm || install_llvm
+        has_blender_libraries || install "libraries for Blender" libxi6 libxxf86vm1 libxfixes3 libxrender1 libxkbcommon0 libsm6
         has_browser || install "a browser" chromium
         command -v glslangValidator >/dev/null || install "glslang, for SPIR-V," glslang-tools
     fi
@@ -109,6 +110,11 @@ reachable() {
 has_gl() { .venv/bin/python -c 'from rtdenoise.glsl import create_context; create_context()' >/dev/null 2>&1; }
 
 has_mitsuba() { .venv/bin/python -c 'import mitsuba' 2>/dev/null; }
+
+has_blender_libraries() {
+    .venv/bin/python -c 'from ctypes import CDLL
+for name in ("Xi.so.6", "Xxf86vm.so.1", "Xfixes.so.3", "Xrender.so.1", "xkbcommon.so.0", "SM.so.6"): CDLL("lib" + name)' 2>/dev/null
+}
 
 has_llvm() {
     [ -n "${DRJIT_LIBLLVM_PATH-}" ] ||

@@ -20,6 +20,7 @@ import bpy
 LIGHT_PASSES = ("diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_direct", "glossy_indirect",
                 "glossy_color", "transmission_direct", "transmission_indirect", "transmission_color", "emit",
                 "environment")  # fmt: skip
+VOLUME_PASSES = ("volume_direct", "volume_indirect")
 
 
 def add_passes(scene: bpy.types.Scene) -> None:
@@ -28,6 +29,8 @@ def add_passes(scene: bpy.types.Scene) -> None:
     layer.cycles.denoising_store_passes = True  # Denoising Albedo, Normal, Depth
     for name in ("combined", "z", "normal", "vector", *LIGHT_PASSES):
         setattr(layer, f"use_pass_{name}", True)
+    for name in VOLUME_PASSES:
+        setattr(layer.cycles, f"use_pass_{name}", True)
     scene.render.use_motion_blur = False  # with motion blur Cycles writes no vectors
     settings = scene.render.image_settings
     if hasattr(settings, "media_type"):  # Blender 5
@@ -37,14 +40,14 @@ def add_passes(scene: bpy.types.Scene) -> None:
     settings.exr_codec = "ZIP"
 
 
-def configure(scene: bpy.types.Scene, width: int, height: int, samples: int) -> None:
+def configure(scene: bpy.types.Scene, width: int, height: int, samples: int, seed: int = 1) -> None:
     """Cycles on the CPU, with new noise in every frame and no filter on it."""
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
     scene.cycles.samples = samples
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_denoising = False
-    scene.cycles.seed = 1
+    scene.cycles.seed = seed
     scene.cycles.use_animated_seed = True
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
 
@@ -130,6 +133,43 @@ def build(scene: bpy.types.Scene, frames: int) -> None:
     keyframe(scene.camera, 1, frames, (-0.2, -3.4, 1.5), (-0.2 + 0.25 * reach, -3.4, 1.5 + 0.2 * reach))
 
 
+def plain_material(name: str, **inputs) -> bpy.types.Material:
+    """Blender's Principled surface with some of its inputs set, by name ("_" for a space)."""
+    made = bpy.data.materials.new(name)
+    made.use_nodes = True
+    for key, value in inputs.items():
+        made.node_tree.nodes["Principled BSDF"].inputs[key.replace("_", " ")].default_value = value
+    return made
+
+
+def build_still_life(scene: bpy.types.Scene, frames: int) -> None:
+    """A monkey, a mirror ball that rolls past it and a glass ball on a chequered board, before a sky of one colour."""
+    board = material("board", (0.08, 0.10, 0.14), (0.70, 0.65, 0.55), 1.5, roughness=0.6)
+    box("board", (0, 0.5, -0.05), (5, 4, 0.1), board)
+    bpy.ops.mesh.primitive_monkey_add(size=1.6, location=(-0.5, 1.0, 0.85), rotation=(math.radians(-12), 0, 0.35))
+    bpy.ops.object.shade_smooth()
+    bpy.context.object.data.materials.append(material("fur", (0.55, 0.22, 0.08), (0.30, 0.10, 0.05), 4.0, 0.5))
+    mirror = plain_material("mirror", Metallic=1.0, Roughness=0.0, Base_Color=(0.9, 0.9, 0.92, 1))
+    rolling = ball("mirror ball", (0, 0, 0), 0.45, mirror)
+    clear = plain_material("glass", Transmission_Weight=1.0, Roughness=0.0, Base_Color=(1, 1, 1, 1))
+    ball("glass ball", (1.3, 0.3, 0.5), 0.5, clear)
+    reach = 0.1 * (frames - 1)
+    keyframe(rolling, 1, frames, (-1.5, -0.3, 0.45), (-1.5 + reach, -0.3, 0.45))
+
+    bpy.ops.object.light_add(type="AREA", location=(2.5, -2.0, 4.0), rotation=(math.radians(35), math.radians(25), 0))
+    bpy.context.object.data.energy, bpy.context.object.data.size = 350, 1.0
+    scene.world = bpy.data.worlds.new("sky")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.35, 0.50, 0.75, 1)
+    bpy.ops.object.camera_add(rotation=(math.radians(82), 0, 0))
+    scene.camera = bpy.context.object
+    scene.camera.data.angle = math.radians(50)
+    keyframe(scene.camera, 1, frames, (-0.2, -4.6, 1.5), (-0.2 + 0.3 * reach, -4.6, 1.5))
+
+
+SETS = {"room": build, "still-life": build_still_life}
+
+
 def straighten(scene: bpy.types.Scene) -> None:
     """Constant speed instead of Blender's eased curves."""
     bpy.context.preferences.edit.keyframe_new_interpolation_type = "LINEAR"
@@ -139,10 +179,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path, help="folder for frame.0001.exr …")
     parser.add_argument("--scene", type=Path, help="a .blend file to render instead of the room")
+    parser.add_argument("--set", choices=SETS, default="room", help="what to build without --scene")
     parser.add_argument("--frames", type=int, help="default: 12, or as in the file")
     parser.add_argument("--width", type=int, help="default: 320, or as in the file")
     parser.add_argument("--height", type=int, help="default: 180, or as in the file")
     parser.add_argument("--samples", type=int, default=1, help="per pixel")
+    parser.add_argument("--seed", type=int, default=1, help="of the noise: another for a reference")
     options = parser.parse_args()
 
     if options.scene:
@@ -153,11 +195,11 @@ def main() -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         scene, width, height = bpy.context.scene, 320, 180
         straighten(scene)
-        build(scene, options.frames or 12)
+        SETS[options.set](scene, options.frames or 12)
         scene.frame_start, scene.frame_end = 1, 12
     if options.frames:
         scene.frame_end = scene.frame_start + options.frames - 1
-    configure(scene, options.width or width, options.height or height, options.samples)
+    configure(scene, options.width or width, options.height or height, options.samples, options.seed)
     add_passes(scene)
     scene.render.filepath = str(options.out.resolve() / "frame.####")
     bpy.ops.render.render(animation=True)

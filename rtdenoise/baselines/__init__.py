@@ -3,8 +3,7 @@
 from .accumulate import Accumulate
 from .deep_combiner import DeepCombiner
 from .oidn import Oidn
-from .shrinkage import Shrinkage
 from .svgf import Svgf
 from .trmv import Trmv
 
-__all__ = ["Accumulate", "DeepCombiner", "Oidn", "Shrinkage", "Svgf", "Trmv"]
+__all__ = ["Accumulate", "DeepCombiner", "Oidn", "Svgf", "Trmv"]

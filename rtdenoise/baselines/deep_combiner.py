@@ -19,7 +19,7 @@ from torch.nn import functional as F
 
 from ..errors import InputError
 from ..frame import mean_distance
-from ..models.combiner import Combined, Window, comparable, completed
+from ..models.window import Combined, Window, comparable, completed
 from ..ops import apply_kernel
 
 WIDTH, LAYERS, SIDE = 100, 6, 5

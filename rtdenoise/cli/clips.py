@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from ..errors import InputError
 from .progress import progress_bar
-from .render import at_least_one
+from .render import at_least_one, not_negative
 
 OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error", "assets"}
 OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
@@ -53,7 +53,7 @@ class Clips:
     allow_unlicensed: bool = False
     """With --assets: use assets whose licence is unknown, too."""
     frames: int = 10
-    """Frames of each clip; with --assets 8 to 10, some 16 to 32."""
+    """Frames of each clip; with --assets 8 to 10, some 16 to 32, or with --frames 1 stills of more cameras."""
     size: int = 128
     """Pixels: width and height, unless those are given."""
     width: int | None = None
@@ -64,7 +64,8 @@ class Clips:
     """Samples per pixel of the noisy frames; with --assets half of the clips have 2 to 64 times as many. With pssmlt
     mutations: a quarter of the clips each have 1, 2, 4 and 8 times as many."""
     reference_error: float = 0.01
-    """Relative squared error that references of beauty may have; sets their samples, 32 to 512 (with --assets 128)."""
+    """Relative squared error that references of beauty may have; sets their samples, 32 to 512 (with --assets 128,
+    stills from 16 on)."""
     reference_spp: int | None = None
     """With --generator 1: samples per pixel of the references (default: 64), more in noisier scenes. With pssmlt:
     mutations, of both halves together (default: 256)."""
@@ -87,9 +88,12 @@ class Clips:
     """'i/n' renders the i-th of n equal parts of the set, counted from 0."""
     workers: int = 2
     """Processes, of one thread each."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Render on an existing Ray cluster: HOST:PORT, 'auto' or ray://HOST:PORT; a clip takes one core."""
 
     def run(self) -> None:
         at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers", "chains")
+        not_negative(self, "seed", "reference_spp")
         if self.shots:
             self._cut()
         else:
@@ -130,11 +134,12 @@ class Clips:
             metropolis = MetropolisOptions(self.chains or 0, attribution=self.attribution)
             chains_of(metropolis, size, self.spp)
         options = ClipOptions(
-            self.count, size, self.frames, self.seed, self.spp, self.reference_error, (32, 128 if self.assets else 512),
+            self.count, size, self.frames, self.seed, self.spp, self.reference_error, self._reference_range(),
             self.reference_spp or (256 if metropolis else 64), self.max_depth or (8 if metropolis else 6),
             self.workers, parse_shard(self.shard),
             find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (), self.generator, self.sun,
-            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, metropolis,
+            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, self.ray or "",
+            metropolis,
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
@@ -145,6 +150,11 @@ class Clips:
 
             card = render_clips(self.out, options, report)
         print(f"{self.out}: {card['clips']} clips; DATA.md says what they are")
+
+    def _reference_range(self) -> tuple[int, int]:
+        if not self.assets:
+            return 32, 512
+        return 16 if self.frames == 1 else 32, 128
 
     def _refuse_unused_options(self) -> None:
         """Raise InputError for options that the generator does not take."""
@@ -160,10 +170,12 @@ class Clips:
             raise InputError("--reference-spp: goes with --generator 1 and pssmlt; other sets take --reference-error")
         if self.reference_spp == 0:
             raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
-        if self.assets and (unused := given & OF_GENERATED):
+        if self.assets and (unused := given & (OF_GENERATED - ({"frames"} if self.frames == 1 else set()))):
             raise InputError(f"--{min(unused)}: is for generated scenes, not for --assets")
         if self.allow_unlicensed and not self.assets:
             raise InputError("--allow-unlicensed: goes with --assets")
+        if given >= {"ray", "workers"}:
+            raise InputError("--workers: is for processes of this machine; with --ray every core of the cluster works")
         if given & {"motions", "exclude"} and not self.scenes:
             raise InputError("--motions, --exclude: go with --scenes")
 

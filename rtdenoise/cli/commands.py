@@ -11,6 +11,7 @@ import tyro
 from tyro.conf import UseAppendAction, subcommand
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from ..errors import InputError, did_you_mean
 from .clean import Clean
 from .clips import Clips
 from .combine import Combine
@@ -40,12 +41,19 @@ Command = (
     | Annotated[Export, subcommand("export")]
     | Annotated[Demo, subcommand("demo")]
 )
+VERBS = [get_args(command)[0].__name__.lower() for command in get_args(Command)]
 ABOUT = "Real-time denoising of path-traced animations. `rtdenoise --version` prints the version."
 PLACEHOLDERS = {str: "NAME", int: "N", float: "X", Path: "PATH"}  # in the help
 
 
 def parse(arguments: list[str]) -> Any:
-    """The command that these words ask for. Exits with 0 after --help, with 2 after a word that means nothing."""
+    """The command that these words ask for. Exits with 0 after --help, with 2 after an option that means nothing.
+
+    Raises InputError for an unknown command.
+    """
+    verb = arguments[0] if arguments else "-"
+    if not verb.startswith("-") and verb not in VERBS:
+        raise InputError(f"no command {verb!r}{did_you_mean(verb, VERBS)}; expected one of {', '.join(VERBS)}")
     return tyro.cli(Command, args=arguments, prog="rtdenoise", description=ABOUT, registry=READERS)
 
 

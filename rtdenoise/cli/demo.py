@@ -18,6 +18,6 @@ class Demo:
     """'color' or 'indirect'."""
 
     def run(self) -> None:
-        from ..evaluate.demo import SAMPLE, demo
+        from ..evaluate.demo import demo
 
-        demo(self.out, self.source or SAMPLE, self.signal)
+        demo(self.out, self.source, self.signal)

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from glob import glob, has_magic
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from ..errors import InputError
+from ..run.farm import Farm
 from ..run.options import Options, Summary
-from ..run.processes import end_with_parent, run_jobs
+from ..run.processes import Place, Processes
 from ..run.threads import cpu_limit
 from .progress import progress_bar
+
+CORES = 4  # for a shot
+KILLED = "a process was killed (out of memory?); run the same command again with fewer --workers"
 
 
 @dataclass(frozen=True)
@@ -34,42 +37,60 @@ class Denoise:
     """Denoise all frames again, whatever --out holds."""
     preview: bool = False
     """Also write preview.png and an animation: noisy | denoised | reference."""
+    progress: Literal["bar", "lines"] = "bar"
+    """How far it is: a bar, or a line such as 3/24 after each frame, for programs that show it themselves."""
     workers: Annotated[int | None, arg(help_behavior_hint="(default: one for every four cores)")] = None
     """Shots that are denoised at a time, by a process each."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Denoise several shots on an existing Ray cluster: HOST:PORT, 'auto' or ray://HOST:PORT."""
 
     def run(self) -> None:
         if self.workers is not None and self.workers < 1:
             raise InputError(f"--workers: expected 1 or more, got {self.workers}")
+        if self.ray and self.workers:
+            raise InputError("--workers: is for processes of this machine; with --ray Ray shares out the shots")
         shots = find_shots(self.sources, self.out)
+        if shots is None and self.ray:
+            raise InputError("--ray: shares out shots, and a sequence is one; name several, or a glob: 'shots/*'")
         if shots is None:
             self._denoise_one(self.sources[0])
         else:
             self._denoise_many(shots)
 
     def _denoise_one(self, source: str) -> None:
-        with progress_bar("denoising") as bar:
-            task = bar.add_task("denoise", total=None)
-            lines = denoise_shot(
-                self, source, self.out, lambda done, total: bar.update(task, completed=done, total=total)
-            )
+        if self.progress == "lines":
+            lines = denoise_shot(self, source, self.out, lambda done, total: print(f"{done}/{total}", flush=True))
+        else:
+            with progress_bar("denoising") as bar:
+                task = bar.add_task("denoise", total=None)
+                lines = denoise_shot(
+                    self, source, self.out, lambda done, total: bar.update(task, completed=done, total=total)
+                )
         print(f"{self.out}: " + "\n".join(lines))
 
     def _denoise_many(self, shots: dict[str, str]) -> None:
         """Raises InputError where a shot does, after the others."""
-        cores = min(os.cpu_count() or 1, cpu_limit() or sys.maxsize)
-        workers = min(self.workers or max(1, cores // 4), len(shots))
         jobs = [(self, source, self.out / name) for name, source in shots.items()]
         failed = 0
         with progress_bar("denoising shots") as bar:
             task = bar.add_task("denoise", total=len(shots))
             bar.update(task, completed=0)
-            for done, (job, lines) in enumerate(run_jobs(_try, jobs, workers, _start, (cores // workers,)), start=1):
+            results = self._place(len(shots)).run(_try, jobs, _start, KILLED)
+            for done, (job, lines) in enumerate(results, start=1):
                 failed += isinstance(lines, InputError)
                 told_of = f"failed: {lines}" if isinstance(lines, InputError) else "; ".join(lines)
                 bar.console.print(f"{job[2]}: {told_of}", markup=False, highlight=False, soft_wrap=True)
                 bar.update(task, completed=done)
         if failed:
             raise InputError(f"{failed} of {len(shots)} shots failed, as told above; the others are denoised")
+
+    def _place(self, shots: int) -> Place:
+        """Where so many shots are denoised."""
+        if self.ray:
+            return Farm(self.ray, self.out, CORES, gpu=self.settings.device != "cpu")
+        cores = min(os.cpu_count() or 1, cpu_limit() or sys.maxsize)
+        workers = min(self.workers or max(1, cores // CORES), shots)
+        return Processes(workers, cores // workers)
 
 
 def find_shots(sources: tuple[str, ...], out: Path) -> dict[str, str] | None:
@@ -134,9 +155,7 @@ def _try(command: Denoise, source: str, out: Path) -> list[str] | InputError:
 
 
 def _start(threads: int) -> None:
-    """Prepare a process: its share of the cores, and no traceback after Ctrl-C."""
-    end_with_parent()
-    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+    """Prepare a process: its share of the cores."""
     try:
         import torch
     except ModuleNotFoundError:  # the shaders do without

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from ..errors import InputError
 from .progress import progress_bar
 
 
@@ -15,14 +16,16 @@ from .progress import progress_bar
 class Estimates:
     """Denoise training clips and store the frames beside them: a combiner trains to correct these."""
 
-    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIPS")]
-    """Folders of clips."""
+    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIPS ...", help_behavior_hint="(required)")]
+    """Folders of clips, at least one."""
     methods: tuple[str, ...] = ("oidn", "default")
     """Methods of `evaluate`; each writes into the folder CLIPS/METHOD."""
     signal: Literal["color", "indirect", "both"] = "both"
     """The signal to denoise."""
 
     def run(self) -> None:
+        if not self.folders:
+            raise InputError("no clips: name at least one folder of clips")
         from ..evaluate.estimates import write_all
 
         signals = ("color", "indirect") if self.signal == "both" else (self.signal,)

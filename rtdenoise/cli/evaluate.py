@@ -53,10 +53,10 @@ class Evaluate:
     def _measure(self, signal: str, out: Path) -> None:
         from rich.progress import TextColumn
 
-        from ..evaluate.run import Options, run
+        from ..evaluate.run import EvaluateOptions, run
         from ..models.inference import choose_device
 
-        options = Options(
+        options = EvaluateOptions(
             split_names(self.methods), split_names(self.precision), split_names(self.metrics), self.spp, signal,
             self.preset, self.frames, choose_device(self.device), self.reference,
         )  # fmt: skip

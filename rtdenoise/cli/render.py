@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from reprlib import repr as shown
+from typing import Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from ..errors import InputError
+
+MOST = {  # of the options that count something; more is a slip, or more than the renderer takes
+    "frames": 1_000_000, "width": 65_536, "height": 65_536, "size": 65_536, "spp": 1 << 24, "reference_spp": 1 << 24,
+    "max_depth": 10_000, "count": 10_000_000, "workers": 1024,
+}  # fmt: skip
+MAX_PATHS = 2**32 - 1  # of one frame: samples are numbered by 32 bits
 
 
 @dataclass(frozen=True)
@@ -17,7 +24,7 @@ class Render:
 
     out: Path
     """Folder for the frames; existing ones are kept."""
-    scene: Positional[str] = ""
+    scene: Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="(required)")] = ""
     """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', 'caustic:SEED', or a Mitsuba scene file (.xml)."""
     motion: Path | None = None
     """TOML file that moves camera and objects of a scene file."""
@@ -54,12 +61,16 @@ class Render:
         if not self.scene:
             raise InputError("nothing to render: name a scene; training sets are rendered by `rtdenoise clips`")
         at_least_one(self, "frames", "width", "height", "size", "spp", "max_depth", "chains")
+        not_negative(self, "reference_spp", "seed")
         from ..render.frames import RenderOptions
         from ..render.scenes.caustic import CAUSTIC_DEPTH
         from ..render.scenes.named import open_scene
         from ..render.sequence import render_sequence
 
         size = (self.height or self.size or 180, self.width or self.size or 320)
+        if (paths := size[0] * size[1] * self.spp) > MAX_PATHS:
+            raise InputError(f"--spp {self.spp}: {size[1]}×{size[0]} pixels take {paths} paths a frame, expected "
+                             f"{MAX_PATHS} at most; average several runs with other --seed")  # fmt: skip
         depth = self.max_depth or (CAUSTIC_DEPTH if self.scene.startswith("caustic:") else 6)
         options = RenderOptions(size, self.spp, self.reference_spp, depth, self.seed, self._metropolis(size))
         render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames, options)
@@ -80,7 +91,19 @@ class Render:
 
 
 def at_least_one(command: object, *names: str) -> None:
-    """Raise InputError where one of these options is given and below 1."""
+    """Raise InputError where one of these options is given and below 1, or above its limit in `MOST`."""
+    _within(1, command, names)
+
+
+def not_negative(command: object, *names: str) -> None:
+    """Raise InputError where one of these options is given and below 0, or above its limit in `MOST`."""
+    _within(0, command, names)
+
+
+def _within(least: int, command: object, names: tuple[str, ...]) -> None:
     for name in names:
-        if (value := getattr(command, name)) is not None and value < 1:
-            raise InputError(f"--{name.replace('_', '-')}: expected 1 or more, got {value}")
+        value, option, most = getattr(command, name), f"--{name.replace('_', '-')}", MOST.get(name)
+        if value is not None and value < least:
+            raise InputError(f"{option}: expected {least} or more, got {value}")
+        if value is not None and most is not None and value > most:
+            raise InputError(f"{option}: expected {most} at most, got {shown(value)}")

@@ -17,12 +17,15 @@ class View:
     """Folder that evaluate wrote, or a report.html."""
 
     def run(self) -> None:
+        import contextlib
         import webbrowser
 
         from ..report import find_page
 
-        page = find_page(self.folder)
-        if webbrowser.open(page.resolve().as_uri()):
+        page, opened = find_page(self.folder), False
+        with contextlib.suppress(webbrowser.Error):
+            opened = webbrowser.open(page.resolve().as_uri())
+        if opened:
             print(f"opened {page}")
         else:
             print(f"no browser to be found here; the report is {page}")

@@ -33,6 +33,7 @@ RADIANCE = tuple(layer for names in zip(*(SIGNALS[s].values() for s in SIGNALS),
 FEATURES = tuple(name for name, layer in LAYERS.items() if layer.in_every_clip and name not in RADIANCE)
 OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_clip)
 SHOT = "shot"  # kind of the clips that are cut from frames on disk
+REPEAT = "delete it and make it again: rtdenoise estimates"
 FLOAT_TYPES, ID_TYPES = ("F16", "F32"), ("U16", "U8", "F32")  # names of safetensors; older clips have the later ones
 MAX_SCALE = 1024.0  # more would leave half precision no digits for dark pixels; beyond it values are clamped
 
@@ -187,17 +188,25 @@ class ClipDataset:
         ]
         if not estimates:
             return loaded
-        denoised = _read_estimates(path, estimates, signal)[time, :, rows, columns].float()
+        denoised = _read_estimates(path, estimates, signal, (length, height, width))[time, :, rows, columns].float()
+        if not denoised.isfinite().all():
+            raise InputError(f"{estimate_path(path, estimates)}: damaged: not finite; {REPEAT}")
         return loaded + [replace(frame, radiance=denoised[i : i + 1]) for i, frame in enumerate(loaded)]
 
 
-def _read_estimates(clip: Path, method: str, signal: str):
+def _read_estimates(clip: Path, method: str, signal: str, size: tuple[int, int, int]):
+    """The tensor `[T, 3, H, W]`, not read yet. `size`: frames, height and width of the clip."""
     path = estimate_path(clip, method)
     if signal not in estimated_signals(clip, method):
         raise InputError(f"{path}: has no denoised frames of the signal {signal}; make them: rtdenoise estimates "
                          f"{clip.parent} --methods {method} --signal {signal}")  # fmt: skip
     with _opened(path) as file:
-        return file.get_slice(signal)
+        stored, (length, height, width) = file.get_slice(signal), size
+        shape, dtype = stored.get_shape(), stored.get_dtype()
+        if shape != [length, 3, height, width] or dtype not in FLOAT_TYPES:
+            raise InputError(f"{path}: damaged, or of another clip: {dtype} {shape}, expected {FLOAT_TYPES[0]} "
+                             f"{[length, 3, height, width]}; {REPEAT}")  # fmt: skip
+        return stored
 
 
 def _sources(path: Path, stored: set[str], signal: str, asked: Collection[str]) -> dict[str, tuple[str, ...]]:

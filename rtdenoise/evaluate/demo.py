@@ -16,23 +16,29 @@ from ..frame import Frame
 from ..run.preview import animate, strip
 from . import METRICS, REGIONS, Result, evaluate, uncovered
 
-SAMPLE = Path(__file__).parents[2] / "samples" / "mural"
+SAMPLE = Path(__file__).parents[2] / "samples" / "mural"  # in a source tree
+WINDOW = Path(__file__).parents[1] / "sample" / "mural-window"  # in an installed package: a part of the same frames
 METHODS = ("noisy", "accumulate", "paper-traditional", "paper", "default")
 HEADINGS = {"psnr": "PSNR", "ssim": "SSIM", "relmse": "relMSE"}
 
 
 def demo(
-    out: Path, source: Path = SAMPLE, signal: str = "indirect", methods: tuple[str, ...] = METHODS
+    out: Path, source: Path | None = None, signal: str = "indirect", methods: tuple[str, ...] = METHODS
 ) -> list[Result]:
-    """Run the demo on `source` and write `strip.png`, an animation and `demo.json` into `out`; prints the table.
+    """Run the demo on `source` (default: the bundled sequence, or the part of it that comes with the package) and write
+    `strip.png`, an animation and `demo.json` into `out`; prints the table.
 
-    `methods` must include "accumulate"; the pictures show it and the last one. Raises InputError where the sample is
-    missing: it comes with the repository, not with the wheel.
+    `methods` must include "accumulate"; the pictures show it and the last one. Raises InputError where the source or
+    its signal is missing.
     """
+    if source is None:
+        source = SAMPLE if SAMPLE.is_dir() else WINDOW
+        if source == WINDOW and signal != "indirect":
+            raise InputError(
+                f"--signal {signal}: the packaged sample has indirect light alone; name others with --source"
+            )
     if not source.is_dir():
-        raise InputError(
-            f"{source}: the sample sequence is not there; it comes with the repository (or name one with --source)"
-        )
+        raise InputError(f"{source}: no such folder; expected a sequence with references")
     frames = list(open_sequence(source, signal=signal, layers=("reference", "reference_half")))
     results = evaluate(frames, methods)
     out.mkdir(parents=True, exist_ok=True)

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import torch
 
-from ..data.clips import ClipDataset, estimated_signals, write_estimates
+from ..data.clips import ClipDataset, estimate_path, estimated_signals, write_estimates
 from ..data.layers import SIGNALS
+from ..files import remove_unfinished
 from .registry import choose
 from .sequence import outputs
 
@@ -29,6 +30,8 @@ def write_all(
     """
     clips = ClipDataset(*folders)
     chosen = choose(methods)
+    for folder in {estimate_path(path, method.name).parent for path in clips.paths for method in chosen}:
+        remove_unfinished(folder)
     jobs = [(i, method) for i in range(len(clips)) for method in chosen]
     written = 0
     for done, (index, method) in enumerate(jobs):

@@ -58,7 +58,12 @@ class Source:
         options = {"signal": signal, "preset": preset, "layers": (*LAYERS, *EXTRA)}
         base = open_sequence(folder, **options)
         converged = None if reference is None else _same_frames(open_sequence(reference, **options), base, limit)
-        base.require(*(["motion"] if len(base) > 1 else []), *([] if converged else ["reference"]))
+        base.require(*(["motion"] if len(base) > 1 else []))
+        if not converged:
+            try:
+                base.require("reference")
+            except InputError as error:
+                raise InputError(f"{error}; or name a folder of converged frames: --reference DIR") from None
         facts = _facts(folder / "samples.json")
         spp, sample_ms = facts.get("spp", 1), facts.get("sample_ms")
         return cls(folder.resolve().name, folder, base, spp, sample_ms, limit, options, converged)

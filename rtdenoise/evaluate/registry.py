@@ -14,10 +14,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ..baselines import Accumulate, DeepCombiner, Oidn, Shrinkage, Svgf, Trmv
+from ..baselines import Accumulate, DeepCombiner, Oidn, Svgf, Trmv
 from ..errors import InputError, did_you_mean
 from ..frame import Frame
-from ..models import CombinerConfig, available, available_combiners, load, load_combiner
+from ..models import STILLS, CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
+from ..models.presets import SHRINKAGE
+from ..models.shrinkage import corrected
 from ..models.weights import read_model
 from ..run.graphs import stepper
 from ..run.passes import InMemory, Passes
@@ -76,7 +78,7 @@ def methods() -> dict[str, Method]:
                delay=InMemory.delay, weights="default"),
     ]  # fmt: skip
     for base in [method for method in found if method.name in CORRECTED]:
-        found += [_corrected(base, combiner) for combiner in ("shrinkage", *available_combiners())]
+        found += [_corrected(base, combiner) for combiner in (SHRINKAGE, *available_combiners())]
     return {method.name: method for method in found}
 
 
@@ -132,10 +134,15 @@ def _oidn() -> list[Method]:
 def _network(name: str) -> list[Method]:
     """The methods of shipped weights: unchanged, on traditional motion, and without history."""
     start = partial(_start, name)
+    alone = Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name)
+    if name in STILLS:
+        return [alone]
     return [
-        Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name),
+        alone,
         Method(f"{name}-traditional", f"{name} on traditional motion, same weights", "ablation",
                partial(start, motion="traditional"), weights=name),
+        Method(f"{name}-corrected", f"denoise --correct with {name}", "network", partial(start, correct=True),
+               precisions=PRECISIONS, weights=name),
         Method(f"{name}-spatial", f"{name} without history: spatial kernels only", "ablation",
                partial(start, history=False), weights=name),
     ]  # fmt: skip
@@ -144,8 +151,8 @@ def _network(name: str) -> list[Method]:
 def _corrected(base: Method, combiner: str) -> Method:
     """A method whose frames a combiner corrects. Raises InputError if `combiner` names none."""
     weights, offsets, family, name = combiner.removeprefix("dc:"), (0,), "filter", combiner
-    if combiner == "shrinkage":
-        weights, make, what = "", lambda device, precision: Shrinkage(), "shrunk residuals"
+    if combiner == SHRINKAGE:
+        weights, make, what, offsets = "", partial(load_combiner, combiner), "shrunk residuals", Shrinkage().offsets
     elif combiner.startswith("dc:"):
         name, what = "dc", "Deep Combiner (2020)"
         make = lambda device, precision: DeepCombiner.load(weights).to(device)  # noqa: E731
@@ -181,8 +188,11 @@ def _of_file(name: str, file: str) -> Method:
     return Method(name, f"the network of {file}", "network", partial(_start, path), precisions=PRECISIONS, weights=path)
 
 
-def _start(weights: str, device: str | torch.device, precision: str, history: bool = True, **overrides: str) -> Step:
+def _start(
+    weights: str, device: str | torch.device, precision: str, history: bool = True, correct: bool = False, **overrides
+) -> Step:
     step = stepper(load(weights, device, precision, **overrides))
+    step = corrected(step) if correct else step
     return step if history else partial(_without_history, step)
 
 

@@ -39,7 +39,7 @@ NEEDS = {"flip": ("flip_evaluator", "'rtdenoise[bench]'"), "fovvideovdp": ("pyfv
 
 
 @dataclass(frozen=True)
-class Options:
+class EvaluateOptions:
     """The measurements that `run` makes."""
 
     methods: tuple[str, ...] = ()  # for `registry.choose`; (): its default
@@ -56,7 +56,7 @@ class Options:
 def run(
     sources: Sequence[str | Path],
     out: Path,
-    options: Options,
+    options: EvaluateOptions,
     say: Callable[[str], None] = print,
     on_step: OnStep = lambda label, done, total: None,
 ) -> Document:
@@ -85,7 +85,7 @@ def _measure(
     opened: Sequence[Source],
     chosen: list[Method],
     out: Path,
-    options: Options,
+    options: EvaluateOptions,
     say: Callable[[str], None],
     on_step: OnStep,
 ) -> Document:
@@ -99,7 +99,7 @@ def _measure(
     return document
 
 
-def _check(options: Options, sources: Sequence[str | Path]) -> None:
+def _check(options: EvaluateOptions, sources: Sequence[str | Path]) -> None:
     for kind, names, known in (
         ("precision", options.precisions, PRECISIONS),
         ("metric", options.metrics, (*ALL_METRICS, *WHOLE_METRICS)),
@@ -132,7 +132,7 @@ class _Input:
     document: Document
     source: Source
     spp: int
-    options: Options
+    options: EvaluateOptions
     say: Callable[[str], None]
     on_step: OnStep
     reasons: dict[str, list[str]] = field(default_factory=dict)  # reason -> names of the methods left out for it

@@ -104,9 +104,11 @@ class _Shaders:
         (self.out / "spirv").mkdir()
         for name in self.programs:
             source, target = self.out / "glsl" / f"{name}.comp", self.out / "spirv" / f"{name}.spv"
-            run = subprocess.run([compiler, "-V", "-o", target, source], capture_output=True, text=True)
-            if run.returncode:
-                raise InputError(f"{source}: {compiler} rejects it: {run.stdout.strip() or run.stderr.strip()}")
+            command = [compiler, "-V", "-o", target, source]
+            run = subprocess.run(command, capture_output=True, text=True, errors="replace")
+            if run.returncode or not target.is_file():
+                said = run.stdout.strip() or run.stderr.strip() or f"exit code {run.returncode}"
+                raise InputError(f"{source}: {compiler} rejects it: {said}")
         return True
 
     def described(self, spirv: bool) -> dict[str, dict]:

@@ -10,10 +10,10 @@ import numpy as np
 
 from ..models.presets import Config
 from .context import GpuArray
-from .network import Layer, filled
+from .network import PackedLayer, filled
 
 
-class Heads:
+class HeadLayer:
     """The last layer of the network, split by the names in `Config.heads`. A pass asks for the heads it applies."""
 
     def __init__(self, ctx: moderngl.Context, config: Config, tensors: Mapping[str, np.ndarray]) -> None:
@@ -34,7 +34,7 @@ class Heads:
         """The side of the kernel that this head predicts."""
         return math.isqrt(len(self._rows[scale][name][1]))
 
-    def layer(self, scale: int, *names: str) -> Layer:
+    def layer(self, scale: int, *names: str) -> PackedLayer:
         """The rows of these heads one after the other, uploaded on the first call."""
         if (scale, names) not in self._layers:
             weights, biases = zip(*(self._rows[scale][name] for name in names), strict=True)
@@ -49,12 +49,12 @@ def head_layer(
     weight: np.ndarray,  # [cells, rows, inputs]: a matrix for each pixel of a cell
     bias: np.ndarray,  # [rows]
     label: str,  # of its arrays
-) -> Layer:
+) -> PackedLayer:
     """Rows of the last layer, packed for `include/head.glsl`."""
     packed = filled(filled(weight, 1, 4), 2, 4)
     cells, rows, inputs = packed.shape
     packed = packed.reshape(cells, rows // 4, 4, inputs // 4, 4).transpose(0, 1, 3, 4, 2)
-    return Layer(
+    return PackedLayer(
         GpuArray.upload(ctx, packed, label=f"{label}.weight"),
         GpuArray.upload(ctx, filled(bias, 0, 4), label=f"{label}.bias"),
         (inputs // 4,),

@@ -10,7 +10,7 @@ import numpy as np
 from ..models.presets import Config
 from .context import GpuArray
 from .dispatch import dispatch
-from .heads import Heads
+from .heads import HeadLayer
 from .scratch import Scratch
 
 
@@ -20,7 +20,7 @@ class Kernels:
     def __init__(self, scratch: Scratch, config: Config, tensors: Mapping[str, np.ndarray]) -> None:
         self._scratch, self._config = scratch, config
         self._accumulates = config.architecture == "accumulated_kpn"
-        self._heads = Heads(scratch.ctx, config, tensors)
+        self._heads = HeadLayer(scratch.ctx, config, tensors)
         self._pool = {"POOL_MAX": int(getattr(config, "pool", "mean") == "max")}
 
     def accumulate(self, levels: list[GpuArray], light: GpuArray, running: GpuArray) -> GpuArray:

@@ -19,7 +19,7 @@ NEAR, POOLED, CONCATENATED = 0, 1, 2  # SOURCE of conv3x3
 
 
 @dataclass(frozen=True)
-class Layer:
+class PackedLayer:
     """Weights of a convolution or a head as shaders read them: in 4×4 blocks, […, 4 inputs, 4 outputs]."""
 
     weights: GpuArray  # [groups out, groups in, taps, 4, 4]; heads: [cells, groups out, groups in, 4, 4]
@@ -35,7 +35,7 @@ def conv_layer(
     sources: tuple[int, ...],  # channels of the tensors that are concatenated into the input
     blocks: int = 1,  # pad the groups out to a multiple of this
     order: Sequence[int] | None = None,  # of the input channels, where the shader has another
-) -> Layer:
+) -> PackedLayer:
     """A convolution, packed for `conv3x3` and `stem`."""
     weight, bias = tensors[f"{name}.weight"], tensors[f"{name}.bias"]
     weight = weight if order is None else weight[:, order]
@@ -43,7 +43,7 @@ def conv_layer(
     parts = np.split(weight.reshape(outputs, -1, taps), np.cumsum(sources)[:-1], axis=1)
     inputs = np.concatenate([filled(part, 1, 4) for part in parts], axis=1)
     packed = filled(inputs, 0, 4 * blocks).reshape(-1, 4, inputs.shape[1] // 4, 4, taps)  # og, out, ig, in, taps
-    return Layer(
+    return PackedLayer(
         GpuArray.upload(ctx, packed.transpose(0, 2, 4, 3, 1), label=f"{name}.weight"),
         GpuArray.upload(ctx, filled(bias, 0, 4 * blocks).reshape(-1, 4), label=f"{name}.bias"),
         tuple(-(-n // 4) for n in sources),
@@ -70,7 +70,7 @@ class UNet:
     ) -> None:
         ctx = scratch.ctx
 
-        def double(name: str, sources: tuple[int, ...], width: int) -> tuple[Layer, Layer]:
+        def double(name: str, sources: tuple[int, ...], width: int) -> tuple[PackedLayer, PackedLayer]:
             first, second = (
                 conv_layer(ctx, tensors, f"unet.{name}.{i}", channels, BLOCKS)
                 for i, channels in ((0, sources), (2, (width,)))
@@ -103,7 +103,7 @@ class UNet:
         return skips[:-1]
 
     def _convolve(
-        self, layer: Layer, source: int, name: str, level: int, near: GpuArray, far: GpuArray | None = None
+        self, layer: PackedLayer, source: int, name: str, level: int, near: GpuArray, far: GpuArray | None = None
     ) -> GpuArray:
         H, W = (n >> (source == POOLED) for n in near.shape[1:3])
         result = self._scratch.activations(name, layer.outputs, (H, W))

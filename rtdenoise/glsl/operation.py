@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .context import GpuArray, default_context
-from .dispatch import dispatch
+from .dispatch import GROUP, dispatch
 
 Array = np.ndarray | GpuArray
 
@@ -18,10 +18,11 @@ def run(
     shape: tuple[int, ...],
     size: tuple[int, int],
     out: GpuArray | None,
+    group: tuple[int, int] = GROUP,
     **constants: int,
 ) -> Array:
     """`run_all` of a shader with one result."""
-    return run_all(name, inputs, {"result": shape}, size, [out], {}, **constants)[0]
+    return run_all(name, inputs, {"result": shape}, size, [out], {}, group, **constants)[0]
 
 
 def run_all(
@@ -31,6 +32,7 @@ def run_all(
     size: tuple[int, int],  # (H, W) of the finer grid
     outs: Sequence[GpuArray | None],
     parameters: dict,
+    group: tuple[int, int] = GROUP,
     **constants: int,
 ) -> list[Array]:
     """One dispatch, an invocation for every pixel of the results. Raises ValueError for a mixture of numpy arrays and
@@ -49,7 +51,7 @@ def run_all(
             raise ValueError(f"{name}: expected {expected}, got {array.dtype}")
 
     B, _, H, W = next(iter(shapes.values()))
-    dispatch(f"ops/{name}", (W, H, B), arrays | results, {"size": size[::-1], **parameters}, **constants)
+    dispatch(f"ops/{name}", (W, H, B), arrays | results, {"size": size[::-1], **parameters}, group, **constants)
     return [result if on_gpu else result.read() for result in results.values()]
 
 

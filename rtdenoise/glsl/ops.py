@@ -59,6 +59,38 @@ def apply_kernel(
     return np.concatenate(bands, axis=2)
 
 
+def attend_blocks(
+    q: Array,  # [B, C, H, W] queries
+    k: Array,  # [B, C, H, W] keys
+    v: Array,  # [B, C, H, W] values
+    rows: Array,  # [C / heads / 2, block + 2·halo]
+    columns: Array,  # [C / heads / 2, block + 2·halo]
+    out: GpuArray | None = None,  # [B, C, H, W]
+    *,
+    block: int = 8,
+    halo: int = 3,
+    heads: int = 4,
+) -> Array:  # [B, C, H, W]
+    """Every pixel takes a weighted mean of the values in the window of its block, as `ops.attend_blocks`:
+
+        e[n]     = (rows[:, n_y], columns[:, n_x])
+        out[h,p] = Σ_n softmax_n(q[h,p] · (k[h,n] + e[n]) / √d) · v[h,n]
+
+    Fastest for blocks of 8×8: a block is then a work group.
+    """
+    B, C, H, W = shape_of("q", q)
+    expect("k", k, (B, C, H, W))
+    expect("v", v, (B, C, H, W))
+    if block < 1 or halo < 0 or heads < 1 or C % (2 * heads):
+        raise ValueError(f"expected a block of 1 or more, a halo of 0 or more and channels in {heads} heads of an even "
+                         f"number each, got block {block}, halo {halo} and {C} channels")  # fmt: skip
+    for name, offsets in (("rows", rows), ("columns", columns)):
+        expect(name, offsets, (C // heads // 2, block + 2 * halo))
+    inputs = {"q": q, "k": k, "v": v, "rows": rows, "columns": columns}
+    constants = {"CHANNELS": C, "HEADS": heads, "BLOCK": block, "HALO": halo}
+    return run("attend_blocks", inputs, (B, C, H, W), (H, W), out, (8, 8), **constants)
+
+
 def warp(
     image: Array,  # [B, C, H, W]
     motion: Array,  # [B, 2, H, W] (x, y) in pixels

@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
 from ..models.presets import Config
-from ..models.weights import read_model
+from ..models.weights import read_denoiser
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
 from .kernels import Kernels
@@ -54,13 +54,14 @@ class Pipeline:
     def load(cls, model: str | Path = "default", half: bool = False, **overrides) -> Pipeline:
         """As `rtdenoise.load`: a shipped name or a .safetensors file; `overrides` replace fields of its configuration.
 
-        Raises InputError for an unknown name, an unreadable file, weights that do not fit their configuration, a
-        network that has no shaders, and where there is no OpenGL 4.3.
+        Raises InputError for an unknown name, a combiner, an unreadable file, weights that do not fit their
+        configuration, a network that has no shaders, and where there is no OpenGL 4.3.
         """
-        stored = read_model(model, **overrides)
-        if stored.config.architecture not in SHADED:
-            raise InputError(f"{model}: there are no shaders for networks of the kind {stored.config.architecture!r}; "
-                             "use the backend torch")  # fmt: skip
+        stored = read_denoiser(model, **overrides)
+        kind, guided = stored.config.architecture, getattr(stored.config, "guided", False)
+        if kind not in SHADED or guided:
+            raise InputError(f"{model}: there are no shaders for networks of the kind {kind!r}"
+                             f"{' that are guided' if guided else ''}; use the backend torch")  # fmt: skip
         return cls(stored.config, stored.tensors, half)
 
     def step(

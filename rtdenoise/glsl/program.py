@@ -7,7 +7,7 @@ from importlib.resources.abc import Traversable
 
 import moderngl
 
-from .source import ShaderError, Source, expand, locate
+from .source import ShaderError, ShaderText, expand, locate
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Program:
 
     name: str
     compute: moderngl.ComputeShader
-    source: Source
+    source: ShaderText
 
 
 def program(ctx: moderngl.Context, name: str, /, *, folder: Traversable | None = None, **constants: int) -> Program:

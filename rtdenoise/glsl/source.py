@@ -37,7 +37,7 @@ class ShaderError(Exception):
 
 
 @dataclass(frozen=True)
-class Source:
+class ShaderText:
     """The text that the compiler gets, and the names that it takes."""
 
     text: str
@@ -49,7 +49,7 @@ class Source:
     constants: dict[str, Constant]  # all of them, also those of `shared.SHARED`
 
 
-def expand(name: str, /, *, folder: Traversable | None = None, **constants: int | float) -> Source:
+def expand(name: str, /, *, folder: Traversable | None = None, **constants: int | float) -> ShaderText:
     """The shader `name`.comp.glsl with its includes, specialised by `constants`; `folder` replaces `shaders()`.
 
     Raises ShaderError for a file that is missing, an include loop, a malformed declaration, too many buffers, and
@@ -67,7 +67,7 @@ def expand(name: str, /, *, folder: Traversable | None = None, **constants: int 
     head = [f"#define {key} {_literal(value)}" for key, value in values.items()] + found.parameter_lines()
     text = [found.lines[0], *head, *found.lines[1:]]
     origin = [found.origin[0], *[f"{file}:constants"] * len(head), *found.origin[1:]]
-    return Source(
+    return ShaderText(
         "\n".join(text) + "\n", origin, tuple(found.buffers), tuple(found.parameters), tuple(found.access.values()),
         tuple(found.parameters.values()), values,
     )  # fmt: skip

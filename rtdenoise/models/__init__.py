@@ -7,11 +7,12 @@ from importlib import import_module
 
 _HOMES = {
     "AccumulatedKPN": "accumulated_kpn", "AccumulatedKPNConfig": "config", "COMBINERS": "presets",
-    "Combined": "combiner", "Combiner": "combiner", "CombinerConfig": "combiner_config", "Config": "presets",
-    "Denoiser": "denoiser", "PRESETS": "presets", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config",
-    "Window": "combiner", "available": "weights", "available_combiners": "weights", "create": "loading",
-    "find": "weights", "grow": "growing", "load": "loading", "load_combiner": "loading",
-    "MLTDConfig": "mltd_config", "read": "loading", "RecurrentTransformer": "mltd", "save": "loading",
+    "Combined": "window", "Combiner": "combiner", "CombinerConfig": "combiner_config", "Config": "presets",
+    "Denoiser": "denoiser", "GuidedAttention": "afgsa", "GuidedAttentionConfig": "afgsa_config",
+    "MLTDConfig": "mltd_config", "PRESETS": "presets", "RecurrentTransformer": "mltd", "STILLS": "presets",
+    "Shrinkage": "shrinkage", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config", "Window": "window",
+    "available": "weights", "available_combiners": "weights", "create": "loading", "find": "weights",
+    "grow": "growing", "load": "loading", "load_combiner": "loading", "read": "loading", "save": "loading",
 }  # fmt: skip
 __all__ = [*_HOMES]
 

@@ -34,6 +34,7 @@ from ..splat import history_motion
 from .config import AccumulatedKPNConfig
 from .inference import as_weights
 from .losses import frame_loss
+from .refinement import GuidedRefinement
 from .unet import ConvRelu, UNet, by_name
 
 FIRST_FRAME = slice(0, 3), slice(6, 19)  # input channels that are not zero everywhere in a first frame
@@ -70,6 +71,15 @@ class Heads:
     sharp: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current albedo against its running mean
 
 
+@dataclass(frozen=True)
+class Kernels:
+    """What filtered the light of one frame."""
+
+    heads: Heads
+    length: Tensor  # [B, 1, H, W] frames in the reprojected means
+    seen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
+
+
 class AccumulatedKPN(nn.Module):
     """The network and its one-frame step, a `models.Denoiser`."""
 
@@ -83,10 +93,15 @@ class AccumulatedKPN(nn.Module):
         full, *outputs = (sum(config.channels(scale)) for scale in range(config.scales))
         self.full_head = nn.ConvTranspose2d(config.widths[0], full, 2, stride=2)  # of the four pixels in each cell
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(config.widths, outputs, strict=False))
+        if config.guided:
+            self.refine = GuidedRefinement(config.widths[1])
         for module in self.modules():
             if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
                 nn.init.xavier_uniform_(module.weight)
-                nn.init.zeros_(module.bias)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+        if config.guided:
+            nn.init.zeros_(self.refine.out.weight)
         with torch.no_grad():
             self.full_head.bias[-2] = -4.0  # reset starts near 0: a plain running mean
             _start_heads(self)
@@ -100,6 +115,12 @@ class AccumulatedKPN(nn.Module):
         shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
         another size, or `frame` is no Frame of tensors.
         """
+        return self.step_and_kernels(frame, history, known)[:2]
+
+    def step_and_kernels(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History, Kernels]:
+        """`step`, and the kernels that it applied, for other light of the same frame (`parts.step`)."""
         frame = admit(frame, history and history.radiance, known)
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance where the surface is diffuse
 
@@ -118,6 +139,16 @@ class AccumulatedKPN(nn.Module):
         else:
             mean, length = accumulate(noisy, past.light, past.length, heads.reset, most)
 
+        # Multiply the albedo in: its running mean is closer to a converged picture than one sample a pixel, except
+        # where it has just changed.
+        output = modulate(self.over_space(mean, heads), frame.albedo, mean_albedo, heads.sharp, frame.depth)
+        output = self.over_edges_and_time(output, past.output, past.on_screen, heads)
+        output = even_sky(output, frame.radiance, frame.depth)
+        after = History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
+        return output, after, Kernels(heads, past.length, past.on_screen)
+
+    def over_space(self, mean: Tensor, heads: Heads) -> Tensor:
+        """Light `[B, C, H, W]` filtered by the spatial kernels: linear in it."""
         # Filter each scale with its own kernels: each takes the filtered image of the finer one. Compose back (eq. 4).
         filtered = [apply_kernel(mean, heads.spatial[0])]
         for logits in heads.spatial[1:]:
@@ -130,16 +161,14 @@ class AccumulatedKPN(nn.Module):
                 output = soften(output, filtered[s], heads.detail[s])
             if heads.picks:
                 output = pick(output, coarse, *heads.picks[s])
+        return output
 
-        # Multiply the albedo in: its running mean is closer to a converged picture than one sample a pixel, except
-        # where it has just changed. The edge kernel smooths edges, whose one sample saw one side only; blending with
-        # the previous output averages them as well.
-        output = modulate(output, frame.albedo, mean_albedo, heads.sharp, frame.depth)
+    def over_edges_and_time(self, output: Tensor, past: Tensor, seen: Tensor, heads: Heads) -> Tensor:
+        """Radiance `[B, C, H, W]` with smooth edges, blended with the previous output: linear in both. The edge kernel
+        smooths edges, whose one sample saw one side only; blending averages them as well."""
         if heads.edge is not None:
             output = apply_kernel(output, heads.edge)
-        output = blend_history(output, past.output, past.on_screen, heads.temporal, heads.alpha_temporal)
-        output = even_sky(output, frame.radiance, frame.depth)
-        return output, History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
+        return blend_history(output, past, seen, heads.temporal, heads.alpha_temporal)
 
     def reprojected(self, frame: Frame, history: History | None, known: Known = NOTHING_KNOWN) -> Past:
         """History, reprojected to this frame: means from the same surface only, the previous output from any."""
@@ -178,6 +207,10 @@ class AccumulatedKPN(nn.Module):
         H, W = features.shape[2:]
         x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
+        if self.config.guided:
+            albedo = 9 if x.shape[1] == self.config.features else 6  # first channel: light comes before
+            surface = torch.cat([x[:, albedo : albedo + 3], x[:, albedo + 6 : albedo + 10]], dim=1)
+            levels[1] = self.refine(levels[1], surface)
         full = self._full_head(levels[0])
         coarser = [
             by_name(head(x), names) for head, x, names in zip(self.heads, levels, self.config.heads[1:], strict=True)

@@ -23,7 +23,6 @@ Read `Combiner.combine` first.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -32,56 +31,20 @@ from torch.utils.checkpoint import checkpoint
 
 from ..color import albedo_divisor
 from ..exposure import exposure
-from ..frame import OFF_SCREEN, Frame, mean_distance
-from ..motion import on_screen
-from ..ops import apply_kernel, downsample, fetch, pick, reproject
+from ..frame import Frame, mean_distance
+from ..ops import apply_kernel, downsample, pick
 from ..ops.logits import whole
 from ..ops.pixels import nearness
-from ..sanitise import sanitise
 from .combiner_config import CombinerConfig
 from .inference import as_weights
 from .losses import smape_ratio
 from .unet import ConvRelu, UNet
+from .window import Aligned, Combined, Window, aligned, box, current_of
 
 MAX_LOGITS = 1 << 25  # in memory at once; beyond it, strip by strip, recomputed in the backward pass
 STATISTICS = (5, 15)  # sides in pixels of the neighbourhoods over which residuals are averaged
 LOSS_SCALES = 4  # at which the loss is taken: 1, 1/2 ... of the image size
 MIN_VARIANCE = 1e-8  # of exposed residuals, so that none is divided by zero
-
-
-@dataclass(frozen=True)
-class Window:
-    """Consecutive frames, noisy and denoised; None where there is no frame, or one of another shot."""
-
-    frames: tuple[Frame | None, ...]  # radiance y, features, motion, motion_next
-    estimates: tuple[Tensor | None, ...]  # z of each frame, [B, 3, H, W]
-
-    def to(self, device: str | torch.device) -> Window:
-        """Moved to a device."""
-        frames = tuple(frame and frame.to(device) for frame in self.frames)
-        return Window(frames, tuple(None if z is None else z.to(device) for z in self.estimates))
-
-
-@dataclass(frozen=True)
-class Combined:
-    """A corrected frame."""
-
-    image: Tensor  # [B, 3, H, W] linear radiance
-    confidence: Tensor  # [B, 1, H, W] size of the correction, |Σ w r|, mean over the channels
-
-
-@dataclass(frozen=True)
-class Aligned:
-    """A frame of the window, reprojected to the current one; zero where it shows another surface there."""
-
-    noisy: Tensor  # [B, 3, H, W] y, over the albedo if the model demodulates
-    estimate: Tensor  # [B, 3, H, W] z likewise
-    valid: Tensor  # [B, 1, H, W] in {0, 1}
-
-    @property
-    def residual(self) -> Tensor:
-        """y - z, `[B, 3, H, W]`: zero where the frame is not valid, since y and z are zero there."""
-        return self.noisy - self.estimate
 
 
 class Combiner(nn.Module):
@@ -109,6 +72,11 @@ class Combiner(nn.Module):
                 nn.init.zeros_(convolutions[head.name].weight)
                 nn.init.constant_(convolutions[head.name].bias, head.start)
 
+    @property
+    def offsets(self) -> tuple[int, ...]:
+        """Frame numbers of the window relative to the corrected frame."""
+        return self.config.offsets
+
     def combine(self, window: Window) -> Combined:
         """Correct the current frame of a window of `config.frames` frames: the middle one, the last one if causal.
 
@@ -116,7 +84,7 @@ class Combiner(nn.Module):
         neighbour that is None, or lies beyond one, gets no weight. Raises ValueError where the window has
         another length or no current frame.
         """
-        frame, estimate = self._current(window)
+        frame, estimate = current_of(window, self.config.current, self.config.frames)
         divisor = albedo_divisor(frame.albedo, frame.depth) if self.config.demodulate else 1.0
         aligned = self.aligned(window)
         now = aligned[self.config.current]
@@ -131,27 +99,8 @@ class Combiner(nn.Module):
         return Combined(image, correction.abs().mean(1, keepdim=True))
 
     def aligned(self, window: Window) -> list[Aligned | None]:
-        """Every frame of the window as the current one sees it; None where it is missing or no motion leads there.
-
-        y and z are fetched with the same taps, which test that they show the same surface (`ops.reproject`).
-        """
-        frame, _ = self._current(window)
-        aligned: list[Aligned | None] = [None] * self.config.frames
-        aligned[self.config.current] = Aligned(*self._pair(window, self.config.current), torch.ones_like(frame.depth))
-        for direction in (-1, 1):
-            motion, layer = None, "motion" if direction < 0 else "motion_next"
-            place, before = self.config.current + direction, frame
-            while 0 <= place < self.config.frames and window.frames[place] is not None:
-                onward = getattr(before, layer)
-                if onward is None:
-                    break
-                motion = onward if motion is None else two_step(motion, onward)
-                there = completed(window.frames[place])
-                surfaces = (frame.depth, frame.normal), (there.depth, there.normal)
-                found, valid = reproject(self._pair(window, place), motion, *surfaces)
-                aligned[place] = Aligned(*found.split(3, dim=1), valid.to(found.dtype))
-                place, before = place + direction, there
-        return aligned
+        """`window.aligned` as the configuration says."""
+        return aligned(window, self.config.current, demodulate=self.config.demodulate)
 
     def features(self, frame: Frame, aligned: Sequence[Aligned | None]) -> Tensor:
         """The network's input `[B, config.features, H, W]` in the dtype of its weights; light at the exposure of z."""
@@ -260,57 +209,6 @@ class Combiner(nn.Module):
             whole(logits)[:, :, : size[0], : size[1]]
         )  # fmt: skip
 
-    def _current(self, window: Window) -> tuple[Frame, Tensor]:
-        place, frames = self.config.current, self.config.frames
-        if not len(window.frames) == len(window.estimates) == frames or window.frames[place] is None:
-            raise ValueError(
-                f"expected a window of {frames} frames with frame {place}, got {len(window.frames)} frames"
-            )
-        return completed(window.frames[place]), window.estimates[place]
-
-    def _pair(self, window: Window, place: int) -> tuple[Tensor, Tensor]:
-        """y and z of a frame with values that can be filtered, over the albedo if the model demodulates."""
-        frame = completed(window.frames[place])
-        noisy, estimate = comparable(frame.radiance, window.estimates[place])
-        if not self.config.demodulate:
-            return noisy, estimate
-        divisor = albedo_divisor(frame.albedo, frame.depth)
-        return noisy / divisor, estimate / divisor
-
-
-def completed(frame: Frame) -> Frame:
-    """A frame with valid features: missing ones become a white, flat surface's. Radiance stays as it is."""
-    nothing = torch.zeros_like(frame.radiance)
-    albedo = torch.ones_like(nothing) if frame.albedo is None else frame.albedo
-    normal = nothing if frame.normal is None else frame.normal
-    depth = torch.ones_like(nothing[:, :1]) if frame.depth is None else frame.depth
-    clean = sanitise(replace(frame, radiance=nothing, albedo=albedo, normal=normal, depth=depth))
-    return replace(clean, radiance=frame.radiance)
-
-
-def comparable(noisy: Tensor, estimate: Tensor) -> tuple[Tensor, Tensor]:
-    """y and z as the network takes them, `[B, 3, H, W]` each: finite and not negative.
-
-    A pixel that is not finite in one image takes the other's value, so its residual is 0. A firefly in y alone is
-    dimmed (`exposure.limit_fireflies`); a firefly in both stays.
-    """
-    good, known = noisy.isfinite().all(1, keepdim=True), estimate.isfinite().all(1, keepdim=True)
-    y, z = (torch.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0).clamp(min=0) for x in (noisy, estimate))
-    y, z = torch.where(good, y, z), torch.where(known, z, y)
-    dimmed = sanitise(Frame(y)).radiance
-    return torch.maximum(dimmed, torch.minimum(y, z)), z
-
-
-def two_step(
-    motion: Tensor,  # [B, 2, H, W] to a neighbour
-    onward: Tensor,  # [B, 2, H, W] from the neighbour to the frame after it
-) -> Tensor:  # [B, 2, H, W]
-    """Motion to the frame after a neighbour: m(p) + onward(p + m(p)), at the nearest pixel; off the screen where either
-    leads there."""
-    both = motion + fetch(onward, motion)
-    return torch.where(on_screen(motion), both, OFF_SCREEN)
-
-
 def signed_log(x: Tensor) -> Tensor:
     """sign(x) · log(1 + |x|): `color.compress` for values of either sign."""
     return x.sign() * x.abs().log1p()
@@ -327,13 +225,8 @@ def statistics(
     first, second = sum(residuals), sum(r.square() for r in residuals)
     channels = []
     for side in STATISTICS:
-        count = side**2 * _box(valid, side).clamp(min=1 / side**2)
-        mean, square = (side**2 * _box(x, side) / count for x in (first, second))
+        count = side**2 * box(valid, side).clamp(min=1 / side**2)
+        mean, square = (side**2 * box(x, side) / count for x in (first, second))
         channels += [signed_log(mean), torch.asinh(mean * (count / (square + MIN_VARIANCE)).sqrt())]
-    variance = _box(second, STATISTICS[0]).mean(1, keepdim=True)
+    variance = box(second, STATISTICS[0]).mean(1, keepdim=True)
     return torch.cat([*channels, 0.25 * (variance + MIN_VARIANCE).log()], dim=1)
-
-
-def _box(image: Tensor, side: int) -> Tensor:
-    """Mean over `side` × `side` pixels, of those inside the image."""
-    return F.avg_pool2d(image, side, stride=1, padding=side // 2, count_include_pad=False)

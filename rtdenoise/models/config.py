@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from .refinement_config import REFINED_HEADS, REFINED_REACH, refined_shapes
+
 CELL = 32  # pixels; reaches are rounded up to it, and windows of a frame start at multiples of it
 MAX_WIDTH, MAX_KERNEL = 1024, 31  # larger networks are refused before memory is allocated for them
 
@@ -176,6 +178,8 @@ class AccumulatedKPNConfig(NetworkConfig):
     """Side of the kernels by which pixels pick from the next coarser scale, odd; 1: the network has none."""
     detail: bool = False
     """Whether the network predicts how much of the finest detail of each scale is kept (`ops.soften`)."""
+    guided: bool = False
+    """Whether a block of guided self-attention refines the features at a quarter of the image size."""
     longest: float = 16.0
     """Frames after which the running mean forgets: a new frame weighs 1 / longest at least."""
     motion: str = "dual"
@@ -185,8 +189,14 @@ class AccumulatedKPNConfig(NetworkConfig):
         self.check("kernel", "temporal_kernel", "edge_kernel", "pick_kernel")
         if not isinstance(self.scales, int) or not 2 <= self.scales <= len(self.widths):
             raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
-        if not isinstance(self.detail, bool):
-            raise ValueError(f"detail: expected true or false, got {self.detail!r}")
+        for name in ("detail", "guided"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name}: expected true or false, got {getattr(self, name)!r}")
+        if self.guided and (self.scales < 3 or self.widths[1] % (2 * REFINED_HEADS)):
+            raise ValueError(
+                f"guided: expected 3 scales or more and a second width that is a multiple of {2 * REFINED_HEADS}, got "
+                f"{self.scales} scales and widths {self.widths}"
+            )
         if not isinstance(self.longest, int | float) or not 2 <= self.longest < 1e6:
             raise ValueError(f"expected a longest mean of 2 frames or more, got {self.longest}")
 
@@ -213,12 +223,14 @@ class AccumulatedKPNConfig(NetworkConfig):
             shapes[f"heads.{scale - 1}.weight"] = (sum(self.channels(scale)), width, 1, 1)
         shapes["stem.weight"] = (self.widths[0], self.features, 4, 4)
         full = sum(self.channels(0))
-        return with_biases(shapes) | {"full_head.weight": (self.widths[0], full, 2, 2), "full_head.bias": (full,)}
+        shapes = with_biases(shapes) | (refined_shapes("refine.", self.widths[1]) if self.guided else {})
+        return shapes | {"full_head.weight": (self.widths[0], full, 2, 2), "full_head.bias": (full,)}
 
     @property
     def network_reach(self) -> int:
-        """As `NetworkConfig.network_reach`. The U-Net works at half size."""
-        return rounded_up(6 * 2 ** len(self.widths)) + self.light_reach
+        """As `NetworkConfig.network_reach`. The U-Net works at half size; attention reaches over a block and a halo."""
+        attention = REFINED_REACH if self.guided else 0
+        return rounded_up(6 * 2 ** len(self.widths) + attention) + self.light_reach
 
     @property
     def light_reach(self) -> int:

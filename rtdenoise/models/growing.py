@@ -16,7 +16,7 @@ from .accumulated_kpn import AccumulatedKPN
 from .config import AccumulatedKPNConfig, Head
 from .presets import Config
 
-WITHOUT = {"edge_kernel": 1, "pick_kernel": 1, "detail": False}  # values of networks without these heads
+WITHOUT = {"edge_kernel": 1, "pick_kernel": 1, "detail": False, "guided": False}  # values of networks without these
 
 
 def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
@@ -35,11 +35,13 @@ def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
     modules = dict(large.named_modules())
     with torch.no_grad():
         for name, narrow in small.named_modules():
-            if isinstance(narrow, nn.Conv2d) and not name.startswith("heads."):
+            if isinstance(narrow, nn.Conv2d) and not name.startswith(("heads.", "refine.")):
                 _copy(modules[name].weight, modules[name].bias, narrow.weight, narrow.bias, *below.get(name, (0, 0)))
         layers = [small.full_head, *small.heads], [large.full_head, *large.heads]
         for narrow, wide, had, has in zip(*layers, small.config.heads, wanted.heads, strict=True):
             _copy_heads(wide, narrow, had, has)
+    if small.config.guided:
+        large.refine.load_state_dict(small.refine.state_dict())
     return large
 
 
@@ -48,6 +50,7 @@ def _fits(was: Config, wanted: Config) -> bool:
         return False
     wider = all(a <= b for a, b in zip(was.widths, wanted.widths, strict=True))
     new = {name: value for name, value in WITHOUT.items() if getattr(was, name) == value}
+    wider &= not was.guided or was.widths[1] == wanted.widths[1]  # the attention's heads are not split anew
     return wider and replace(wanted, widths=was.widths, **new) == was
 
 

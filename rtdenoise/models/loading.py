@@ -12,16 +12,18 @@ from safetensors.torch import save as serialise
 from ..errors import InputError
 from ..files import write_atomically
 from .accumulated_kpn import AccumulatedKPN
+from .afgsa import GuidedAttention
 from .combiner import Combiner
 from .denoiser import Denoiser
 from .inference import prepare, resolve
 from .mltd import RecurrentTransformer
-from .presets import Config
+from .presets import SHRINKAGE, Config
+from .shrinkage import Shrinkage
 from .temporal_kpn import TemporalKPN
-from .weights import read_model
+from .weights import StoredModel, read_denoiser, read_model
 
 NETWORKS = {
-    "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner,
+    "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "afgsa": GuidedAttention,
     "mltd": RecurrentTransformer,
 }  # fmt: skip
 """`Config.architecture` -> the network."""
@@ -46,17 +48,19 @@ def load(
     Raises InputError for an unknown model or precision, a combiner, an unreadable file, an override that is no field,
     and weights that are not finite or do not fit their configuration.
     """
-    dtype, network = resolve(precision, device), read(model, **overrides)
-    if isinstance(network, Combiner):
-        raise InputError(f"{model}: is a combiner, which corrects frames that a denoiser made; expected a denoiser")
+    dtype, network = resolve(precision, device), _built(read_denoiser(model, **overrides))
     return prepare(network, dtype).to(device)
 
 
 def load_combiner(
-    model: str | Path = "combiner", device: str | torch.device = "cpu", precision: str = "auto", **overrides
-) -> Combiner:
-    """A combiner with its weights, ready to run; arguments and errors as those of `load`."""
-    dtype, network = resolve(precision, device), read(model, **overrides)
+    model: str | Path = SHRINKAGE, device: str | torch.device = "cpu", precision: str = "auto", **overrides
+) -> Combiner | Shrinkage:
+    """A combiner, ready to run: 'shrinkage', which has no weights, or a network; arguments and errors as those of
+    `load`."""
+    dtype = resolve(precision, device)
+    if model == SHRINKAGE:
+        return Shrinkage()
+    network = read(model, **overrides)
     if not isinstance(network, Combiner):
         raise InputError(f"{model}: is a denoiser; expected a combiner, which corrects frames that a denoiser made")
     return prepare(network, dtype).to(device)
@@ -68,7 +72,10 @@ def read(model: str | Path, **overrides) -> Denoiser | Combiner:
     Raises InputError for an unknown name, an unreadable file, an override that is no field, and weights that are not
     finite or do not fit their configuration.
     """
-    file = read_model(model, **overrides)
+    return _built(read_model(model, **overrides))
+
+
+def _built(file: StoredModel) -> Denoiser | Combiner:
     denoiser = create(file.config)
     denoiser.load_state_dict({key: torch.from_numpy(tensor) for key, tensor in file.tensors.items()})
     return denoiser.eval().requires_grad_(False)

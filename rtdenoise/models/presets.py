@@ -6,13 +6,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 
 from ..errors import InputError
+from .afgsa_config import GuidedAttentionConfig
 from .combiner_config import CombinerConfig
 from .config import AccumulatedKPNConfig, TemporalKPNConfig
 from .mltd_config import MLTDConfig
 
-Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | MLTDConfig
+Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | GuidedAttentionConfig | MLTDConfig
 CONFIGS: dict[str, type[Config]] = {
-    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, MLTDConfig)
+    kind.architecture: kind
+    for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, GuidedAttentionConfig, MLTDConfig)
 }
 
 PRESETS: dict[str, Config] = {
@@ -25,6 +27,12 @@ PRESETS: dict[str, Config] = {
 }
 """Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
 
+STILLS: dict[str, GuidedAttentionConfig] = {
+    "afgsa": GuidedAttentionConfig(mirrored=False),
+    "afgsa-small": GuidedAttentionConfig(width=48, blocks=3),
+}
+"""Name of a denoiser of single frames -> its configuration: its paper's, and one that a CPU can train."""
+
 COMBINERS: dict[str, CombinerConfig] = {
     "combiner": CombinerConfig(),
     "combiner-causal": CombinerConfig(frames=3, causal=True),
@@ -34,6 +42,8 @@ COMBINERS: dict[str, CombinerConfig] = {
     ),
 }  # fmt: skip
 """Name of a combiner -> its configuration: ours, ours without future frames, and its paper's."""
+SHRINKAGE = "shrinkage"
+"""Name of the combiner without weights, `shrinkage.Shrinkage`."""
 
 
 def from_stored(architecture: str, values: Mapping[str, object]) -> Config:

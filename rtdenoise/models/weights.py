@@ -15,7 +15,8 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from ..errors import InputError, did_you_mean
-from .presets import COMBINERS, Config, from_stored
+from .combiner_config import CombinerConfig
+from .presets import COMBINERS, PRESETS, STILLS, Config, from_stored
 
 MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
 _SHIPPED = resources.files("rtdenoise") / "weights"
@@ -49,6 +50,9 @@ def find(model: str | Path) -> Path:
     """The file of a model that ships, or else the file at this path. Raises InputError where there is neither."""
     name = str(model)
     path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in _shipped() else Path(name)
+    if not path.is_file() and (name in PRESETS or name in STILLS):
+        raise InputError(f"no weights of {name!r} ship: train them (rtdenoise train --model {name}) and name their "
+                         ".safetensors file")  # fmt: skip
     if not path.is_file():
         raise InputError(
             f"no model {name!r}{did_you_mean(name, available())}: expected one of {', '.join(available())} or the path "
@@ -87,6 +91,14 @@ def read_model(model: str | Path, **overrides: object) -> StoredModel:
             raise InputError(f"{path}: {name} holds values that are not finite or beyond ±{MAX_WEIGHT:g}; the file is "
                              "damaged: train or download it again")  # fmt: skip
     return StoredModel(path, config, tensors)
+
+
+def read_denoiser(model: str | Path, **overrides: object) -> StoredModel:
+    """`read_model`, for the weights of a denoiser. Raises InputError for a combiner too."""
+    stored = read_model(model, **overrides)
+    if isinstance(stored.config, CombinerConfig):
+        raise InputError(f"{model}: is a combiner, which corrects frames that a denoiser made; expected a denoiser")
+    return stored
 
 
 def _expect(path: Path, found: Mapping[str, tuple], config: Config, overrides: Collection[str]) -> None:

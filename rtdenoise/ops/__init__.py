@@ -11,6 +11,7 @@ Image conventions are those of `rtdenoise.frame`: `[B, C, H, W]`, row 0 on top, 
 
 from .alike import alike
 from .apply_kernel import apply_kernel
+from .attend_blocks import attend_blocks
 from .attend_channels import attend_channels
 from .blend import blend
 from .compose import compose
@@ -24,6 +25,6 @@ from .upsample import upsample
 from .warp import warp
 
 __all__ = [
-    "alike", "apply_kernel", "attend_channels", "blend", "compose", "downsample", "fetch", "pick", "reproject",
-    "soften", "upsample", "use", "warp",
+    "alike", "apply_kernel", "attend_blocks", "attend_channels", "blend", "compose", "downsample", "fetch", "pick",
+    "reproject", "soften", "upsample", "use", "warp",
 ]  # fmt: skip

@@ -20,21 +20,25 @@ def even_sky(
 ) -> Tensor:  # [B, 3, H, W]
     """`radiance` where the sky shows and is even, `image` elsewhere.
 
-    A pixel is *open* where it and its 8 neighbours hit nothing; beside a silhouette it may be an edge to smooth. An
-    open pixel with radiance x is even where the open pixels of its `SKY_BLOCK`² block and of the 8 blocks around it
-    are all within x · (1 ± `SKY_TOLERANCE`): sparse light as in fog, a gradient or a picture is not even.
+    A pixel is *open* where it and its 8 neighbours hit nothing. The sky shows where it and the 4 neighbours at its
+    sides hit nothing; a pixel with a silhouette at its side may be an edge to smooth. Such a pixel with radiance x is
+    even where there are open pixels in its `SKY_BLOCK`² block and the 8 blocks around it, and these are all within
+    x · (1 ± `SKY_TOLERANCE`): sparse light as in fog, a gradient or a picture is not even.
     """
     if depth.device.type == "cpu" and bool((depth > 0).all()):
         return image  # on a GPU, looking would mean waiting
     if run := FUSED(image=image, radiance=radiance, depth=depth):
         return run(image, radiance, depth)
     H, W = depth.shape[2:]
-    opened = F.max_pool2d((depth > 0).to(radiance.dtype), 3, stride=1, padding=1) == 0
+    hit = (depth > 0).to(radiance.dtype)
+    columns = F.max_pool2d(hit, (3, 1), stride=1, padding=(1, 0))
+    opened = F.max_pool2d(columns, (1, 3), stride=1, padding=(0, 1)) == 0
+    shows = columns.maximum(F.max_pool2d(hit, (1, 3), stride=1, padding=(0, 1))) == 0
     highest = _around(torch.where(opened, radiance, -torch.inf), (H, W))
     lowest = -_around(torch.where(opened, -radiance, -torch.inf), (H, W))
     margin = SKY_TOLERANCE * radiance
-    even = (highest - radiance <= margin) & (radiance - lowest <= margin)
-    return torch.where(opened & even.all(dim=1, keepdim=True), radiance, image)
+    even = (highest - radiance <= margin) & (radiance - lowest <= margin) & (lowest <= highest)
+    return torch.where(shows & even.all(dim=1, keepdim=True), radiance, image)
 
 
 def _around(image: Tensor, size: tuple[int, int]) -> Tensor:

@@ -12,7 +12,6 @@ FUSED = Fused("soften", native=Support(), triton=Support())
 
 
 @falls_back
-@falls_back
 def soften(
     composed: Tensor,  # [B, C, H, W] of `compose`
     fine: Tensor,  # [B, C, H, W] the finer of the two images that were composed

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..data.clips import ClipDataset, read_facts
-from ..files import write_atomically
+from ..files import utf8, write_atomically
 
 COMPOSED = "composition of assets"  # source of clips of a library
 GENERATED = "program"  # source of clips without third-party data
@@ -48,7 +48,7 @@ def write_card(folder: Path, command: str) -> dict:
         }
         card["reference_error"] = _spread([f["reference_error"] for f in chosen])
     write_atomically(folder / "dataset.json", json.dumps(card, indent=2).encode())
-    write_atomically(folder / "DATA.md", _text(card).encode())
+    write_atomically(folder / "DATA.md", utf8(_text(card)))
     return card
 
 

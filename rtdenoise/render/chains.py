@@ -34,13 +34,14 @@ PATHS_PER_CHAIN, MIN_PATHS = 16, 1 << 15  # of the bootstrap
 
 @dataclass
 class Picture:
-    """What is traced."""
+    """What is traced. Numbers that differ from picture to picture are data, so that kernels are reused."""
 
     scene: mi.Scene
     kinds: list  # BSDFs that may be called besides the scene's
     view: View
-    height: int
-    width: int
+    height: mi.UInt32
+    width: mi.UInt32
+    pixels: int
     max_depth: int
     holes: bool
 
@@ -75,6 +76,7 @@ class Chains:
     proposed: mi.UInt32  # and their number
     taken_large: mi.UInt32
     taken_small: mi.UInt32
+    count: mi.UInt32  # N, one number
 
 
 @dataclass
@@ -92,7 +94,7 @@ def light_of(picture: Picture, number):
     """(beauty, indirect, luminance, pixel) of the paths that `number` makes; the luminance is never negative or NaN."""
     sampler = replay(number, picture.dimensions, picture.holes)
     point = sampler.start()
-    x, y = point.x * picture.width, point.y * picture.height
+    x, y = point.x * mi.Float(picture.width), point.y * mi.Float(picture.height)
     column, row = dr.minimum(mi.UInt32(x), picture.width - 1), dr.minimum(mi.UInt32(y), picture.height - 1)
     ray = rays_through(x, y, sampler, picture.view)
     direct, indirect = trace(picture.scene, sampler, ray, picture.max_depth, picture.holes)
@@ -126,14 +128,14 @@ def seeds(values: np.ndarray, count: int, offset: float) -> np.ndarray:
 
 def begin(picture: Picture, chosen: np.ndarray, paths: int, key: int) -> tuple[Chains, Films]:
     """Chains at the chosen paths of the bootstrap, and empty films."""
-    N, D, pixels = len(chosen), picture.dimensions, picture.height * picture.width
-    path = mi.UInt32(chosen)
-    lane, dimension = _lanes(N, D)
+    N, pixels = len(chosen), picture.pixels
+    path, count = mi.UInt32(chosen), dr.opaque(mi.UInt32, N)
+    lane, dimension = _lanes(picture.dimensions * N, count)
     u = fresh(dr.gather(mi.UInt32, path, lane), paths, key)(dimension)
     color, indirect, value, pixel = light_of(picture, fresh(path, paths, key))
     counts = [dr.zeros(mi.UInt32, N) for _ in range(3)]
     sums = [dr.zeros(mi.Float, N) for _ in range(3)]
-    chains = Chains(u, color, indirect, value, pixel, dr.full(mi.Bool, True, N), *sums, *counts)
+    chains = Chains(u, color, indirect, value, pixel, dr.full(mi.Bool, True, N), *sums, *counts, count)
     films = Films(dr.zeros(mi.Float, 6 * pixels), *(dr.zeros(mi.Float, 3 * pixels) for _ in range(4)))
     dr.make_opaque(chains, films)  # data: a recorded step then fits from the first one on
     return chains, films
@@ -141,13 +143,12 @@ def begin(picture: Picture, chosen: np.ndarray, paths: int, key: int) -> tuple[C
 
 def step(picture: Picture, chains: Chains, films: Films, law: Law, first, key) -> Chains:
     """One mutation of every chain; `first` is b₀. Two kernels: the first traces and splats, the second moves u."""
-    N = dr.width(chains.value)
-    lane = dr.arange(mi.UInt32, N)
+    lane = dr.arange(mi.UInt32, dr.width(chains.value))
     choice, chance, _ = hashed(lane + CHOICE, key)
     large = choice < law.large
 
     def number(dimension):
-        index = dimension * N + lane
+        index = dimension * chains.count + lane
         return mutated(dr.gather(mi.Float, chains.u, index), index, key, large, law.smallest, law.largest)
 
     color, indirect, value, pixel = light_of(picture, number)
@@ -181,22 +182,23 @@ def step(picture: Picture, chains: Chains, films: Films, law: Law, first, key) -
         proposed=chains.proposed + dr.select(large, one, 0),
         taken_large=chains.taken_large + dr.select(large & accepted, one, 0),
         taken_small=chains.taken_small + dr.select(~large & accepted, one, 0),
+        count=chains.count,
     )
     dr.eval(after, accepted, large, films)
 
-    lane, dimension = _lanes(N, picture.dimensions)
+    lane, dimension = _lanes(dr.width(chains.u), chains.count)
     taken, fresh_ones = dr.gather(mi.Bool, accepted, lane), dr.gather(mi.Bool, large, lane)
-    proposal = mutated(chains.u, dimension * N + lane, key, fresh_ones, law.smallest, law.largest)
+    proposal = mutated(chains.u, dimension * chains.count + lane, key, fresh_ones, law.smallest, law.largest)
     after.u = dr.select(taken, proposal, chains.u)
     dr.eval(after.u)
     return after
 
 
-def _lanes(N: int, D: int):
-    """(chain, dimension) of every number in u."""
-    index = dr.arange(mi.UInt32, D * N)
-    dimension = index // dr.opaque(mi.UInt32, N)
-    return index - dimension * N, dimension
+def _lanes(numbers: int, count):
+    """(chain, dimension) of every number in u, with `count` chains."""
+    index = dr.arange(mi.UInt32, numbers)
+    dimension = index // count
+    return index - dimension * count, dimension
 
 
 def _add(film, index, light, active=True) -> None:

@@ -1,4 +1,5 @@
-"""`rtdenoise clips`: a folder of training clips, rendered scene by scene by several processes, with a data card.
+"""`rtdenoise clips`: a folder of training clips with a data card, rendered scene by scene in several processes or on a
+Ray cluster.
 
 Clips are numbered 0 … count − 1; neighbours share a scene (`ClipOptions.clips_per_scene`). A scene, the windows in it
 and the noise depend on the options and the clip's number alone, so any machine can render any shard, and a killed run
@@ -17,6 +18,8 @@ from pathlib import Path
 from ..data.clips import bytes_per_clip, clip_path, read_facts
 from ..errors import InputError
 from ..files import remove_unfinished
+from ..run.farm import Farm
+from ..run.processes import Processes
 from .card import write_card
 from .options import ClipOptions
 from .scene_clips import render_group
@@ -24,7 +27,7 @@ from .scenes.assets import read_library
 from .scenes.pictures import find_pictures
 from .stage import start_mitsuba
 from .windows import COARSE
-from .workers import only_run, run_jobs
+from .workers import KILLED, only_run, start_worker
 
 BEFORE = {"calm": 0.0}  # options that clips of older versions do not record
 
@@ -33,8 +36,8 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
     """Render the missing clips of this shard into a folder, and write its data card. Returns the content of the card.
 
     `progress(done, total, line)` is called before the first clip, with the disk use, and after every clip.
-    Raises InputError where the disk is too small, a worker is killed, another run renders the same shard, or the
-    folder holds clips of other options.
+    Raises InputError where the disk is too small, a worker is killed, another run renders the same shard, the folder
+    holds clips of other options, or the cluster cannot do it (`run.farm`).
     """
     odd = options.size[0] % COARSE or options.size[1] % COARSE or min(options.size) < 32
     if options.windows_per_take > 1 and odd:
@@ -58,7 +61,10 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
         remove_unfinished(out)
         progress(0, missing, _disk_use(out, missing, options))
         done = 0
-        for _, clips in run_jobs(render_group, [(out, group, options) for group in groups], options.workers):
+        place = Farm(options.ray, out) if options.ray else Processes(options.workers)
+        jobs = [(out, group, options) for group in groups]
+        for (_, group, _), clips in place.run(render_group, jobs, start_worker, KILLED):
+            done += groups[group] - len(clips)  # rendered by a worker of the cluster that was killed then
             for facts in clips:
                 done += 1
                 progress(

@@ -121,7 +121,7 @@ def _draw_assets(
     for k in sorted(wanted):
         rng = np.random.default_rng([options.seed, group, 3, k + 1])
         view = VIEWS[rng.integers(len(VIEWS))]
-        frames = int(rng.integers(8, 11)) if rng.uniform() < 0.85 else int(rng.choice([16, 20, 24, 32]))
+        frames = 1 if options.stills else _draw_length(rng)
         for attempt in range(MAX_TAKES):
             scene = direct(rng, frames, view[1])
             if scene is None:
@@ -133,6 +133,11 @@ def _draw_assets(
                 if np.isfinite(light["noise"]):
                     yield k, Take(stage, found, view, frames, facts | light | {"scene": group, "take": k})
                 break
+
+
+def _draw_length(rng: np.random.Generator) -> int:
+    """Frames of the clips of a take."""
+    return int(rng.integers(8, 11)) if rng.uniform() < 0.85 else int(rng.choice([16, 20, 24, 32]))
 
 
 def _source(file: str, scene: Scene) -> dict:

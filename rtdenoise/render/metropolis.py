@@ -8,7 +8,7 @@ blotches that long stays of a chain leave. `chains.py` has the mathematics.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -57,14 +57,17 @@ def metropolis(
 
     Raises InputError where no path finds light, or chains outnumber mutations.
     """
-    start_mitsuba()
+    mi = start_mitsuba()
+    import drjit as dr
+
     from . import chains, tracing
 
     stage.at(number)
     count, pixels = chains_of(options, size, mutations), size[0] * size[1]
     steps = max(round(mutations * pixels / count), 1)
     view = tracing.view_of(stage.scene.camera(number), size)
-    picture = chains.Picture(stage.mitsuba, stage.kinds, view, *size, max_depth, stage.holes)
+    height, width = (dr.opaque(mi.UInt32, side) for side in size)
+    picture = chains.Picture(stage.mitsuba, stage.kinds, view, height, width, pixels, max_depth, stage.holes)
     key = (seed, stream) if options.seed == "same" and stream == NOISY else (seed, stream, number)
     moves = chains.Law(**{"replaced": options.attribution == "replaced"} | (law or {}))
     walked, films, values, first = chains.walk(picture, count, steps, moves, (len(key), *key))
@@ -105,11 +108,6 @@ def metropolis(
         },
     }
     return layers, facts
-
-
-def describe(options: MetropolisOptions) -> dict:
-    """The options, for files that record them."""
-    return {"integrator": "pssmlt", **asdict(options)}
 
 
 def unseen_lamps(stage: Stage) -> str:

@@ -34,6 +34,7 @@ class ClipOptions:
     textures: str = ""  # folder of pictures that some surfaces get; "": none
     assets: str = ""  # folder of a library: compositions of it take the place of generated scenes; "": none
     allow_unlicensed: bool = False  # use assets without a licence
+    ray: str = ""  # address of a Ray cluster that takes the place of processes here; "": none
     metropolis: MetropolisOptions | None = None  # clips of caustic scenes; None: path tracing
 
     @property
@@ -49,14 +50,23 @@ class ClipOptions:
         return ("samples",) if self.assets else ()
 
     @property
+    def stills(self) -> bool:
+        """Whether clips of assets are single frames: more cameras a scene, no motion."""
+        return bool(self.assets) and self.frames == 1
+
+    @property
     def takes_per_scene(self) -> int:
         """A scene is loaded, and its kernels compiled, once; takes of it differ in camera and motions."""
+        if self.stills:
+            return 4
         return 3 if self.assets else 1
 
     @property
     def windows_per_take(self) -> int:
         if self.generator == 1 or self.metropolis:
             return 1  # the whole picture
+        if self.stills:
+            return 3
         return 2 if self.assets else 4
 
     @property

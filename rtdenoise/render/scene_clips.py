@@ -18,7 +18,7 @@ from .options import ClipOptions
 from .scenes.caustic import caustic
 from .stage import Stage
 from .streams import FIRST_HALF, SECOND_HALF
-from .windows import candidates, choose, look_through
+from .windows import candidates, choose, look_through, mean
 
 ACTIVE_SHARE = 0.75  # of the clips whose window is the one with most activity; the others take any window
 MORE_SAMPLES = (2, 4, 8, 16, 32, 64)  # factors on the samples of half of the clips, in sets with assets
@@ -93,7 +93,7 @@ def _render_take(
     windows = candidates(take.found, options.size, take.frames)
     for index in members:  # existing clips too: a window depends on those before it
         rng = np.random.default_rng([options.seed, group, index])
-        active = bool(rng.uniform() < ACTIVE_SHARE)
+        active = bool(rng.uniform() < ACTIVE_SHARE) and not options.stills
         window = choose(windows, taken, options.size, take.frames, active, rng)
         taken.append(window)
         if index not in missing:
@@ -103,7 +103,7 @@ def _render_take(
         more = {
             "seed": options.seed, "index": index, "generator": options.generator,
             "scenes_are_of": options.scenes_are_of(), "uncovered": window.uncovered,
-            "view_uncovered": float(take.found.uncovered[1:].mean()), "motion": window.motion,
+            "view_uncovered": mean(take.found.uncovered[1:]), "motion": window.motion,
             "chosen": "activity" if active else "at random", "window": [window.top, window.left, *take.view],
         }  # fmt: skip
         seed = int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0])

@@ -17,7 +17,7 @@ MAX_OVERLAP = 0.5  # share of pixels and frames that two windows of a scene may 
 
 
 @dataclass(frozen=True)
-class Window:
+class ClipWindow:
     """A rectangle of a picture, from one frame on."""
 
     first: int  # first frame
@@ -54,7 +54,7 @@ def survey(stage: Stage, frames: int, view: tuple[int, int]) -> Survey:
     )
 
 
-def candidates(found: Survey, size: tuple[int, int], frames: int) -> list[Window]:
+def candidates(found: Survey, size: tuple[int, int], frames: int) -> list[ClipWindow]:
     """All windows of `size` = (height, width) and `frames` frames, in steps of an eighth of the window and of half its
     frames."""
     h, w = size[0] // COARSE, size[1] // COARSE
@@ -65,18 +65,23 @@ def candidates(found: Survey, size: tuple[int, int], frames: int) -> list[Window
             for left in range(0, W - w + 1, max(w // 8, 1)):
                 part = (slice(top, top + h), slice(left, left + w))
                 windows.append(
-                    Window(
+                    ClipWindow(
                         first,
                         top * COARSE,
                         left * COARSE,
-                        float(found.uncovered[(slice(first + 1, first + frames), *part)].mean()),
+                        mean(found.uncovered[(slice(first + 1, first + frames), *part)]),
                         float(found.motion[(slice(first, first + frames), *part)].mean()),
                     )
                 )
     return windows
 
 
-def choose(windows: list[Window], taken: list[Window], size, frames: int, active: bool, rng) -> Window:
+def mean(values: np.ndarray) -> float:
+    """Their mean, 0 for none: a single frame uncovers nothing."""
+    return float(values.mean()) if values.size else 0.0
+
+
+def choose(windows: list[ClipWindow], taken: list[ClipWindow], size, frames: int, active: bool, rng) -> ClipWindow:
     """The window with the most activity, or (not `active`) a random one. Windows that overlap one of those `taken` by
     MAX_OVERLAP come last. Activity is the share of uncovered pixels, and a little for motion."""
     fresh = [w for w in windows if all(_overlap(w, t, size, frames) < MAX_OVERLAP for t in taken)] or windows
@@ -85,14 +90,14 @@ def choose(windows: list[Window], taken: list[Window], size, frames: int, active
     return max(fresh, key=lambda w: w.uncovered + MOTION_WEIGHT * min(w.motion, MAX_MOTION))
 
 
-def _overlap(a: Window, b: Window, size, frames: int) -> float:
+def _overlap(a: ClipWindow, b: ClipWindow, size, frames: int) -> float:
     share = 1.0
     for p, q, length in ((a.first, b.first, frames), (a.top, b.top, size[0]), (a.left, b.left, size[1])):
         share *= max(0.0, 1 - abs(p - q) / length)
     return share
 
 
-def look_through(stage: Stage, window: Window, view: tuple[int, int]) -> Stage:
+def look_through(stage: Stage, window: ClipWindow, view: tuple[int, int]) -> Stage:
     """Narrow the stage's camera to a window of the picture that it shows now."""
     whole = stage.scene.camera
     part = (*view, window.top, window.left)

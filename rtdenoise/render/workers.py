@@ -1,13 +1,11 @@
-"""Rendering processes: run jobs, yield results, raise one line when a process dies or a folder is in use."""
+"""Rendering processes: one thread each, and one run at a time into a folder."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
 from ..files import lock
-from ..run import processes
 from .stage import start_mitsuba
 
 KILLED = (
@@ -16,15 +14,9 @@ KILLED = (
 )
 
 
-def run_jobs(function: Callable, jobs: list[tuple], workers: int) -> Iterator:
-    """`processes.run_jobs` in processes that render."""
-    return processes.run_jobs(function, jobs, workers, start_worker, killed=KILLED)
-
-
-def start_worker() -> None:
-    """Use one rendering thread, and exit as soon as the parent process ends."""
-    processes.end_with_parent()
-    start_mitsuba(1)
+def start_worker(threads: int) -> None:
+    """Prepare a process that renders."""
+    start_mitsuba(threads)
 
 
 def only_run(folder: Path, name: str) -> AbstractContextManager[None]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..errors import InputError, did_you_mean
 from ..evaluate.document import NAME, Document
-from ..files import write_atomically
+from ..files import utf8, write_atomically
 from .markdown import markdown
 from .page import page, payload
 
@@ -30,8 +30,8 @@ def report(folder: Path, pictures: tuple[str, ...] = (), sequences: tuple[str, .
                 raise InputError(f"no {kind} {name!r} in {folder}{near}; it has {', '.join(known)}")
     data = payload(document)
     written = {
-        folder / "report.html": page(data, document, folder, pictures, sequences).encode(),
-        folder / "report.md": markdown(data).encode(),
+        folder / "report.html": utf8(page(data, document, folder, pictures, sequences)),
+        folder / "report.md": utf8(markdown(data)),
     }
     if importlib.util.find_spec("matplotlib"):
         from .chart import chart

@@ -35,8 +35,8 @@ def to_planes(
     """
     if not is_tensor(array):
         array = _as_numpy(name, array)
-    shape = tuple(array.shape)
     _expect_floats(name, array)
+    shape = tuple(array.shape)
     if len(shape) == 2 and channels == 1:
         array = array[..., None]
     elif not (len(shape) == 3 and shape[2] == channels) and not (len(shape) == 4 and shape[1] == channels):
@@ -81,6 +81,9 @@ def _as_numpy(name: str, array: Any) -> np.ndarray:
 
 
 def _expect_floats(name: str, array: np.ndarray | Tensor) -> None:
+    if is_tensor(array) and (array.is_nested or array.is_meta or str(array.layout) != "torch.strided"):
+        kind = "nested" if array.is_nested else "meta" if array.is_meta else str(array.layout).removeprefix("torch.")
+        raise InputError(f"{name}: expected a dense tensor that holds values, got a {kind} one")
     floats = array.dtype.is_floating_point if is_tensor(array) else array.dtype.kind == "f"
     if not floats:
         dtype = str(array.dtype).removeprefix("torch.")

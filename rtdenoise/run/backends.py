@@ -18,11 +18,17 @@ from .plan import Plan, count, look, make_plan
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ..models import Denoiser
+
 BACKENDS = ("auto", "torch", "glsl")
 
 
 class Backend(Protocol):
     """A model, ready to run. `history` is the backend's own; None starts anew."""
+
+    @property
+    def config(self) -> Config:
+        """The configuration of its network."""
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         """Follow the plan (`plan.make_plan`) from now on; `left_out` counts the frames that leave work out."""
@@ -46,10 +52,12 @@ class Backend(Protocol):
         """The inverse of `save`. Raises InputError where the fields are not those of a history."""
 
 
-def open_backend(name: str, model: str, device: str, precision: str) -> Backend:
-    """The backend `name` with a model in it; 'auto' is torch where it is installed.
+def open_backend(name: str, model: str, device: str, precision: str, correct: bool = False) -> Backend:
+    """The backend `name` with a model in it; 'auto' is torch where it is installed. With `correct` its images are
+    corrected by the residuals of the frames before (`models.shrinkage.correct`).
 
-    Raises InputError for an unknown name, a device or precision that the backend lacks, and as `load` for the model.
+    Raises InputError for an unknown name, a device, precision or correction that the backend lacks, and as `load` for
+    the model.
     """
     if name not in BACKENDS:
         raise InputError(f"unknown backend {name!r}; expected one of {', '.join(BACKENDS)}")
@@ -57,26 +65,36 @@ def open_backend(name: str, model: str, device: str, precision: str) -> Backend:
     if name == "torch" and not has_torch:
         raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
     if name == "torch" or (name == "auto" and has_torch):
-        return TorchBackend(model, device, precision)
+        return TorchBackend(model, device, precision, correct)
+    if correct:
+        raise InputError(f"the correction runs in PyTorch alone; {INSTALL_TORCH}, or leave it out")
     return GlslBackend(model, device, precision)
 
 
 class TorchBackend:
     """`rtdenoise.models`."""
 
-    def __init__(self, model: str, device: str, precision: str) -> None:
+    def __init__(self, model: str, device: str, precision: str, correct: bool = False) -> None:
         from ..models import load
         from ..models.inference import choose_device
         from .graphs import stepper
 
         self.device = choose_device(device)
         self._denoiser = load(model, self.device, precision)
+        if correct and self._denoiser.config.motion is None:
+            raise InputError(f"{model}: denoises single pictures, and the correction needs the frames before")
         self._step = self._whole = stepper(self._denoiser)
+        self._correct = correct
 
     @property
     def config(self) -> Config:
         """The configuration of its network."""
         return self._denoiser.config
+
+    @property
+    def network(self) -> Denoiser:
+        """Its network, a torch module."""
+        return self._denoiser
 
     def prepare(self, frame: Frame) -> Frame:
         import torch
@@ -96,7 +114,10 @@ class TorchBackend:
     def denoise(self, frame: Frame, history: Any) -> tuple[Tensor, Any]:
         import torch
 
+        from ..models.shrinkage import corrected
+
         step = self._step if len(frame.radiance) == 1 else self._whole  # the plan is for single pictures
+        step = corrected(step) if self._correct else step
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
             return step(frame, history, Known(sanitised=True))
 
@@ -116,6 +137,8 @@ class TorchBackend:
 
         from ..history import mismatch
 
+        if self.config.motion is None:
+            return 0.0  # history leaves no trace
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
             return mismatch(frame, history).max().item()
 
@@ -140,6 +163,10 @@ class GlslBackend:
             raise InputError(f"precision {precision!r}: --backend glsl has 'fp32' and 'fp16' ('auto' is fp32)")
         self._pipeline = Pipeline.load(model, half=precision == "fp16")
         self._left_out: dict[str, int] | None = None  # None: nothing is left out
+
+    @property
+    def config(self) -> Config:
+        return self._pipeline.config
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out

@@ -19,6 +19,7 @@ from .folder import prepare
 from .options import EXAMINED, CombineOptions, Summary
 
 FEATURES = ("albedo", "normal", "depth")
+MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
 
 
 def combine(
@@ -40,10 +41,12 @@ def combine(
     """
     if find_spec("torch") is None:
         raise InputError("combine needs PyTorch, which is not installed")
+    if not 0 <= options.samples <= MAX_SAMPLES:
+        raise InputError(f"--samples: expected 1 to {MAX_SAMPLES}, or 0 for unknown, got {options.samples}")
     from ..models import load_combiner
     from ..models.inference import choose_device
     from .correcting import Run
-    from .pairs import check_pairs, open_denoised
+    from .pairs import check_pairs, check_second, open_denoised
 
     source = open_sequence(noisy, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
@@ -51,13 +54,19 @@ def combine(
     if options.confidence and options.layout != "plain":
         raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
     check_pairs(source, estimates, EXAMINED)
+    second = open_denoised(options.second, source, options.preset, options.allow_gaps) if options.second else None
+    if second:
+        check_second(source, second)
+        check_pairs(source, second, EXAMINED)
     device = choose_device(options.device)
     combiner = load_combiner(options.model, device, options.precision)
-    protect_input(estimates, Path(out), "plain", False)
+    for one in (estimates, *([second] if second else [])):
+        protect_input(one, Path(out), "plain", False)
     out = prepare(Path(out), source, options)
     with lock(out):
         remove_unfinished(out)
-        return Run(source, estimates, out, options, combiner, device, on_frame).run(overwrite, missing_layers(source))
+        run = Run(source, estimates, second, out, options, combiner, device, on_frame)
+        return run.run(overwrite, missing_layers(source))
 
 
 def missing_layers(source: Sequence) -> list[str]:

@@ -15,12 +15,13 @@ from ..data.output import output_names, write_frame
 from ..data.sequences import Sequence
 from ..frame import MAX_CUT_MISMATCH, Frame, History
 from ..history import mismatch
-from ..models import Combiner, Window
+from ..models import Combiner, Shrinkage, Window
 from ..splat import splat_motion_next
+from .denoise import with_samples
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
 from .options import SUMMARY, CombineOptions, Summary
-from .pairs import read_estimate
+from .pairs import both, read_estimate
 from .state import STATE, read_state, save_state
 from .windows import windows
 
@@ -33,6 +34,7 @@ class Pair:
     raw: Frame  # numpy, as it was read
     frame: Frame  # tensors on the device; motion and motion_next only within the shot
     estimate: Tensor  # [1, 3, H, W] the denoised frame
+    half: Tensor | None  # [1, 3, H, W] the noisy frame of the first render, where there are two
 
 
 @dataclass
@@ -41,15 +43,16 @@ class Run:
 
     source: Sequence
     estimates: Sequence
+    second: Sequence | None
     out: Path
     options: CombineOptions
-    combiner: Combiner
+    combiner: Combiner | Shrinkage
     device: str
     on_frame: Callable[[int, int], None]
 
     def run(self, overwrite: bool, notes: list[str]) -> Summary:
         """Correct and write the frames that are not there yet."""
-        count, reach = len(self.source), max(abs(offset) for offset in self.combiner.config.offsets)
+        count, reach = len(self.source), max(abs(offset) for offset in self.combiner.offsets)
         self.fingerprints = self._fingerprints()
         self.names = output_names(self.source, self.options.layout, self.options.recombine)
         done, self.summary = (0, Summary()) if overwrite else self._resume(reach)
@@ -77,10 +80,10 @@ class Run:
 
     def _write(self, pair: Pair, window: tuple[Pair | None, ...]) -> None:
         """Correct the frame in the middle of a window and write it."""
-        chosen = [window[len(window) // 2 + offset] for offset in self.combiner.config.offsets]
-        frames, estimates = zip(*((p and p.frame, None if p is None else p.estimate) for p in chosen), strict=True)
+        chosen = [window[len(window) // 2 + offset] for offset in self.combiner.offsets]
+        frames, estimates, halves = zip(*((p and p.frame, p and p.estimate, p and p.half) for p in chosen), strict=True)
         with torch.inference_mode(), explained(pair.raw.name, pair.raw.size, self.device):
-            combined = self.combiner.combine(Window(frames, estimates))
+            combined = self.combiner.combine(Window(frames, estimates, halves if self.second else ()))
         extra = {"confidence": combined.confidence.cpu().numpy()} if self.options.confidence else {}
         nans = write_frame(
             self.out, self.source, pair.index, pair.raw, combined.image.cpu().numpy(), layout=self.options.layout,
@@ -104,8 +107,10 @@ class Run:
 
     def _read(self, i: int) -> Pair:
         raw = self.source.read(i)
-        frame = raw.map(torch.from_numpy).to(self.device)
-        return Pair(i, raw, frame, read_estimate(self.estimates, i).to(self.device))
+        frame, half = with_samples(raw, self.options.samples).map(torch.from_numpy).to(self.device), None
+        if self.second:
+            frame, half = both(frame, read_estimate(self.second, i).to(self.device))
+        return Pair(i, raw, frame, read_estimate(self.estimates, i).to(self.device), half)
 
     def _begins(self, pair: Pair, before: Pair) -> bool:
         """Whether a shot begins with a frame: after a gap, at a cut, and everywhere without motion."""
@@ -128,9 +133,10 @@ class Run:
         return replace(pair, frame=replace(frame, motion_next=onward))
 
     def _fingerprints(self) -> list[str]:
-        """`folder.digest` of both sequences."""
-        both = zip(digest(self.source, self.options), digest(self.estimates, self.options), strict=True)
-        return [hashlib.sha256("".join(pair).encode()).hexdigest() for pair in both]
+        """`folder.digest` of all sequences."""
+        inputs = [self.source, self.estimates, *([self.second] if self.second else [])]
+        digests = zip(*(digest(one, self.options) for one in inputs), strict=True)
+        return [hashlib.sha256("".join(parts).encode()).hexdigest() for parts in digests]
 
     def _resume(self, reach: int) -> tuple[int, Summary]:
         """How many frames are finished and will stay as they are, and the summary so far."""

@@ -5,18 +5,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from ..frame import MAX_CUT_MISMATCH
+from ..frame import MAX_CUT_MISMATCH, Frame
 from ..models.weights import read_config
 from ..sanitise import faults
 from .backends import Backend, open_backend
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
+from .light import in_parts
 from .options import EXAMINED, SUMMARY, Options, Summary
 from .state import STATE, read_state, save_state
 
@@ -39,6 +44,9 @@ def denoise(
 
     Raises InputError for anything wrong with the input, the options or the output folder.
     """
+    if options.offline and (options.lights or options.also):
+        raise InputError("--lights and --also: go without --offline, which has no kernels for them")
+    _check_correction(options)
     if options.offline:
         from .offline import denoise_offline
 
@@ -49,13 +57,22 @@ def denoise(
     sequence = open_sequence(
         source, signal=options.signal, preset=options.preset, layers=reads, allow_gaps=options.allow_gaps
     )
-    sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()), *reads)
+    sequence.require("albedo", "normal", "depth", *reads)
     check_output(sequence, options.layout, options.recombine, options.keep)
-    backend = open_backend(options.backend, options.model, options.device, options.precision)
+    backend = open_backend(options.backend, options.model, options.device, options.precision, options.correct)
+    if len(sequence) > 1 and backend.config.motion is not None:
+        sequence.require("motion")
+    write = partial(write_frame, layout=options.layout, recombine=options.recombine, keep=options.keep,
+                    float32=options.float32)  # fmt: skip
+    read = Sequence.read
+    if options.lights or options.also:
+        if reads:
+            raise InputError(f"--lights, --also: go with models that take light as it is; {options.model} reads {reads[0]}")
+        backend, read, write = in_parts(sequence, options, backend)
     out = prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
-        return _run(sequence, out, options, backend, overwrite, on_frame)
+        return _run(sequence, out, options, backend, read, write, overwrite, on_frame)
 
 
 def _run(
@@ -63,6 +80,8 @@ def _run(
     out: Path,
     options: Options,
     backend: Backend,
+    read: Callable[[Sequence, int], Frame],
+    write: Callable[..., dict[str, int]],
     overwrite: bool,
     on_frame: Callable[[int, int], None],
 ) -> Summary:
@@ -73,17 +92,19 @@ def _run(
     if not done:  # so that the next run knows the first frame for its own
         save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps = done, list(sequence.gaps)
+    if len(sequence) > 1 and backend.config.motion is None:
+        summary.notes.append(f"{options.model} denoises each frame alone: nothing is carried from frame to frame")
     names = output_names(sequence, options.layout, options.recombine)
     written = Written(out, names[:done])
     if options.plan:
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
         summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
     if summary.plan:
-        sequence = sequence.only(summary.plan.layers)
+        sequence = sequence.only({*summary.plan.layers, *(("samples",) if options.correct else ())})
 
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
-        frame = sequence.read(i)
+        frame = with_samples(read(sequence, i), options.samples)
         for what, count in faults(frame).items():
             summary.replaced[what] = summary.replaced.get(what, 0) + count
         if i and frame.number != sequence.numbers[i - 1] + 1:
@@ -95,9 +116,7 @@ def _run(
             history = None
         image, history = backend.step(prepared, history)
         summary.seconds += time.perf_counter() - started
-        nans = write_frame(out, sequence, i, frame, image, layout=options.layout, recombine=options.recombine,
-                           keep=options.keep, float32=options.float32)  # fmt: skip
-        for channel, count in nans.items():
+        for channel, count in write(out, sequence, i, frame, image).items():
             summary.passed_on[channel] = summary.passed_on.get(channel, 0) + count
         written.add(names[i])
         save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options, written.digest)
@@ -105,6 +124,21 @@ def _run(
         on_frame(i + 1, len(sequence))
     write_summary(out / SUMMARY, sequence, options, summary)
     return summary
+
+
+def _check_correction(options: Options) -> None:
+    if options.correct and (options.offline or options.lights or options.also):
+        raise InputError("--correct: goes without --offline, --lights and --also; `rtdenoise combine` corrects their "
+                         "frames")  # fmt: skip
+    if options.samples < 0 or (options.samples and not options.correct):
+        raise InputError(f"--samples {options.samples}: goes with --correct, and is 1 or more")
+
+
+def with_samples(frame: Frame, samples: int) -> Frame:
+    """The frame with so many samples a pixel, unless it says how many or `samples` is 0."""
+    if not samples or frame.samples is not None:
+        return frame
+    return replace(frame, samples=np.full_like(frame.radiance[:, :1], samples))
 
 
 def _resume(

@@ -16,13 +16,16 @@ from ..data.output import protect_input
 from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import dumps, write_atomically
+from ..models.presets import SHRINKAGE
 from ..models.weights import find
 
 if TYPE_CHECKING:
     from .options import Options, Summary
 
 INDECISIVE = ("backend", "device")  # options that leave the files as they are
-YOUNG = {"offline": False, "confidence": False}  # options that older runs did not have, as these ran
+YOUNG = {  # options that older runs did not have, as these ran
+    "offline": False, "confidence": False, "correct": False, "second": "", "samples": 0, "lights": False, "also": (),
+}  # fmt: skip
 
 
 def prepare(out: Path, sequence: Sequence, options: Options) -> Path:
@@ -48,7 +51,8 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
     parts = {name: value for name, value in _decisive(options).items() if YOUNG.get(name) != value or name not in YOUNG}
     parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
-    parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
+    if options.model != SHRINKAGE:
+        parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
     cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
@@ -67,7 +71,7 @@ def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) 
     if state.get("fingerprint") == fingerprint:
         return
     before, now = (
-        YOUNG | state["options"],
+        {**YOUNG, "also": [], **state["options"]},
         json.loads(json.dumps(_decisive(options))),
     )  # tuples become lists, as in `before`
     changed = [key for key in now if key in before and before[key] != now[key]]

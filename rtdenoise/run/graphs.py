@@ -79,7 +79,7 @@ class Graphed:
 
     def __init__(self, denoiser: nn.Module, record: Recorder) -> None:
         self.denoiser = denoiser
-        self.recordings: dict[Hashable, Recording] = {}  # by kind
+        self.recordings: dict[Hashable, RecordedStep] = {}  # by kind
         self._record: Recorder | None = record
         self._seen: deque[Hashable] = deque(maxlen=IDLE_STEPS)  # kinds of the last steps that were not replayed
         self._steps = 0
@@ -105,7 +105,7 @@ class Graphed:
     def _add(self, kind: Hashable, given: dict[str, Tensor]) -> None:
         read = {_description(n, t): t for recording in self.recordings.values() for n, t in recording.read.items()}
         try:
-            self.recordings[kind] = Recording(self.denoiser, kind[0], given, read, self._record)
+            self.recordings[kind] = RecordedStep(self.denoiser, kind[0], given, read, self._record)
         except RuntimeError as error:  # not permitted in a capture, or out of memory
             self.recordings.clear()
             self._record = None
@@ -125,7 +125,7 @@ class Graphed:
         return idle
 
 
-class Recording:
+class RecordedStep:
     """One recorded step, replayed with tensors like those `given`. It shares the input memory `read` of other
     recordings where name, shape and dtype agree: inputs are copied in before each replay."""
 

@@ -29,7 +29,7 @@ HAS_TORCH = find_spec("torch") is not None
 
 
 @dataclass(frozen=True)
-class Layer:
+class FoundLayer:
     """A layer of `Frame` and its source in the files."""
 
     name: str
@@ -50,7 +50,7 @@ class Inspection:
     preset: str
     signal: str
     demodulated: bool  # whether the renderer has already divided the signal by the albedo
-    layers: tuple[Layer, ...]
+    layers: tuple[FoundLayer, ...]
     missing: dict[str, str]  # missing layer that a denoiser would use -> how to get it
     computed: tuple[str, ...]  # layers that are computed from position, id and scene.json
     ignored: tuple[str, ...]  # channels that nothing reads
@@ -131,10 +131,10 @@ def _choose_pairs(numbers: tuple[int, ...], count: int) -> list[tuple[int, int]]
     return [consecutive[round(k * (len(consecutive) - 1) / max(count - 1, 1))] for k in range(count)]
 
 
-def _layers(sequence: Sequence) -> tuple[Layer, ...]:
+def _layers(sequence: Sequence) -> tuple[FoundLayer, ...]:
     types = sequence.header.channels
     return tuple(
-        Layer(
+        FoundLayer(
             name=name,
             channels=tuple(
                 ("-" if sign < 0 else "") + (unit if rule.scale == "uv" else "") + c

@@ -10,7 +10,8 @@ A shot begins at the first frame, after a gap, and at a cut, which the first pas
 
 from __future__ import annotations
 
-import json
+import contextlib
+import re
 import shutil
 import time
 from collections.abc import Callable
@@ -19,11 +20,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence, open_sequence
-from ..data.stored import read_history, write_history
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH, Frame
@@ -31,14 +29,13 @@ from ..sanitise import faults
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 from .options import EXAMINED, SUMMARY, Options, Summary
 from .state import STATE, read_state, save_state
+from .stored_estimate import read_estimate, write_estimate
 
 if TYPE_CHECKING:
-    from .passes import Estimate, Passes
+    from .passes import Passes
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
-LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
-STORED = {"radiance": "image", "mean": "mean", "mean_albedo": "mean_albedo", "length": "length"}  # in a file -> field
-LIGHT = ("radiance", "mean")
+OF_ESTIMATE = re.compile(r"\d{6,}\.safetensors")  # names in it
 BYTES_PER_PIXEL = 20  # of a stored estimate: ten halves
 
 
@@ -91,8 +88,10 @@ class _Run:
         done, history, summary = (0, None, Summary()) if overwrite else self._resume()
         self.summary, self.written = summary, Written(self.out, self.names[: max(0, done - count)])
         summary.skipped, summary.gaps, summary.notes = max(0, done - count), list(self.sequence.gaps), self._notes()
+        if self.estimates.is_symlink() or not (self.estimates.is_dir() or not self.estimates.exists()):
+            raise InputError(f"{self.estimates}: not a folder of this program; remove it or choose another --out")
         if not done:
-            shutil.rmtree(self.estimates, ignore_errors=True)
+            self._clear()
             self._save(0, None)
         if done < 2 * count:
             self._check_disk()
@@ -115,7 +114,7 @@ class _Run:
             if step >= count:
                 self._path(2 * count - 1 - step).unlink(missing_ok=True)
             self.on_frame(step + 1, 2 * count)
-        shutil.rmtree(self.estimates, ignore_errors=True)
+        self._clear()
         write_summary(self.out / SUMMARY, self.sequence, self.options, summary)
         return summary
 
@@ -146,7 +145,7 @@ class _Run:
         else:
             history = None
         backward, history = self.passes.step(reverse(frame, following), history)
-        forward = read_estimate(self._path(i), self.passes.backend.device)
+        forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.size)
         combined = self.passes.combine(frame, forward, backward)
         extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
         nans = write_frame(
@@ -189,6 +188,17 @@ class _Run:
     def _path(self, i: int) -> Path:
         return self.estimates / f"{i:06d}.safetensors"
 
+    def _clear(self) -> None:
+        """Remove the stored estimates, and their folder unless it holds anything else."""
+        if not self.estimates.exists():
+            return
+        remove_unfinished(self.estimates)
+        with contextlib.suppress(OSError):
+            for path in self.estimates.iterdir():
+                if OF_ESTIMATE.fullmatch(path.name):
+                    path.unlink()
+            self.estimates.rmdir()
+
     def _resume(self) -> tuple[int, Any, Summary]:
         """How far an earlier run came: frames done in both passes, the history, and the summary so far."""
         path = self.out / STATE
@@ -212,30 +222,3 @@ class _Run:
         save_state(
             self.out / STATE, fields, done, self.fingerprint, self.summary, self.options, self.written.digest
         )  # fmt: skip
-
-
-def write_estimate(path: Path, estimate: Estimate) -> None:
-    """Store an estimate in half precision. Raises InputError where it cannot be written."""
-    arrays, scales = {}, {}
-    for name, field in STORED.items():
-        array = getattr(estimate, field).cpu().numpy()
-        if name in LIGHT:
-            scales[name] = 2.0 ** np.floor(np.log2(max(float(array.max()), 1e-30) / LARGEST_HALF))
-            array = array / np.float32(scales[name])
-        arrays[name] = array.astype(np.float16)
-    write_history(path, arrays, {"scales": json.dumps(scales), "first": str(int(estimate.first))})
-
-
-def read_estimate(path: Path, device: str) -> Estimate:
-    """The inverse of `write_estimate`. Raises InputError where the file cannot be read."""
-    import torch
-
-    from .passes import Estimate
-
-    arrays, metadata = read_history(path)
-    scales = json.loads(metadata["scales"])
-    tensors = {
-        field: torch.from_numpy(arrays[name].astype(np.float32)).to(device) * scales.get(name, 1.0)
-        for name, field in STORED.items()
-    }
-    return Estimate(**tensors, first=metadata["first"] == "1")

@@ -28,6 +28,11 @@ class Options:
     its place)."""
     recombine: bool = False
     """Add the rest of the light to the denoised signal: the result is the beauty."""
+    lights: bool = False
+    """Denoise every light pass that Blender's Cycles split, each divided by its own colour, and add them up; with
+    --layout source every pass is replaced."""
+    also: tuple[str, ...] = ()
+    """Additive layers (light groups, AOVs) to denoise by the kernels of the picture, by name."""
     keep: tuple[str, ...] = ()
     """Layers of the input to copy into the output ('albedo', 'depth' ...), or 'all'."""
     float32: bool = False
@@ -45,6 +50,10 @@ class Options:
     offline: bool = False
     """The best picture for frames on disk: uses the frames after as well as those before, and OIDN where it is
     installed. Takes several times as long."""
+    correct: bool = False
+    """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
+    samples: int = 0
+    """With --correct: samples a pixel of the frames, where the files do not say. From 4 on edges are corrected, too."""
     confidence: bool = False
     """With --offline: also write how far the candidates lie apart, in radiance, as the layer 'confidence' (small is
     sure)."""
@@ -75,8 +84,13 @@ class CombineOptions:
 
     signal: str = "color"
     """The denoised signal: 'color' (the beauty) or 'indirect'."""
-    model: str = "combiner"
-    """The combiner: a shipped one, or a .safetensors file that `rtdenoise train` wrote."""
+    model: str = "shrinkage"
+    """The combiner: 'shrinkage', which needs no training, or a .safetensors file that `rtdenoise train` wrote."""
+    second: str = ""
+    """A second render of the noisy frames (folder or glob) with another seed and as many samples: both are used, and
+    their differences tell noise from light."""
+    samples: int = 0
+    """Samples a pixel of each noisy frame, where the files do not say. From 4 on edges are corrected, too."""
     preset: str = "auto"
     """Layout of the noisy files: as for denoise."""
     layout: str = "plain"

@@ -51,6 +51,22 @@ def read_estimate(denoised: Sequence, i: int) -> Tensor:
     return torch.from_numpy(convert(rule, denoised.files[i].read(rule.channels), "radiance").astype(np.float32))
 
 
+def both(frame: Frame, second: Tensor) -> tuple[Frame, Tensor]:
+    """A frame with the mean of two renders, and the light of the first one. A pixel that is not finite in one render
+    takes the other's value."""
+    first = frame.radiance.where(frame.radiance.isfinite(), second)
+    mean = (first + second.where(second.isfinite(), first)) / 2
+    samples = None if frame.samples is None else 2 * frame.samples
+    return replace(frame, radiance=mean, samples=samples), first
+
+
+def check_second(source: Sequence, second: Sequence) -> None:
+    """Raise InputError where the second render repeats the first one: its noise must be another."""
+    if torch.equal(torch.from_numpy(source.only(("radiance",)).read(0).radiance), read_estimate(second, 0)):
+        raise InputError(f"{second.paths[0]}: is the same picture as {source.paths[0]}; render the second one with "
+                         "another seed")  # fmt: skip
+
+
 def check_pairs(source: Sequence, denoised: Sequence, count: int) -> None:
     """Compare the light of the first `count` frames. Raises InputError where the denoised ones are tone-mapped or have
     another exposure."""

@@ -18,6 +18,7 @@ from ..baselines.oidn import Oidn
 from ..color import albedo_divisor
 from ..errors import InputError
 from ..frame import Frame, History
+from ..ops.even_sky import even_sky
 from ..ops.pixels import demodulate
 from ..sanitise import sanitise
 from ..splat import splat_motion_next
@@ -64,7 +65,8 @@ class Passes:
     @torch.inference_mode()
     def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
-        return combine(self.candidates(frame, forward, backward))
+        found = combine(self.candidates(frame, forward, backward))
+        return replace(found, image=even_sky(found.image, frame.radiance, frame.depth))  # OIDN filters the sky too
 
     def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:
         """What is known of a prepared frame."""

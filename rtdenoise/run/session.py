@@ -60,21 +60,24 @@ class Denoiser:
         device: str = "auto",
         precision: str = "auto",
         detect_cuts: bool = True,
+        correct: bool = False,
+        samples: int = 0,
     ) -> None:
         """`model` is the name of a model that ships ('default', 'fast', 'quality', 'paper') or a .safetensors file.
 
         `backend` is 'torch', 'glsl' (OpenGL shaders, without PyTorch; one picture at a time), or 'auto': torch where it
         is installed. `device` is torch's, 'cpu', 'cuda' or 'auto', and the network's `precision` 'fp32', 'bf16' (with
         glsl 'fp16') or 'auto'. `detect_cuts` starts history anew where most pixels find another surface than their
-        motion promises.
+        motion promises. `correct` corrects each frame by the noisy ones before it, for 4 samples a pixel and more;
+        `samples` says how many there are, so that edges are corrected, too.
 
-        Raises InputError for an unknown model, backend, device or precision.
+        Raises InputError for an unknown model, backend, device or precision, and a correction without torch.
         """
         set_defaults()
         self.started = True
         """Whether the last call started history anew."""
         self._detect_cuts = detect_cuts
-        self._backend = open_backend(backend, str(model), device, precision)
+        self._backend, self._samples = open_backend(backend, str(model), device, precision, correct), samples
         self._history: Any = None
         self._shape: tuple[int, ...] = ()  # of the frame before
         self._count = 0  # frames so far
@@ -122,6 +125,8 @@ class Denoiser:
                 layers[name] = np.ascontiguousarray(np.broadcast_to(constant, (B, len(value), H, W)))
         if "motion_next" not in layers and "motion" in layers:
             self._say("motion_next", f"no motion_next: {COSTS['motion_next']}")
+        if self._samples:
+            layers["samples"] = radiance[:, :1] * 0 + self._samples
         return Frame(radiance, **layers, number=self._count, name=f"frame {self._count}")
 
     def _kept(self, frame: Frame) -> Any:

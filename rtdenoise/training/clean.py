@@ -18,7 +18,7 @@ from ..baselines.oidn import Oidn
 from ..data.clips import OPTIONAL, ClipDataset, read_facts, read_layers, write_clip
 from ..data.layers import SIGNALS
 from ..errors import InputError
-from ..files import write_atomically
+from ..files import lock, read_bytes, remove_unfinished, utf8, write_atomically
 from ..frame import Frame
 
 CARD = """# Training clips with cleaned references
@@ -33,13 +33,19 @@ training, not for validation. The rest is as it was, and so are its licences:
 def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> int:
     """Write the clips of `folder` to `out` with cleaned references; returns their number. Existing clips are kept.
 
-    Raises InputError where there are no clips, `out` is `folder` or holds other clips, a clip was cleaned before, or
-    `pyoidn` is missing.
+    Raises InputError where there are no clips, `out` is `folder`, holds other clips or is being written to, a clip was
+    cleaned before, or `pyoidn` is missing.
     """
     out = Path(out)
     if out.resolve() == Path(folder).resolve():
         raise InputError(f"{out}: is where the clips are; their own references are needed for validation")
     out.mkdir(parents=True, exist_ok=True)
+    with lock(out):
+        remove_unfinished(out)
+        return _clean_all(Path(folder), out, progress)
+
+
+def _clean_all(folder: Path, out: Path, progress: Callable[[int, int], None]) -> int:
     paths = ClipDataset(folder).paths
     oidn = Oidn()
     missing = [path for path in paths if not _is_there(path, out / path.name)]
@@ -48,8 +54,8 @@ def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda
         _clean(path, out / path.name, oidn)
     progress(len(missing), len(missing))
     card = CARD.format(count=len(paths), cleaned=read_facts(out / paths[0].name)["references"])
-    described = Path(folder) / "DATA.md"
-    write_atomically(out / "DATA.md", (card + (described.read_text() if described.is_file() else "")).encode())
+    described = folder / "DATA.md"
+    write_atomically(out / "DATA.md", utf8(card) + (read_bytes(described) if described.is_file() else b""))
     return len(missing)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tyro.conf import UseAppendAction
 
-from ..models.presets import COMBINERS, PRESETS, Config, with_settings
+from ..models.presets import COMBINERS, PRESETS, STILLS, Config, with_settings
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class TrainConfig:
     init: Path | None = None
     """Weights to start from instead of random ones: a .safetensors file of the same network or a narrower one."""
     model: str = "default"
-    """Network to train: 'paper', 'fast', 'default', 'quality'; for Metropolis renders 'mltd', 'mltd-small'; or
-    'combiner', 'combiner-causal', 'drc'."""
+    """Network to train: 'paper', 'fast', 'default', 'quality'; for single frames 'afgsa', 'afgsa-small'; for Metropolis
+    renders 'mltd', 'mltd-small'; or 'combiner', 'combiner-causal', 'drc'."""
     set: UseAppendAction[tuple[str, ...]] = ()
     """Fields of the network's configuration to change, as NAME=VALUE: widths=32,48,64,80,96 or longest=24."""
     signal: str = "indirect"
@@ -73,6 +73,6 @@ class TrainConfig:
 
 def model_config(config: TrainConfig) -> Config:
     """The configuration of the network that a run trains. Raises InputError for unknown fields in `set`."""
-    if config.model in COMBINERS:
-        return with_settings(COMBINERS[config.model], config.set)
+    if config.model not in PRESETS:
+        return with_settings((COMBINERS | STILLS)[config.model], config.set)
     return with_settings(replace(PRESETS[config.model], motion=config.motion), config.set)

@@ -20,7 +20,7 @@ from ..errors import InputError
 from ..evaluate.inputs import Source
 from ..evaluate.measure import check_references
 from ..evaluate.sequence import uncovered
-from ..files import dumps, lock, remove_unfinished, write_atomically
+from ..files import dumps, lock, remove_unfinished, utf8, write_atomically
 from ..frame import Frame
 from ..sanitise import sanitise
 
@@ -49,7 +49,7 @@ class CutOptions:
 
 
 @dataclass(frozen=True)
-class Window:
+class ClipPlace:
     """A clip's place: consecutive frames of a shot, and a rectangle."""
 
     shot: int
@@ -117,7 +117,7 @@ def _first(sources: dict[str, Source]) -> Source:
     return next(iter(sources.values()))
 
 
-def _windows(shot: int, sources: dict[str, Source], options: CutOptions) -> list[Window]:
+def _windows(shot: int, sources: dict[str, Source], options: CutOptions) -> list[ClipPlace]:
     """All windows of a shot, in the order of their frames."""
     source, (height, width) = _first(sources), options.size
     H, W = source.base.size
@@ -129,14 +129,14 @@ def _windows(shot: int, sources: dict[str, Source], options: CutOptions) -> list
     rows, columns = H // height, W // width
     top, left = (H - rows * height) // 2, (W - columns * width) // 2
     return [
-        Window(shot, first, top + row * height, left + column * width)
+        ClipPlace(shot, first, top + row * height, left + column * width)
         for first in firsts
         for row in range(rows)
         for column in range(columns)
     ]
 
 
-def _facts(window: Window, opened: list[dict[str, Source]], options: CutOptions) -> dict:
+def _facts(window: ClipPlace, opened: list[dict[str, Source]], options: CutOptions) -> dict:
     """The facts of a clip that are known before it is cut."""
     sources = opened[window.shot]
     source = _first(sources)
@@ -157,7 +157,7 @@ def _is_there(out: Path, number: int, facts: dict) -> bool:
     raise InputError(f"{path}: is another clip; choose another --out, or the shots and options of that run")
 
 
-def _cut(out: Path, clips: dict[int, Window], opened: list[dict[str, Source]], options: CutOptions) -> None:
+def _cut(out: Path, clips: dict[int, ClipPlace], opened: list[dict[str, Source]], options: CutOptions) -> None:
     """Cut clips that share their frames: number -> window."""
     started, one = time.process_time(), next(iter(clips.values()))
     sources = opened[one.shot]
@@ -196,7 +196,7 @@ def _layers(parts: dict[str, Frame]) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(tensor[0].permute(1, 2, 0).numpy()) for name, tensor in tensors.items()}
 
 
-def _describe(out: Path, clips: list[Window], shots: tuple[str, ...], options: CutOptions) -> None:
+def _describe(out: Path, clips: list[ClipPlace], shots: tuple[str, ...], options: CutOptions) -> None:
     counts = {shot: sum(window.shot == i for window in clips) for i, shot in enumerate(shots)}
     command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     height, width = options.size
@@ -207,4 +207,4 @@ def _describe(out: Path, clips: list[Window], shots: tuple[str, ...], options: C
         lines="\n".join(f"- {shot}: {count} clips" for shot, count in counts.items()),
     )  # fmt: skip
     write_atomically(out / "dataset.json", dumps(card, indent=2).encode())
-    write_atomically(out / "DATA.md", text.encode())
+    write_atomically(out / "DATA.md", utf8(text))

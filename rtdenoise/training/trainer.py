@@ -6,18 +6,22 @@ import io
 import math
 from copy import deepcopy
 from pathlib import Path
+from reprlib import repr as shown
 from typing import Any
 
 import torch
 
 from ..errors import InputError, did_you_mean
 from ..files import open_regular, write_atomically
-from ..models import COMBINERS, PRESETS, Combiner, Config, Denoiser, create, grow, read
+from ..models import COMBINERS, PRESETS, STILLS, Combiner, Config, Denoiser, create, grow, read
 from ..models.inference import choose_device
 from .config import TrainConfig, model_config
 from .distributed import average_gradients, means
 from .muon import Muon
 from .tasks import task_of
+
+MOST = 10**9  # of options that count something
+MAX_LR = 100.0
 
 
 class Trainer:
@@ -135,7 +139,7 @@ def _optimisers(model: Denoiser | Combiner, config: TrainConfig) -> list[torch.o
 
 def _initial(config: TrainConfig, wanted: Config) -> Denoiser | Combiner:
     """The network of the file `init`, grown to `wanted`. Raises InputError where it cannot grow to it."""
-    overrides = {} if config.model in COMBINERS else {"motion": config.motion}
+    overrides = {"motion": config.motion} if config.model in PRESETS else {}
     model = read(config.init, **overrides)
     if model.config != wanted:
         try:
@@ -150,10 +154,16 @@ def check(config: TrainConfig) -> None:
     for name in ("steps", "batch", "frames", "size", "validate_every", "warmup"):
         if getattr(config, name) < 1:
             raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
+        if getattr(config, name) > MOST:
+            raise InputError(f"{name}: expected {MOST} at most, got {shown(getattr(config, name))}")
+    if not 0 <= config.seed < 2**63:
+        raise InputError(f"seed: expected 0 to 2^63 - 1, got {shown(config.seed)}")
+    if not 0 < config.lr <= MAX_LR:
+        raise InputError(f"lr: expected more than 0 and {MAX_LR:g} at most, got {config.lr}")
     for name in ("cuts", "relight"):
         if not 0 <= getattr(config, name) <= 1:
             raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
-    if config.model not in (known := PRESETS | COMBINERS):
+    if config.model not in (known := PRESETS | STILLS | COMBINERS):
         near = did_you_mean(config.model, known)
         raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(known)}")
     if config.signal not in ("indirect", "color", "both"):

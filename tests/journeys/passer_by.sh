@@ -2,4 +2,4 @@
 set -eu
 rtdenoise --version
 rtdenoise --help | grep -i denois
-rtdenoise demo --out demo --source "$1"
+rtdenoise demo

@@ -2,7 +2,7 @@
 #include "common.h"
 
 // radiance [B, 3, H, W], depth [B, 1, H, W], open [B, H, W], lowest, highest [B, 3, ⌈H/BLOCK⌉, ⌈W/BLOCK⌉], contiguous.
-// Which pixels are open, and the extremes of their radiance in every block.
+// Which pixels show the sky (bit 0) and are open (bit 1), and the extremes of the open ones' radiance in every block.
 void sky_blocks(const float *radiance, const float *depth, uint8_t *open, float *lowest, float *highest, int B, int H, int W,
                 int threads) {
     int64_t plane = (int64_t)H * W, rows = (H + BLOCK - 1) / BLOCK, columns = (W + BLOCK - 1) / BLOCK;
@@ -17,7 +17,11 @@ void sky_blocks(const float *radiance, const float *depth, uint8_t *open, float 
 #pragma omp simd
             for (int x = 0; x < W; x++) hit[x + 1] = (here[x] > 0) | (above[x] > 0) | (below[x] > 0);
 #pragma omp simd
-            for (int x = 0; x < W; x++) o[x] = !(hit[x] | hit[x + 1] | hit[x + 2]);
+            for (int x = 0; x < W; x++) o[x] = hit[x] | hit[x + 1] | hit[x + 2] ? 0 : 3;
+            for (int x = 0; x < W; x++) {  // closed by a corner alone
+                uint8_t side = hit[x + 1] | (x > 0 && here[x - 1] > 0) | (x < W - 1 && here[x + 1] > 0);
+                o[x] |= !side;
+            }
         }
         for (int c = 0; c < 3; c++) {
             float low[W], high[W];
@@ -28,8 +32,8 @@ void sky_blocks(const float *radiance, const float *depth, uint8_t *open, float 
 #pragma omp simd
                 for (int x = 0; x < W; x++) {
                     float least = first ? INFINITY : low[x], most = first ? -INFINITY : high[x];
-                    low[x] = MIN(least, o[x] ? r[x] : INFINITY);
-                    high[x] = MAX(most, o[x] ? r[x] : -INFINITY);
+                    low[x] = MIN(least, o[x] & 2 ? r[x] : INFINITY);
+                    high[x] = MAX(most, o[x] & 2 ? r[x] : -INFINITY);
                 }
             }
             for (int64_t column = 0; column < columns; column++) {
@@ -46,7 +50,7 @@ void sky_blocks(const float *radiance, const float *depth, uint8_t *open, float 
     }
 }
 
-// out [B, 3, H, W] = radiance where a pixel is open and even, image elsewhere; out may not be image.
+// out [B, 3, H, W] = radiance where a pixel shows the sky and is even, image elsewhere; out may not be image.
 void even_sky(const float *image, const float *radiance, const uint8_t *open, const float *lowest, const float *highest,
               float *out, int B, int H, int W, int threads) {
     int64_t plane = (int64_t)H * W, rows = (H + BLOCK - 1) / BLOCK, columns = (W + BLOCK - 1) / BLOCK;
@@ -66,7 +70,7 @@ void even_sky(const float *image, const float *radiance, const uint8_t *open, co
         for (int64_t y = row * BLOCK; y < MIN((row + 1) * BLOCK, H); y++)
             for (int64_t x = column * BLOCK; x < MIN((column + 1) * BLOCK, W); x++) {
                 int64_t at = 3 * b * plane + y * W + x;
-                int even = open[b * plane + y * W + x];
+                int even = open[b * plane + y * W + x] & (low[0] <= high[0]);
                 for (int c = 0; c < 3; c++) {
                     float light = radiance[at + c * plane], margin = TOLERANCE * light;
                     even &= (high[c] - light <= margin) & (light - low[c] <= margin);

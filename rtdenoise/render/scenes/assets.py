@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from reprlib import repr as shown
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from PIL import Image
 from ...color import srgb_decode
 from ...data.exr import read_channels
 from ...errors import InputError
-from ...files import read_json
+from ...files import open_regular, read_bytes, read_json
 from .meshes import Mesh
 from .scene import Principled
 
@@ -49,7 +50,7 @@ class Asset:
 
 
 @dataclass(frozen=True)
-class Part:
+class ModelPart:
     """One surface of a model, in the model's space: base at y = 0, front towards +z."""
 
     mesh: Mesh
@@ -75,27 +76,46 @@ def read_library(folder: str | Path, allow_unlicensed: bool = False) -> Library:
     assets = {}
     for kind, (path_key, tag_key) in KINDS.items():
         entries = index.get(kind, [])
+        if not isinstance(entries, list):
+            raise InputError(f"{folder / 'index.json'}: expected '{kind}' to be a list, got {shown(entries)}")
         assets[kind] = tuple(_asset(folder, kind, e, path_key, tag_key, allow_unlicensed) for e in entries)
         if not assets[kind]:
             raise InputError(f"{folder / 'index.json'}: lists no {kind}; expected one or more")
     return Library(folder, **assets)
 
 
-def _asset(folder: Path, kind: str, entry: dict, path_key: str, tag_key: str, allow_unlicensed: bool) -> Asset:
+def _asset(folder: Path, kind: str, entry: object, path_key: str, tag_key: str, allow_unlicensed: bool) -> Asset:
+    if not isinstance(entry, dict):
+        raise InputError(f"{folder / 'index.json'}: {kind}: expected objects, got {shown(entry)}")
     where = f"{folder / 'index.json'}: {kind}: {entry.get('name', 'entry without a name')}"
     for key in ("name", path_key, tag_key, *(("bbox",) if kind == "models" else ())):
         if key not in entry:
             raise InputError(f"{where}: has no '{key}'")
+    tags = [entry[tag_key]] if isinstance(entry[tag_key], str) else entry[tag_key]
+    if not isinstance(tags, list) or not all(isinstance(tag, str) for tag in tags):
+        raise InputError(f"{where}: {tag_key}: expected text or a list of it, got {shown(tags)}")
+    if not isinstance(entry[path_key], str) or "\0" in entry[path_key]:
+        raise InputError(f"{where}: {path_key}: expected a file name, got {shown(entry[path_key])}")
+    if kind == "models" and not _is_box(entry["bbox"]):
+        raise InputError(f"{where}: bbox: expected [[x, y, z], [x, y, z]], least and greatest, got "
+                         f"{shown(entry['bbox'])}")  # fmt: skip
     file = folder / entry[path_key]
     if not file.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"{where}: {path_key} '{entry[path_key]}' lies outside the folder; copy the asset into it")
     if not entry.get("license") and not allow_unlicensed:
         raise InputError(f"{where}: has no 'license'; add it, or accept unknown ones with --allow-unlicensed")
-    tags = entry[tag_key]
     return Asset(
-        str(entry["name"]), file, frozenset([tags] if isinstance(tags, str) else tags),
+        str(entry["name"]), file, frozenset(tags),
         *(str(entry.get(key) or "") for key in ("license", "author", "source")), entry,
     )  # fmt: skip
+
+
+def _is_box(value: object) -> bool:
+    try:
+        box = np.array(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return box.shape == (2, 3) and bool(np.isfinite(box).all() and (box[0] <= box[1]).all())
 
 
 def attribution(asset: Asset) -> dict[str, str]:
@@ -107,16 +127,18 @@ def attribution(asset: Asset) -> dict[str, str]:
 
 
 @lru_cache(maxsize=64)
-def load_model(asset: Asset) -> tuple[Part, ...]:
+def load_model(asset: Asset) -> tuple[ModelPart, ...]:
     """The parts of a model. Raises InputError where one of its files cannot be read."""
     document, folder = _read_json(asset.file), asset.file.parent
     try:
         return tuple(_part(folder, part) for part in document["parts"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{asset.file}: a part is not as expected: {error!r}") from error
 
 
-def _part(folder: Path, part: dict) -> Part:
+def _part(folder: Path, part: dict) -> ModelPart:
     palette = bool(part.get("palette"))
     alpha, emissive = part.get("alpha"), part.get("emissive")
     material = Principled(
@@ -125,13 +147,14 @@ def _part(folder: Path, part: dict) -> Part:
         _texture(folder, part.get("metallic", 0.0), 1, raw=True, palette=palette),
         _texture(folder, part["normal"], 3, raw=True) if part.get("normal") else None,
         _texture(folder, alpha["file"], 1, raw=True) if alpha else None,
-        float(part.get("transmission", 0.0)), float(part.get("ior", 1.5)),
+        float(_amounts(part.get("transmission", 0.0))), float(_amounts(part.get("ior", 1.5))),
     )  # fmt: skip
     emission = None
     if emissive:
         value = emissive.get("rgb", emissive.get("file"))
-        emission = _texture(folder, value, 3) * np.float32(emissive.get("scale", 1.0))
-    return Part(_read_ply(_inside(folder, part["ply"])), material, emission)
+        emission = _texture(folder, value, 3) * _amounts(emissive.get("scale", 1.0))
+        _amounts(emission)
+    return ModelPart(_read_ply(_inside(folder, part["ply"])), material, emission)
 
 
 def _inside(folder: Path, name: str) -> Path:
@@ -144,17 +167,27 @@ def _inside(folder: Path, name: str) -> Path:
 def _texture(folder: Path, value, channels: int, raw: bool = False, palette: bool = False) -> np.ndarray:
     """[H, W, C] float32 of a number, a linear colour or an image file; images are decoded from sRGB unless `raw`."""
     if not isinstance(value, str):
-        return np.ones((4, 4, channels), np.float32) * np.asarray(value, np.float32)
+        return np.ones((4, 4, channels), np.float32) * _amounts(value)
     image = read_picture(_inside(folder, value), channels, raw)
     return image.repeat(PALETTE_SCALE, 0).repeat(PALETTE_SCALE, 1) if palette else image
+
+
+def _amounts(value: object) -> np.ndarray:
+    """The float32 of a number or of several. Raises ValueError unless all are finite and none is below zero."""
+    numbers = np.asarray(value, np.float64)
+    if not (numbers <= np.finfo(np.float32).max).all() or not (numbers >= 0).all():  # NaN is neither
+        raise ValueError(f"expected finite numbers from 0 on, got {shown(value)}")
+    return numbers.astype(np.float32)
 
 
 def read_picture(path: Path, channels: int = 3, raw: bool = False) -> np.ndarray:
     """[H, W, C] float32 in [0, 1] of an 8-bit picture, decoded from sRGB unless `raw`. Raises InputError."""
     try:
-        with Image.open(path) as file:
+        with open_regular(path) as content, Image.open(content) as file:
             image = np.asarray(file.convert("RGB" if channels == 3 else "L"), np.float32) / 255
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{path}: not a readable picture: {error}") from error
     image = image.reshape(*image.shape[:2], channels)
     return image if raw else srgb_decode(torch.from_numpy(image)).numpy()
@@ -173,15 +206,13 @@ def load_hdri(asset: Asset) -> np.ndarray:
 
 def _read_ply(path: Path) -> Mesh:
     """A binary little-endian PLY mesh of triangles, with `PLY_VERTEX` as the properties of a vertex."""
-    try:
-        header, _, body = path.read_bytes().partition(b"end_header\n")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    header, _, body = read_bytes(path).partition(b"end_header\n")
     lines = [line.split() for line in header.decode("ascii", "replace").splitlines()]
-    counts = {line[1]: int(line[2]) for line in lines if line[:1] == ["element"] and line[-1].isdecimal()}
+    counts = {line[1]: int(line[2]) for line in lines if line[:1] == ["element"] and line[2:] and line[2].isdecimal()}
     properties = [line[1:] for line in lines if line[:1] == ["property"]]
     wanted = [["float", name] for name in PLY_VERTEX] + [["list", "uchar", "int", "vertex_indices"]]
-    if lines[:1] != [["ply"]] or ["format", "binary_little_endian", "1.0"] not in lines or properties != wanted:
+    fits = lines[:1] == [["ply"]] and ["format", "binary_little_endian", "1.0"] in lines and properties == wanted
+    if not fits or counts.keys() != {"vertex", "face"}:
         raise InputError(f"{path}: not a readable PLY mesh: expected binary little-endian triangles with "
                          f"the vertex properties {' '.join(PLY_VERTEX)}")  # fmt: skip
     face = np.dtype([("count", "u1"), ("corners", "<i4", 3)])

@@ -19,6 +19,8 @@ from .sample import sample
 from .scene import Scene
 from .sunlit import sunlit
 
+MAX_DIGITS = 100  # of a scene's seed
+
 
 def open_scene(name: str, motion: str | Path | None = None, textures: str | Path | None = None) -> Scene:
     """The scene of a name, with its exposure.
@@ -37,7 +39,7 @@ def open_scene(name: str, motion: str | Path | None = None, textures: str | Path
     if name == "sample":
         return sample()
     kind, _, digits = name.partition(":")
-    if kind not in ("procedural", "wide", "sunlit", "caustic") or not digits.isdecimal():
+    if kind not in ("procedural", "wide", "sunlit", "caustic") or not digits.isdecimal() or len(digits) > MAX_DIGITS:
         raise InputError(f"unknown scene '{name}'; expected sample, procedural:SEED, wide:SEED, sunlit:SEED or "
                          "caustic:SEED with a whole number, or a .xml file")  # fmt: skip
     seed = int(digits)

@@ -14,6 +14,7 @@ from PIL import Image
 
 from ...color import srgb_decode
 from ...errors import InputError
+from ...files import open_regular
 from .scene import Material, Object, Scene
 from .textures import SIZE
 
@@ -101,7 +102,7 @@ def _small(path: Path) -> np.ndarray:
 def _opened(path: Path) -> Iterator[Image.Image]:
     """A Pillow image. Raises InputError where the file cannot be read."""
     try:
-        with Image.open(path) as image:
+        with open_regular(path) as content, Image.open(content) as image:
             yield image
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         if isinstance(error, InputError):

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from ...errors import InputError
-from .assets import Asset, Library, Part, attribution, load_hdri, load_model, read_picture
+from .assets import Asset, Library, ModelPart, attribution, load_hdri, load_model, read_picture
 from .meshes import Mesh, quad
 from .motions import rigid, rotation
 from .procedural import log_uniform
@@ -215,7 +215,7 @@ def _picture(asset: Asset) -> np.ndarray:
     return read_picture(asset.file)
 
 
-def _flat_top(parts: tuple[Part, ...]) -> float:
+def _flat_top(parts: tuple[ModelPart, ...]) -> float:
     """Area of the faces that look up within 3 % of a model's height from its top, as a share of its base's area."""
     vertices = np.concatenate([part.mesh.vertices for part in parts])
     low, high = vertices.min(0), vertices.max(0)

@@ -1,0 +1,62 @@
+"""Run by another Blender in the background: render the frames of a job that are not there yet.
+
+    blender --background job.blend --python render_frames.py -- job.json
+    python render_frames.py job.blend -- job.json                              # with Blender as a Python module
+
+A frame gets its name when it is complete, so a job that was stopped leaves no half files and can go on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import bpy
+
+sys.path.insert(0, str(Path(__file__).parent))
+import passes
+
+
+def configure(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int) -> None:
+    """Noise that a temporal denoiser can use, in one multilayer file a frame."""
+    passes.switch_on(layer)
+    for other in scene.view_layers:
+        other.use = other == layer
+    render, cycles = scene.render, scene.cycles
+    render.use_motion_blur = False  # with it Cycles writes no vectors
+    render.use_compositing = render.use_sequencer = render.use_border = render.use_multiview = False
+    render.use_persistent_data = True
+    cycles.samples, cycles.time_limit, layer.samples = samples, 0, 0
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    cycles.use_animated_seed = True
+    settings = render.image_settings
+    if hasattr(settings, "media_type"):  # Blender 5
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "16", "ZIP"
+
+
+def main() -> None:
+    before, _, (file, *_) = (sys.argv[1:], 0, sys.argv[sys.argv.index("--") + 1 :])
+    if not bpy.data.filepath:
+        bpy.ops.wm.open_mainfile(filepath=before[0])
+    job = json.loads(Path(file).read_text(encoding="utf-8"))
+    scene, out = bpy.data.scenes[job["scene"]], Path(job["noisy"])
+    out.mkdir(parents=True, exist_ok=True)
+    configure(scene, scene.view_layers[job["view_layer"]], job["samples"])
+    numbers = range(job["first"], job["last"] + 1)
+    for done, number in enumerate(numbers):
+        print(f"{done}/{len(numbers)}", flush=True)
+        final, unfinished = out / f"frame.{number:04d}.exr", out / "unfinished.exr"
+        if final.exists():
+            continue
+        scene.frame_set(number)
+        scene.render.filepath = str(unfinished)
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+        os.replace(unfinished, final)
+    print(f"{len(numbers)}/{len(numbers)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

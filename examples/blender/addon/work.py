@@ -1,0 +1,133 @@
+"""A job on disk: `FOLDER/SCENE/` with a copy of the .blend file, noisy frames, clean frames, and what was asked for.
+
+The copy is rendered, not the file that is open: what is edited meanwhile changes nothing, and a cancelled job goes on
+from the same copy.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import bpy
+
+from .process import Stage, Trouble, is_writable, last_line
+
+JOB, COPY, UNFINISHED = "job.json", "job.blend", "unfinished.exr"
+RENDERER = Path(__file__).with_name("render_frames.py")
+
+
+@dataclass(frozen=True)
+class Work:
+    """What was asked for."""
+
+    scene: str
+    view_layer: str
+    samples: int
+    first: int  # frame numbers
+    last: int
+    light: str  # "BEST" or "PASSES", see `Settings.light`
+    also: tuple[str, ...]  # layers to denoise beside the picture
+    folder: str
+    noisy: str
+    clean: str
+    finished: bool = False
+
+    @property
+    def arguments(self) -> list[str]:
+        """Of rtdenoise."""
+        how = ["--offline"] if self.light == "BEST" else ["--lights", *(("--also", *self.also) if self.also else ())]
+        return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}",
+                "--layout", "source", "--progress", "lines", *how]  # fmt: skip
+
+
+def folder_of(scene: bpy.types.Scene) -> Path:
+    """The folder of the scene's job."""
+    folder = Path(bpy.path.abspath(scene.rtdenoise.folder or "//"))
+    return folder / (bpy.path.clean_name(scene.name) or "scene")
+
+
+def read(folder: Path) -> Work | None:
+    """The job in a folder; None where there is none that can be read."""
+    try:
+        stored = json.loads((folder / JOB).read_text(encoding="utf-8"))
+        return Work(**stored | {"also": tuple(stored["also"])})
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def can_go_on(folder: Path) -> bool:
+    """Whether the folder holds a job that was cancelled or failed."""
+    work = read(folder)
+    return work is not None and not work.finished and (folder / COPY).is_file()
+
+
+def begin(context: bpy.types.Context) -> Work:
+    """Start anew: write the job and a copy of the .blend file, and remove the frames of the job before.
+
+    Raises Trouble where the folder cannot be written to, or holds files of someone else.
+    """
+    scene, settings, folder = context.scene, context.scene.rtdenoise, folder_of(context.scene)
+    if reason := is_writable(folder):
+        raise Trouble(f"{folder} cannot be written to ({reason}): choose another folder under Denoise Animation")
+    work = Work(
+        scene.name, context.view_layer.name, settings.samples, scene.frame_start, scene.frame_end, settings.light,
+        tuple(settings.also.replace(",", " ").split()), str(folder), str(folder / "noisy"), str(folder / "clean"),
+    )  # fmt: skip
+    parts = Path(work.noisy), Path(work.clean)
+    if not (folder / JOB).exists() and any(part.exists() and any(part.iterdir()) for part in parts):
+        raise Trouble(f"{folder} holds frames of something else: choose another folder under Denoise Animation")
+    for part in parts:
+        for path in [*part.glob("frame.*.exr"), *part.glob(".rtdenoise*"), *part.glob("denoise.json")]:
+            path.unlink()
+    remove_leftovers(work)
+    write(work)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / COPY), copy=True, relative_remap=True, compress=True)
+    return work
+
+
+def write(work: Work) -> None:
+    """Write what was asked for."""
+    (Path(work.folder) / JOB).write_text(json.dumps(asdict(work), indent=1), encoding="utf-8")
+
+
+def finish(work: Work) -> Work:
+    """Mark the job as done; the copy of the .blend file goes."""
+    done = Work(**asdict(work) | {"finished": True})
+    write(done)
+    for name in (COPY, f"{COPY}1"):
+        (Path(work.folder) / name).unlink(missing_ok=True)
+    return done
+
+
+def remove_leftovers(work: Work) -> None:
+    """Remove what a cancelled program had not finished."""
+    for path in (Path(work.noisy) / UNFINISHED, *Path(work.clean).glob("*.tmp")):
+        path.unlink(missing_ok=True)
+
+
+def stages(work: Work, rtdenoise: list[str]) -> list[Stage]:
+    """Render what is missing, then denoise."""
+    copy, job = str(Path(work.folder) / COPY), str(Path(work.folder) / JOB)
+    if bpy.app.binary_path:
+        trusted = ["--enable-autoexec"] if not bpy.app.autoexec_fail else []
+        command = [bpy.app.binary_path, "--background", *trusted, copy, "--python-exit-code", "1", "--python"]
+        command += [str(RENDERER), "--", job]
+    else:  # Blender as a Python module
+        command = [sys.executable, str(RENDERER), copy, "--", job]
+    return [
+        Stage("Rendering", command, lambda lines: f"rendering failed: {last_line(lines)}"),
+        Stage("Denoising", [*rtdenoise, *work.arguments], _about_denoising),
+    ]
+
+
+def clean_frames(work: Work) -> list[Path]:
+    """The results, in order."""
+    return sorted(Path(work.clean).glob("frame.*.exr"))
+
+
+def _about_denoising(lines: list[str]) -> str:
+    """rtdenoise's own sentence: errors are one line that ends its output."""
+    return f"denoising failed: {last_line(lines)}"

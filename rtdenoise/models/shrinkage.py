@@ -1,0 +1,176 @@
+"""The combiner that needs no training: it corrects z as far as independent noisy estimates agree that z is wrong.
+
+The noisy frames y and the estimate z differ by r = y - z, the error of z and noise. Two residuals a and b of the same
+surface with independent noise tell them apart:
+
+    E = mean a b            estimates the squared error of z
+    V = mean (a - b)² / 4   estimates the variance of their mean
+    image = z + w (a + b) / 2,    w = E' / (E' + V),    E' = max(E - t V, 0)
+
+with means over a neighbourhood and the channels. With t = 0 this w has the least squared error if the noises of y and z
+are uncorrelated (James and Stein 1961) and E is known. E is an estimate as noisy as V is large, and z was made from y,
+so E must exceed a share t of V before it counts.
+
+There are two sources of such pairs, and `Shrinkage.combine` uses both, one after the other: two halves of the samples
+of a frame, where they are known; then the frame and the mean of its neighbours in time, along tested motion. In real
+time `correct` takes a running mean of the frames before in place of the neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..color import albedo_divisor
+from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..ops import reproject
+from ..sanitise import sanitise
+from .window import Combined, Window, aligned, box, comparable, completed, current_of
+
+FEW_SAMPLES = 4  # below, an edge pixel's noisy light is that of one surface
+MAX_DEPTH_STEP, MIN_AGREEMENT = 0.1, 0.95  # of an edge: relative range of depth, length of the mean normal
+
+
+Step = Callable[..., tuple[Tensor, History]]
+SIDE = 9  # of the neighbourhood in pixels, odd
+SMOOTH = 5  # side of the neighbourhood over which the weights w are averaged
+SHARE_OF_HALVES = 5.0  # t for two halves,
+SHARE_OF_FRAMES = 1.5  # and for a frame and its neighbours
+MAX_LENGTH = 8  # frames in a running mean of residuals: z changes, and resampling blurs
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """Corrects the middle frame of windows of five, `combine`."""
+
+    offsets: tuple[int, ...] = (-2, -1, 0, 1, 2)
+    """Frame numbers of the window relative to the corrected frame."""
+
+    def combine(self, window: Window) -> Combined:
+        """Correct one frame. Without `window.halves` and without neighbours, z is returned as it is.
+
+        Where motion or features are missing, `aligned` says which neighbours are left. Raises ValueError where the
+        window has another length or no current frame.
+        """
+        place = self.offsets.index(0)
+        frame, before = current_of(window, place, len(self.offsets))
+        if window.halves:
+            parts = zip(window.frames, window.estimates, window.halves, strict=True)
+            window = replace(window, estimates=tuple(by_halves(*part) for part in parts))
+        known = comparable(frame.radiance, window.estimates[place])[1]
+        estimate = window.estimates[place].where(window.estimates[place].isfinite(), known)
+        image = torch.maximum(estimate + by_neighbours(window, place), estimate.clamp(max=0))
+        return Combined(image, (image - before.where(before.isfinite(), image)).abs().mean(1, keepdim=True))
+
+
+def by_halves(frame: Frame | None, estimate: Tensor | None, half: Tensor | None) -> Tensor | None:
+    """z of a frame, corrected by two halves of its samples; None without a frame."""
+    if frame is None or half is None:
+        return estimate
+    noisy, z = comparable(frame.radiance, estimate)
+    a, b = (comparable(x, z)[0] - z for x in (half, 2 * frame.radiance - half))
+    error, variance = (box(x.mean(1, keepdim=True), SIDE) for x in (a * b, (a - b).square() / 4))
+    return (estimate + weight(error, variance, SHARE_OF_HALVES) * (noisy - z)).clamp(min=0)
+
+
+def by_neighbours(window: Window, place: int) -> Tensor:
+    """The correction that the neighbours of the frame at `place` support, `[B, 3, H, W]`."""
+    frame, found = completed(window.frames[place]), aligned(window, place, demodulate=True)
+    others = [one for k, one in enumerate(found) if one is not None and k != place]
+    if not others:
+        return torch.zeros_like(frame.radiance)
+    count = sum(one.valid for one in others)
+    mean = sum(one.residual for one in others) / count.clamp(min=1)
+    return supported(frame, found[place].residual, mean, count)
+
+
+def correct(
+    frame: Frame,  # sanitised
+    estimate: Tensor,  # [B, 3, H, W] z of the frame, finite
+    history: History | None,  # of the frame before
+    onward: History,  # of this frame, from the denoiser
+) -> tuple[Tensor, History]:
+    """The recurrent form, without a look ahead: instead of the neighbours the running mean of the residuals of the
+    frames before, along tested motion. Returns the corrected image, and `onward` with the mean that goes on.
+    """
+    divisor = albedo_divisor(frame.albedo, frame.depth)
+    own = (frame.radiance - estimate) / divisor
+    mean, count = torch.zeros_like(own), torch.zeros_like(own[:, :1])
+    if history is not None and history.residual is not None:
+        surfaces = (frame.depth, frame.normal), (history.depth, history.normal)
+        found, valid = reproject((history.residual, history.residual_length), frame.motion, *surfaces)
+        mean, count = found[:, :3], (found[:, 3:] * valid).floor()
+    image = torch.maximum(estimate + supported(frame, own, mean, count), estimate.clamp(max=0))
+    mean = (own + count * mean) / (count + 1)
+    return image, replace(onward, residual=mean, residual_length=(count + 1).clamp(max=MAX_LENGTH))
+
+
+def corrected(step: Step) -> Step:
+    """A denoiser's step, followed by `correct`. Its images are corrected, its own history is not."""
+
+    def corrected_step(frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN):
+        before = history and replace(history, residual=None, residual_length=None)
+        estimate, onward = step(frame, before, known)
+        return correct(frame if known.sanitised else sanitise(frame), estimate, history, onward)
+
+    return corrected_step
+
+
+def supported(
+    frame: Frame,  # valid features
+    own: Tensor,  # [B, 3, H, W] residual of the frame over its albedo
+    mean: Tensor,  # [B, 3, H, W] mean of those of other frames, aligned to it
+    count: Tensor,  # [B, 1, H, W] number of these
+) -> Tensor:  # [B, 3, H, W]
+    """w (a + b) / 2 for a = `own` and b = `mean`, weighted as a mean of all frames."""
+    divisor = albedo_divisor(frame.albedo, frame.depth)
+    own, mean = own * divisor, mean * divisor
+    usable = count > 0
+    if (few := few_samples(frame)).any():
+        usable &= ~(edges(frame) & few)
+    usable = usable.to(own.dtype)
+    share = box(usable, SIDE).clamp(min=1e-6)
+    # a - b has (count + 1) / count of a frame's variance, the mean of all frames 1 / (count + 1) of it
+    error, variance = (
+        box(usable * x.mean(1, keepdim=True), SIDE) / share
+        for x in (own * mean, (own - mean).square() * count / (count + 1).square())
+    )
+    return weight(error, variance, SHARE_OF_FRAMES) * usable * (own + count * mean) / (count + 1)
+
+
+def weight(error: Tensor, variance: Tensor, share: float) -> Tensor:
+    """w of E and V, smoothed; both `[B, 1, H, W]`."""
+    error = (error - share * variance).clamp(min=0)
+    return box(error / (error + variance).clamp(min=1e-30), SMOOTH)
+
+
+def few_samples(frame: Frame) -> Tensor:
+    """Whether a frame has few samples a pixel, or an unknown number: bool, `[B, 1, H, W]` or `[1]`."""
+    if frame.samples is None:
+        return torch.ones(1, dtype=torch.bool, device=frame.radiance.device)
+    return frame.samples < FEW_SAMPLES
+
+
+def edges(frame: Frame) -> Tensor:  # [B, 1, H, W] bool
+    """Pixels next to another surface, of a frame with valid features. A single sample of such a pixel shows one of the
+    two, and the neighbour frames that pass the test show the same one: their residuals agree although z is right."""
+    far, near = (_extreme(frame.depth, which) for which in (torch.maximum, torch.minimum))
+    length = _squares(frame.normal)
+    agreement = _squares(box(frame.normal * length.clamp(min=1e-12).rsqrt(), 3))
+    return (far - near > MAX_DEPTH_STEP * near.clamp(min=1e-6)) | ((agreement < MIN_AGREEMENT**2) & (length > 0))
+
+
+def _extreme(image: Tensor, which: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+    """The greatest or least of 3×3 pixels; faster on the CPU than `max_pool2d`."""
+    image = F.pad(image, (1, 1, 1, 1), mode="replicate")
+    rows = which(which(image[:, :, :-2], image[:, :, 1:-1]), image[:, :, 2:])
+    return which(which(rows[..., :-2], rows[..., 1:-1]), rows[..., 2:])
+
+
+def _squares(vectors: Tensor) -> Tensor:
+    """Squared lengths; `torch.norm` over channels is many times slower on the CPU."""
+    return vectors[:, :1].square() + vectors[:, 1:2].square() + vectors[:, 2:].square()

@@ -1,0 +1,135 @@
+"""What combiners take and return: windows of noisy frames and their estimates, aligned to the current frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..color import albedo_divisor
+from ..frame import OFF_SCREEN, Frame
+from ..motion import on_screen
+from ..ops import fetch, reproject
+from ..sanitise import sanitise
+
+
+@dataclass(frozen=True)
+class Window:
+    """Consecutive frames, noisy and denoised; None where there is no frame, or one of another shot."""
+
+    frames: tuple[Frame | None, ...]  # radiance y, features, motion, motion_next
+    estimates: tuple[Tensor | None, ...]  # z of each frame, [B, 3, H, W]
+    halves: tuple[Tensor | None, ...] = ()  # the mean of one half of each y's samples, [B, 3, H, W]; or none at all
+
+    def to(self, device: str | torch.device) -> Window:
+        """Moved to a device."""
+        frames = tuple(frame and frame.to(device) for frame in self.frames)
+        estimates, halves = (
+            tuple(None if x is None else x.to(device) for x in part) for part in (self.estimates, self.halves)
+        )
+        return Window(frames, estimates, halves)
+
+
+@dataclass(frozen=True)
+class Combined:
+    """A corrected frame."""
+
+    image: Tensor  # [B, 3, H, W] linear radiance
+    confidence: Tensor  # [B, 1, H, W] size of the correction, |Σ w r|, mean over the channels
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """A frame of the window, reprojected to the current one; zero where it shows another surface there."""
+
+    noisy: Tensor  # [B, 3, H, W] y, over the albedo if the model demodulates
+    estimate: Tensor  # [B, 3, H, W] z likewise
+    valid: Tensor  # [B, 1, H, W] in {0, 1}
+
+    @property
+    def residual(self) -> Tensor:
+        """y - z, `[B, 3, H, W]`: zero where the frame is not valid, since y and z are zero there."""
+        return self.noisy - self.estimate
+
+
+def current_of(window: Window, place: int, frames: int) -> tuple[Frame, Tensor]:
+    """The frame at `place` with valid features, and its z. Raises ValueError unless the window has `frames` frames and
+    that one is there."""
+    if not len(window.frames) == len(window.estimates) == frames or window.frames[place] is None:
+        raise ValueError(f"expected a window of {frames} frames with frame {place}, got {len(window.frames)} frames")
+    return completed(window.frames[place]), window.estimates[place]
+
+
+def aligned(window: Window, current: int, *, demodulate: bool) -> list[Aligned | None]:
+    """Every frame of the window as the one at place `current` sees it; None where it is missing or no motion leads
+    there.
+
+    y and z are fetched with the same taps, which test that they show the same surface (`ops.reproject`).
+    """
+    frame = completed(window.frames[current])
+    found: list[Aligned | None] = [None] * len(window.frames)
+    found[current] = Aligned(*_pair(window, current, demodulate), torch.ones_like(frame.depth))
+    for direction in (-1, 1):
+        motion, layer = None, "motion" if direction < 0 else "motion_next"
+        place, before = current + direction, frame
+        while 0 <= place < len(window.frames) and window.frames[place] is not None:
+            onward = getattr(before, layer)
+            if onward is None:
+                break
+            motion = onward if motion is None else two_step(motion, onward)
+            there = completed(window.frames[place])
+            surfaces = (frame.depth, frame.normal), (there.depth, there.normal)
+            both, valid = reproject(_pair(window, place, demodulate), motion, *surfaces)
+            found[place] = Aligned(*both.split(3, dim=1), valid.to(both.dtype))
+            place, before = place + direction, there
+    return found
+
+
+def _pair(window: Window, place: int, demodulate: bool) -> tuple[Tensor, Tensor]:
+    """y and z of a frame with values that can be filtered, over the albedo if asked for."""
+    frame = completed(window.frames[place])
+    noisy, estimate = comparable(frame.radiance, window.estimates[place])
+    divisor = albedo_divisor(frame.albedo, frame.depth) if demodulate else 1.0
+    return noisy / divisor, estimate / divisor
+
+
+def completed(frame: Frame) -> Frame:
+    """A frame with valid features: missing ones become a white, flat surface's. Radiance stays as it is."""
+    nothing = torch.zeros_like(frame.radiance)
+    albedo = torch.ones_like(nothing) if frame.albedo is None else frame.albedo
+    normal = nothing if frame.normal is None else frame.normal
+    depth = torch.ones_like(nothing[:, :1]) if frame.depth is None else frame.depth
+    clean = sanitise(replace(frame, radiance=nothing, albedo=albedo, normal=normal, depth=depth))
+    return replace(clean, radiance=frame.radiance)
+
+
+def comparable(noisy: Tensor, estimate: Tensor) -> tuple[Tensor, Tensor]:
+    """y and z as the network takes them, `[B, 3, H, W]` each: finite and not negative.
+
+    A pixel that is not finite in one image takes the other's value, so its residual is 0. A firefly in y alone is
+    dimmed (`exposure.limit_fireflies`); a firefly in both stays.
+    """
+    good, known = noisy.isfinite().all(1, keepdim=True), estimate.isfinite().all(1, keepdim=True)
+    y, z = (torch.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0).clamp(min=0) for x in (noisy, estimate))
+    y, z = torch.where(good, y, z), torch.where(known, z, y)
+    dimmed = sanitise(Frame(y)).radiance
+    return torch.maximum(dimmed, torch.minimum(y, z)), z
+
+
+def two_step(
+    motion: Tensor,  # [B, 2, H, W] to a neighbour
+    onward: Tensor,  # [B, 2, H, W] from the neighbour to the frame after it
+) -> Tensor:  # [B, 2, H, W]
+    """Motion to the frame after a neighbour: m(p) + onward(p + m(p)), at the nearest pixel; off the screen where either
+    leads there."""
+    both = motion + fetch(onward, motion)
+    return torch.where(on_screen(motion), both, OFF_SCREEN)
+
+
+def box(image: Tensor, side: int) -> Tensor:
+    """Mean over `side` × `side` pixels, of those inside the image."""
+    half = side // 2
+    rows = F.avg_pool2d(image, (side, 1), stride=1, padding=(half, 0), count_include_pad=False)
+    return F.avg_pool2d(rows, (1, side), stride=1, padding=(0, half), count_include_pad=False)

@@ -1,0 +1,53 @@
+"""Estimates of the offline mode's first pass on disk, in half precision."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..data.stored import read_history, write_history
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from .passes import Estimate
+
+LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
+STORED = {"radiance": "image", "mean": "mean", "mean_albedo": "mean_albedo", "length": "length"}  # in a file -> field
+LIGHT = ("radiance", "mean")
+
+
+def write_estimate(path: Path, estimate: Estimate) -> None:
+    """Store an estimate in half precision. Raises InputError where it cannot be written."""
+    arrays, scales = {}, {}
+    for name, field in STORED.items():
+        array = getattr(estimate, field).cpu().numpy()
+        if name in LIGHT:
+            scales[name] = 2.0 ** np.floor(np.log2(max(float(array.max()), 1e-30) / LARGEST_HALF))
+            array = array / np.float32(scales[name])
+        arrays[name] = array.astype(np.float16)
+    write_history(path, arrays, {"scales": json.dumps(scales), "first": str(int(estimate.first))})
+
+
+def read_estimate(path: Path, device: str, size: tuple[int, int]) -> Estimate:
+    """The inverse of `write_estimate`, for a frame of this size (height, width). Raises InputError where the file
+    cannot be read, or is not of this frame."""
+    import torch
+
+    from .passes import Estimate
+
+    arrays, metadata = read_history(path)
+    try:
+        if found := [array.shape for array in arrays.values() if array.shape[2:] != size]:
+            raise ValueError(f"{found[0]}, expected {size[1]}×{size[0]} pixels")
+        scales = {name: float(value) for name, value in json.loads(metadata["scales"]).items()}
+        tensors = {
+            field: torch.from_numpy(arrays[name].astype(np.float32)).to(device) * scales.get(name, 1.0)
+            for name, field in STORED.items()
+        }
+        return Estimate(**tensors, first=metadata["first"] == "1")
+    except (KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path}: damaged, not as the first pass wrote it ({error}); pass --overwrite to start "
+                         "anew") from None  # fmt: skip

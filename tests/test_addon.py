@@ -1,0 +1,178 @@
+"""The Blender add-on: its zip, its journey inside Blender, and its parts that need no Blender."""
+
+import os
+import re
+import sys
+import time
+import tomllib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from environments import ROOT, run
+
+from rtdenoise.data.exr import read_channels, read_header
+
+ADDON = ROOT / "examples" / "blender" / "addon"
+sys.path.insert(0, str(ROOT / "tools"))
+
+import addon as builder  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def parts():
+    """The add-on's modules that need no bpy, imported as a package would."""
+    import importlib.util
+    import types
+
+    package = types.ModuleType("addon_parts")
+    package.__path__ = [str(ADDON)]
+    sys.modules["addon_parts"] = package
+    found = {}
+    for name in ("process", "environment"):
+        spec = importlib.util.spec_from_file_location(f"addon_parts.{name}", ADDON / f"{name}.py")
+        found[name] = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(found[name])
+    return found
+
+
+@pytest.fixture(scope="module")
+def zipped(wheel, tmp_path_factory):
+    return builder.build(wheel, tmp_path_factory.mktemp("zip"))
+
+
+def wait(job):
+    while job.poll():
+        time.sleep(0.01)
+
+
+def stage(parts, code, **options):
+    explain = options.pop("explain", lambda lines: f"failed: {lines[-1]}")
+    return parts["process"].Stage("Counting", [sys.executable, "-u", "-c", code], explain, **options)
+
+
+# --- the zip ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_zip_is_an_extension_with_rtdenoise_in_it(zipped, wheel):
+    names = zipfile.ZipFile(zipped).namelist()
+    assert {"blender_manifest.toml", "__init__.py", "render_frames.py", wheel.name} <= set(names)
+    assert {path.name for path in ADDON.glob("*.py")} <= set(names) and not any("/" in name for name in names)
+
+
+def test_the_manifest_is_as_blender_wants_it():
+    manifest = tomllib.loads((ADDON / "blender_manifest.toml").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert manifest["version"] == project["version"] and manifest["blender_version_min"] == "4.2.0"
+    texts = [manifest["tagline"], *manifest["permissions"].values()]
+    assert all(len(text) <= 64 and text[-1].isalnum() for text in texts)
+
+
+# --- inside Blender ---------------------------------------------------------------------------------------------------
+
+
+def test_an_artist_installs_clicks_cancels_and_continues(zipped, blender, with_torch, tmp_path):
+    keep = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "VIRTUAL_ENV"))}
+    settings = {"BLENDER_USER_RESOURCES": str(tmp_path / "settings"), "PATH": "/usr/bin:/bin"}
+    (tmp_path / "settings").mkdir()
+    script = Path(__file__).parent / "journeys" / "blender_addon.py"
+    python = with_torch.folder / "bin" / "python"
+    printed = run(blender, script, zipped, python, tmp_path, cwd=tmp_path, env=keep | settings)
+    assert len(re.findall("^refused: ", printed, re.M)) == 11, printed
+    noisy = tmp_path / "denoised" / "Scene" / "noisy" / "frame.0001.exr"
+    for name in ("passes.exr", "best.exr"):
+        assert read_header(tmp_path / name).channels.keys() == read_header(noisy).channels.keys()
+        grainy, clean = (graininess(path) for path in (noisy, tmp_path / name))
+        assert clean < 0.7 * grainy, (name, clean, grainy)
+
+
+def graininess(path):
+    """Mean difference of neighbours in Combined, relative to its mean."""
+    image = np.stack(list(read_channels(path, [f"ViewLayer.Combined.{c}" for c in "RGB"]).values()))
+    assert np.isfinite(image).all()
+    return float(np.abs(np.diff(image, axis=2)).mean() / image.mean())
+
+
+# --- without Blender --------------------------------------------------------------------------------------------------
+
+
+def test_a_job_counts_and_does_what_comes_after(parts, tmp_path):
+    go = str(tmp_path / "go")
+    code = f"import os, time; print('1/3'); print('more')\nwhile not os.path.exists({go!r}): time.sleep(.01)"
+    job = parts["process"].Job([stage(parts, code), stage(parts, "", after=(tmp_path / "after").touch)])
+    while job.poll() and not job.total:
+        assert job.text == "Counting …"
+        time.sleep(0.01)
+    assert job.text == "Counting 1/3" and job.fraction == pytest.approx(1 / 3)
+    (tmp_path / "go").touch()
+    wait(job)
+    assert (tmp_path / "after").exists()
+
+
+def test_a_stage_that_fails_ends_the_job_in_a_sentence(parts, tmp_path):
+    trouble = parts["process"].Trouble
+    job = parts["process"].Job([stage(parts, "print('why'); raise SystemExit(3)"), stage(parts, "")])
+    with pytest.raises(trouble, match="failed: why"):
+        wait(job)
+    assert not job.poll()
+    optional = stage(parts, "raise SystemExit(1)", optional=True, after=(tmp_path / "never").touch)
+    wait(parts["process"].Job([optional, stage(parts, "", after=(tmp_path / "last").touch)]))
+    assert (tmp_path / "last").exists() and not (tmp_path / "never").exists()
+    with pytest.raises(trouble, match="does not start"):
+        wait(parts["process"].Job([parts["process"].Stage("", ["/no/such/program"], str)]))
+
+
+def test_cancel_ends_the_whole_group(parts, tmp_path):
+    child = f"import time, pathlib; time.sleep(1.5); pathlib.Path({str(tmp_path / 'late')!r}).touch()"
+    start = f"subprocess.Popen([sys.executable, '-c', {child!r}])"
+    code = f"import subprocess, sys, time; {start}; print('1/2'); time.sleep(9)"
+    job = parts["process"].Job([stage(parts, code), stage(parts, "", after=(tmp_path / "next").touch)])
+    while job.poll() and not job.done:
+        time.sleep(0.01)
+    started = time.monotonic()
+    job.cancel()
+    assert time.monotonic() - started < 4 and not job.poll()
+    time.sleep(1.7)
+    assert not (tmp_path / "late").exists() and not (tmp_path / "next").exists()
+
+
+def test_a_python_with_rtdenoise_is_found(parts, tmp_path, monkeypatch):
+    environment = parts["environment"]
+    own = tmp_path / "own"
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert environment.find("", own) is None
+    for name in (environment.PYTHON, environment.READY):
+        (own / name).parent.mkdir(parents=True, exist_ok=True)
+        (own / name).touch()
+    assert environment.find("", own) == [str(own / environment.PYTHON), "-m", "rtdenoise"]
+    (own / environment.READY).unlink()
+    assert environment.find("", own) is None, "an installation that did not end well"
+    program = tmp_path / "rtdenoise"
+    program.write_text("#!/bin/sh\necho 'usage: --lights'\n")
+    program.chmod(0o755)
+    assert environment.find("", own) == [str(program)] == environment.find(str(program), own)
+    program.write_text("#!/bin/sh\necho 'usage: an older one'\n")
+    assert environment.find("", own) is None
+
+
+def test_an_environment_is_made_by_blenders_python(parts, wheel, tmp_path, monkeypatch):
+    """The same stages, with pip kept from the network: only the wheel itself is installed, so trying it fails."""
+    environment, own = parts["environment"], tmp_path / "own"
+    monkeypatch.setenv("PIP_NO_DEPS", "1")
+    stages = environment.stages_to_make(own, wheel, "", online=True)
+    assert [s.label for s in stages if s.optional] == ["Downloading OIDN"]
+    with pytest.raises(parts["process"].Trouble, match="pip failed: ModuleNotFoundError: No module named"):
+        wait(parts["process"].Job([s for s in stages if not s.optional]))
+    assert run(own / environment.PYTHON, "-m", "pip", "list").count("rtdenoise") == 1
+    assert not (own / environment.READY).exists()
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    ({"online": False}, "allow online access"), ({"base": ""}, "Blender came without Python"),
+    ({"wheel": None}, "lacks rtdenoise"),
+])  # fmt: skip
+def test_without_what_it_takes_no_environment_is_begun(parts, tmp_path, options, words):
+    with pytest.raises(parts["process"].Trouble, match=words):
+        usual = {"own": tmp_path, "wheel": tmp_path, "index": "", "online": True}
+        parts["environment"].stages_to_make(**usual | options)

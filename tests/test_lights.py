@@ -1,0 +1,245 @@
+"""`denoise --lights` and `--also`: the light of a Cycles frame in parts, filtered by the kernels of the whole."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from synthetic import make_frames, write_sequence
+
+import rtdenoise
+from rtdenoise.cli.main import main
+from rtdenoise.data.exr import read_channels, read_header, write_layers
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.errors import InputError
+from rtdenoise.models import load
+from rtdenoise.models.parts import ALBEDO, Output, Parts, step
+from rtdenoise.run.denoise import denoise
+from rtdenoise.run.options import Options
+from rtdenoise.sanitise import sanitise
+
+SHOT = Path(__file__).parent / "data" / "cycles"
+LOBES = ("Diffuse", "Glossy", "Transmission")
+HALF = 2.0**-10  # relative error of a product of two halves
+
+
+def image(path, name):
+    """[3, H, W]; the name "": R,G,B."""
+    names = [f"ViewLayer.{name}.{c}" if name else c for c in "RGB"]
+    return np.stack(list(read_channels(path, names).values()))
+
+
+def sum_of_lights(path):
+    total = image(path, "Emission") + image(path, "Environment")
+    for lobe in LOBES:
+        light = image(path, f"{lobe} Direct") + image(path, f"{lobe} Indirect")
+        total = total + light * image(path, f"{lobe} Color")
+    return total
+
+
+def assert_same_but_for_limits(a, b):
+    """All is linear in the light but two limits: no negative light, and no overshoot of the cubic lookup."""
+    apart = np.abs(a - b) / (b + 1e-2)
+    assert np.quantile(apart, 0.97) < 2e-3 and apart.max() < 0.06, (np.quantile(apart, 0.97), apart.max())
+
+
+def run(out, source=SHOT, **options):
+    denoise(str(source), out, Options(model="fast", **options))
+    return sorted(out.glob("*.exr"))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    return run(tmp_path_factory.mktemp("plain"), lights=True, float32=True)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    return run(tmp_path_factory.mktemp("source"), lights=True, float32=True, layout="source")
+
+
+def relit(folder, *changes, frames=2):
+    """The first frames of the shot with channels changed by functions of {name: plane}."""
+    folder.mkdir()
+    for path in sorted(SHOT.glob("*.exr"))[:frames]:
+        planes = read_channels(path, list(read_header(path).channels))
+        for change in changes:
+            change(planes)
+        write_layers(folder / path.name, planes, dtypes=dict.fromkeys(planes, "float"))
+    return folder
+
+
+def test_the_passes_in_the_file_add_up_to_combined(source):
+    for path in source:
+        combined = image(path, "Combined")
+        np.testing.assert_allclose(sum_of_lights(path), combined, rtol=HALF, atol=1e-4)
+
+
+def test_both_layouts_hold_the_same_picture(plain, source):
+    for a, b in zip(plain, source, strict=True):
+        assert_same_but_for_limits(image(a, ""), image(b, "Combined"))
+
+
+def test_the_noise_goes_and_the_brightness_stays(plain):
+    for path, clean in list(zip(sorted(SHOT.glob("*.exr")), plain, strict=True))[1:]:
+        noisy, clean = image(path, "Combined"), image(clean, "")
+        assert np.abs(np.diff(clean, axis=2)).mean() < 0.5 * np.abs(np.diff(noisy, axis=2)).mean()
+        assert clean.mean() == pytest.approx(noisy.mean(), rel=0.1)
+
+
+def test_every_pass_is_denoised_and_all_else_stays(source):
+    changed = {f"{lobe} {kind}" for lobe in LOBES for kind in ("Direct", "Indirect", "Color")}
+    changed |= {"Combined", "Emission", "Environment"}
+    before = sorted(SHOT.glob("*.exr"))[2]
+    a, b = read_header(before), read_header(source[2])
+    assert [p.name for p in a.parts] == [p.name for p in b.parts]
+    others = [name for name in a.channels if name.split(".")[1] not in changed or name.endswith("Combined.A")]
+    x, y = read_channels(before, others), read_channels(source[2], others)
+    assert others and all(np.array_equal(x[name], y[name]) for name in others)
+    for name in ("Diffuse Direct", "Diffuse Indirect", "Glossy Indirect"):
+        assert not np.array_equal(image(before, name), image(source[2], name)), name
+
+
+def test_alpha_stays_as_rendered(plain):
+    for path, clean in zip(sorted(SHOT.glob("*.exr")), plain, strict=True):
+        (alpha,) = read_channels(path, ["ViewLayer.Combined.A"]).values()
+        assert np.array_equal(read_channels(clean, ["A"])["A"], alpha)
+
+
+def test_layers_that_add_up_to_the_picture_still_do(tmp_path):
+    """Two light groups: the kernels of the whole filter them, so the whole is their sum."""
+
+    def groups(planes):
+        for c in "RGB":
+            x = planes[f"ViewLayer.Combined.{c}"]
+            share = np.indices(x.shape).sum(0) % 5 / 4
+            planes[f"ViewLayer.Combined_key.{c}"], planes[f"ViewLayer.Combined_fill.{c}"] = share * x, (1 - share) * x
+
+    shot = relit(tmp_path / "shot", groups, frames=3)
+    clean = run(tmp_path / "out", shot, also=("Combined_key", "Combined_fill"), float32=True)
+    alone = run(tmp_path / "alone", shot, float32=True)
+    for path, other in zip(clean, alone, strict=True):
+        parts = [np.stack([read_channels(path, [f"{n}.{c}"])[f"{n}.{c}"] for c in "RGB"])
+                 for n in ("Combined_key", "Combined_fill")]  # fmt: skip
+        np.testing.assert_allclose(image(path, ""), image(other, ""), rtol=1e-5, atol=1e-6)
+        assert_same_but_for_limits(sum(parts), image(path, ""))
+        assert all(part.max() > 0.1 for part in parts)
+    both = run(tmp_path / "both", shot, also=("Combined_key",), lights=True, layout="source", float32=True)
+    key = [f"Combined_key.{c}" for c in "RGB"]
+    for path, other in zip(both, clean, strict=True):
+        np.testing.assert_allclose(image(path, "Combined_key"), list(read_channels(other, key).values()), rtol=1e-5,
+                                   atol=1e-6)  # fmt: skip
+
+
+def test_the_whole_as_its_only_part_is_the_whole():
+    """Kernels, albedo, running means and history are those of `step`."""
+    network, history, other = load("fast"), None, None
+    for frame in make_frames(3):
+        frame = sanitise(frame)
+        parts = Parts(frame.radiance, frame.radiance[:, :0], (ALBEDO,), (Output(lights=(0,)),))
+        with torch.inference_mode():
+            image, outputs, history = step(network, frame, parts, history)
+            expected, other = network.step(frame, other)
+        assert torch.equal(image, expected)
+        torch.testing.assert_close(outputs, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_an_interrupted_run_goes_on_to_the_same_end(tmp_path, plain):
+    class Stop(Exception):
+        pass
+
+    def stop(done, total):
+        if done == 2:
+            raise Stop
+
+    options = Options(model="fast", lights=True, float32=True)
+    with pytest.raises(Stop):
+        denoise(str(SHOT), tmp_path, options, on_frame=stop)
+    assert denoise(str(SHOT), tmp_path, options).skipped == 2
+    for path, other in zip(sorted(tmp_path.glob("*.exr")), plain, strict=True):
+        assert np.array_equal(image(path, ""), image(other, ""))
+
+
+def without(*passes):
+    def change(planes):
+        for name in [name for name in planes if name.split(".")[1] in passes]:
+            del planes[name]
+
+    return change
+
+
+def dark(planes):
+    for c in "RGB":
+        planes[f"ViewLayer.Diffuse Direct.{c}"] *= 0
+
+
+@pytest.mark.parametrize(("change", "options", "words"), [
+    (without("Glossy Color", "Emission"), {"lights": True}, "missing: Glossy Color, Emission; switch on View Layer"),
+    (dark, {"lights": True}, "do not add up to the picture"),
+    (without(), {"also": ("Emision",)}, "did you mean 'Emission'?"),
+    (without(), {"lights": True, "also": ("Emission",)}, "--also Emission: --lights denoises this pass already"),
+    (without(), {"lights": True, "signal": "indirect"}, "goes with --signal color"),
+    (without(), {"lights": True, "keep": ("all",)}, "goes without --keep"),
+    (without(), {"lights": True, "offline": True}, "go without --offline"),
+    (without(), {"lights": True, "model": "paper"}, "go with --model default, fast or quality"),
+    (without(), {"lights": True, "backend": "glsl"}, "goes with --backend torch"),
+])  # fmt: skip
+def test_bad_input_is_one_sentence(tmp_path, change, options, words):
+    shot = relit(tmp_path / "shot", change, frames=1)
+    with pytest.raises(InputError) as raised:
+        denoise(str(shot), tmp_path / "out", Options(**{"model": "fast", **options}))
+    assert words.replace("go with", "goes with") in str(raised.value).replace("go with", "goes with")
+    assert not list((tmp_path / "out").glob("*.exr"))
+
+
+@pytest.mark.parametrize("name", ["", "*", "?ndirect", "indirect|albedo", "a\nb"])
+def test_a_name_that_is_no_layer_is_one_line(tmp_path, name, capsys):
+    shot = write_sequence(tmp_path / "shot", make_frames(1))
+    with pytest.raises(SystemExit, match="2"):
+        main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", "--also", name])
+    error = capsys.readouterr().err
+    assert f"--also: no layer {name!r} of three colours" in error and error.count("\n") == 1
+
+
+def test_other_renderers_have_no_such_passes(tmp_path):
+    shot = write_sequence(tmp_path / "shot", make_frames(1))
+    with pytest.raises(InputError, match="light passes of Blender's Cycles"):
+        denoise(str(shot), tmp_path / "out", Options(model="fast", lights=True))
+
+
+def test_an_environment_and_an_emission_are_passed(tmp_path):
+    """An even sky behind everything, and a lamp: light without noise comes out as it went in."""
+
+    def add(planes):
+        for c, sky in zip("RGB", (0.2, 0.3, 0.5), strict=True):
+            planes[f"ViewLayer.Environment.{c}"] += sky
+            planes[f"ViewLayer.Combined.{c}"] += sky
+
+    options = {"lights": True, "layout": "source", "float32": True}
+    before = run(tmp_path / "before", relit(tmp_path / "dark", frames=3), **options)
+    after = run(tmp_path / "after", relit(tmp_path / "light", add, frames=3), **options)
+    for a, b in zip(before, after, strict=True):
+        sky = image(b, "Environment") - image(a, "Environment")
+        np.testing.assert_allclose(sky, np.broadcast_to([[[0.2]], [[0.3]], [[0.5]]], sky.shape), rtol=1e-3)
+
+
+def test_broken_pixels_in_a_pass_stay_there(tmp_path):
+    def broken(planes):
+        planes["ViewLayer.Glossy Direct.R"][5, 5] = np.nan
+        planes["ViewLayer.Emission.G"][6, 6] = -np.inf
+
+    for path in run(tmp_path / "out", relit(tmp_path / "shot", broken), lights=True):
+        assert np.isfinite(image(path, "")).all()
+
+
+def test_the_command(tmp_path, capsys):
+    shot = tmp_path / "shot"
+    shot.mkdir()
+    shutil.copy(SHOT / "frame.0001.exr", shot)
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", "--also", "Emission"])
+    assert "1 frames written" in capsys.readouterr().out
+    assert {"R", "G", "B", "A", "Emission.R"} <= read_header(tmp_path / "out" / "frame.0001.exr").channels.keys()
+    assert rtdenoise.open_sequence(tmp_path / "out", signal="color")[0].size == open_sequence(shot)[0].size
