@@ -67,7 +67,8 @@ def denoise(
     read = Sequence.read
     if options.lights or options.also:
         if reads:
-            raise InputError(f"--lights, --also: go with models that take light as it is; {options.model} reads {reads[0]}")
+            raise InputError(f"--lights, --also: not with {options.model}, which reads {reads[0]}; "
+                             "leave them out, or take --model default")  # fmt: skip
         backend, read, write = in_parts(sequence, options, backend)
     out = prepare(Path(out), sequence, options)
     with lock(out):
