@@ -289,7 +289,7 @@ def test_it_trains_on_single_frames_of_clips(tmp_path):
 
 
 def test_without_weights_one_line_says_what_to_do():
-    with pytest.raises(InputError, match=r"no weights of 'afgsa-small' ship: train them \(rtdenoise train --model afgsa-s"):
+    with pytest.raises(InputError, match=r"no weights of .afgsa-small. ship: train them \(rtdenoise train"):
         load("afgsa-small")
 
 

@@ -115,7 +115,7 @@ def bootstrap(picture: Picture, count: int, key: int) -> np.ndarray:
 
 def fresh(path, count: int, key: int):
     """The numbers of independent paths, as a function of the dimension."""
-    count, key = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, key)
+    count, key = (dr.opaque(mi.UInt32, number) for number in (count, key))
     return lambda dimension: hashed(dimension * count + path, key)[0]
 
 
@@ -225,20 +225,20 @@ def walk(picture: Picture, count: int, steps: int, law: Law, key: tuple[int, ...
         return None, None, values, first
     chosen = seeds(values, count, np.random.default_rng([*key, 1]).uniform())
     keys = [stream_seed(*key, 2, k) for k in range(steps)]
+    begun = (picture, chosen, paths, start)
     try:
-        chains, films = _walk(dr.freeze(step), picture, chosen, paths, start, law, first, keys)
+        chains, films = _walk(dr.freeze(step), begun, law, first, keys)
     except RuntimeError:  # a scene that cannot be recorded: the Python function is traced at every step
-        chains, films = _walk(step, picture, chosen, paths, start, law, first, keys)
+        chains, films = _walk(step, begun, law, first, keys)
     finish(chains, films)
     return chains, films, values, first
 
 
-def _walk(step, picture, chosen, paths, start, law, first, keys):
-    chains, films = begin(picture, chosen, paths, start)
-    first = dr.opaque(mi.Float, first)
+def _walk(step, begun: tuple, law: Law, first: float, keys: list[int]) -> tuple[Chains, Films]:
+    (chains, films), first = begin(*begun), dr.opaque(mi.Float, first)
     with _no_collection():
         for key in keys:
-            chains = step(picture, chains, films, law, first, dr.opaque(mi.UInt32, key))
+            chains = step(begun[0], chains, films, law, first, dr.opaque(mi.UInt32, key))
     return chains, films
 
 
@@ -246,10 +246,8 @@ def _walk(step, picture, chosen, paths, start, law, first, keys):
 def _no_collection():
     """No garbage is collected: Dr.Jit 1.5 ends the process where a left-over scene is freed during a recording."""
     gc.collect()
-    enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if enabled:
-            gc.enable()
+        gc.enable()
