@@ -209,7 +209,6 @@ class Combiner(nn.Module):
             whole(logits)[:, :, : size[0], : size[1]]
         )  # fmt: skip
 
-
 def signed_log(x: Tensor) -> Tensor:
     """sign(x) · log(1 + |x|): `color.compress` for values of either sign."""
     return x.sign() * x.abs().log1p()
