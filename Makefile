@@ -30,7 +30,7 @@ wheel: $(VENV)/.ready-build  ## build dist/*.whl
 	$(VENV)/bin/python -m build --wheel
 
 addon: wheel  ## build dist/rtdenoise-blender-*.zip, the add-on for Blender
-	$(VENV)/bin/python tools/addon.py dist/rtdenoise-*.whl
+	$(VENV)/bin/python tools/addon.py "$$(ls -t dist/rtdenoise-*.whl | head -1)"
 
 fuzz: $(VENV)/.ready-test  ## attack files and commands for about an hour: kills, fuzzing, sanitizers; writes docs/results/attacks.md
 	$(VENV)/bin/python -m pip install --quiet --editable '.[fuzz]'

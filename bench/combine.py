@@ -1,6 +1,6 @@
 """Do combiners improve denoised frames at every sample count, and never make them worse?
 
-python bench/combine.py CLIPS [--combiners FILE]
+python bench/combine.py CLIPS ... [--combiners FILE]
 
 CLIPS/spp01, CLIPS/spp04 ... hold the same frames at several sample counts (`combine_clips.py --held-out`), with
 denoised frames beside them (`rtdenoise estimates CLIPS/spp* --methods oidn default svgf`). Corrected MSE
@@ -41,7 +41,7 @@ FIRST = 1  # frames before this one are not measured: temporal denoisers have no
 
 
 def main(
-    clips: tyro.conf.Positional[Path],
+    clips: tyro.conf.Positional[tuple[Path, ...]],
     methods: tuple[str, ...] = ("oidn", "default", "svgf"),
     combiners: tuple[str, ...] = (),
     levels: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64, 128, 256),
@@ -49,28 +49,36 @@ def main(
     """Measure every clip.
 
     Args:
-        clips: Folder with a folder of clips for each sample count.
+        clips: Folders, each with a folder of clips for each sample count.
         methods: Denoisers to correct.
         combiners: Weights files of networks.
-        levels: Sample counts.
+        levels: Sample counts; those that a folder lacks are left out.
     """
     networks = {Path(name).stem: load_combiner(name, precision="fp32") for name in combiners}
-    opened = {spp: ClipDataset(clips / f"spp{spp:02d}") for spp in levels}
+    rows = [row for folder in clips for row in measure(folder, methods, networks, levels)]
+    sets = {name: summary(some) for name, some in _by(rows, "set").items()}
+    document = {"max_ratio": MAX_RATIO, "rows": rows, "summary": summary(rows), "sets": sets}
+    harness.publish(RESULT, document, digits=4, pages=PAGES, tables=tables)
+
+
+def measure(
+    clips: Path, methods: tuple[str, ...], networks: dict[str, Combiner], levels: tuple[int, ...]
+) -> list[dict]:
+    """A row for each clip of a folder, signal, sample count and denoiser."""
+    found = {spp: clips / f"spp{spp:02d}" for spp in levels}
+    opened = {spp: ClipDataset(folder) for spp, folder in found.items() if folder.is_dir()}
     rows = []
-    for index in range(len(opened[levels[0]])):
+    for index in range(len(next(iter(opened.values())))):
         for signal in ("color", "indirect"):
-            for spp in levels:
+            for spp, clip in opened.items():
                 halves = _halves(clips, index, signal, spp)
                 for method in methods:
-                    both = opened[spp].load(index, signal=signal, estimates=method)
+                    both = clip.load(index, signal=signal, estimates=method)
                     frames, estimates = both[: len(both) // 2], [frame.radiance for frame in both[len(both) // 2 :]]
-                    rows.append(
-                        {"sequence": _name(opened[spp], index), "signal": signal, "spp": spp, "method": method}
-                        | errors(frames, estimates, halves, networks)
-                    )
+                    told = {"set": clips.name, "sequence": _name(clip, index), "signal": signal, "spp": spp}
+                    rows.append(told | {"method": method} | errors(frames, estimates, halves, networks))
                     print(rows[-1], flush=True)
-    document = {"max_ratio": MAX_RATIO, "rows": rows, "summary": summary(rows)}
-    harness.publish(RESULT, document, digits=4, pages=PAGES, tables=tables)
+    return rows
 
 
 @torch.inference_mode()
@@ -137,7 +145,8 @@ def summary(rows: list[dict]) -> dict[str, dict]:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Section `combine`: a line for each combiner; section `combine-cells`: mean ratios by denoiser and spp."""
+    """Sections `combine`: a line for each combiner; `combine-sets`: the same by folder of clips; `combine-cells`: mean
+    ratios by denoiser and spp."""
     levels = sorted({row["spp"] for row in document["rows"]})
     lines = [
         f"| combiner | {' | '.join(f'{spp} spp' for spp in levels)} | all | worst | failures | above both | slope of z "
@@ -151,6 +160,13 @@ def tables(document: dict) -> dict[str, str]:
             f"{found['failures']} of {found['cells']} | {found['above_both']} | {found['slope_of_estimate']:.2f} | "
             f"{found['slope']:.2f} |"
         )
+    sets = ["| clips | combiner | error over z's | worst | failures | above both |", "|---|---|---|---|---|---|"]
+    for name, combiners in document["sets"].items():
+        sets += [
+            f"| {name} | `{combiner}` | {found['ratio']:.3f} | {found['worst']['ratio']:.3f} | {found['failures']} of "
+            f"{found['cells']} | {found['above_both']} |"
+            for combiner, found in combiners.items()
+        ]
     cells = ["| z | signal | combiner | " + " | ".join(f"{spp} spp" for spp in levels) + " |"]
     cells.append("|---" * (len(levels) + 3) + "|")
     for (method, signal), some in _by(document["rows"], "method", "signal").items():
@@ -162,7 +178,7 @@ def tables(document: dict) -> dict[str, str]:
             }
             shown = [f"{ratios[spp]:.3f}" if spp in ratios else "" for spp in levels]
             cells.append(f"| {method} | {signal} | `{name}` | {' | '.join(shown)} |")
-    return {"combine": "\n".join(lines), "combine-cells": "\n".join(cells)}
+    return {"combine": "\n".join(lines), "combine-sets": "\n".join(sets), "combine-cells": "\n".join(cells)}
 
 
 def _halves(clips: Path, index: int, signal: str, spp: int) -> list[torch.Tensor] | None:
@@ -179,7 +195,7 @@ def _name(clips: ClipDataset, index: int) -> str:
 
 
 def _networks(rows: list[dict]) -> list[str]:
-    known = {"sequence", "signal", "spp", "method", "noisy", "estimate", *PLAIN}
+    known = {"set", "sequence", "signal", "spp", "method", "noisy", "estimate", *PLAIN}
     return [name for name in rows[0] if name not in known]
 
 
@@ -193,8 +209,8 @@ def _by(rows: list[dict], *keys: str) -> dict:
 def _slope(rows: list[dict], name: str) -> float:
     """Mean slope of log MSE over log spp, from `STEEP` on; NaN with fewer than two levels."""
     slopes = []
-    for some in _by(rows, "sequence", "signal", "method").values():
-        points = [(row["spp"], row[name]) for row in some if row["spp"] >= STEEP]
+    for some in _by(rows, "set", "sequence", "signal", "method").values():
+        points = [(row["spp"], row[name]) for row in some if row["spp"] >= STEEP and name in row]
         if len(points) > 1:
             spp, mse = np.log(np.array(points)).T
             slopes.append(np.polyfit(spp, mse, 1)[0])

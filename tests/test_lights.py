@@ -195,6 +195,15 @@ def test_bad_input_is_one_sentence(tmp_path, change, options, words):
     assert not list((tmp_path / "out").glob("*.exr"))
 
 
+@pytest.mark.parametrize("name", ["", "*", "?ndirect", "indirect|albedo", "a\nb"])
+def test_a_name_that_is_no_layer_is_one_line(tmp_path, name, capsys):
+    shot = write_sequence(tmp_path / "shot", make_frames(1))
+    with pytest.raises(SystemExit, match="2"):
+        main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", "--also", name])
+    error = capsys.readouterr().err
+    assert f"--also: no layer {name!r} of three colours" in error and error.count("\n") == 1
+
+
 def test_other_renderers_have_no_such_passes(tmp_path):
     shot = write_sequence(tmp_path / "shot", make_frames(1))
     with pytest.raises(InputError, match="light passes of Blender's Cycles"):

@@ -95,7 +95,8 @@ def _light_passes(sequence: Sequence, prefix: str) -> dict[str, Rule]:
 
 def _layer(sequence: Sequence, prefix: str, name: str) -> Rule:
     channels = sequence.header.channels
-    for full in (f"{prefix}{name}", name):
+    literal = name and not set(name) & set("*?[|")  # which `rules` takes for patterns
+    for full in (f"{prefix}{name}", name) if literal else ():
         for components in ("RGB", "XYZ"):
             if rule := rules(full, components)[0].match(channels):
                 return rule

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from ..models.parts import Parts
+    from ..models.presets import Config
 
 OWN_COLOR = "Diffuse"  # the lobe whose light is divided by its own colour
 MAX_APART = 0.02  # of the mean radiance; half floats round by less than 0.001
@@ -81,6 +82,11 @@ class LightBackend:
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
         self._left_out: dict[str, int] | None = None
         self._checked = False  # whether the passes add up
+
+    @property
+    def config(self) -> Config:
+        """As the inner backend's."""
+        return self._inner.config
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out

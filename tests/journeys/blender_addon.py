@@ -60,9 +60,23 @@ def cancel_after_the_first_frame(operators):
     operators.cancel()
 
 
+def tree_of(scene):
+    return scene.compositing_node_group if bpy.app.version >= (5, 0) else scene.node_tree
+
+
+def check_viewer_stays(scene):
+    """What somebody has linked to the Viewer stays linked."""
+    tree = tree_of(scene)
+    viewer = next(node for node in tree.nodes if node.bl_idname == "CompositorNodeViewer")
+    other = tree.nodes.new("CompositorNodeRGB")
+    tree.links.new(other.outputs[0], viewer.inputs[0])
+    sys.modules[f"{NAME}.compositor"].insert(scene, sys.modules[f"{NAME}.work"].read(JOB))
+    assert [link.from_node for link in tree.links if link.to_node == viewer] == [other]
+
+
 def check_node(scene):
     """The compositor shows the frames."""
-    tree = scene.compositing_node_group if bpy.app.version >= (5, 0) else scene.node_tree
+    tree = tree_of(scene)
     (node,) = (node for node in tree.nodes if node.bl_idname == "CompositorNodeImage")
     assert node.image.source == "SEQUENCE" and node.frame_duration == FRAMES and node.image.type == "MULTILAYER"
     assert Path(bpy.path.abspath(node.image.filepath)) == frames("clean")[0] and tuple(node.image.size) == SIZE
@@ -131,6 +145,8 @@ for light in ("PASSES", "BEST"):
     assert not (JOB / "job.blend").exists()
     print(f"{light}: {len(names)} frames, {operators.message}")
     check_node(scene)
+    if light == "BEST":
+        check_viewer_stays(scene)
     os.rename(JOB / "clean" / names[0], FOLDER / f"{light.lower()}.exr")
 bpy.ops.preferences.addon_disable(module=NAME)
 assert not hasattr(bpy.types.Scene, "rtdenoise")

@@ -7,22 +7,23 @@ import bpy
 from .work import Work, clean_frames
 
 
-def tree_of(scene: bpy.types.Scene) -> bpy.types.NodeTree:
-    """The scene's compositor, made if need be."""
+def tree_of(scene: bpy.types.Scene) -> tuple[bpy.types.NodeTree, bool]:
+    """The scene's compositor, made if need be, and whether it was in use before."""
     if hasattr(scene, "compositing_node_group"):  # Blender 5
-        if scene.compositing_node_group is None:
+        used = scene.compositing_node_group is not None
+        if not used:
             scene.compositing_node_group = bpy.data.node_groups.new(scene.name, "CompositorNodeTree")
-        return scene.compositing_node_group
-    scene.use_nodes = True
-    return scene.node_tree
+        return scene.compositing_node_group, used
+    used, scene.use_nodes = scene.use_nodes, True
+    return scene.node_tree, used
 
 
 def insert(scene: bpy.types.Scene, work: Work) -> bpy.types.Node:
     """Put the result of a job into the compositor, or renew the node that an earlier job left there.
 
-    Nothing that is linked already changes: where no Viewer is in use, one shows the picture.
+    Nothing that somebody has linked changes: where no Viewer is in use, one shows the picture.
     """
-    frames, tree, name = clean_frames(work), tree_of(scene), f"Denoised {work.scene}"
+    frames, (tree, used), name = clean_frames(work), tree_of(scene), f"Denoised {work.scene}"
     node = tree.nodes.get(name)
     if node is None:
         node = tree.nodes.new("CompositorNodeImage")
@@ -36,7 +37,7 @@ def insert(scene: bpy.types.Scene, work: Work) -> bpy.types.Node:
     node.use_auto_refresh = True
     if image.type == "MULTILAYER" and work.view_layer in {item.identifier for item in _layers(node)}:
         node.layer = work.view_layer
-    _show(tree, node)
+    _show(tree, node, instead=not used)
     return node
 
 
@@ -52,12 +53,13 @@ def _layers(node: bpy.types.Node):
         return ()
 
 
-def _show(tree: bpy.types.NodeTree, node: bpy.types.Node) -> None:
+def _show(tree: bpy.types.NodeTree, node: bpy.types.Node, instead: bool) -> None:
+    """Link a Viewer to the picture; one that shows something else only where that is to be replaced."""
     viewer = next((other for other in tree.nodes if other.bl_idname == "CompositorNodeViewer"), None)
     if viewer is None:
         viewer = tree.nodes.new("CompositorNodeViewer")
         viewer.location = (node.location.x + 400, node.location.y)
-    if not viewer.inputs[0].is_linked:
+    if instead or not viewer.inputs[0].is_linked:
         tree.links.new(picture(node), viewer.inputs[0])
 
 
