@@ -37,7 +37,7 @@ class Planned:
         frame = frame if known.sanitised else sanitise(frame)
         found = look(frame, history and history.motion_next, history is not None)
         known = replace(known, first=found.first, still=found.still, covered=found.covered, sanitised=True)
-        count(self.left_out, known, keeps_means=not self._image_alone)
+        count(self.left_out, known, keeps_means="mean" in self.denoiser.config.carries)
         plain = self._plain(frame, history) if self._image_alone else None
         if plain is None:
             return self._whole(frame, history, known)
