@@ -18,7 +18,7 @@ from bench import harness
 # Each has RESULT, a JSON file; PAGES, the pages with its sections; and tables(document) -> section -> Markdown.
 MODULES = (
     "ablation", "attacks", "attention", "attention_cost", "combine", "cycles", "files", "latency_720p", "metropolis",
-    "missing_layers", "offline", "plan", "quality", "sample", "stability", "tiles",
+    "missing_layers", "mltd", "mltd_memory", "offline", "plan", "quality", "sample", "stability", "tiles",
     "calibration.cuts", "diagnosis.activity", "diagnosis.bias", "diagnosis.generalisation", "diagnosis.where",
 )  # fmt: skip
 
