@@ -71,7 +71,7 @@ def measure(
     for index in range(len(next(iter(opened.values())))):
         for signal in ("color", "indirect"):
             for spp, clip in opened.items():
-                halves = _halves(clips, index, signal, spp)
+                halves = halves_of(clips, index, signal, spp)
                 for method in methods:
                     both = clip.load(index, signal=signal, estimates=method)
                     frames, estimates = both[: len(both) // 2], [frame.radiance for frame in both[len(both) // 2 :]]
@@ -94,12 +94,12 @@ def errors(
     for i in range(FIRST, len(frames)):
         frame = frames[i]
         images = {"noisy": frame.radiance, "estimate": estimates[i]}
-        images["shrinkage"] = Shrinkage().combine(_window(i, Shrinkage(), frames, estimates)).image
+        images["shrinkage"] = Shrinkage().combine(window_at(i, Shrinkage(), frames, estimates)).image
         images["recurrent"] = recurrent[i]
         if halves is not None:
-            images["shrinkage-halves"] = Shrinkage().combine(_window(i, Shrinkage(), frames, estimates, halves)).image
+            images["shrinkage-halves"] = Shrinkage().combine(window_at(i, Shrinkage(), frames, estimates, halves)).image
         for name, network in networks.items():
-            images[name] = network.combine(_window(i, network, frames, estimates)).image
+            images[name] = network.combine(window_at(i, network, frames, estimates)).image
         for name, image in images.items():
             found[name].append(mse_corrected(image, frame.reference, scale, reference_half=frame.reference_half))
     return {name: float(np.mean(values)) for name, values in found.items()}
@@ -116,7 +116,7 @@ def _recurrent(frames: list[Frame], estimates: list[torch.Tensor]) -> list[torch
     return images
 
 
-def _window(i: int, combiner: Combiner | Shrinkage, *parts: list) -> Window:
+def window_at(i: int, combiner: Combiner | Shrinkage, *parts: list) -> Window:
     """The window of a combiner around frame i."""
     places = [p if 0 <= (p := i + offset) < len(parts[0]) else None for offset in combiner.offsets]
     return Window(*(tuple(None if p is None else part[p] for p in places) for part in parts))
@@ -181,7 +181,7 @@ def tables(document: dict) -> dict[str, str]:
     return {"combine": "\n".join(lines), "combine-sets": "\n".join(sets), "combine-cells": "\n".join(cells)}
 
 
-def _halves(clips: Path, index: int, signal: str, spp: int) -> list[torch.Tensor] | None:
+def halves_of(clips: Path, index: int, signal: str, spp: int) -> list[torch.Tensor] | None:
     """The means of one half of the samples of a clip's frames, where there is the clip of half the samples."""
     try:
         return [frame.radiance for frame in ClipDataset(clips / f"spp{spp // 2:02d}").load(index, signal=signal)]

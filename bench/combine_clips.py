@@ -25,15 +25,15 @@ import numpy as np
 
 from rtdenoise.data.clips import clip_path, write_clip
 from rtdenoise.render import draw
-from rtdenoise.render.frames import _image, _stream, describe_frame, motion_between
+from rtdenoise.render.frames import _image, describe_frame, motion_between
 from rtdenoise.render.options import ClipOptions, find_scenes
 from rtdenoise.render.stage import Stage, start_mitsuba
+from rtdenoise.render.streams import NOISY, stream_seed
 from rtdenoise.render.windows import candidates, choose, look_through
 
 WINDOWS = 1  # clips of one scene
 HELD_OUT = ("street", "dining-room", "staircase2", "bathroom")
 ACTIVE_SHARE = 0.5  # of the windows, chosen for activity; the others are random
-NOISY = 0  # random stream of a frame
 
 
 def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int, options: ClipOptions) -> dict:
@@ -50,7 +50,7 @@ def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int,
     stage.at(number)
     size, total = options.size, levels[-1] + 2 * half
     camera = stage.scene.camera(number)
-    sampler = tracing.make_sampler(_stream(options.seed, number, NOISY), size[0] * size[1] * total)
+    sampler = tracing.make_sampler(stream_seed(options.seed, number, NOISY), size[0] * size[1] * total)
     ray = tracing.primary_rays(sampler, size, total, camera)
     hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids, stage.holes)
     light = tracing.trace(stage.mitsuba, sampler, ray, options.max_depth, stage.holes)

@@ -63,7 +63,7 @@ def main(o: Options) -> None:
     keep_freed()
     device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     sizes, calls = (("quick",), 3) if o.quick else (o.sizes, o.calls)
-    presets = o.presets or tuple(models.PRESETS)
+    presets = o.presets or tuple(name for name, config in models.PRESETS.items() if not config.reads)
     with_shaders, gl = measurable(o.quick)
     with torch.inference_mode():
         peaks = measured_peaks(device)

@@ -17,8 +17,8 @@ from bench import harness
 
 # Each has RESULT, a JSON file; PAGES, the pages with its sections; and tables(document) -> section -> Markdown.
 MODULES = (
-    "ablation", "attacks", "attention", "attention_cost", "combine", "cycles", "files", "latency_720p",
-    "missing_layers", "offline", "plan", "quality", "sample", "stability", "tiles",
+    "ablation", "attacks", "attention", "attention_cost", "combine", "cycles", "files", "latency_720p", "metropolis",
+    "missing_layers", "mltd", "mltd_memory", "offline", "plan", "quality", "sample", "stability", "tiles",
     "calibration.cuts", "diagnosis.activity", "diagnosis.bias", "diagnosis.generalisation", "diagnosis.where",
 )  # fmt: skip
 

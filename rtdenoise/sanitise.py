@@ -21,7 +21,8 @@ BRIGHTEST = 1e15  # radiance; its square is finite in float32
 GREATEST_ALBEDO, LONGEST_NORMAL = 2.0, 2.0
 FINITE = (-3.4028234663852886e38, 3.4028234663852886e38)
 VALID = {  # smallest and largest value of a layer; `sanitise` replaces the others
-    "radiance": (0.0, BRIGHTEST), "albedo": (0.0, GREATEST_ALBEDO), "normal": (-LONGEST_NORMAL, LONGEST_NORMAL),
+    "radiance": (0.0, BRIGHTEST), "components": (0.0, BRIGHTEST), "albedo": (0.0, GREATEST_ALBEDO),
+    "normal": (-LONGEST_NORMAL, LONGEST_NORMAL),
     "depth": (0.0, 999999936.0), "motion": FINITE, "motion_next": FINITE,  # depth: the float32 before FAR
 }  # fmt: skip
 
@@ -51,6 +52,8 @@ def sanitise(frame: Frame) -> Frame:
     | radiance            | NaN, ±Inf, negative   | 0       |
     | radiance            | above 1e15            | 1e15 (its square is finite in float32) |
     | radiance            | a firefly             | `exposure.limit_fireflies` dims it |
+    | components          | as in radiance        | as there; but fireflies stay, the stuck chains of a Metropolis |
+    |                     |                       | renderer, which carry real energy |
     | albedo              | NaN, ±Inf, negative   | 0       |
     | albedo              | above 2               | 2       |
     | normal              | NaN, ±Inf             | 0       |
@@ -59,8 +62,7 @@ def sanitise(frame: Frame) -> Frame:
     | depth               | above 1e9, Inf        | 0: a miss, and no fault |
     | motion, motion_next | NaN, ±Inf             | `OFF_SCREEN`, so no history is taken |
 
-    `faults` counts these pixels. References, position, id, samples and components are left as they are: a bright pixel
-    of a Metropolis component is a long-stuck chain and carries real energy.
+    `faults` counts these pixels. References, position, id and samples are left as they are.
     """
     import torch
 
@@ -95,12 +97,13 @@ def faults(frame: Frame) -> dict[str, int]:
     for layer, tensor in frame.layers():
         array = np.asarray(tensor)
         finite = np.isfinite(array)
-        if layer in ("radiance", "albedo", "normal", "motion", "motion_next"):
+        if layer in ("radiance", "components", "albedo", "normal", "motion", "motion_next"):
             found[f"{layer}: NaN or Inf"] = ~finite
-        if layer in ("radiance", "albedo"):
+        if layer in ("radiance", "components", "albedo"):
             found[f"{layer}: negative"] = finite & (array < 0)
+        if layer in ("radiance", "components"):
+            found[f"{layer}: too bright"] = finite & (array > BRIGHTEST)
         if layer == "radiance":
-            found["radiance: too bright"] = finite & (array > BRIGHTEST)
             found["radiance: firefly"] = _fireflies(np.where(finite, array, 0).clip(0.0, BRIGHTEST))
         if layer == "albedo":
             found["albedo: too large"] = finite & (array > GREATEST_ALBEDO)

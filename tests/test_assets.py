@@ -14,7 +14,7 @@ from rtdenoise.data.clips import ClipDataset, clip_path, read_facts
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.render.clips import render_clips
-from rtdenoise.render.frames import NOISY, features, radiance
+from rtdenoise.render.frames import features, radiance
 from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scenes import meshes
 from rtdenoise.render.scenes.assets import load_hdri, load_model, read_library, read_picture
@@ -26,6 +26,7 @@ from rtdenoise.render.scenes.placing import plain
 from rtdenoise.render.scenes.scene import Object, Scene, Sun
 from rtdenoise.render.scenes.takes import compose_take, film_take
 from rtdenoise.render.stage import Stage
+from rtdenoise.render.streams import NOISY
 
 CATEGORIES = {  # category -> width, height, depth in metres
     "furniture": (1.2, 0.75, 0.7), "plant": (0.4, 0.9, 0.4), "people": (0.5, 1.75, 0.4), "toy": (0.2, 0.2, 0.2),

@@ -185,7 +185,8 @@ def test_alike_and_reproject_are_their_torch_twins(gl, assert_images_close, size
 
 
 def test_every_operation_has_a_twin():
-    assert set(ops.__all__) - {"use"} <= set(glsl.__all__)  # `use` chooses between torch's ways to compute them
+    torch_alone = {"use", "attend_blocks", "attend_channels"}  # a switch; ops of networks without shaders
+    assert set(ops.__all__) - torch_alone <= set(glsl.__all__)
 
 
 def test_what_does_not_fit_is_named(gl):

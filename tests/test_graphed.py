@@ -352,7 +352,7 @@ def meta(*shape):
 
 def every_kind_of_step(denoiser, H=37, W=50):
     """A step of each kind, on tensors without values."""
-    layers = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2}
+    layers = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2, "components": 6}
     frame = Frame(meta(3, H, W), **{layer: meta(channels, H, W) for layer, channels in layers.items()})
     window = Known(sanitised=True, exposure=meta(1, 1, 1), distance=meta(1, 1, 1))
     for known in (Known(), Known(first=True), replace(window, first=True)):

@@ -158,13 +158,21 @@ def test_upsample_of_one_lit_pixel():
     assert row == [0, 0.25, 0.75, 0.75, 0.25]
 
 
+def test_nearest_takes_one_pixel_and_repeats_it():
+    image = torch.arange(15.0).reshape(1, 1, 3, 5)
+    coarse = downsample(image, "nearest")
+    assert coarse.flatten().tolist() == [0, 2, 4, 10, 12, 14]
+    assert upsample(coarse, (3, 5), "nearest")[0, 0, 1].tolist() == [0, 0, 2, 2, 4]
+
+
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("pool", ["mean", "max"])
+@pytest.mark.parametrize("pool", ["mean", "max", "nearest"])
 def test_compose_is_equation_4(size, pool):
     H, W = size
     fine, coarse = torch.rand(1, 3, H, W), torch.rand(1, 3, -(-H // 2), -(-W // 2))
     alpha = torch.rand(1, 1, *coarse.shape[2:])
-    expected = fine - upsample(alpha * downsample(fine, pool), size) + upsample(alpha * coarse, size)
+    mode = "nearest" if pool == "nearest" else "bilinear"
+    expected = fine - upsample(alpha * downsample(fine, pool), size, mode) + upsample(alpha * coarse, size, mode)
     torch.testing.assert_close(compose(fine, coarse, alpha, pool), expected)
     assert torch.equal(compose(fine, coarse, torch.zeros_like(alpha), pool), fine)
 

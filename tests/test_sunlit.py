@@ -8,7 +8,7 @@ import pytest
 from rtdenoise.data.clips import read_facts
 from rtdenoise.errors import InputError
 from rtdenoise.render.clips import render_clips
-from rtdenoise.render.frames import NOISY, radiance
+from rtdenoise.render.frames import radiance
 from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scenes import meshes, textures, wide
 from rtdenoise.render.scenes.motions import CameraPath
@@ -16,6 +16,7 @@ from rtdenoise.render.scenes.named import open_scene
 from rtdenoise.render.scenes.scene import Material, Object, Scene, Sun
 from rtdenoise.render.scenes.sunlit import BLACK, HALF, OPEN_TO, PANELS, sunlit
 from rtdenoise.render.stage import Stage
+from rtdenoise.render.streams import NOISY
 
 SEEDS = range(40)
 TINY = ClipOptions(count=4, size=(32, 32), frames=2, seed=5, reference_range=(4, 8), workers=1, sun=1.0)

@@ -15,6 +15,11 @@ from .render import at_least_one, not_negative
 OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error", "assets"}
 OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
 OF_SHOTS = {"reference", "preset"}
+OF_PATHS = {
+    "scenes", "motions", "exclude", "generator", "sun", "calm", "textures", "assets", "allow_unlicensed",
+    "reference_error",
+}  # fmt: skip
+OF_CHAINS = {"chains", "attribution"}
 OF_BOTH = {"shots", "out", "count", "frames", "size", "width", "height", "seed"}
 
 
@@ -56,14 +61,22 @@ class Clips:
     height: int | None = None
     """Pixels."""
     spp: int = 1
-    """Samples per pixel of the noisy frames; with --assets half of the clips have 2 to 64 times as many."""
+    """Samples per pixel of the noisy frames; with --assets half of the clips have 2 to 64 times as many. With pssmlt
+    mutations: a quarter of the clips each have 1, 2, 4 and 8 times as many."""
     reference_error: float = 0.01
     """Relative squared error that references of beauty may have; sets their samples, 32 to 512 (with --assets 128,
     stills from 16 on)."""
     reference_spp: int | None = None
-    """With --generator 1: samples per pixel of the references (default: 64), more in noisier scenes."""
-    max_depth: int = 6
-    """Longest light path, in edges."""
+    """With --generator 1: samples per pixel of the references (default: 64), more in noisier scenes. With pssmlt:
+    mutations, of both halves together (default: 256)."""
+    max_depth: int | None = None
+    """Longest light path, in edges (default: 6, with pssmlt 8)."""
+    integrator: Literal["path", "pssmlt"] = "path"
+    """pssmlt: caustic scenes by Metropolis sampling, with the layers large, small and proposals."""
+    chains: int | None = None
+    """With pssmlt: chains in parallel (default: one for every 4 or 16 pixels, drawn for each clip)."""
+    attribution: Literal["made", "replaced"] = "made"
+    """With pssmlt: a state's light counts as large or small by the step that made it, or that replaced it."""
     reference: Annotated[tuple[Path, ...], arg(help_behavior_hint="(default: the layers of SHOT)")] = ()
     """With SHOT: folders of converged renders of the same frames, one a shot, where the references are in other
     files."""
@@ -79,7 +92,7 @@ class Clips:
     """Render on an existing Ray cluster: HOST:PORT, 'auto' or ray://HOST:PORT; a clip takes one core."""
 
     def run(self) -> None:
-        at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers")
+        at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers", "chains")
         not_negative(self, "seed", "reference_spp")
         if self.shots:
             self._cut()
@@ -112,14 +125,21 @@ class Clips:
             raise InputError(f"--reference-error: expected more than 0, got {self.reference_error}")
         self._refuse_unused_options()
         from ..render.clips import render_clips
+        from ..render.metropolis import MetropolisOptions, chains_of
         from ..render.options import ClipOptions, find_scenes, parse_shard
 
+        size = (self.height or self.size, self.width or self.size)
+        metropolis = None
+        if self.integrator == "pssmlt":
+            metropolis = MetropolisOptions(self.chains or 0, attribution=self.attribution)
+            chains_of(metropolis, size, self.spp)
         options = ClipOptions(
-            self.count, (self.height or self.size, self.width or self.size), self.frames, self.seed, self.spp,
-            self.reference_error, self._reference_range(), self.reference_spp or 64, self.max_depth,
+            self.count, size, self.frames, self.seed, self.spp, self.reference_error, self._reference_range(),
+            self.reference_spp or (256 if metropolis else 64), self.max_depth or (8 if metropolis else 6),
             self.workers, parse_shard(self.shard),
             find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (), self.generator, self.sun,
             self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, self.ray or "",
+            metropolis,
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
@@ -139,10 +159,15 @@ class Clips:
     def _refuse_unused_options(self) -> None:
         """Raise InputError for options that the generator does not take."""
         given = self._given()
+        if self.integrator == "pssmlt":
+            if unused := given & OF_PATHS:
+                raise InputError(f"{_option(min(unused))}: goes with --integrator path; pssmlt draws caustic scenes")
+        elif unused := given & OF_CHAINS:
+            raise InputError(f"{_option(min(unused))}: goes with --integrator pssmlt")
         if self.generator == 1 and (unused := given & OF_WINDOWS):
             raise InputError(f"{_option(min(unused))}: goes with --generator 2 and 3, not with 1")
-        if self.generator != 1 and self.reference_spp is not None:
-            raise InputError("--reference-spp: goes with --generator 1; other sets take --reference-error")
+        if self.generator != 1 and self.integrator == "path" and self.reference_spp is not None:
+            raise InputError("--reference-spp: goes with --generator 1 and pssmlt; other sets take --reference-error")
         if self.reference_spp == 0:
             raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
         if self.assets and (unused := given & (OF_GENERATED - ({"frames"} if self.frames == 1 else set()))):

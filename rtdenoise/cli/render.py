@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from reprlib import repr as shown
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -25,7 +25,7 @@ class Render:
     out: Path
     """Folder for the frames; existing ones are kept."""
     scene: Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="(required)")] = ""
-    """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', or a Mitsuba scene file (.xml)."""
+    """'sample', 'procedural:SEED', 'wide:SEED', 'sunlit:SEED', 'caustic:SEED', or a Mitsuba scene file (.xml)."""
     motion: Path | None = None
     """TOML file that moves camera and objects of a scene file."""
     textures: Path | None = None
@@ -39,20 +39,31 @@ class Render:
     height: int | None = None
     """Pixels (default: 180)."""
     spp: int = 1
-    """Samples per pixel of the noisy frames."""
+    """Samples per pixel of the noisy frames; with pssmlt, mutations."""
     reference_spp: int = 256
     """Samples per pixel of the references; 0: no references."""
-    max_depth: int = 6
-    """Longest light path, in edges."""
+    max_depth: int | None = None
+    """Longest light path, in edges (default: 6, for caustic:SEED 8)."""
     seed: int = 0
     """Of the noise; scenes have seeds of their own."""
+    integrator: Literal["path", "pssmlt"] = "path"
+    """pssmlt: Metropolis sampling, which finds caustics; adds the layers large, small and proposals."""
+    chains: int | None = None
+    """With pssmlt: chains in parallel (default: one for every 4 pixels, at most 65536); fewer are longer."""
+    mlt_seed: Literal["frame", "same"] = "frame"
+    """With pssmlt: random numbers of the noisy frames, others for each or the same for all."""
+    attribution: Literal["made", "replaced"] = "made"
+    """With pssmlt: a state's light counts as large or small by the step that made it, or that replaced it."""
+    references: Literal["pssmlt", "path"] = "pssmlt"
+    """With pssmlt: how references are rendered; path where there are no caustics."""
 
     def run(self) -> None:
         if not self.scene:
             raise InputError("nothing to render: name a scene; training sets are rendered by `rtdenoise clips`")
-        at_least_one(self, "frames", "width", "height", "size", "spp", "max_depth")
+        at_least_one(self, "frames", "width", "height", "size", "spp", "max_depth", "chains")
         not_negative(self, "reference_spp", "seed")
         from ..render.frames import RenderOptions
+        from ..render.scenes.caustic import CAUSTIC_DEPTH
         from ..render.scenes.named import open_scene
         from ..render.sequence import render_sequence
 
@@ -60,8 +71,23 @@ class Render:
         if (paths := size[0] * size[1] * self.spp) > MAX_PATHS:
             raise InputError(f"--spp {self.spp}: {size[1]}×{size[0]} pixels take {paths} paths a frame, expected "
                              f"{MAX_PATHS} at most; average several runs with other --seed")  # fmt: skip
-        options = RenderOptions(size, self.spp, self.reference_spp, self.max_depth, self.seed)
+        depth = self.max_depth or (CAUSTIC_DEPTH if self.scene.startswith("caustic:") else 6)
+        options = RenderOptions(size, self.spp, self.reference_spp, depth, self.seed, self._metropolis(size))
         render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames, options)
+
+    def _metropolis(self, size: tuple[int, int]):
+        """Options of Metropolis sampling; None for path tracing. Raises InputError for options that do not apply."""
+        from ..render.metropolis import MetropolisOptions, chains_of
+
+        if self.integrator == "path":
+            defaults = {option.name: option.default for option in fields(self)}
+            for name in ("chains", "mlt_seed", "attribution", "references"):
+                if getattr(self, name) != defaults[name]:
+                    raise InputError(f"--{name.replace('_', '-')}: goes with --integrator pssmlt")
+            return None
+        options = MetropolisOptions(self.chains or 0, self.mlt_seed, self.attribution, self.references)
+        chains_of(options, size, self.spp)
+        return options
 
 
 def at_least_one(command: object, *names: str) -> None:

@@ -45,6 +45,7 @@ LAYERS = {
     "samples": Layer("V", in_every_clip=False),  # samples per pixel
     "large": Layer("RGB", in_every_clip=False),  # beauty from large steps of a Metropolis renderer
     "small": Layer("RGB", in_every_clip=False),  # beauty from its small steps
+    "proposals": Layer("RGB", in_every_clip=False),  # beauty path traced from its large proposals, accepted or not
 }
 SIGNALS = {  # signal -> layer of `Frame` -> layer on disk
     "color": {"radiance": "color", "reference": "reference", "reference_half": "reference_half"},

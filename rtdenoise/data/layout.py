@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 from ..frame import CHANNELS
+from .components import NOTHING_TO_SPLIT
 from .exr_format import ExrHeader
 from .layers import SIGNALS
 
@@ -72,6 +73,8 @@ class Layout:
 
     def hint(self, layer: str, signal: str) -> str:
         """How to get a layer of `Frame` that is missing."""
+        if layer == "components":
+            return NOTHING_TO_SPLIT[signal]
         names = _names(layer, signal)
         for name in names:
             if name in self.hints:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..frame import CHANNELS, Frame
+from .components import check_components
 from .exr_format import ExrHeader
 from .files import FrameFiles, find_frames, find_gaps
 from .layers import SIGNALS
@@ -83,6 +84,7 @@ class Sequence:
         channels = files.read({name for rule in self.rules.values() for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in self.rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
+        check_components(frame)
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
         return complete(frame, self.scene) if missing and self.scene else frame
 

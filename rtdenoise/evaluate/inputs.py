@@ -27,6 +27,7 @@ from ..metrics.image import decibels, masked_mean, reference_mse
 from .measure import check_references
 
 LAYERS = ("reference", "reference_half")
+EXTRA = ("components", "position")  # layers that some networks read beside the usual ones, where the files have them
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Source:
         folder = Path(folder)
         if not folder.is_dir():
             raise InputError(f"{folder}: expected a folder of EXR files: results go by its name")
-        options = {"signal": signal, "preset": preset, "layers": LAYERS}
+        options = {"signal": signal, "preset": preset, "layers": (*LAYERS, *EXTRA)}
         base = open_sequence(folder, **options)
         converged = None if reference is None else _same_frames(open_sequence(reference, **options), base, limit)
         base.require(*(["motion"] if len(base) > 1 else []))

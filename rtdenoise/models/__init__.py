@@ -9,10 +9,10 @@ _HOMES = {
     "AccumulatedKPN": "accumulated_kpn", "AccumulatedKPNConfig": "config", "COMBINERS": "presets",
     "Combined": "window", "Combiner": "combiner", "CombinerConfig": "combiner_config", "Config": "presets",
     "Denoiser": "denoiser", "GuidedAttention": "afgsa", "GuidedAttentionConfig": "afgsa_config",
-    "PRESETS": "presets", "STILLS": "presets", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config",
-    "Window": "window", "available": "weights", "available_combiners": "weights", "create": "loading",
-    "find": "weights", "grow": "growing", "load": "loading", "load_combiner": "loading", "read": "loading",
-    "Shrinkage": "shrinkage", "save": "loading",
+    "MLTDConfig": "mltd_config", "PRESETS": "presets", "RecurrentTransformer": "mltd", "STILLS": "presets",
+    "Shrinkage": "shrinkage", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config", "Window": "window",
+    "available": "weights", "available_combiners": "weights", "create": "loading", "find": "weights",
+    "grow": "growing", "load": "loading", "load_combiner": "loading", "read": "loading", "save": "loading",
 }  # fmt: skip
 __all__ = [*_HOMES]
 

@@ -32,6 +32,7 @@ class NetworkConfig:
     architecture: ClassVar[str]  # stored in weights files; the name of the module with the network
     carries: ClassVar[tuple[str, ...]]  # fields of `History` that the network computes
     features: ClassVar[int]  # channels of the network's input
+    reads: ClassVar[tuple[str, ...]] = ()  # layers of `Frame` that it needs beside those that every denoiser reads
     max_levels: ClassVar[int]  # of the U-Net: the coarsest pixels are `CELL` wide at most
 
     widths: tuple[int, ...]
@@ -39,11 +40,15 @@ class NetworkConfig:
     def check(self, *kernels: str) -> None:
         """Raise ValueError for fields that no network can have."""
         object.__setattr__(self, "widths", tuple(self.widths))
+        self.check_kernels(*kernels)
+        if not 2 <= len(self.widths) <= self.max_levels or not all(1 <= width <= MAX_WIDTH for width in self.widths):
+            raise ValueError(f"expected 2 to {self.max_levels} widths from 1 to {MAX_WIDTH}, got {self.widths}")
+
+    def check_kernels(self, *kernels: str) -> None:
+        """The part of `check` that serves networks of any form."""
         integers = [*self.widths, *(getattr(self, name) for name in kernels)]
         if any(not isinstance(value, int) or isinstance(value, bool) for value in integers):
             raise ValueError(f"expected whole numbers for widths and kernels, got {integers}")
-        if not 2 <= len(self.widths) <= self.max_levels or not all(1 <= width <= MAX_WIDTH for width in self.widths):
-            raise ValueError(f"expected 2 to {self.max_levels} widths from 1 to {MAX_WIDTH}, got {self.widths}")
         for name in kernels:
             size = getattr(self, name)
             if size % 2 == 0 or not 1 <= size <= MAX_KERNEL:
@@ -62,8 +67,8 @@ class NetworkConfig:
         raise NotImplementedError
 
     @property
-    def network_reach(self) -> int:
-        """Pixels, a multiple of `CELL`: input farther away cannot influence an output."""
+    def network_reach(self) -> int | None:
+        """Pixels, a multiple of `CELL`: input farther away cannot influence an output. None: all of it can."""
         raise NotImplementedError
 
     @property

@@ -16,6 +16,7 @@ from .afgsa import GuidedAttention
 from .combiner import Combiner
 from .denoiser import Denoiser
 from .inference import prepare, resolve
+from .mltd import RecurrentTransformer
 from .presets import SHRINKAGE, Config
 from .shrinkage import Shrinkage
 from .temporal_kpn import TemporalKPN
@@ -23,6 +24,7 @@ from .weights import StoredModel, read_denoiser, read_model
 
 NETWORKS = {
     "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "afgsa": GuidedAttention,
+    "mltd": RecurrentTransformer,
 }  # fmt: skip
 """`Config.architecture` -> the network."""
 

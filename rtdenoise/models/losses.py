@@ -66,6 +66,23 @@ def frame_loss(
     return temporal_kpn_loss(image, frame.reference, previous, occlusion, scale, huber)
 
 
+def mltd_loss(
+    image: Tensor,
+    frame: Frame,
+    previous: tuple[Tensor, Tensor] | None,
+    occlusion: Tensor | None,
+    scale: Tensor | float,
+    huber: float,
+) -> Loss:
+    """As `Denoiser.loss`, without a term for occlusion: SMAPE(I, R) + ½ SMAPE(I_i - I_{i-1}, R_i - R_{i-1}) on exposed
+    linear radiance (Chen et al. 2024, eq. 10 and 11)."""
+    spatial = smape(image, frame.reference, scale).mean()
+    temporal = image.new_zeros(())
+    if previous is not None:
+        temporal = 0.5 * smape(image - previous[0], frame.reference - previous[1], scale).mean()
+    return Loss(spatial, temporal, image.new_zeros(()))
+
+
 def smape(image: Tensor, reference: Tensor, scale: Tensor | float = 1.0) -> Tensor:
     """Symmetric mean absolute percentage error of each image, `[B, 3, H, W] -> [B]` in [0, 1).
 

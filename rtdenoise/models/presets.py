@@ -9,10 +9,12 @@ from ..errors import InputError
 from .afgsa_config import GuidedAttentionConfig
 from .combiner_config import CombinerConfig
 from .config import AccumulatedKPNConfig, TemporalKPNConfig
+from .mltd_config import MLTDConfig
 
-Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | GuidedAttentionConfig
+Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | GuidedAttentionConfig | MLTDConfig
 CONFIGS: dict[str, type[Config]] = {
-    kind.architecture: kind for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, GuidedAttentionConfig)
+    kind.architecture: kind
+    for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, GuidedAttentionConfig, MLTDConfig)
 }
 
 PRESETS: dict[str, Config] = {
@@ -20,6 +22,8 @@ PRESETS: dict[str, Config] = {
     "fast": AccumulatedKPNConfig(widths=(16, 24, 32, 48, 64), kernel=3, edge_kernel=3),
     "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3),
     "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
+    "mltd": MLTDConfig(),
+    "mltd-small": MLTDConfig(width=16, blocks=(1,) * 8, kernel=7),
 }
 """Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
 

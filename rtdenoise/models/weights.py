@@ -16,7 +16,7 @@ from safetensors import SafetensorError, safe_open
 
 from ..errors import InputError, did_you_mean
 from .combiner_config import CombinerConfig
-from .presets import COMBINERS, STILLS, Config, from_stored
+from .presets import COMBINERS, PRESETS, STILLS, Config, from_stored
 
 MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
 _SHIPPED = resources.files("rtdenoise") / "weights"
@@ -50,7 +50,7 @@ def find(model: str | Path) -> Path:
     """The file of a model that ships, or else the file at this path. Raises InputError where there is neither."""
     name = str(model)
     path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in _shipped() else Path(name)
-    if not path.is_file() and name in STILLS:
+    if not path.is_file() and (name in PRESETS or name in STILLS):
         raise InputError(f"no weights of {name!r} ship: train them (rtdenoise train --model {name}) and name their "
                          ".safetensors file")  # fmt: skip
     if not path.is_file():
@@ -59,6 +59,16 @@ def find(model: str | Path) -> Path:
             "of a .safetensors file"
         )
     return path
+
+
+def read_config(model: str | Path) -> Config:
+    """The configuration of a model, from the head of its file alone. Raises InputError as `read_model`."""
+    path = find(model)
+    try:
+        with safe_open(path, framework="numpy") as file:
+            return _config(path, file.metadata() or {})
+    except (SafetensorError, OSError) as error:
+        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
 
 
 def read_model(model: str | Path, **overrides: object) -> StoredModel:

@@ -1,4 +1,4 @@
-"""U of eq. 4: bilinear ×2."""
+"""U of eq. 4: ×2, bilinear or nearest."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from torch.nn import functional as F
 def upsample(
     image: Tensor,  # [B, C, ⌈H/2⌉, ⌈W/2⌉]
     size: tuple[int, int],  # (H, W)
+    mode: str = "bilinear",  # or "nearest": out[y, x] = image[⌊y/2⌋, ⌊x/2⌋]
 ) -> Tensor:  # [B, C, H, W]
     """U of eq. 4: bilinear ×2 on the same geometry as `downsample`.
 
@@ -20,4 +21,5 @@ def upsample(
         raise ValueError(
             f"expected a coarse image of {(H + 1) // 2}×{(W + 1) // 2} for {H}×{W}, got {tuple(image.shape[2:])}"
         )
-    return F.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)[:, :, :H, :W]
+    aligned = {"align_corners": False} if mode == "bilinear" else {}
+    return F.interpolate(image, scale_factor=2, mode=mode, **aligned)[:, :, :H, :W]

@@ -39,7 +39,8 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
     Raises InputError where the disk is too small, a worker is killed, another run renders the same shard, the folder
     holds clips of other options, or the cluster cannot do it (`run.farm`).
     """
-    if options.generator > 1 and (options.size[0] % COARSE or options.size[1] % COARSE or min(options.size) < 32):
+    odd = options.size[0] % COARSE or options.size[1] % COARSE or min(options.size) < 32
+    if options.windows_per_take > 1 and odd:
         raise InputError(
             f"clips of {options.size[1]}×{options.size[0]}: sides must be multiples of {COARSE}, from 32 on"
         )
@@ -83,11 +84,13 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
         facts = read_facts(path)
         index = int(path.stem.removeprefix("clip_"))
         expected = {
-            "generator": options.generator, "seed": options.clip_seed(index), "size": list(options.size),
+            "generator": options.made_by, "seed": options.clip_seed(index), "size": list(options.size),
             "max_depth": options.max_depth,
         }  # fmt: skip
-        if not options.assets:  # with assets they differ from clip to clip
-            expected |= {"frames": options.frames, "spp": options.spp}
+        if not options.assets:  # with assets they differ from clip to clip,
+            expected |= {"frames": options.frames}
+        if not options.assets and not options.metropolis:  # these by Metropolis sampling, too
+            expected |= {"spp": options.spp}
         wanted = options.scenes_are_of()
         told = {key: facts[key] for key in wanted.keys() & facts.keys()} | facts.get("scenes_are_of", {})
         found = wanted | BEFORE | told | {key: facts.get(key) for key in expected}
@@ -98,8 +101,7 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
 
 
 def _disk_use(out: Path, missing: int, options: ClipOptions) -> str:
-    layers = ("samples",) if options.assets else ()
-    needed, free = missing * bytes_per_clip(options.size, options.frames, layers), shutil.disk_usage(out).free
+    needed, free = missing * bytes_per_clip(options.size, options.frames, options.layers), shutil.disk_usage(out).free
     if needed > free:
         raise InputError(f"{out}: {missing} clips take {_bytes(needed)}, {_bytes(free)} are free")
     return f"{missing} clips to render, {_bytes(needed)} on disk ({_bytes(free)} are free)"

@@ -18,15 +18,16 @@ from .. import motion
 from ..color import luminance
 from ..data import scene_motion
 from ..frame import OCCLUSION_THRESHOLD
+from .metropolis import MetropolisOptions, metropolis
 from .scenes.scene import Scene
 from .stage import Stage, start_mitsuba
+from .streams import FIRST_HALF, NOISY, PROBE, SECOND_HALF, stream_seed
 
 MAX_RAYS = 1 << 21  # in flight at once; bounds memory
-NOISY, FIRST_HALF, SECOND_HALF, PROBE = range(4)  # random streams of a frame
 MAX_DEPTH = 6  # path edges while the exposure is measured
 LAYERS = (
     "color", "indirect", "albedo", "normal", "depth", "motion", "motion_next", "position", "id",
-    "reference", "indirect_reference", "reference_half", "indirect_reference_half",
+    "reference", "indirect_reference", "reference_half", "indirect_reference_half", "large", "small", "proposals",
 )  # fmt: skip
 
 
@@ -35,10 +36,11 @@ class RenderOptions:
     """The options of rendering a frame."""
 
     size: tuple[int, int] = (180, 320)  # height, width
-    spp: int = 1  # samples per pixel of the noisy frames
+    spp: int = 1  # samples, or mutations, per pixel of the noisy frames
     reference_spp: int = 256  # of the references, both halves together; 0: no references
     max_depth: int = 6  # path edges, the one to the camera included
     seed: int = 0  # of the noise; the scene has its own
+    metropolis: MetropolisOptions | None = None  # None: path tracing
 
 
 # --- motion -----------------------------------------------------------------------------------------------------------
@@ -82,11 +84,6 @@ def _array(image: torch.Tensor) -> np.ndarray:
 # --- frames -----------------------------------------------------------------------------------------------------------
 
 
-def _stream(*key: int) -> int:
-    """A 32-bit seed that is different for every key."""
-    return int(np.random.SeedSequence(key).generate_state(1)[0])
-
-
 def grey(image: np.ndarray) -> np.ndarray:
     """Rec. 709 luminance: [H, W, 3] to [H, W]."""
     return luminance(_tensor(image))[0, 0].numpy()
@@ -107,7 +104,7 @@ def features(stage: Stage, number: int, size, spp: int = 1, seed: int = 0) -> di
 
     stage.at(number)
     camera = stage.scene.camera(number)
-    sampler = tracing.make_sampler(_stream(seed, number, NOISY), size[0] * size[1] * spp)
+    sampler = tracing.make_sampler(stream_seed(seed, number, NOISY), size[0] * size[1] * spp)
     ray = tracing.primary_rays(sampler, size, spp, camera)
     hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids, stage.holes)
     layers = {k: _image(hit[k], size, spp) for k in ("albedo", "normal", "emission")}
@@ -136,7 +133,7 @@ def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, 
     total = np.zeros((2, *size, 3))
     for piece, samples in enumerate(np.diff(np.linspace(0, spp, pieces + 1).astype(int))):
         key = (seed, number, stream) if piece == 0 else (seed, number, stream, piece)
-        sampler = tracing.make_sampler(_stream(*key), int(size[0] * size[1] * samples))
+        sampler = tracing.make_sampler(stream_seed(*key), int(size[0] * size[1] * samples))
         ray = tracing.primary_rays(sampler, size, int(samples), camera)
         light = tracing.trace(stage.mitsuba, sampler, ray, max_depth, stage.holes)
         dr.eval(light)  # once: the sums below would trace every channel anew
@@ -149,17 +146,24 @@ def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, 
 
 def render_frame(stage: Stage, number: int, options: RenderOptions) -> dict[str, np.ndarray]:
     """All layers of one frame."""
-    size, seed, depth = options.size, options.seed, options.max_depth
-    layers = features(stage, number, size, options.spp, seed)
+    layers = features(stage, number, options.size, options.spp, options.seed)
     del layers["emission"]
-    layers["color"], layers["indirect"] = radiance(stage, number, size, options.spp, seed, NOISY, depth)
+    layers |= light(stage, number, options, options.spp, NOISY)
     if options.reference_spp:
         half = max(options.reference_spp // 2, 1)
-        first = radiance(stage, number, size, half, seed, FIRST_HALF, depth)
-        second = radiance(stage, number, size, half, seed, SECOND_HALF, depth)
-        for name, a, b in zip(("reference", "indirect_reference"), first, second, strict=True):
-            layers[name], layers[f"{name}_half"] = (a + b) / 2, a
+        first, second = (light(stage, number, options, half, stream) for stream in (FIRST_HALF, SECOND_HALF))
+        for name, source in (("reference", "color"), ("indirect_reference", "indirect")):
+            layers[name], layers[f"{name}_half"] = (first[source] + second[source]) / 2, first[source]
     return layers
+
+
+def light(stage: Stage, number: int, options: RenderOptions, samples: int, stream: int) -> dict[str, np.ndarray]:
+    """`color` and `indirect` from `samples` samples a pixel; by Metropolis sampling also its own layers."""
+    by = options.metropolis
+    if by and (stream == NOISY or by.references == "pssmlt"):
+        return metropolis(stage, number, options.size, samples, options.seed, stream, options.max_depth, by)[0]
+    beauty, indirect = radiance(stage, number, options.size, samples, options.seed, stream, options.max_depth)
+    return {"color": beauty, "indirect": indirect}
 
 
 def calibrate(stage: Stage, brightness: float, number: int = 0) -> dict[str, float]:

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
+from .metropolis import MetropolisOptions
 from .scenes import wide
+
+CAUSTIC = "caustic"  # generator of clips by Metropolis sampling
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,7 @@ class ClipOptions:
     spp: int = 1  # samples per pixel of the noisy frames
     reference_error: float = 0.01  # relative squared error that a reference of beauty may have,
     reference_range: tuple[int, int] = (32, 512)  # with at least and at most this many samples a pixel
-    reference_spp: int = 64  # generator 1: of an averagely noisy scene, from half to half as much again
+    reference_spp: int = 64  # generator 1: of an averagely noisy scene, from half to half as much again; pssmlt: of all
     max_depth: int = 6  # path edges
     workers: int = 2  # processes of one thread each
     shard: tuple[int, int] = (0, 1)  # (i, n): this run renders the scenes g with g mod n = i
@@ -32,6 +35,19 @@ class ClipOptions:
     assets: str = ""  # folder of a library: compositions of it take the place of generated scenes; "": none
     allow_unlicensed: bool = False  # use assets without a licence
     ray: str = ""  # address of a Ray cluster that takes the place of processes here; "": none
+    metropolis: MetropolisOptions | None = None  # clips of caustic scenes; None: path tracing
+
+    @property
+    def made_by(self) -> int | str:
+        """The generator, as facts of clips name it."""
+        return CAUSTIC if self.metropolis else self.generator
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """The optional layers of the clips."""
+        if self.metropolis:
+            return "position", "samples", "large", "small", "proposals"
+        return ("samples",) if self.assets else ()
 
     @property
     def stills(self) -> bool:
@@ -47,7 +63,7 @@ class ClipOptions:
 
     @property
     def windows_per_take(self) -> int:
-        if self.generator == 1:
+        if self.generator == 1 or self.metropolis:
             return 1  # the whole picture
         if self.stills:
             return 3
@@ -64,13 +80,15 @@ class ClipOptions:
 
     def clip_seed(self, index: int) -> int:
         """The seed in the facts of clip `index`: with generator 1 its scene's, else that of the set."""
-        return self.seed + index if self.generator == 1 else self.seed
+        return self.seed + index if self.generator == 1 and not self.metropolis else self.seed
 
     def scenes_are_of(self) -> dict:
         """The options that choose and light scenes, without paths of the machine.
 
         A folder holds clips of one such choice, one seed, size, length and number of samples.
         """
+        if self.metropolis:
+            return {"chains": self.metropolis.chains, "attribution": self.metropolis.attribution}
         if self.generator == 1:
             return {}
         files = [[Path(file).parent.name, bool(motion)] for file, motion in self.scenes]

@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import gc
 import time
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from ..data.clips import clip_path, write_clip
-from .draw import Take, draw_first, draw_takes
-from .frames import FIRST_HALF, SECOND_HALF, RenderOptions, grey, radiance, render_frame
+from .draw import Take, draw_first, draw_takes, scene_seed
+from .frames import RenderOptions, calibrate, grey, radiance, render_frame, uncovered
 from .options import ClipOptions
+from .scenes.caustic import caustic
 from .stage import Stage
+from .streams import FIRST_HALF, SECOND_HALF
 from .windows import candidates, choose, look_through, mean
 
 ACTIVE_SHARE = 0.75  # of the clips whose window is the one with most activity; the others take any window
 MORE_SAMPLES = (2, 4, 8, 16, 32, 64)  # factors on the samples of half of the clips, in sets with assets
+MORE_MUTATIONS = (1, 2, 4, 8)  # factors on the mutations of clips by Metropolis sampling,
+PIXELS_PER_CHAIN = (4, 16)  # and pixels for every chain
 PILOT_SPP = 16  # samples a pixel from which a reference's error is estimated
 
 
 def render_group(out: Path, group: int, options: ClipOptions) -> list[dict]:
     """Render the missing clips of scene number `group`. Returns their facts."""
     clips = _render_whole if options.generator == 1 else _render_windows
+    if options.metropolis:
+        clips = _render_caustic
     try:
         return clips(out, group, options)
     finally:
@@ -38,7 +46,28 @@ def _render_whole(out: Path, index: int, options: ClipOptions) -> list[dict]:
     reference_spp = max(2 * round(options.reference_spp * effort / 2), 2)
     render = RenderOptions(options.size, options.spp, reference_spp, options.max_depth, seed)
     facts |= {"seed": seed, "index": index, "generator": 1}
-    return [_render_clip(clip_path(out, index), stage, range(options.frames), facts, render, clock)]
+    return [_render_clip(clip_path(out, index), stage, range(options.frames), facts, render, clock, options.layers)]
+
+
+def _render_caustic(out: Path, index: int, options: ClipOptions) -> list[dict]:
+    """The clip of a caustic scene by Metropolis sampling, with a number of mutations and a number of chains of its
+    own."""
+    clock, rng = time.process_time(), np.random.default_rng([options.seed, index])
+    scene = caustic(scene_seed(rng), options.frames)
+    stage = Stage(scene)
+    light = calibrate(stage, scene.facts["brightness"], options.frames // 2)
+    mutations = options.spp * int(rng.choice(MORE_MUTATIONS))
+    pixels = options.size[0] * options.size[1]
+    chains = options.metropolis.chains or max(pixels // int(rng.choice(PIXELS_PER_CHAIN)), 1)
+    metropolis = replace(options.metropolis, chains=chains)
+    seed = int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0])
+    render = RenderOptions(options.size, mutations, options.reference_spp, options.max_depth, seed, metropolis)
+    facts = scene.facts | light | {
+        "seed": options.seed, "index": index, "generator": options.made_by, "samples": mutations,
+        "integrator": "pssmlt", "chains": chains, "scenes_are_of": options.scenes_are_of(),
+    }  # fmt: skip
+    numbers = range(options.frames)
+    return [_render_clip(clip_path(out, index), stage, numbers, facts, render, clock, options.layers)]
 
 
 def _render_windows(out: Path, group: int, options: ClipOptions) -> list[dict]:
@@ -83,7 +112,8 @@ def _render_take(
         spp, error = reference_samples(stage, numbers[len(numbers) // 2], options, samples, seed)
         render = RenderOptions(options.size, samples, spp, options.max_depth, seed)
         more |= {"reference_error": error} | ({"samples": samples} if options.assets else {})
-        rendered.append(_render_clip(clip_path(out, index), stage, numbers, take.facts | more, render, clock))
+        facts = take.facts | more
+        rendered.append(_render_clip(clip_path(out, index), stage, numbers, facts, render, clock, options.layers))
         clock = time.process_time()
     stage.scene = whole
     return rendered
@@ -116,12 +146,16 @@ def reference_samples(stage: Stage, number: int, options: ClipOptions, samples: 
     return spp, error * PILOT_SPP / spp
 
 
-def _render_clip(path: Path, stage: Stage, numbers: range, facts: dict, render: RenderOptions, clock: float) -> dict:
+def _render_clip(
+    path: Path, stage: Stage, numbers: range, facts: dict, render: RenderOptions, clock: float, layers: tuple[str, ...]
+) -> dict:
     """Render the frames `numbers`, write them, return the facts; `clock` is the processor time at which work began."""
     frames = [render_frame(stage, number, render) for number in numbers]
-    layers = ("samples",) if "samples" in facts else ()
-    for frame in frames if layers else ():
+    for frame in frames:
         frame["samples"] = np.full((*render.size, 1), render.spp, np.float32)
+    if "uncovered" not in facts:
+        shares = [uncovered(b["motion"], a["motion_next"]).mean() for a, b in pairwise(frames)]
+        facts |= {"uncovered": float(np.mean(shares)) if shares else 0.0}
     facts = facts | {
         "first_frame": numbers[0], "frames": len(numbers), "size": list(render.size), "spp": render.spp,
         "reference_spp": render.reference_spp, "max_depth": render.max_depth,

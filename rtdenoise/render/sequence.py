@@ -13,6 +13,7 @@ from pathlib import Path
 from ..errors import InputError
 from ..files import lock, read_bytes, read_json, remove_unfinished, write_atomically
 from .frames import LAYERS, RenderOptions, describe_frame, render_frame
+from .metropolis import unseen_lamps
 from .scenes.scene import Scene
 from .stage import Stage
 
@@ -118,6 +119,8 @@ def _render(scene: Scene, out: Path, numbers: range, options: RenderOptions, pro
     for n in sorted(set(numbers) - set(missing)):
         _refuse_foreign(paths[n], options.size)
     stage = Stage(scene) if missing else None
+    if stage and options.metropolis and (warning := unseen_lamps(stage)):
+        progress(f"warning: {warning}")
     for n in missing:
         layers = render_frame(stage, n, options)
         write_layers(paths[n], {k: layers[k] for k in LAYERS if k in layers})

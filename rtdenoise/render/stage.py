@@ -61,11 +61,11 @@ class Stage:
         # One BSDF of every kind lives as long as the stage: kernels then contain the same kinds for all scenes and are
         # found in the cache.
         grey = np.full((4, 4, 3), 0.5, np.float32)
-        self._all_kinds = [_bsdf(mi, Material(grey, kind)) for kind in ("diffuse", "plastic", "metal", "glass")]
+        self.kinds = [_bsdf(mi, Material(grey, kind)) for kind in ("diffuse", "plastic", "metal", "glass")]
         self.holes = any(isinstance(o.material, Principled) for o in scene.objects)  # see `tracing`
         if self.holes:
             one = grey[..., :1]
-            self._all_kinds += [
+            self.kinds += [
                 _bsdf(mi, Principled(grey, one, one, normal, alpha, transmission))
                 for normal, alpha, transmission in product((None, grey), (None, one), (0.0, 1.0))
             ]

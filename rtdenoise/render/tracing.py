@@ -12,6 +12,8 @@ as a bounce, and holes cast shadows in it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import drjit as dr
 import mitsuba as mi
 
@@ -151,16 +153,39 @@ def primary_rays(sampler, size, spp, camera):
     y = index // columns
     x = index - y * columns
     offset = sampler.next_2d()
-    pixel = mi.Vector3f(mi.Float(x) + offset.x, mi.Float(y) + offset.y, 1)
-    origin, matrix = camera.world_from_pixel(size)  # direction = matrix · (x, y, 1)
-    rows = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in row)) for row in matrix]
-    direction = mi.Vector3f(*(dr.dot(row, pixel) for row in rows))
-    origin = _opaque(mi.Point3f, origin)
-    if camera.aperture > 0:
-        lens = mi.warp.square_to_uniform_disk(sampler.next_2d()) * dr.opaque(mi.Float, camera.aperture)
-        right, down = (_opaque(mi.Vector3f, camera.to_world[:3, k]) for k in (0, 1))
-        sharp = origin + direction * dr.opaque(mi.Float, camera.focus)
-        origin = origin + right * lens.x + down * lens.y
+    return rays_through(mi.Float(x) + offset.x, mi.Float(y) + offset.y, sampler, view_of(camera, size))
+
+
+@dataclass
+class View:
+    """A camera and its picture as data, not code, so that kernels are reused."""
+
+    origin: mi.Point3f
+    rows: list[mi.Vector3f]  # of the matrix: direction = matrix · (x, y, 1)
+    lens: bool
+    right: mi.Vector3f
+    down: mi.Vector3f
+    aperture: mi.Float
+    focus: mi.Float
+
+
+def view_of(camera, size) -> View:
+    origin, matrix = camera.world_from_pixel(size)
+    rows = [_opaque(mi.Vector3f, row) for row in matrix]
+    right, down = (_opaque(mi.Vector3f, camera.to_world[:3, k]) for k in (0, 1))
+    aperture, focus = (dr.opaque(mi.Float, float(v)) for v in (camera.aperture, camera.focus))
+    return View(_opaque(mi.Point3f, origin), rows, camera.aperture > 0, right, down, aperture, focus)
+
+
+def rays_through(x, y, sampler, view):
+    """Rays through points of the picture, in pixels, and points of the lens."""
+    pixel = mi.Vector3f(x, y, 1)
+    direction = mi.Vector3f(*(dr.dot(row, pixel) for row in view.rows))
+    origin = view.origin
+    if view.lens:
+        lens = mi.warp.square_to_uniform_disk(sampler.next_2d()) * view.aperture
+        sharp = origin + direction * view.focus
+        origin = origin + view.right * lens.x + view.down * lens.y
         direction = sharp - origin
     return mi.Ray3f(origin, dr.normalize(direction))
 

@@ -125,7 +125,8 @@ class TorchBackend:
         from .planned import Planned
 
         config = self._denoiser.config
-        plan = make_plan(size, frames, config.motion, first, windows=config.network_reach is not None)
+        windows = config.network_reach is not None
+        plan = make_plan(size, frames, config.motion, first, windows, config.reads)
         planned = Planned(self._denoiser, plan, self._whole)
         left_out |= planned.left_out | left_out  # the counts of earlier runs, where there are any
         planned.left_out, self._step = left_out, planned.step

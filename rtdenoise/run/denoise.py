@@ -17,6 +17,7 @@ from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH, Frame
+from ..models.weights import read_config
 from ..sanitise import faults
 from .backends import Backend, open_backend
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
@@ -52,8 +53,11 @@ def denoise(
         return denoise_offline(source, out, options, overwrite, on_frame)
     if options.confidence:
         raise InputError("--confidence: goes with --offline")
-    sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
-    sequence.require("albedo", "normal", "depth")
+    reads = read_config(options.model).reads
+    sequence = open_sequence(
+        source, signal=options.signal, preset=options.preset, layers=reads, allow_gaps=options.allow_gaps
+    )
+    sequence.require("albedo", "normal", "depth", *reads)
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision, options.correct)
     if len(sequence) > 1 and backend.config.motion is not None:
@@ -62,6 +66,9 @@ def denoise(
                     float32=options.float32)  # fmt: skip
     read = Sequence.read
     if options.lights or options.also:
+        if reads:
+            raise InputError(f"--lights, --also: not with {options.model}, which reads {reads[0]}; "
+                             "leave them out, or take --model default")  # fmt: skip
         backend, read, write = in_parts(sequence, options, backend)
     out = prepare(Path(out), sequence, options)
     with lock(out):

@@ -14,7 +14,7 @@ from __future__ import annotations
 import logging
 import os
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Collection, Hashable
 from dataclasses import replace
 from typing import Protocol, TypeVar
 
@@ -90,7 +90,7 @@ class Graphed:
     ) -> tuple[Tensor, History]:
         """As the denoiser's own step."""
         self._steps += 1
-        given = _tensors(frame, history, known)
+        given = _tensors(frame, history, known, (*LAYERS, *self.denoiser.config.reads))
         flags = replace(known, exposure=None, distance=None)
         kind = flags, tuple(_description(name, tensor) for name, tensor in given.items())
         if kind not in self.recordings and kind in self._seen and self._room():
@@ -165,10 +165,10 @@ def _description(name: str, tensor: Tensor) -> Hashable:
     return name, tensor.shape, tensor.dtype, tensor.device
 
 
-def _tensors(frame: Frame, history: History | None, known: Known) -> dict[str, Tensor]:
-    """All that a step reads, by name. Inverse: `_arguments`."""
+def _tensors(frame: Frame, history: History | None, known: Known, read: Collection[str]) -> dict[str, Tensor]:
+    """All that a step reads, by name; of the frame the layers `read`. Inverse: `_arguments`."""
     statistics = {n: t for n in ("exposure", "distance") if (t := getattr(known, n)) is not None}
-    layers = {n: t for n, t in frame.layers() if n in LAYERS}
+    layers = {n: t for n, t in frame.layers() if n in read}
     owners = {"frame": layers, "history": history.layers() if history else {}, "known": statistics}
     return {f"{owner}.{name}": tensor for owner, tensors in owners.items() for name, tensor in tensors.items()}
 

@@ -62,6 +62,7 @@ def make_plan(
     model_motion: str | None,  # motion that fetches history: 'dual' or 'traditional'; None: the model reads no motion
     first: list[Frame],  # the frames to examine
     windows: bool = True,  # whether backend and model can denoise a frame in windows
+    reads: tuple[str, ...] = (),  # layers that the model reads beside `LAYERS`
 ) -> Plan:
     """The plan for a sequence."""
     unread = {}
@@ -91,7 +92,7 @@ def make_plan(
             Decision("the whole frame at once", "always, in tiles" if tiled else "never",
                      f"from {TILED_FROM:,} pixels on, here {size[0] * size[1]:,}"),
         ]  # fmt: skip
-    return Plan(tuple(layer for layer in LAYERS if layer not in unread), tiled, tuple(decisions))
+    return Plan((*(layer for layer in LAYERS if layer not in unread), *reads), tiled, tuple(decisions))
 
 
 def look(frame: Frame, motion_next_before: Tensor | None, history: bool = True) -> Known:

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from ..frame import Frame
 
-_COLOURS = ("radiance", "albedo", "reference", "reference_half")
-_LIGHT = ("radiance", "reference", "reference_half")
+_COLOURS = ("radiance", "components", "albedo", "reference", "reference_half")
+_LIGHT = ("radiance", "components", "reference", "reference_half")
 _MOTIONS = ("motion", "motion_next")
 MAX_RELIGHT = 3.0  # stops between a patch of light and its surroundings, brighter or darker
 MAX_SPEED = 8.0  # of the patch, pixels a frame
@@ -39,16 +39,21 @@ def augment(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
 
     def turned(frame: Frame) -> Frame:
         frame = frame.map(spatial)
-        changes = {k: t[:, order] for k in _COLOURS if (t := getattr(frame, k)) is not None}
+        changes = {k: _reordered(t, order) for k in _COLOURS if (t := getattr(frame, k)) is not None}
         changes |= {
             k: (t.flip(1) if transposed else t) * sign for k in _MOTIONS if (t := getattr(frame, k)) is not None
         }
-        changes |= {k: changes[k] * tint for k in _LIGHT if k in changes}
+        changes |= {k: changes[k] * tint.repeat(1, changes[k].shape[1] // 3, 1, 1) for k in _LIGHT if k in changes}
         frame = replace(frame, **changes)
         return replace(frame, motion=frame.motion_next, motion_next=frame.motion) if backwards else frame
 
     turned_frames = [turned(frame) for frame in frames]
     return turned_frames[::-1] if backwards else turned_frames
+
+
+def _reordered(image: Tensor, order: Tensor) -> Tensor:
+    """Each picture of `image` `[B, 3K, H, W]` with its colour channels in another order."""
+    return image.unflatten(1, (-1, 3))[:, :, order].flatten(1, 2)
 
 
 def relight(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:

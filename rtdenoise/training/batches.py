@@ -9,7 +9,7 @@ from ..errors import InputError
 from ..frame import Frame, stack
 from ..models import COMBINERS, Window
 from .augment import augment, relight
-from .config import TrainConfig
+from .config import TrainConfig, model_config
 
 COLOR_SHARE = 1 / 3  # of the clips where both signals are trained
 MISSING_SHARE = 0.1  # of the windows that lack frames, as at the ends of shots
@@ -57,7 +57,8 @@ def _clip(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place:
     """An augmented clip."""
     rng = np.random.default_rng([config.seed, epoch, place])
     signal = config.signal if config.signal != "both" else "color" if rng.random() < COLOR_SHARE else "indirect"
-    frames = data.load(index, signal=signal, size=config.size, frames=config.frames, rng=rng)
+    reads = model_config(config).reads
+    frames = data.load(index, signal=signal, size=config.size, frames=config.frames, rng=rng, layers=reads)
     frames = augment(frames, rng)
     return relight(frames, rng) if rng.random() < config.relight else frames
 

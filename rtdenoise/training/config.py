@@ -1,11 +1,13 @@
-"""The options of a training run, as the command line shows and a run directory records them."""
+"""The options of a training run, as the command line shows and a run directory records them; the network they name."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tyro.conf import UseAppendAction
+
+from ..models.presets import COMBINERS, PRESETS, STILLS, Config, with_settings
 
 
 @dataclass(frozen=True)
@@ -21,8 +23,8 @@ class TrainConfig:
     init: Path | None = None
     """Weights to start from instead of random ones: a .safetensors file of the same network or a narrower one."""
     model: str = "default"
-    """Network to train: 'paper', 'fast', 'default', 'quality'; for single frames 'afgsa', 'afgsa-small'; or 'combiner',
-    'combiner-causal', 'drc'."""
+    """Network to train: 'paper', 'fast', 'default', 'quality'; for single frames 'afgsa', 'afgsa-small'; for Metropolis
+    renders 'mltd', 'mltd-small'; or 'combiner', 'combiner-causal', 'drc'."""
     set: UseAppendAction[tuple[str, ...]] = ()
     """Fields of the network's configuration to change, as NAME=VALUE: widths=32,48,64,80,96 or longest=24."""
     signal: str = "indirect"
@@ -67,3 +69,10 @@ class TrainConfig:
     """Also write the log as TensorBoard events, into the run's folder tensorboard."""
     checkpoint_minutes: float = 3.0
     """Minutes between checkpoints; Ctrl-C and SIGTERM write one, too."""
+
+
+def model_config(config: TrainConfig) -> Config:
+    """The configuration of the network that a run trains. Raises InputError for unknown fields in `set`."""
+    if config.model not in PRESETS:
+        return with_settings((COMBINERS | STILLS)[config.model], config.set)
+    return with_settings(replace(PRESETS[config.model], motion=config.motion), config.set)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
 from reprlib import repr as shown
 from typing import Any
@@ -16,8 +15,7 @@ from ..errors import InputError, did_you_mean
 from ..files import open_regular, write_atomically
 from ..models import COMBINERS, PRESETS, STILLS, Combiner, Config, Denoiser, create, grow, read
 from ..models.inference import choose_device
-from ..models.presets import with_settings
-from .config import TrainConfig
+from .config import TrainConfig, model_config
 from .distributed import average_gradients, means
 from .muon import Muon
 from .tasks import task_of
@@ -151,13 +149,6 @@ def _initial(config: TrainConfig, wanted: Config) -> Denoiser | Combiner:
     return model.train().requires_grad_(True)
 
 
-def model_config(config: TrainConfig) -> Config:
-    """The configuration of the network that a run trains. Raises InputError for unknown fields in `set`."""
-    if config.model not in PRESETS:
-        return with_settings((COMBINERS | STILLS)[config.model], config.set)
-    return with_settings(replace(PRESETS[config.model], motion=config.motion), config.set)
-
-
 def check(config: TrainConfig) -> None:
     """Raise InputError for impossible options."""
     for name in ("steps", "batch", "frames", "size", "validate_every", "warmup"):
@@ -185,5 +176,7 @@ def check(config: TrainConfig) -> None:
         raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
     choose_device(config.device)
     wanted = model_config(config)
+    if "components" in wanted.reads and config.signal != "color":
+        raise InputError(f"signal: {config.model} splits the beauty; expected 'color', got {config.signal!r}")
     if config.model in COMBINERS and config.frames != wanted.frames:
         raise InputError(f"frames: the window of {config.model} has {wanted.frames} frames, got {config.frames}")

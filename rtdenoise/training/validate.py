@@ -44,7 +44,8 @@ def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[s
             return model.step(frame, history)
 
     for index in range(len(clips)):
-        frames = clips.load(index, signal="color" if config.signal == "color" else "indirect")
+        signal = "color" if config.signal == "color" else "indirect"
+        frames = clips.load(index, signal=signal, layers=model.config.reads)
         frames = [frame.to(config.device) for frame in frames]
         scale, masks = display_exposure(torch.cat([frame.reference for frame in frames])), uncovered(frames)
         for output, mask in list(zip(outputs(step, frames), masks, strict=True))[1:]:

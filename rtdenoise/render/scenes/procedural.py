@@ -78,7 +78,7 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 # --- surroundings -----------------------------------------------------------------------------------------------------
 
 
-def _walls(b: Builder, size: np.ndarray, missing: set[str]) -> None:
+def walls(b: Builder, size: np.ndarray, missing: set[str]) -> None:
     """An axis-aligned room: x in ±w/2, y in [0, h], z in [−d, 0]; the camera stands near z = 0 and looks along −z."""
     w, h, d = size
     sides = {
@@ -134,11 +134,11 @@ def surroundings(b: Builder) -> tuple[str, np.ndarray, np.ndarray | None]:
     kind = str(rng.choice(["closed", "half-open", "outdoor"], p=[0.55, 0.25, 0.2]))
     size = rng.uniform((4.0, 2.6, 5.0), (8.0, 4.0, 9.0))
     if kind == "closed":
-        _walls(b, size, set())
+        walls(b, size, set())
         return f"closed/{_lamps(b, size)}", size, None
     if kind == "half-open":
         gone = [{"ceiling"}, {"left"}, {"right"}, {"ceiling", "left"}, {"front", "ceiling"}, {"front"}]
-        _walls(b, size, gone[rng.integers(len(gone))])
+        walls(b, size, gone[rng.integers(len(gone))])
     else:
         size = size * (2, 1, 2)
         ground = meshes.quad((-40, 0, 40), (80, 0, 0), (0, 0, -80)).scale_uv(log_uniform(rng, 0.2, 0.8))
