@@ -4,11 +4,10 @@ python bench/attention.py HELD RUNS [--data CLIPS ...]
 
 HELD/spp01, HELD/spp04 ... hold the same frames at several sample counts (`combine_clips.py --held-out`), each frame
 denoised alone. RUNS/KIND-SEED are folders of `rtdenoise train`: `guided`, `concatenated`, `none`, `unet` (the control),
-`kernel` and `unetkernel` (9×9 kernels instead of a residual), `nohalo`. `zeros` is `guided` with zeros around its last
-convolutions. PSNR and relMSE are corrected for the
-references' own noise. Beside them: seams (error differences across borders of blocks over those elsewhere), border rows
-against those of a mirrored picture, and CPU time. Writes bench/results/attention.json and tables of
-docs/results/attention.md.
+`unetlong` (the control, three times the steps), `kernel` and `unetkernel` (9×9 kernels instead of a residual),
+`nohalo`. `zeros` is `guided` with zeros around its last convolutions. PSNR and relMSE are corrected for the references'
+own noise. Beside them: seams (error differences across borders of blocks over those elsewhere), border rows against
+those of a mirrored picture, and CPU time. Writes bench/results/attention.json and tables of docs/results/attention.md.
 """
 
 from __future__ import annotations
@@ -55,6 +54,7 @@ WHAT = {
     "noisy": "noisy", "oidn": "OIDN", "guided": "**guided** by features", "concatenated": "features concatenated",
     "none": "no features", "nohalo": "guided, halo 0",
     "zeros": "guided, zeros around the last convolutions", "unet": "U-Net of equal arithmetic",
+    "unetlong": "the same U-Net, three times the steps",
     "kernel": "guided, 9×9 kernels", "unetkernel": "U-Net, 9×9 kernels",
 }  # fmt: skip
 

@@ -157,7 +157,5 @@ def test_a_guided_network_has_no_shaders(tmp_path):
     save(create(replace(WIDE, guided=True)), path)
     with pytest.raises(InputError, match="no shaders for networks of the kind 'accumulated_kpn' that are guided"):
         Pipeline.load(path)
-    with pytest.raises(
-        ValueError, match="guided: expected 3 scales or more and a second width"
-    ):
+    with pytest.raises(ValueError, match="guided: expected 3 scales or more and a second width"):
         replace(WIDE, widths=(20, 25, 40, 50, 70), guided=True)
