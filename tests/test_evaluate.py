@@ -17,7 +17,7 @@ from rtdenoise.color import display_exposure
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, choose, evaluate, methods, uncovered
 from rtdenoise.evaluate.document import Document
-from rtdenoise.evaluate.inputs import reference_errors
+from rtdenoise.evaluate.inputs import Source, reference_errors
 from rtdenoise.evaluate.registry import DEFAULTS
 from rtdenoise.evaluate.run import NEEDS, EvaluateOptions, run
 from rtdenoise.files import lock
@@ -187,6 +187,12 @@ def test_metrics_can_be_chosen_and_what_is_missing_is_measured(shot, tmp_path, m
     monkeypatch.setitem(NEEDS, "fovvideovdp", ("nowhere", "pyfvvdp"))
     with pytest.raises(InputError, match="metric fovvideovdp needs a package that is not there: pip install pyfvvdp"):
         run([str(shot)], out, EvaluateOptions(PLAIN, metrics=("fovvideovdp",)))
+
+
+def test_frames_say_how_many_samples_they_have(shot):
+    source = Source.open(shot, "color", "auto", None)
+    for spp in (1, 4):
+        assert [frame.samples.unique().tolist() for frame in source.frames(spp)] == [[spp]] * 4
 
 
 def test_the_quality_of_a_sequence_is_one_number(monkeypatch):
