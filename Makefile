@@ -20,8 +20,8 @@ help:  ## show this list
 demo: $(VENV)/.ready-demo  ## denoise the bundled sequence: errors, times and pictures in demo/
 	$(VENV)/bin/rtdenoise demo --out demo
 
-test: $(VENV)/.ready-test  ## run all the tests; one that is skipped fails
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m pytest -p no:cacheprovider --no-skips
+test: $(VENV)/.ready-test  ## run all the tests, a file on each core; one that is skipped fails
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m pytest -p no:cacheprovider --no-skips -n auto --dist loadfile
 
 lint: $(VENV)/.ready-test  ## ruff
 	$(VENV)/bin/ruff check
