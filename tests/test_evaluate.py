@@ -17,7 +17,7 @@ from rtdenoise.color import display_exposure
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, choose, evaluate, methods, uncovered
 from rtdenoise.evaluate.document import Document
-from rtdenoise.evaluate.inputs import reference_errors
+from rtdenoise.evaluate.inputs import Source, reference_errors
 from rtdenoise.evaluate.registry import DEFAULTS
 from rtdenoise.evaluate.run import NEEDS, EvaluateOptions, run
 from rtdenoise.files import lock
@@ -62,6 +62,11 @@ def test_a_corrected_method_has_the_weights_of_both_networks(tmp_path):
     save(create(CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3)), tmp_path / "small.safetensors")
     mine = str(tmp_path / "small.safetensors")
     assert choose([f"fast+{mine}"])[0].weights == ("fast", mine)
+
+
+def test_frames_say_how_many_samples_they_have(shot):
+    source = Source.open(shot, "color", "auto", None)
+    assert [source.frames(spp)[0].samples.unique().tolist() for spp in (1, 4)] == [[1], [4]]
 
 
 def test_weights_that_changed_are_measured_again(shot, tmp_path):

@@ -27,7 +27,7 @@ from ..metrics.image import decibels, masked_mean, reference_mse
 from .measure import check_references
 
 LAYERS = ("reference", "reference_half")
-EXTRA = ("components", "position")  # layers that some networks read beside the usual ones, where the files have them
+EXTRA = ("components", "position", "samples")  # that some methods read beside the usual ones, where there are any
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,10 @@ class Source:
         return min(len(self.base), self.limit or len(self.base))
 
     def frames(self, spp: int) -> list[Frame]:
-        """The frames at that many samples, with references. Raises InputError where references are not finite."""
+        """The frames at that many samples, with references; they say how many samples they have. Raises InputError
+        where references are not finite."""
         sequence = self.at(spp)
-        frames = [replace(sequence[i], **self.references(i)) for i in range(self.length)]
+        frames = [replace(_counted(sequence[i], spp), **self.references(i)) for i in range(self.length)]
         check_references(frames)
         return frames
 
@@ -103,6 +104,13 @@ class Source:
         facts = [[*path.parts[-2:], path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
         text = json.dumps([facts, self.length, self.options], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _counted(frame: Frame, spp: int) -> Frame:
+    """The frame with its samples a pixel: as it says, or else `spp`."""
+    if frame.samples is not None:
+        return frame
+    return replace(frame, samples=torch.full_like(frame.radiance[:, :1], spp))
 
 
 def reference_errors(frames: list[Frame]) -> dict[str, float | None]:
