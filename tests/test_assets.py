@@ -320,9 +320,19 @@ def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
         assert all(tensor.equal(getattr(b, name)) for name, tensor in a.layers())
 
 
+def test_stills_of_assets_are_single_frames(folder, tmp_path):
+    options = ClipOptions(2, (32, 32), 1, seed=1, reference_error=1, reference_range=(2, 2), workers=1,
+                          assets=str(folder))  # fmt: skip
+    render_clips(tmp_path, options, lambda *_: None)
+    clips = ClipDataset(tmp_path)
+    assert [len(clips.load(i)) for i in range(len(clips))] == [1, 1]
+    assert options.clips_per_scene > ClipOptions(assets="x").clips_per_scene
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [
+        ("--assets x --frames 5", "--frames: is for generated scenes, not for --assets"),
         ("--allow-unlicensed", "--allow-unlicensed: goes with --assets"),
         ("--assets x --sun 1", "--sun: is for generated scenes, not for --assets"),
         ("--assets x --generator 1", "--assets: goes with --generator 2 and 3"),

@@ -7,6 +7,7 @@ import pytest
 import torch
 from synthetic import make_frames, write_sequence
 from test_denoise import pixels, refused
+from test_sequences import write_cycles
 
 import rtdenoise
 from rtdenoise.cli.main import main
@@ -184,9 +185,10 @@ def test_options_that_change_nothing_are_named(shot, clean, frames, tmp_path, op
     assert note.startswith("there is one frame: nothing is corrected")
 
 
-def test_frames_without_error_stay_as_they_are(shot, tmp_path, options):
+def test_frames_without_error_stay_as_they_are(shot, frames, tmp_path, options):
     """y = z: nothing to correct, to the bit."""
-    run(shot, shot, tmp_path / "out", options=options)
+    same = write_images(tmp_path / "same", [frame.radiance for frame in frames])
+    run(shot, same, tmp_path / "out", options=options)
     assert_same(tmp_path / "out", shot)
 
 
@@ -281,6 +283,18 @@ def test_layouts_of_the_denoised_frames(shot, clean, tmp_path, options):
     assert_same(tmp_path / "again", tmp_path / "twice")
 
 
+def test_one_folder_of_cycles_holds_noisy_and_denoised_frames(tmp_path, options, capsys):
+    """`Noisy Image` is the noisy picture, `Combined` the denoised one; without the former there is one picture only."""
+    passes = {"Combined": "RGBA", "Noisy Image": "RGB"}
+    for folder in ("both", "alone"):
+        (tmp_path / folder).mkdir()
+        write_cycles(tmp_path / folder / "frame.0001.exr", passes=passes)
+        passes.pop("Noisy Image", None)
+    assert run(tmp_path / "both", tmp_path / "both", tmp_path / "out", options=options).written == 1
+    told = refused(capsys, "combine", tmp_path / "alone", tmp_path / "alone", "--out", tmp_path / "none")
+    assert "ViewLayer.Combined.B was named as noisy and as denoised frame" in told
+
+
 def test_confidence_is_a_layer_of_its_own(shot, clean, tmp_path, options):
     run(shot, clean, tmp_path / "out", options=replace(options, confidence=True))
     assert "confidence.V" in read_header(tmp_path / "out" / "frame.0000.exr").channels
@@ -305,6 +319,7 @@ def test_frames_that_do_not_belong_together_are_refused(shot, clean, tmp_path, m
     told = refused(capsys, "combine", loud, mapped, "--out", tmp_path / "out", "--model", model)
     assert "the denoised light ends at 1.00" in told and "it looks tone-mapped" in told
     assert "does not exist" in line(tmp_path / "nowhere")
+    assert "R, G, B was named as noisy and as denoised frame" in line(shot)
     assert "--layout plain" in line(clean, "--confidence", "--layout", "source")
     assert "no model 'nosuch'" in refused(
         capsys, "combine", shot, clean, "--out", tmp_path / "out", "--model", "nosuch"

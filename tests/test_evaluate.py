@@ -64,11 +64,6 @@ def test_a_corrected_method_has_the_weights_of_both_networks(tmp_path):
     assert choose([f"fast+{mine}"])[0].weights == ("fast", mine)
 
 
-def test_frames_say_how_many_samples_they_have(shot):
-    source = Source.open(shot, "color", "auto", None)
-    assert [source.frames(spp)[0].samples.unique().tolist() for spp in (1, 4)] == [[1], [4]]
-
-
 def test_weights_that_changed_are_measured_again(shot, tmp_path):
     mine, out = tmp_path / "weights.safetensors", tmp_path / "out"
     for weights in ("fast", "paper"):
@@ -199,6 +194,15 @@ def test_metrics_can_be_chosen_and_what_is_missing_is_measured(shot, tmp_path, m
     monkeypatch.setitem(NEEDS, "fovvideovdp", ("nowhere", "pyfvvdp"))
     with pytest.raises(InputError, match="metric fovvideovdp needs a package that is not there: pip install pyfvvdp"):
         run([str(shot)], out, EvaluateOptions(PLAIN, metrics=("fovvideovdp",)))
+
+
+def test_frames_say_how_many_samples_they_have(shot):
+    source = Source.open(shot, "color", "auto", None)
+    for spp in (1, 4):
+        assert [frame.samples.unique().tolist() for frame in source.frames(spp)] == [[spp]] * 4
+    told = [replace(frame, samples=torch.full_like(frame.depth, 7)) for frame in make_frames(2)]
+    source = Source.open(write_sequence(shot.parent / "told", told), "color", "auto", None)
+    assert [frame.samples.unique().tolist() for frame in source.frames(1)] == [[7]] * 2
 
 
 def test_the_quality_of_a_sequence_is_one_number(monkeypatch):

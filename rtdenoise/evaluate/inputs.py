@@ -83,12 +83,14 @@ class Source:
         return min(len(self.base), self.limit or len(self.base))
 
     def frames(self, spp: int) -> list[Frame]:
-        """The frames at that many samples, with references; they say how many samples they have. Raises InputError
-        where references are not finite."""
+        """The frames at that many samples, with references. Raises InputError where references are not finite.
+
+        `samples` is what the files say, or else `spp`: methods that correct frames depend on it.
+        """
         sequence = self.at(spp)
-        frames = [replace(_counted(sequence[i], spp), **self.references(i)) for i in range(self.length)]
+        frames = [replace(sequence[i], **self.references(i)) for i in range(self.length)]
         check_references(frames)
-        return frames
+        return [f if f.samples is not None else replace(f, samples=_full(f.radiance, spp)) for f in frames]
 
     def references(self, i: int) -> dict[str, Tensor | None]:
         """`reference` and `reference_half` of frame i, as fields of `Frame`."""
@@ -104,13 +106,6 @@ class Source:
         facts = [[*path.parts[-2:], path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
         text = json.dumps([facts, self.length, self.options], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _counted(frame: Frame, spp: int) -> Frame:
-    """The frame with its samples a pixel: as it says, or else `spp`."""
-    if frame.samples is not None:
-        return frame
-    return replace(frame, samples=torch.full_like(frame.radiance[:, :1], spp))
 
 
 def reference_errors(frames: list[Frame]) -> dict[str, float | None]:
@@ -140,6 +135,10 @@ def _same_frames(sequence: Sequence, base: Sequence, limit: int | None) -> Seque
 def _told(sequence: Sequence, numbers: tuple[int, ...]) -> str:
     height, width = sequence.size
     return f"{len(numbers)} frames {numbers[0]} to {numbers[-1]} of {width}×{height}"
+
+
+def _full(radiance: Tensor, spp: int) -> Tensor:
+    return torch.full_like(radiance[:, :1], spp)
 
 
 def _facts(path: Path) -> dict:

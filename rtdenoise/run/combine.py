@@ -36,8 +36,9 @@ def combine(
     picture in the renderer's own layout. Layers that the noisy files lack are done without; the summary's notes name
     them. `on_frame(done, total)` is called at the start and after each frame.
 
-    Raises InputError where frames of one are missing in the other, sizes or exposures differ, the denoised frames are
-    tone-mapped, and for anything else wrong with the input, the options or the output folder.
+    Raises InputError where both are the same channels of the same files, frames of one are missing in the other, sizes
+    or exposures differ, the denoised frames are tone-mapped, and for anything else wrong with the input, the options or
+    the output folder.
     """
     if find_spec("torch") is None:
         raise InputError("combine needs PyTorch, which is not installed")
@@ -45,7 +46,7 @@ def combine(
     from ..models import load_combiner
     from ..models.inference import choose_device
     from .correcting import Run
-    from .pairs import check_pairs, check_second, open_denoised, open_second
+    from .pairs import check_other, check_pairs, check_second, open_denoised, open_second
 
     source = open_sequence(
         noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
@@ -54,6 +55,7 @@ def combine(
     check_output(source, options.layout, options.recombine, options.keep)
     if options.confidence and options.layout != "plain":
         raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
+    check_other(source, estimates)
     check_pairs(source, estimates, EXAMINED)
     second = open_second(options.second, source, options.preset, options.allow_gaps) if options.second else None
     if second:

@@ -73,6 +73,14 @@ def both(frame: Frame, second: Tensor) -> tuple[Frame, Tensor]:
     return replace(frame, radiance=mean, samples=samples), first.where(known & other, torch.nan)
 
 
+def check_other(source: Sequence, denoised: Sequence) -> None:
+    """Raise InputError where the denoised frames are the noisy ones, read from the same channels of the same files."""
+    channels = source.rules["radiance"].channels
+    if denoised.paths == source.paths and denoised.rules["radiance"].channels == channels:
+        raise InputError(f"{source.paths[0]}: {', '.join(channels)} was named as noisy and as denoised frame; name the "
+                         "folder of the denoised frames")  # fmt: skip
+
+
 def check_second(source: Sequence, second: Sequence) -> None:
     """Raise InputError where the second render repeats the first one: its noise must be another. The first, the middle
     and the last frame are compared; one without light tells nothing."""
