@@ -14,7 +14,8 @@ from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.models import CombinerConfig, Window, create, save
 from rtdenoise.run.combine import combine
-from rtdenoise.run.options import CombineOptions
+from rtdenoise.run.denoise import denoise
+from rtdenoise.run.options import CombineOptions, Options
 from rtdenoise.run.pairs import both, open_denoised, open_second, read_estimate
 
 TINY = CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3)
@@ -157,6 +158,19 @@ def test_a_second_render_of_cycles_is_read_where_the_first_is(tmp_path, frames):
     source = rtdenoise.open_sequence(shots[0])
     assert torch.equal(read_estimate(open_second(str(shots[1]), source, "auto", False), 1), noisy[1])
     assert (read_estimate(open_denoised(str(shots[1]), source, "auto", False), 1) == 1).all()
+
+
+def test_the_samples_that_files_tell_count(clean, frames, tmp_path):
+    frames = [replace(frame, radiance=frame.reference) for frame in frames]  # all residuals agree, at edges too
+    told = [replace(frame, samples=torch.full_like(frame.depth, 16)) for frame in frames]
+    plain, counted = (write_sequence(tmp_path / name, shot) for name, shot in (("plain", frames), ("told", told)))
+    for name, shot, samples in (("unknown", plain, 0), ("given", plain, 16), ("read", counted, 0)):
+        run(shot, clean, tmp_path / name, options=CombineOptions(samples=samples, float32=True))
+        denoise(str(shot), tmp_path / f"{name}-on", Options(model="fast", correct=True, samples=samples, float32=True))
+    for more in ("", "-on"):
+        assert_same(tmp_path / f"given{more}", tmp_path / f"read{more}")
+        images = [pixels(tmp_path / f"{name}{more}" / "frame.0003.exr") for name in ("unknown", "read")]
+        assert not np.array_equal(*images), more
 
 
 def test_options_that_change_nothing_are_named(shot, clean, frames, tmp_path, options):

@@ -394,7 +394,7 @@ def test_shrinkage_leaves_a_frame_that_nothing_speaks_against():
 def test_shrinkage_corrects_edges_of_frames_with_samples_enough():
     """One sample of an edge pixel shows one surface: its residual repeats though z is right."""
     z, y = torch.full((1, 3, 32, 32), 1.5), torch.full((1, 3, 32, 32), 1.0)
-    for samples, corrected in ((None, False), (1, False), (4, True)):
+    for samples, corrected in ((None, False), (1, False), (torch.nan, False), (4, True)):
         window = window_of_pictures([y + 0.01 * torch.randn_like(y) for _ in range(5)], z, samples)
         stepped = tuple(replace(f, depth=f.depth + 9 * (torch.arange(32) >= 16)) for f in window.frames)
         image = Shrinkage().combine(replace(window, frames=stepped)).image

@@ -22,6 +22,8 @@ from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.data.stored import read_history, write_history
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
+from rtdenoise.models.shrinkage import corrected
+from rtdenoise.run.backends import open_backend
 from rtdenoise.run.denoise import STATE, Options, denoise
 
 
@@ -449,3 +451,13 @@ def test_weights_that_are_pickles_are_not_opened(shot, tmp_path, capsys):
         line = refused(capsys, "denoise", shot, "--out", tmp_path / "out", "--model", tmp_path / name)
         assert "not a readable safetensors file" in line
     assert not (tmp_path / "owned").exists()
+
+
+@pytest.mark.parametrize("field", ["depth", "mean", "residual", "residual_length"])
+def test_a_history_that_lacks_a_field_is_one_line(field):
+    network, frame = rtdenoise.load("fast"), make_frames(1)[0]
+    fields = corrected(network.step)(frame)[1].layers()
+    backend = open_backend("torch", "fast", "cpu", "fp32", correct=True)
+    assert backend.restore({name: tensor.numpy() for name, tensor in fields.items()}).residual is not None
+    with pytest.raises(InputError, match=f"the history has no {field}"):
+        backend.restore({name: tensor.numpy() for name, tensor in fields.items() if name != field})

@@ -200,6 +200,9 @@ def test_frames_say_how_many_samples_they_have(shot):
     source = Source.open(shot, "color", "auto", None)
     for spp in (1, 4):
         assert [frame.samples.unique().tolist() for frame in source.frames(spp)] == [[spp]] * 4
+    told = [replace(frame, samples=torch.full_like(frame.depth, 7)) for frame in make_frames(2)]
+    source = Source.open(write_sequence(shot.parent / "told", told), "color", "auto", None)
+    assert [frame.samples.unique().tolist() for frame in source.frames(1)] == [[7]] * 2
 
 
 def test_the_quality_of_a_sequence_is_one_number(monkeypatch):

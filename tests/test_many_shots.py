@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic import make_frames, write_sequence
 
-from rtdenoise.cli.denoise import find_shots
+from rtdenoise.cli.denoise import Denoise, find_shots
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
@@ -47,6 +47,12 @@ def test_names_of_shots(tmp_path, monkeypatch):
         find_shots(("shots/a", "shots/a/"), out)
     with pytest.raises(InputError, match="no sequence: name a folder"):
         find_shots((), out)
+
+
+def test_more_workers_than_cores_have_a_thread_each(tmp_path, monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    place = Denoise((), tmp_path, workers=5)._place(shots=8)
+    assert (place.count, place.threads) == (5, 1)
 
 
 def test_workers_below_one(capsys):

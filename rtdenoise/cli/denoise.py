@@ -90,7 +90,7 @@ class Denoise:
             return Farm(self.ray, self.out, CORES, gpu=self.settings.device != "cpu")
         cores = min(os.cpu_count() or 1, cpu_limit() or sys.maxsize)
         workers = min(self.workers or max(1, cores // CORES), shots)
-        return Processes(workers, cores // workers)
+        return Processes(workers, max(1, cores // workers))
 
 
 def find_shots(sources: tuple[str, ...], out: Path) -> dict[str, str] | None:

@@ -27,7 +27,7 @@ from ..metrics.image import decibels, masked_mean, reference_mse
 from .measure import check_references
 
 LAYERS = ("reference", "reference_half")
-EXTRA = ("components", "position")  # layers that some networks read beside the usual ones, where the files have them
+EXTRA = ("components", "position", "samples")  # that some methods read beside the usual ones, where there are any
 
 
 @dataclass(frozen=True)

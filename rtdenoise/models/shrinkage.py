@@ -113,9 +113,10 @@ def corrected(step: Step) -> Step:
     """A denoiser's step, followed by `correct`. Its images are corrected, its own history is not."""
 
     def corrected_step(frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN):
+        frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
         before = history and replace(history, residual=None, residual_length=None)
         estimate, onward = step(frame, before, known)
-        return correct(frame if known.sanitised else sanitise(frame), estimate, history, onward)
+        return correct(frame, estimate, history, onward)
 
     return corrected_step
 
@@ -152,7 +153,7 @@ def few_samples(frame: Frame) -> Tensor:
     """Whether a frame has few samples a pixel, or an unknown number: bool, `[B, 1, H, W]` or `[1]`."""
     if frame.samples is None:
         return torch.ones(1, dtype=torch.bool, device=frame.radiance.device)
-    return frame.samples < FEW_SAMPLES
+    return ~(frame.samples >= FEW_SAMPLES)  # True for NaN too
 
 
 def edges(frame: Frame) -> Tensor:  # [B, 1, H, W] bool

@@ -149,7 +149,12 @@ class TorchBackend:
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
         from ..history import from_arrays
 
-        return from_arrays(fields, self.device)
+        history = from_arrays(fields, self.device)
+        there = {name.partition(".")[0] for name in history.layers()}
+        wanted = "depth", "normal", *self.config.carries, *(("residual", "residual_length") if self._correct else ())
+        if missing := [name for name in wanted if name not in there]:
+            raise InputError(f"the history has no {missing[0]}")
+        return history
 
 
 class GlslBackend:

@@ -48,7 +48,9 @@ def combine(
     from .correcting import Run
     from .pairs import check_other, check_pairs, check_second, open_denoised, open_second
 
-    source = open_sequence(noisy, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
+    source = open_sequence(
+        noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
+    )
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
     check_output(source, options.layout, options.recombine, options.keep)
     if options.confidence and options.layout != "plain":

@@ -54,8 +54,9 @@ def denoise(
     if options.confidence:
         raise InputError("--confidence: goes with --offline")
     reads = read_config(options.model).reads
+    layers = (*reads, *(["samples"] if options.correct else []))
     sequence = open_sequence(
-        source, signal=options.signal, preset=options.preset, layers=reads, allow_gaps=options.allow_gaps
+        source, signal=options.signal, preset=options.preset, layers=layers, allow_gaps=options.allow_gaps
     )
     sequence.require("albedo", "normal", "depth", *reads)
     check_output(sequence, options.layout, options.recombine, options.keep)

@@ -108,7 +108,7 @@ class Watched:
                 return None
             self._tell({"INFO"}, self.finished(context))
             return self._end(context, {"FINISHED"})
-        except Trouble as trouble:
+        except (Trouble, OSError) as trouble:  # OSError: a full disk, a folder that is gone
             self.cleared()
             self._tell({"ERROR"}, trouble)
             return self._end(context, {"CANCELLED"})
