@@ -181,10 +181,10 @@ NOTHING_KNOWN = Known()
 
 
 def stack(frames: list[Frame]) -> Frame:
-    """Frames of the same size and layers as one batch."""
+    """Frames of the same size as one batch, with the layers that all of them have."""
     import torch
 
-    names = [layer for layer, _ in frames[0].layers()]
+    names = [layer for layer in CHANNELS if all(getattr(frame, layer) is not None for frame in frames)]
     return Frame(**{n: torch.cat([getattr(f, n) for f in frames]) for n in names}, number=frames[0].number)
 
 

@@ -16,6 +16,7 @@ from .frame import Frame, History
 from .motion import on_screen, same_surface
 
 NEAREST = ("depth", "normal", "motion_next", "length", "residual_length")  # must not be mixed across silhouettes
+CELLS = tuple(2**i for i in range(24))  # sides in pixels of what a pixel of a coarser layer stands for
 
 
 def usable(frame: Frame, history: History) -> Tensor:
@@ -49,11 +50,13 @@ def resize(history: History, size: tuple[int, int]) -> History:
     scale = torch.tensor([W / before_W, H / before_H], device=history.radiance.device).reshape(1, 2, 1, 1)
 
     def resized(name: str, tensor: Tensor) -> Tensor:
-        h, w = (-(-n * new // old) for n, new, old in zip(tensor.shape[2:], size, (before_H, before_W), strict=True))
+        cell = next(c for c in CELLS if tensor.shape[2:] == (-(-before_H // c), -(-before_W // c)))
+        h, w = -(-H // cell), -(-W // cell)
         if name in NEAREST:
             tensor = F.interpolate(tensor, (h, w), mode="nearest-exact")
             return tensor * scale if name == "motion_next" else tensor
-        return F.interpolate(tensor, (h, w), mode="bilinear", align_corners=False, antialias=h < tensor.shape[2])
+        smaller = h < tensor.shape[2]  # torch has no such filter for float16 on a CPU
+        return F.interpolate(tensor.float(), (h, w), mode="bilinear", antialias=smaller).to(tensor.dtype)
 
     return History.from_layers({name: resized(name, tensor) for name, tensor in history.layers().items()})
 

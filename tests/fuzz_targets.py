@@ -256,7 +256,7 @@ def seeds(kind: str) -> list[bytes]:
     if kind == "clip":
         (path,) = write_clips(folder() / "written", [0], size=4).iterdir()
         return [unpacked(path.read_bytes())]
-    options = evaluate.Options(methods=("noisy",), metrics=("psnr",), spp=(1, 2))
+    options = evaluate.EvaluateOptions(methods=("noisy",), metrics=("psnr",), spp=(1, 2))
     evaluate.run([_shot()], folder() / "measured", options)
     return [(folder() / "measured" / NAME).read_bytes()]
 

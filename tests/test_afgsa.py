@@ -11,6 +11,7 @@ from safetensors.numpy import save_file
 from synthetic import make_frames, write_clips, write_sequence
 
 from rtdenoise.color import albedo_divisor, compress
+from rtdenoise.data.clips import ClipDataset, clip_path, read_layers, write_clip
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose
@@ -25,6 +26,7 @@ from rtdenoise.run.options import Options
 from rtdenoise.run.tiles import Tiled
 from rtdenoise.training.config import TrainConfig
 from rtdenoise.training.loop import train
+from rtdenoise.training.validate import validate
 
 SMALL = GuidedAttentionConfig(width=8, blocks=2, attention_heads=2)
 KINDS = {
@@ -286,6 +288,16 @@ def test_it_trains_on_single_frames_of_clips(tmp_path):
     path = train(options, lambda step, steps, loss: losses.append(loss))
     assert np.mean(losses[-8:]) < 0.9 * np.mean(losses[1:9])
     assert load(path).config == GuidedAttentionConfig(width=8, blocks=1, attention_heads=2)
+
+
+def test_stills_are_validated_on_clips_of_one_frame(tmp_path):
+    stored = ClipDataset(write_clips(tmp_path / "clips", seeds=(1,)))
+    (tmp_path / "stills").mkdir()
+    layers = {name: layer[0].transpose(1, 2, 0) for name, layer in read_layers(stored.paths[0]).items()}
+    write_clip(clip_path(tmp_path / "stills", 0), [layers], {"seed": 1, "generator": 1})
+    options = TrainConfig((tmp_path / "clips",), tmp_path / "run", signal="color", amp=False)
+    found = validate(made(SMALL), ClipDataset(tmp_path / "stills"), options)
+    assert math.isfinite(found["noisy"]) and math.isfinite(found["denoised"])
 
 
 def test_without_weights_one_line_says_what_to_do():

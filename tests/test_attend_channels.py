@@ -100,3 +100,6 @@ def test_what_does_not_fit_is_said():
         attend_channels(q, k[..., :4], v, temperature, heads=2)
     with pytest.raises(ValueError, match="expected 6 channels in equal heads and a temperature for each, got 4 heads"):
         attend_channels(q, k, v, temperature, heads=4)
+    for rows in (0, -1):
+        with pytest.raises(ValueError, match=f"expected strips of 1 row or more, got {rows}"):
+            attend_channels(q, k, v, temperature, heads=2, rows=rows)

@@ -15,6 +15,7 @@ from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.models import CombinerConfig, Window, create, save
 from rtdenoise.run.combine import combine
 from rtdenoise.run.options import CombineOptions
+from rtdenoise.run.pairs import both, open_denoised, open_second, read_estimate
 
 TINY = CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3)
 COUNT = 6
@@ -112,6 +113,62 @@ def test_without_a_model_it_needs_no_training(shot, clean, frames, tmp_path, two
 
 def test_a_second_render_must_differ(shot, clean, tmp_path, capsys):
     assert "another seed" in refused(capsys, "combine", shot, clean, "--out", tmp_path / "out", "--second", shot)
+
+
+def test_a_second_render_is_told_by_its_noise_also_where_pixels_are_broken_or_black(tmp_path, frames, capsys):
+    broken = [frame.radiance.clone() for frame in frames]
+    for image in broken:
+        image[..., 3, 3] = torch.nan
+    shot = write_sequence(tmp_path / "broken", [replace(f, radiance=y) for f, y in zip(frames, broken, strict=True)])
+    again = write_images(tmp_path / "again", broken)
+    clean = write_images(tmp_path / "clean", [estimate(frame) for frame in frames])
+    assert "another seed" in refused(capsys, "combine", shot, clean, "--out", tmp_path / "out", "--second", again)
+    night = [torch.zeros_like(frames[0].radiance), *(frame.radiance for frame in frames[1:])]
+    shot = write_sequence(tmp_path / "dawn", [replace(f, radiance=y) for f, y in zip(frames, night, strict=True)])
+    second = write_images(tmp_path / "second", [y * (0.5 + torch.rand_like(y)) for y in night])
+    assert run(shot, clean, tmp_path / "out", options=CombineOptions(second=str(second))).written == COUNT
+
+
+def test_pixels_that_one_render_lacks_are_as_without_a_second(shot, clean, frames, tmp_path):
+    """One noisy value alone does not agree with itself."""
+    lost = [torch.full_like(frame.radiance, torch.nan) for frame in frames]
+    lost[0][..., :1, :1] = 0.3  # so that there is something to compare
+    options = CombineOptions(samples=8, float32=True)
+    run(shot, clean, tmp_path / "one", options=options)
+    source = rtdenoise.open_sequence(shot)
+    assert torch.isnan(both(source[1], lost[1])[1]).all() and both(source[1], lost[1])[0].samples is None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rtdenoise.run.pairs.check_pairs", lambda *_: None)
+        second = str(write_images(tmp_path / "lost", lost))
+        run(shot, clean, tmp_path / "two", options=replace(options, second=second))
+    assert_same(tmp_path / "one", tmp_path / "two", range(3, COUNT))
+
+
+def test_a_second_render_of_cycles_is_read_where_the_first_is(tmp_path, frames):
+    """`Combined` may be denoised already; `Noisy Image` is the noise."""
+    shots = [tmp_path / "first", tmp_path / "second"]
+    noisy = [2 * torch.rand_like(frame.radiance) for frame in frames]
+    for folder in shots:
+        folder.mkdir()
+        for i, y in enumerate(noisy):
+            planes = dict.fromkeys((f"ViewLayer.Combined.{c}" for c in "RGB"), np.full(y.shape[2:], 1.0, np.float32))
+            planes |= zip((f"ViewLayer.Noisy Image.{c}" for c in "RGB"), y[0].numpy(), strict=True)
+            write_layers(folder / f"frame.{i:04d}.exr", planes, dtypes=dict.fromkeys(planes, "float"))
+    source = rtdenoise.open_sequence(shots[0])
+    assert torch.equal(read_estimate(open_second(str(shots[1]), source, "auto", False), 1), noisy[1])
+    assert (read_estimate(open_denoised(str(shots[1]), source, "auto", False), 1) == 1).all()
+
+
+def test_options_that_change_nothing_are_named(shot, clean, frames, tmp_path, options):
+    second = str(write_images(tmp_path / "second", [frame.radiance * 1.1 for frame in frames]))
+    notes = run(shot, clean, tmp_path / "net", options=replace(options, second=second, samples=4)).notes
+    assert "takes the mean of both renders" in notes[0] and "reads no --samples" in notes[1]
+    still = write_sequence(tmp_path / "still", [replace(frame, motion=None, motion_next=None) for frame in frames])
+    (note,) = run(still, clean, tmp_path / "still-out", options=CombineOptions()).notes
+    assert note == "the files have no motion: nothing is corrected; a second render (--second) would be needed"
+    one, its = write_sequence(tmp_path / "one", frames[:1]), write_images(tmp_path / "its", [estimate(frames[0])])
+    (note,) = run(one, its, tmp_path / "one-out", options=CombineOptions()).notes
+    assert note.startswith("there is one frame: nothing is corrected")
 
 
 def test_frames_without_error_stay_as_they_are(shot, frames, tmp_path, options):
@@ -240,6 +297,7 @@ def test_frames_that_do_not_belong_together_are_refused(shot, clean, tmp_path, m
     assert "frame 4 has no denoised frame: 6 noisy frames, 4 denoised ones" in line(few)
     later = write_images(tmp_path / "later", images, first=1)
     assert "frame 0 has no denoised frame" in line(later)
+    assert "frame 4 has no second frame: 6 noisy frames, 4 second ones" in line(clean, "--second", few)
     bright = write_images(tmp_path / "bright", [4 * image for image in images])
     assert "times as bright as the noisy ones" in line(bright)
     mapped = write_images(tmp_path / "mapped", [(3 * image).clamp(max=1) for image in images])

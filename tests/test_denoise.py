@@ -71,6 +71,12 @@ def test_layers_are_passed_on_when_asked_and_half_is_the_default(shot, tmp_path,
     assert np.array_equal(before, after)
 
 
+@pytest.mark.parametrize("samples", [-1, 10**30, 10**400], ids=["negative", "large", "beyond float"])
+def test_samples_beyond_all_sense_are_one_line(tmp_path, samples, capsys):
+    told = refused(capsys, "denoise", tmp_path, "--out", tmp_path / "out", "--correct", "--samples", samples)
+    assert "--samples: expected 1 to 1000000" in told
+
+
 @pytest.mark.parametrize("more", [{}, {"correct": True, "samples": 4}])
 def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, model, more):
     options = Options(model=model, float32=True, **more)

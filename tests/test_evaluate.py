@@ -21,7 +21,7 @@ from rtdenoise.evaluate.inputs import Source, reference_errors
 from rtdenoise.evaluate.registry import DEFAULTS
 from rtdenoise.evaluate.run import NEEDS, EvaluateOptions, run
 from rtdenoise.files import lock
-from rtdenoise.models import available, find, load
+from rtdenoise.models import CombinerConfig, available, create, find, load, save
 from rtdenoise.report import report
 
 PLAIN = ("noisy", "accumulate")
@@ -55,6 +55,13 @@ def test_weights_of_ones_own_are_measured_under_their_name(tmp_path):
     shutil.copy(find("fast"), mine)
     ours, theirs = evaluate(make_frames(2, H=32, W=32), [f"mine={mine}", "fast", f"mine={mine}"])
     assert (ours.method, theirs.method) == ("mine", "fast") and torch.equal(ours.images[1], theirs.images[1])
+
+
+def test_a_corrected_method_has_the_weights_of_both_networks(tmp_path):
+    assert [choose([name])[0].weights for name in ("default+shrinkage", "svgf+shrinkage")] == [("default",), ()]
+    save(create(CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3)), tmp_path / "small.safetensors")
+    mine = str(tmp_path / "small.safetensors")
+    assert choose([f"fast+{mine}"])[0].weights == ("fast", mine)
 
 
 def test_weights_that_changed_are_measured_again(shot, tmp_path):

@@ -134,6 +134,20 @@ def test_layers_that_add_up_to_the_picture_still_do(tmp_path):
                                    atol=1e-6)  # fmt: skip
 
 
+def test_layers_of_any_name_leave_the_picture_as_it_is(tmp_path):
+    """`color` and `motion` are layers of ours, with other channels."""
+    names = ("color", "motion", "A")
+
+    def named(planes):
+        for name in names:
+            planes |= {f"ViewLayer.{name}.{c}": 0.1 * planes[f"ViewLayer.Combined.{c}"] for c in "RGB"}
+
+    (path,) = run(tmp_path / "out", relit(tmp_path / "shot", named, frames=1), also=names, float32=True)
+    (alone,) = run(tmp_path / "alone", relit(tmp_path / "same", frames=1), float32=True)
+    np.testing.assert_allclose(image(path, ""), image(alone, ""), rtol=1e-5, atol=1e-6)
+    assert {f"{name}.{c}" for name in names for c in "RGB"} <= set(read_header(path).channels)
+
+
 def test_the_whole_as_its_only_part_is_the_whole():
     """Kernels, albedo, running means and history are those of `step`."""
     network, history, other = load("fast"), None, None

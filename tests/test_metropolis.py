@@ -192,6 +192,14 @@ def test_brighter_lamps_change_no_decision(stage):
         np.testing.assert_allclose(brighter[name], 10 * layers[name], rtol=1e-3, atol=1e-4)
 
 
+def test_no_path_reads_numbers_that_it_does_not_have(stage, capfd):
+    import drjit as dr
+
+    with dr.scoped_set_flag(dr.JitFlag.Debug, True):
+        metropolis(stage, 0, (8, 8), 2, 1, 0, DEPTH, MetropolisOptions(chains=64))
+    assert "out-of-bounds" not in capfd.readouterr().err
+
+
 def test_tiny_steps_are_all_accepted(stage):
     tiny = {"smallest": 1e-8, "largest": 1e-7, "large": 0.01}
     facts = metropolis(stage, 0, SIZE, 8, 1, 0, DEPTH, CHAINS, tiny)[1]
@@ -295,6 +303,9 @@ def test_clips_of_caustic_scenes(tmp_path):
     written = clip_path(tmp_path, 0).read_bytes()
     render_clips(tmp_path, options, lambda *_: None)
     assert clip_path(tmp_path, 0).read_bytes() == written
+    for change in ({"spp": 4}, {"reference_spp": 8}):
+        with pytest.raises(InputError, match=f"rendered with .*{next(iter(change))} = "):
+            render_clips(tmp_path, replace(options, count=2, **change), lambda *_: None)
     with pytest.raises(InputError, match="generator = caustic, not 3"):
         render_clips(tmp_path, replace(options, metropolis=None, size=(32, 32)), lambda *_: None)
 

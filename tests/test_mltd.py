@@ -16,9 +16,9 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate
 from rtdenoise.evaluate.inputs import Source
 from rtdenoise.evaluate.registry import choose
-from rtdenoise.frame import Frame
+from rtdenoise.frame import NOTHING_KNOWN, Frame
 from rtdenoise.glsl import Pipeline
-from rtdenoise.history import load_history, save_history
+from rtdenoise.history import load_history, resize, save_history
 from rtdenoise.models import MLTDConfig, RecurrentTransformer, create, load, save, transformer
 from rtdenoise.models.losses import mltd_loss, smape
 from rtdenoise.run.denoise import Options, denoise
@@ -112,6 +112,27 @@ def test_constant_light_is_kept_and_black_stays_black(model):
             torch.testing.assert_close(image, constant[0].radiance)
 
 
+def test_the_origin_of_the_world_does_not_matter():
+    model = network(MLTDConfig(**SMALL, position=True))
+    frame = frames(1)[0]
+    sky = torch.zeros_like(frame.depth, dtype=torch.bool)
+    sky[..., :6, :] = True
+    frame = replace(frame, depth=frame.depth.masked_fill(sky, 0), position=frame.position.masked_fill(sky, 0))
+    moved = replace(frame, position=(frame.position + 50).masked_fill(sky, 0))
+    torch.testing.assert_close(model.step(moved)[0], model.step(frame)[0], rtol=1e-3, atol=1e-4)
+
+
+def test_the_papers_input_fills_its_range_wherever_the_world_lies():
+    model = network(CONFIGS["the paper's"])
+    for shift in (-50, 0, 50):
+        frame = frames(1)[0]
+        frame = replace(frame, position=frame.position + shift)
+        found, _ = model.features(frame, model.components(frame), None, None, NOTHING_KNOWN)
+        distance, position = found[:, 6:7], found[:, 13:16]
+        for x in (distance, position):
+            assert x.min().item() == pytest.approx(-1, abs=1e-3) and x.max().item() == pytest.approx(1, abs=1e-3)
+
+
 def test_history_off_the_screen_leaves_no_trace(ours):
     first, second, _ = frames()
     second = replace(second, motion=torch.full_like(second.motion, 1e3))
@@ -130,6 +151,13 @@ def test_history_of_another_surface_leaves_no_trace_but_in_the_papers_form():
         model = network(CONFIGS[name])
         least[name] = run(model, even)[0][1].min().item()
     assert least["ours"] == pytest.approx(1, abs=1e-4) and least["the paper's"] < 0.8
+
+
+@pytest.mark.parametrize("before, now", [((24, 32), (40, 50)), ((24, 32), (17, 19)), ((25, 33), (24, 32))])
+def test_a_resized_history_goes_on(model, before, now):
+    _, history = model.step(frames(1, *before)[0])
+    image, _ = model.step(frames(2, *now)[1], resize(history, now))
+    assert image.shape[2:] == now and image.isfinite().all()
 
 
 @pytest.mark.parametrize("kind", ["cross", "concat"])

@@ -337,6 +337,6 @@ def test_a_black_estimate_survives_too(tmp_path):
 
 def test_evaluate_has_it_as_a_method():
     (method,) = choose(["offline"])
-    assert method.delay >= 2000 and method.weights == "default"
+    assert method.delay >= 2000 and method.weights == ("default",)
     (result,) = evaluate(make_frames(3), ["offline"], metrics=("psnr",))
     assert len(result.images) == 3 and min(result.times) > 0

@@ -257,5 +257,21 @@ def test_frames_are_corrected_by_those_before(frames):
 
 
 def test_the_correction_needs_torch_and_shaders_refuse_it():
-    with pytest.raises(InputError, match="PyTorch alone"):
+    with pytest.raises(InputError, match="PyTorch alone; take the backend torch"):
         rtdenoise.Denoiser("fast", backend="glsl", correct=True)
+
+
+@pytest.mark.parametrize(("correct", "samples"), [(False, 4), (True, -1), (True, 10**9)])
+def test_samples_go_with_a_correction_and_are_a_number_of_samples(correct, samples):
+    with pytest.raises(InputError, match="samples"):
+        rtdenoise.Denoiser("fast", correct=correct, samples=samples)
+
+
+def test_a_pixel_that_is_not_finite_has_samples_too(frames):
+    """One that is NaN is corrected as one that is 0, which it becomes."""
+    broken, black = ([replace(frame, radiance=frame.radiance.clone()) for frame in frames] for _ in range(2))
+    for one, other in zip(broken, black, strict=True):
+        one.radiance[..., ::2, ::2], other.radiance[..., ::2, ::2] = torch.nan, 0.0
+    for samples in (2, 16):
+        found, wanted = (play(shot, batches, correct=True, samples=samples) for shot in (broken, black))
+        assert all(torch.equal(a, b) for a, b in zip(found, wanted, strict=True))

@@ -20,6 +20,7 @@ from synthetic import TINY, make_frames, write_clips
 from rtdenoise.data.clips import RADIANCE, ClipDataset, clip_path, write_clip
 from rtdenoise.errors import InputError
 from rtdenoise.files import dumps
+from rtdenoise.frame import stack
 from rtdenoise.models import PRESETS, load, read
 from rtdenoise.ops import warp
 from rtdenoise.training import tasks
@@ -47,6 +48,14 @@ def test_augmentation_is_a_function_of_the_generator():
     assert all(torch.equal(a.radiance, b.radiance) for a, b in zip(first, second, strict=True))
     shapes = {tuple(augment(frames, np.random.default_rng(s))[0].radiance.shape) for s in range(8)}
     assert len(shapes) == 2  # some are transposed
+
+
+def test_a_batch_has_the_layers_that_all_its_clips_have():
+    plain = make_frames(1)[0]
+    more = replace(plain, samples=torch.ones_like(plain.depth), components=torch.cat([plain.radiance] * 2, 1) / 2)
+    for frames in ((plain, more), (more, plain)):
+        assert {name for name, _ in stack(list(frames)).layers()} == {name for name, _ in plain.layers()}
+    assert stack([more, more]).components.shape[:2] == (2, 6)
 
 
 def test_relighting_multiplies_noise_and_reference_alike():

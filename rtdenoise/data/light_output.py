@@ -43,7 +43,8 @@ def write_light(
         planes = _source_planes(sequence, passes, picture, parts)
         return write_like(out / path.name, path, planes, dtype="float" if float32 else None)
     layers: dict[str, np.ndarray] = {"color": np.moveaxis(picture[0], 0, 2)}
-    layers |= {name: np.moveaxis(parts[name][0], 0, 2) for name in passes.also}
+    for name in passes.also:  # by full channel names: a layer may be called `color` or `A`
+        layers |= zip((f"{name}.{c}" for c in "RGB"), parts[name][0], strict=True)
     if passes.alpha:
         layers["A"] = sequence.files[index].read([passes.alpha])[passes.alpha]
     write_layers(out / sequence.names[index], layers, dtypes=dict.fromkeys(layers, "float" if float32 else "half"))

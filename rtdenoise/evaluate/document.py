@@ -41,6 +41,16 @@ class Document:
     skipped: list[dict] = field(default_factory=list)
 
     @classmethod
+    def open(cls, folder: Path, signal: str) -> Document:
+        """The results in a folder, or none yet. Raises InputError as `read`, and where they are of another signal."""
+        if not (folder / NAME).exists():
+            return cls(signal)
+        document = cls.read(folder)
+        if document.signal != signal:
+            raise InputError(f"{folder}: holds results of the signal '{document.signal}'; choose another --out")
+        return document
+
+    @classmethod
     def read(cls, folder: Path) -> Document:
         """The document of a folder. Raises InputError where the file is missing, or `write` did not write it."""
         path = Path(folder) / NAME

@@ -43,7 +43,7 @@ class Method:
     start: Callable[[str | torch.device, str], Step] | None  # None: not available, and `missing` says why
     missing: str = ""
     precisions: tuple[str, ...] = ("fp32",)
-    weights: str = ""  # name or file of the network's weights
+    weights: tuple[str, ...] = ()  # names or files of the weights of its networks
     delay: int = 0  # frames that it looks ahead (`sequence.outputs`)
 
     def step(self, device: str | torch.device = "cpu", precision: str = "auto") -> Step:
@@ -75,7 +75,7 @@ def methods() -> dict[str, Method]:
         *_oidn(),
         *(method for name in available() for method in _network(name)),
         Method("offline", "denoise --offline: both directions in time, with OIDN", "network", _offline,
-               delay=InMemory.delay, weights="default"),
+               delay=InMemory.delay, weights=("default",)),
     ]  # fmt: skip
     for base in [method for method in found if method.name in CORRECTED]:
         found += [_corrected(base, combiner) for combiner in (SHRINKAGE, *available_combiners())]
@@ -134,17 +134,17 @@ def _oidn() -> list[Method]:
 def _network(name: str) -> list[Method]:
     """The methods of shipped weights: unchanged, on traditional motion, and without history."""
     start = partial(_start, name)
-    alone = Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=name)
+    alone = Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=(name,))
     if name in STILLS:
         return [alone]
     return [
         alone,
         Method(f"{name}-traditional", f"{name} on traditional motion, same weights", "ablation",
-               partial(start, motion="traditional"), weights=name),
+               partial(start, motion="traditional"), weights=(name,)),
         Method(f"{name}-corrected", f"denoise --correct with {name}", "network", partial(start, correct=True),
-               precisions=PRECISIONS, weights=name),
+               precisions=PRECISIONS, weights=(name,)),
         Method(f"{name}-spatial", f"{name} without history: spatial kernels only", "ablation",
-               partial(start, history=False), weights=name),
+               partial(start, history=False), weights=(name,)),
     ]  # fmt: skip
 
 
@@ -160,12 +160,8 @@ def _corrected(base: Method, combiner: str) -> Method:
         stored = read_model(combiner)
         if not isinstance(stored.config, CombinerConfig):
             raise InputError(f"{base.name}+{combiner}: {stored.path} is no combiner")
-        name, what, family, offsets = (
-            stored.path.stem,
-            f"rtdenoise {stored.path.stem}",
-            "network",
-            stored.config.offsets,
-        )
+        name, family, offsets = stored.path.stem, "network", stored.config.offsets
+        what = f"rtdenoise {name}"
         make = partial(load_combiner, combiner)
 
     def start(device: str | torch.device, precision: str) -> Step:
@@ -173,7 +169,7 @@ def _corrected(base: Method, combiner: str) -> Method:
 
     return Method(
         f"{base.name}+{name}", f"{base.what}, corrected: {what}", family, start if base.start else None, base.missing,
-        base.precisions, weights, delay=offsets[-1],
+        base.precisions, (*base.weights, *([weights] if weights else ())), delay=offsets[-1],
     )  # fmt: skip
 
 
@@ -185,7 +181,8 @@ def _of_file(name: str, file: str) -> Method:
     if not Path(file).is_file():
         raise InputError(f"{name}={file}: no such weights file")
     path = str(Path(file).absolute())  # never a shipped name
-    return Method(name, f"the network of {file}", "network", partial(_start, path), precisions=PRECISIONS, weights=path)
+    start = partial(_start, path)
+    return Method(name, f"the network of {file}", "network", start, precisions=PRECISIONS, weights=(path,))
 
 
 def _start(

@@ -24,7 +24,7 @@ from ..files import lock, remove_unfinished
 from ..frame import Frame
 from ..run.plan import make_plan
 from ..sanitise import sanitise
-from .document import NAME, Document
+from .document import Document
 from .inputs import Source, reference_errors
 from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, OnStep, Result, evaluate, warm_up
 from .origin import LIBRARIES, device_name, origin, typed
@@ -89,7 +89,7 @@ def _measure(
     say: Callable[[str], None],
     on_step: OnStep,
 ) -> Document:
-    document = _open_document(out, options.signal)
+    document = Document.open(out, options.signal)
     document.methods |= {method.name: {"what": method.what, "family": method.family} for method in chosen}
     this_run = origin(typed(), {options.device: device_name(options.device)}, MEASURED_WITH)
     for source in opened:
@@ -114,15 +114,6 @@ def _check(options: EvaluateOptions, sources: Sequence[str | Path]) -> None:
     if options.references and len(options.references) != len(sources):
         raise InputError(f"--reference: expected a folder for each of the {len(sources)} sequences, "
                          f"got {len(options.references)}")  # fmt: skip
-
-
-def _open_document(out: Path, signal: str) -> Document:
-    if not (out / NAME).exists():
-        return Document(signal)
-    document = Document.read(out)
-    if document.signal != signal:
-        raise InputError(f"{out}: holds results of the signal '{document.signal}'; choose another --out")
-    return document
 
 
 @dataclass
@@ -227,9 +218,8 @@ class _Input:
 
     def _fingerprint(self, method: Method) -> str:
         """Changes with the input and with the weights."""
-        if not method.weights:
-            return self._of_input
-        return f"{self._of_input}-{hashlib.sha256(models.find(method.weights).read_bytes()).hexdigest()[:16]}"
+        files = [models.find(weights).read_bytes() for weights in method.weights]
+        return "-".join([self._of_input, *(hashlib.sha256(content).hexdigest()[:16] for content in files)])
 
 
 def _numbers(result: Result) -> dict:

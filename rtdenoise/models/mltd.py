@@ -22,19 +22,18 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ..color import compress
 from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
 from ..ops import apply_kernel, compose, downsample, reproject, warp
 from ..ops.even_sky import even_sky
-from ..ops.pixels import nearness
 from ..sanitise import admit
 from ..splat import history_motion
 from .config import Head
 from .inference import as_weights
 from .losses import mltd_loss
 from .mltd_config import MLTDConfig
+from .mltd_input import exposed, spanned
 from .transformer import Points, blocks, strips
 from .unet import by_name
 
@@ -137,25 +136,15 @@ class RecurrentTransformer(nn.Module):
     def features(
         self, frame: Frame, light: Tensor, past: Past | None, history: History | None, known: Known
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
-        """The network's input `[B, features, H, W]`: light compressed at one exposure, and nearness in [0, 1). With
-        `normalise` "clip" both in units of their maximum so far, which the next frame needs and is returned too."""
+        """The network's input `[B, features, H, W]`, and what the next frame needs to scale its own."""
         validity = []
         if self.config.invalid == "excluded":
             validity = [torch.zeros_like(frame.depth) if past is None else past.valid[0]]
-        position = [torch.nan_to_num(frame.position, 0.0, 0.0, 0.0)] if self.config.position else []
         if self.config.normalise == "exposure":
-            scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
-            position = [(p - p.mean((2, 3), keepdim=True)) / distance for p in position]
-            inputs = compress(light * scale), nearness(frame.depth, distance), frame.albedo, frame.normal
-            return torch.cat([*inputs, *position, *validity], dim=1), ()
-        most = torch.cat([x.amax((1, 2, 3), keepdim=True) for x in (
-            compress(light), frame.depth, *position, *(-p for p in position)
-        )], dim=1).clamp(min=1e-6)  # fmt: skip
-        if history is not None:
-            most = torch.maximum(most, history.hidden[-1])
-        position = [2 * (p + most[:, 3:4]) / (most[:, 2:3] + most[:, 3:4]) - 1 for p in position]
-        inputs = 2 * compress(light) / most[:, :1] - 1, 2 * frame.depth / most[:, 1:2] - 1, 2 * frame.albedo - 1
-        return torch.cat([*inputs, frame.normal, *position, *validity], dim=1), (most,)
+            scales = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
+            return torch.cat([*exposed(light, frame, *scales, self.config.position), *validity], dim=1), ()
+        inputs, most = spanned(light, frame, history and history.hidden[-1], self.config.position)
+        return torch.cat([*inputs, *validity], dim=1), (most,)
 
     def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
         """As `Denoiser.statistics`."""

@@ -54,7 +54,7 @@ class MLTDConfig(NetworkConfig):
     """Pixels without history: 'excluded' from the temporal kernels and shown to the network, or 'black' as the authors
     have it."""
     normalise: str = "exposure"
-    """Scale of the network's input: 'exposure' of the frame, or 'clip': maxima over the shot so far."""
+    """Scale of the network's input: 'exposure' of the frame, or 'clip': extremes over the shot so far."""
     position: bool = False
     """World positions are input too."""
     motion: str = "dual"

@@ -52,7 +52,7 @@ def attend_channels(
 
     Raises ValueError where the shapes do not fit.
     """
-    _check(q, k, v, temperature, heads)
+    _check(q, k, v, temperature, heads, rows)
     found = None
     for top in range(0, q.shape[2], rows or q.shape[2] or 1):
         strip = slice(top, None if rows is None else top + rows)
@@ -90,7 +90,7 @@ def _dtype(x: Tensor) -> torch.dtype:
     return torch.float64 if plain() else torch.promote_types(torch.float32, x.dtype)
 
 
-def _check(q: Tensor, k: Tensor, v: Tensor, temperature: Tensor, heads: int) -> None:
+def _check(q: Tensor, k: Tensor, v: Tensor, temperature: Tensor, heads: int, rows: int | None) -> None:
     if q.ndim != 4 or q.shape != k.shape or q.shape != v.shape:
         raise ValueError(f"expected q, k, v [B, C, H, W], got {', '.join(str(tuple(x.shape)) for x in (q, k, v))}")
     if heads < 1 or q.shape[1] % heads or tuple(temperature.shape) != (heads,):
@@ -98,3 +98,5 @@ def _check(q: Tensor, k: Tensor, v: Tensor, temperature: Tensor, heads: int) -> 
             f"expected {q.shape[1]} channels in equal heads and a temperature for each, got {heads} heads and a "
             f"temperature {tuple(temperature.shape)}"
         )
+    if rows is not None and rows < 1:
+        raise ValueError(f"expected strips of 1 row or more, got {rows}")

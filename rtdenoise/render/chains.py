@@ -24,7 +24,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .primary_samples import CHOICE, LARGEST, SMALLEST, dimensions, hashed, mutated, replay
+from .primary_samples import CHOICE, LARGEST, SMALLEST, dimensions, fresh, hashed, mutated, replay
 from .streams import stream_seed
 from .tracing import View, rays_through, trace
 
@@ -111,12 +111,6 @@ def bootstrap(picture: Picture, count: int, key: int) -> np.ndarray:
         path = dr.arange(mi.UInt32, min(MAX_PATHS, count - start)) + dr.opaque(mi.UInt32, start)
         found.append(np.array(light_of(picture, fresh(path, count, key))[2], np.float64))
     return np.concatenate(found)
-
-
-def fresh(path, count: int, key: int):
-    """The numbers of independent paths, as a function of the dimension."""
-    count, key = (dr.opaque(mi.UInt32, number) for number in (count, key))
-    return lambda dimension: hashed(dimension * count + path, key)[0]
 
 
 def seeds(values: np.ndarray, count: int, offset: float) -> np.ndarray:

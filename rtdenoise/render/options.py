@@ -88,7 +88,8 @@ class ClipOptions:
         A folder holds clips of one such choice, one seed, size, length and number of samples.
         """
         if self.metropolis:
-            return {"chains": self.metropolis.chains, "attribution": self.metropolis.attribution}
+            spp = {"least_spp": self.spp, "reference_spp": self.reference_spp}
+            return {"chains": self.metropolis.chains, "attribution": self.metropolis.attribution} | spp
         if self.generator == 1:
             return {}
         files = [[Path(file).parent.name, bool(motion)] for file, motion in self.scenes]

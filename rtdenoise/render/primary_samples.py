@@ -37,6 +37,12 @@ def _unit(bits):
     return mi.Float(bits >> 8) * 2**-24
 
 
+def fresh(path, count: int, key: int):
+    """The numbers of independent paths, `count` of them, as a function of the dimension."""
+    count, key = (dr.opaque(mi.UInt32, number) for number in (count, key))
+    return lambda dimension: hashed(dimension * count + path, key)[0]
+
+
 def wrapped(u):
     """u on the circle: [0, 1). A tiny negative number plus 1 rounds to 1, which is 0 here."""
     u = u - dr.floor(u)
@@ -70,12 +76,10 @@ class Replay:
         return point
 
     def next_1d(self, active=True):
+        value = self.number(dr.minimum(self.dimension, self.count - 1))  # the last edge of a path asks for more
         if self.endless:
-            last = dr.minimum(self.dimension, self.count - 1)
             beyond = hashed(self.place, self.dimension)[0]
-            value = dr.select(self.dimension < self.count, self.number(last), beyond)
-        else:
-            value = self.number(self.dimension)
+            value = dr.select(self.dimension < self.count, value, beyond)
         self.dimension = self.dimension + 1
         return value
 

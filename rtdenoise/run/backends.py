@@ -67,7 +67,8 @@ def open_backend(name: str, model: str, device: str, precision: str, correct: bo
     if name == "torch" or (name == "auto" and has_torch):
         return TorchBackend(model, device, precision, correct)
     if correct:
-        raise InputError(f"the correction runs in PyTorch alone; {INSTALL_TORCH}, or leave it out")
+        advice = "take the backend torch" if has_torch else INSTALL_TORCH
+        raise InputError(f"the correction runs in PyTorch alone; {advice}, or leave it out")
     return GlslBackend(model, device, precision)
 
 

@@ -15,11 +15,11 @@ from ..data.output import check_output, protect_input
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
+from ..models.presets import SHRINKAGE
 from .folder import prepare
-from .options import EXAMINED, CombineOptions, Summary
+from .options import EXAMINED, CombineOptions, Summary, check_samples
 
 FEATURES = ("albedo", "normal", "depth")
-MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
 
 
 def combine(
@@ -42,12 +42,11 @@ def combine(
     """
     if find_spec("torch") is None:
         raise InputError("combine needs PyTorch, which is not installed")
-    if not 0 <= options.samples <= MAX_SAMPLES:
-        raise InputError(f"--samples: expected 1 to {MAX_SAMPLES}, or 0 for unknown, got {options.samples}")
+    check_samples(options.samples)
     from ..models import load_combiner
     from ..models.inference import choose_device
     from .correcting import Run
-    from .pairs import check_other, check_pairs, check_second, open_denoised
+    from .pairs import check_other, check_pairs, check_second, open_denoised, open_second
 
     source = open_sequence(noisy, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
@@ -56,10 +55,10 @@ def combine(
         raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
     check_other(source, estimates)
     check_pairs(source, estimates, EXAMINED)
-    second = open_denoised(options.second, source, options.preset, options.allow_gaps) if options.second else None
+    second = open_second(options.second, source, options.preset, options.allow_gaps) if options.second else None
     if second:
         check_second(source, second)
-        check_pairs(source, second, EXAMINED)
+        check_pairs(source, second, EXAMINED, "second")
     device = choose_device(options.device)
     combiner = load_combiner(options.model, device, options.precision)
     for one in (estimates, *([second] if second else [])):
@@ -68,13 +67,27 @@ def combine(
     with lock(out):
         remove_unfinished(out)
         run = Run(source, estimates, second, out, options, combiner, device, on_frame)
-        return run.run(overwrite, missing_layers(source))
+        return run.run(overwrite, [*unread_options(options), *missing_layers(source, options)])
 
 
-def missing_layers(source: Sequence) -> list[str]:
+def unread_options(options: CombineOptions) -> list[str]:
+    """The options that a network does without, a line each."""
+    if options.model == SHRINKAGE:
+        return []
+    lines = {
+        f"{options.model} takes the mean of both renders; shrinkage reads their differences, too": options.second,
+        f"{options.model} reads no --samples": options.samples,
+    }
+    return [line for line, given in lines.items() if given]
+
+
+def missing_layers(source: Sequence, options: CombineOptions) -> list[str]:
     """What the noisy files lack and what that costs, a line each."""
     lacking = [layer for layer in FEATURES if not _has(source, layer)]
     lines = [f"the noisy files have no {', '.join(lacking)}: corrected without"] if lacking else []
+    alone = "there is one frame" if len(source) == 1 else "" if _has(source, "motion") else "the files have no motion"
+    if alone and options.model == SHRINKAGE and not options.second:
+        return [*lines, f"{alone}: nothing is corrected; a second render (--second) would be needed"]
     if len(source) > 1 and not _has(source, "motion"):
         return [*lines, "the noisy files have no motion: every frame is corrected by itself alone"]
     if len(source) > 1 and not _has(source, "motion_next"):

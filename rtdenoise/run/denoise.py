@@ -22,7 +22,7 @@ from ..sanitise import faults
 from .backends import Backend, open_backend
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 from .light import in_parts
-from .options import EXAMINED, SUMMARY, Options, Summary
+from .options import EXAMINED, SUMMARY, Options, Summary, check_samples
 from .state import STATE, read_state, save_state
 
 
@@ -95,6 +95,8 @@ def _run(
     summary.skipped, summary.gaps = done, list(sequence.gaps)
     if len(sequence) > 1 and backend.config.motion is None:
         summary.notes.append(f"{options.model} denoises each frame alone: nothing is carried from frame to frame")
+    if len(sequence) == 1 and options.correct:
+        summary.notes.append("--correct: there is one frame, and the correction needs the frames before")
     names = output_names(sequence, options.layout, options.recombine)
     written = Written(out, names[:done])
     if options.plan:
@@ -131,8 +133,9 @@ def _check_correction(options: Options) -> None:
     if options.correct and (options.offline or options.lights or options.also):
         raise InputError("--correct: goes without --offline, --lights and --also; `rtdenoise combine` corrects their "
                          "frames")  # fmt: skip
-    if options.samples < 0 or (options.samples and not options.correct):
-        raise InputError(f"--samples {options.samples}: goes with --correct, and is 1 or more")
+    check_samples(options.samples)
+    if options.samples and not options.correct:
+        raise InputError(f"--samples {options.samples}: goes with --correct")
 
 
 def with_samples(frame: Frame, samples: int) -> Frame:

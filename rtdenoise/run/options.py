@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from ..errors import InputError
+
 if TYPE_CHECKING:
     from .plan import Plan
 
 SUMMARY = "denoise.json"
 EXAMINED = 3  # frames that the plan examines
+MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
 
 
 @dataclass(frozen=True)
@@ -112,3 +115,9 @@ class CombineOptions:
     """'auto', 'cpu' or 'cuda'."""
     precision: str = "auto"
     """Precision of the network: 'fp32', 'bf16', or 'auto' (bf16 where the hardware is faster with it)."""
+
+
+def check_samples(samples: int, told: str = "--samples") -> None:
+    """Raise InputError for a number of samples a pixel that no frame has; `told` names the option."""
+    if not 0 <= samples <= MAX_SAMPLES:
+        raise InputError(f"{told}: expected 1 to {MAX_SAMPLES}, or 0 for unknown, got {samples}")

@@ -34,15 +34,27 @@ def open_denoised(denoised: str, source: Sequence, preset: str, allow_gaps: bool
     except InputError:
         found = open_sequence(denoised, allow_gaps=allow_gaps)
         found = replace(found, rules={"radiance": found.rules["radiance"]})
+    _check_frames(found, source, "denoised")
+    return found
+
+
+def open_second(second: str, source: Sequence, preset: str, allow_gaps: bool) -> Sequence:
+    """Another render of `source`, where a renderer writes its noisy light. Raises InputError as `open_denoised`."""
+    found = open_sequence(second, signal=source.signal, preset=preset, allow_gaps=allow_gaps).only(("radiance",))
+    _check_frames(found, source, "second")
+    return found
+
+
+def _check_frames(found: Sequence, source: Sequence, kind: str) -> None:
+    """Raise InputError where the frames of `found` are others than those of `source`, or have another size."""
     if found.size != source.size:
         (h, w), (H, W) = found.size, source.size
-        raise InputError(f"{found.paths[0]}: is {w}×{h}, the noisy frames are {W}×{H}; name the frames that were "
-                         "denoised from them")  # fmt: skip
+        wanted = "the frames that were denoised from them" if kind == "denoised" else "another render of them"
+        raise InputError(f"{found.paths[0]}: is {w}×{h}, the noisy frames are {W}×{H}; name {wanted}")
     if alone := sorted(set(source.numbers) ^ set(found.numbers)):
-        where, other = (source, "denoised") if alone[0] in source.numbers else (found, "noisy")
+        where, other = (source, kind) if alone[0] in source.numbers else (found, "noisy")
         raise InputError(f"{where.paths[0].parent}: frame {alone[0]} has no {other} frame: {len(source)} noisy frames, "
-                         f"{len(found)} denoised ones; both need the same frame numbers")  # fmt: skip
-    return found
+                         f"{len(found)} {kind} ones; both need the same frame numbers")  # fmt: skip
 
 
 def read_estimate(denoised: Sequence, i: int) -> Tensor:
@@ -52,12 +64,13 @@ def read_estimate(denoised: Sequence, i: int) -> Tensor:
 
 
 def both(frame: Frame, second: Tensor) -> tuple[Frame, Tensor]:
-    """A frame with the mean of two renders, and the light of the first one. A pixel that is not finite in one render
-    takes the other's value."""
-    first = frame.radiance.where(frame.radiance.isfinite(), second)
-    mean = (first + second.where(second.isfinite(), first)) / 2
-    samples = None if frame.samples is None else 2 * frame.samples
-    return replace(frame, radiance=mean, samples=samples), first
+    """A frame with the mean of two renders, and the light of the first one. Where a pixel is finite in one render
+    alone, the mean is its value there, and the light NaN: nothing tells its noise apart."""
+    first = frame.radiance
+    known, other = (x.isfinite().all(1, keepdim=True) for x in (first, second))
+    mean = torch.where(known & other, (first + second) / 2, first.where(known, second))
+    samples = None if frame.samples is None else frame.samples * (1.0 + (known & other))
+    return replace(frame, radiance=mean, samples=samples), first.where(known & other, torch.nan)
 
 
 def check_other(source: Sequence, denoised: Sequence) -> None:
@@ -69,25 +82,28 @@ def check_other(source: Sequence, denoised: Sequence) -> None:
 
 
 def check_second(source: Sequence, second: Sequence) -> None:
-    """Raise InputError where the second render repeats the first one: its noise must be another."""
-    if torch.equal(torch.from_numpy(source.only(("radiance",)).read(0).radiance), read_estimate(second, 0)):
+    """Raise InputError where the second render repeats the first one: its noise must be another. The first, the middle
+    and the last frame are compared; one without light tells nothing."""
+    seeded, places = source.only(("radiance",)), sorted({0, len(source) // 2, len(source) - 1})
+    pictures = [(seeded.read(i).radiance, read_estimate(second, i).numpy()) for i in places]
+    if any(np.any(a) for a, _ in pictures) and all(np.array_equal(a, b, equal_nan=True) for a, b in pictures):
         raise InputError(f"{second.paths[0]}: is the same picture as {source.paths[0]}; render the second one with "
                          "another seed")  # fmt: skip
 
 
-def check_pairs(source: Sequence, denoised: Sequence, count: int) -> None:
-    """Compare the light of the first `count` frames. Raises InputError where the denoised ones are tone-mapped or have
-    another exposure."""
+def check_pairs(source: Sequence, denoised: Sequence, count: int, kind: str = "denoised") -> None:
+    """Compare the light of the first `count` frames. Raises InputError where the denoised ones, or those of another
+    `kind`, are tone-mapped or have another exposure."""
     places = range(min(count, len(source)))
     noisy = torch.cat([_light(torch.from_numpy(source.only(("radiance",)).read(i).radiance)) for i in places])
     clean = torch.cat([_light(read_estimate(denoised, i)) for i in places])
     path, brightest = denoised.paths[0], block_luminance(noisy, 8)[0].max().item()
     if clean.max() <= WHITE and clean.max() > 0.9 and brightest > BRIGHT:
-        raise InputError(f"{path}: the denoised light ends at {clean.max():.2f}, the noisy light reaches "
+        raise InputError(f"{path}: the {kind} light ends at {clean.max():.2f}, the noisy light reaches "
                          f"{brightest:.1f} over 8×8 pixels: it looks tone-mapped; save it as linear light")  # fmt: skip
     ratio = (luminance(clean).mean().item() + 1e-12) / (luminance(noisy).mean().item() + 1e-12)
     if not 1 / MAX_RATIO <= ratio <= MAX_RATIO:
-        raise InputError(f"{path}: the denoised frames are {ratio:.3g} times as bright as the noisy ones; both need "
+        raise InputError(f"{path}: the {kind} frames are {ratio:.3g} times as bright as the noisy ones; both need "
                          "the same exposure, in linear light")  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..frame import CHANNELS, MAX_CUT_MISMATCH, Frame
 from .arrays import from_planes, to_planes
 from .backends import open_backend
+from .options import check_samples
 from .threads import set_defaults
 
 if TYPE_CHECKING:
@@ -71,9 +72,13 @@ class Denoiser:
         motion promises. `correct` corrects each frame by the noisy ones before it, for 4 samples a pixel and more;
         `samples` says how many there are, so that edges are corrected, too.
 
-        Raises InputError for an unknown model, backend, device or precision, and a correction without torch.
+        Raises InputError for an unknown model, backend, device or precision, a correction without torch, and `samples`
+        without a correction or beyond all sense.
         """
         set_defaults()
+        check_samples(samples, "samples")
+        if samples and not correct:
+            raise InputError(f"samples={samples}: goes with correct=True")
         self.started = True
         """Whether the last call started history anew."""
         self._detect_cuts = detect_cuts
@@ -126,7 +131,7 @@ class Denoiser:
         if "motion_next" not in layers and "motion" in layers:
             self._say("motion_next", f"no motion_next: {COSTS['motion_next']}")
         if self._samples:
-            layers["samples"] = radiance[:, :1] * 0 + self._samples
+            layers["samples"] = np.full((B, 1, H, W), self._samples, np.float32)
         return Frame(radiance, **layers, number=self._count, name=f"frame {self._count}")
 
     def _kept(self, frame: Frame) -> Any:

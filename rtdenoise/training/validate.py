@@ -35,8 +35,8 @@ def open_validation(config: TrainConfig, data: ClipDataset) -> ClipDataset | Non
 
 @torch.inference_mode()
 def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[str, float]:
-    """Mean display PSNR in dB over all frames but the first: of noisy frames, of denoised frames, and of denoised
-    uncovered regions. NaN without such frames."""
+    """Mean display PSNR in dB of noisy frames, of denoised frames, and of denoised uncovered regions (NaN without
+    any). A clip's first frame counts only where it is the only one."""
     rows: dict[str, list[float]] = {"noisy": [], "denoised": [], "denoised_uncovered": []}
 
     def step(frame: Frame, history: History | None) -> tuple[torch.Tensor, History]:
@@ -48,7 +48,8 @@ def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[s
         frames = clips.load(index, signal=signal, layers=model.config.reads)
         frames = [frame.to(config.device) for frame in frames]
         scale, masks = display_exposure(torch.cat([frame.reference for frame in frames])), uncovered(frames)
-        for output, mask in list(zip(outputs(step, frames), masks, strict=True))[1:]:
+        pairs = list(zip(outputs(step, frames), masks, strict=True))
+        for output, mask in pairs[1:] or pairs:
             frame, image = output.frame, output.image
             rows["noisy"].append(psnr(frame.radiance, frame.reference, scale))
             rows["denoised"].append(psnr(image, frame.reference, scale))
