@@ -6,7 +6,7 @@ import pytest
 import torch
 from synthetic import make_frames
 
-from rtdenoise.evaluate import evaluate, outputs
+from rtdenoise.evaluate import evaluate, outputs, sequence
 from rtdenoise.evaluate.registry import Method
 
 
@@ -88,3 +88,18 @@ def test_methods_take_turns_and_say_so():
 def test_unnumbered_frames_are_one_shot():
     frames = [replace(frame, number=0) for frame in make_frames(3)]
     assert ages(frames) == [0, 1, 2]
+
+
+def test_every_image_takes_as_long_where_every_frame_does(monkeypatch):
+    """Looking three frames ahead, a frame takes 4 s to take in and an image 1 s to give out: 5 s each, at both ends."""
+    clock = [0.0]
+    monkeypatch.setattr(sequence.time, "perf_counter", lambda: clock[0])
+
+    def slow(frame, history):
+        taken = history or 0
+        ready = frame is None or taken >= 3
+        clock[0] += 4.0 * (frame is not None) + 1.0 * ready
+        image = torch.zeros(1, 3, 8, 8) if ready else None
+        return image, taken + 1
+
+    assert [output.seconds for output in outputs(slow, make_frames(6), delay=3)] == [5.0] * 6

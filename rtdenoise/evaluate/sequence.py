@@ -29,7 +29,7 @@ class Output:
     frame: Frame
     image: Tensor  # [B, 3, H, W] linear radiance
     history: Any  # after the latest step
-    seconds: float  # wall-clock time in `step` since the output before
+    seconds: float  # wall-clock time in `step` for one frame; the times of a shot's outputs add up to all of it
 
 
 def outputs(step: Step, frames: Iterable[Frame], delay: int = 0, cuts: Collection[int] = ()) -> Iterator[Output]:
@@ -39,25 +39,28 @@ def outputs(step: Step, frames: Iterable[Frame], delay: int = 0, cuts: Collectio
     whose number is in `cuts`. Time is taken with the device synchronised before and after each step.
     """
     waiting: deque[Frame] = deque()  # frames whose image is yet to come
-    history, before, seconds = None, None, 0.0
+    history, before, ahead = None, None, 0.0  # ahead: seconds in steps that returned no image
 
     def advance(frame: Frame | None) -> Iterator[Output]:
-        nonlocal history, seconds
-        image, history, elapsed = _timed(step, frame, history, waiting[0])
-        seconds += elapsed
-        if image is not None:
+        nonlocal history, ahead
+        image, history, seconds = _timed(step, frame, history, waiting[0])
+        if image is None:
+            ahead += seconds
+        else:
             yield Output(waiting.popleft(), image, history, seconds)
-            seconds = 0.0
 
     def flush() -> Iterator[Output]:
-        """The images at the end of a shot share the time that they took together: the first one may wait for all."""
+        """The images at the end of a shot share their time and that of the steps without an image at its beginning: a
+        step at the beginning takes in a frame and gives out none, a step at the end does the reverse."""
+        nonlocal ahead
         late: list[Output] = []
         while waiting:
             left = len(waiting)
             late += advance(None)
             if len(waiting) == left:
                 raise ValueError(f"{step}: returned no image at the end of a shot, with {left} frames to come")
-        share = sum(output.seconds for output in late) / max(len(late), 1)
+        share = (ahead + sum(output.seconds for output in late)) / max(len(late), 1)
+        ahead = 0.0
         yield from (replace(output, seconds=share) for output in late)
 
     for frame in frames:
