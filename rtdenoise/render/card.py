@@ -9,8 +9,13 @@ import numpy as np
 
 from ..data.clips import ClipDataset, read_facts
 from ..files import utf8, write_atomically
+from .options import CAUSTIC
 
 COMPOSED = "composition of assets"  # source of clips of a library
+PROCEDURAL_SCENES = """closed rooms, half-open rooms
+and open ground with textured surfaces, moving objects and cameras"""
+CAUSTIC_SCENES = """closed rooms
+with glass, plastic and metal objects under small lamps"""
 GENERATED = "program"  # source of clips without third-party data
 
 
@@ -129,8 +134,8 @@ def _scenes(card: dict) -> str:
     lines = []
     if generated := card["sources"].get(GENERATED, 0):
         generators = ", ".join(map(str, card["generators"]))
-        lines.append(f"""{generated} are of procedural scenes (generator {generators}): closed rooms, half-open rooms
-and open ground with textured surfaces, moving objects and cameras. {_origin(card)}""")
+        shown = CAUSTIC_SCENES if card["generators"] == [CAUSTIC] else PROCEDURAL_SCENES
+        lines.append(f"{generated} are of procedural scenes (generator {generators}): {shown}. {_origin(card)}")
     if composed := card["sources"].get(COMPOSED, 0):
         lines.append(f"""{composed} are of rooms, streets, table tops, gardens and showrooms composed of other people's
 models, environment maps and pictures, named below with their authors.""")
