@@ -101,6 +101,17 @@ class Frame:
         """(H, W)."""
         return self.radiance.shape[2], self.radiance.shape[3]
 
+    def with_samples(self, count: int) -> Frame:
+        """The frame with `count` samples a pixel; itself where it has `samples` already or `count` is 0: unknown."""
+        if not count or self.samples is not None:
+            return self
+        shape = (len(self.radiance), 1, *self.size)
+        if hasattr(self.radiance, "new_full"):
+            return replace(self, samples=self.radiance.new_full(shape, count))
+        import numpy as np
+
+        return replace(self, samples=np.full(shape, count, self.radiance.dtype))
+
     def require(self, *layers: str, previous: Tensor | None = None) -> None:
         """Raise InputError where one of `layers` is missing, or `previous` (a history's image) is of another size."""
         for layer in layers:

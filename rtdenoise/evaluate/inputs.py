@@ -90,7 +90,7 @@ class Source:
         sequence = self.at(spp)
         frames = [replace(sequence[i], **self.references(i)) for i in range(self.length)]
         check_references(frames)
-        return [f if f.samples is not None else replace(f, samples=_full(f.radiance, spp)) for f in frames]
+        return [frame.with_samples(spp) for frame in frames]
 
     def references(self, i: int) -> dict[str, Tensor | None]:
         """`reference` and `reference_half` of frame i, as fields of `Frame`."""
@@ -135,10 +135,6 @@ def _same_frames(sequence: Sequence, base: Sequence, limit: int | None) -> Seque
 def _told(sequence: Sequence, numbers: tuple[int, ...]) -> str:
     height, width = sequence.size
     return f"{len(numbers)} frames {numbers[0]} to {numbers[-1]} of {width}×{height}"
-
-
-def _full(radiance: Tensor, spp: int) -> Tensor:
-    return torch.full_like(radiance[:, :1], spp)
 
 
 def _facts(path: Path) -> dict:

@@ -1,8 +1,8 @@
 """The light of a frame in parts: the kernels that the network predicts from the whole filter each part as well.
 
 The filter is linear in the light once its kernels are known. So parts that add up before add up after, one run of the
-network serves all, and each surface's light is divided by its own colour: diffuse light by the diffuse colour, gloss by
-the glossy colour, where the whole knows one albedo only.
+network serves all, and each light is divided by a colour of its own (`Parts.color_of`), where the whole knows one
+albedo only.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ from ..frame import MAX_CUT_MISMATCH, Frame, History
 from ..history import mismatch
 from ..models import Combiner, Shrinkage, Window
 from ..splat import splat_motion_next
-from .denoise import with_samples
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
 from .options import SUMMARY, CombineOptions, Summary
@@ -107,7 +106,7 @@ class Run:
 
     def _read(self, i: int) -> Pair:
         raw = self.source.read(i)
-        frame, half = with_samples(raw, self.options.samples).map(torch.from_numpy).to(self.device), None
+        frame, half = raw.with_samples(self.options.samples).map(torch.from_numpy).to(self.device), None
         if self.second:
             frame, half = both(frame, read_estimate(self.second, i).to(self.device))
         return Pair(i, raw, frame, read_estimate(self.estimates, i).to(self.device), half)

@@ -5,12 +5,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence, open_sequence
@@ -108,7 +105,7 @@ def _run(
 
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
-        frame = with_samples(read(sequence, i), options.samples)
+        frame = read(sequence, i).with_samples(options.samples)
         for what, count in faults(frame).items():
             summary.replaced[what] = summary.replaced.get(what, 0) + count
         if i and frame.number != sequence.numbers[i - 1] + 1:
@@ -137,13 +134,6 @@ def _check_correction(options: Options) -> None:
     check_samples(options.samples)
     if options.samples and not options.correct:
         raise InputError(f"--samples {options.samples}: goes with --correct")
-
-
-def with_samples(frame: Frame, samples: int) -> Frame:
-    """The frame with so many samples a pixel, unless it says how many or `samples` is 0."""
-    if not samples or frame.samples is not None:
-        return frame
-    return replace(frame, samples=np.full_like(frame.radiance[:, :1], samples))
 
 
 def _resume(

@@ -130,9 +130,8 @@ class Denoiser:
                 layers[name] = np.ascontiguousarray(np.broadcast_to(constant, (B, len(value), H, W)))
         if "motion_next" not in layers and "motion" in layers:
             self._say("motion_next", f"no motion_next: {COSTS['motion_next']}")
-        if self._samples:
-            layers["samples"] = np.full((B, 1, H, W), self._samples, np.float32)
-        return Frame(radiance, **layers, number=self._count, name=f"frame {self._count}")
+        frame = Frame(radiance, **layers, number=self._count, name=f"frame {self._count}")
+        return frame.with_samples(self._samples)
 
     def _kept(self, frame: Frame) -> Any:
         """The history that this frame may use; None where it starts anew."""
