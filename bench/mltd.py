@@ -195,11 +195,13 @@ def tables(document: dict) -> dict[str, str]:
         return float(np.mean([x for x in found if x is not None] or [np.nan]))
 
     main = [m for m in methods if m.partition(".")[0] not in ("summed", "concat", "alone") and ".1" not in m]
-    head = f"| | {' | '.join(f'{spp}' for spp in levels)} | tPSNR | relMSE |"
-    lines = [head, "|---" * (len(levels) + 3) + "|"]
+    seen = "fovvideovdp" in document["metrics"]
+    head = f"| | {' | '.join(f'{spp}' for spp in levels)} | tPSNR | relMSE |" + " FovVideoVDP |" * seen
+    lines = [head, "|---" * (len(levels) + 3 + seen) + "|"]
     for m in main:
         psnr = " | ".join(f"{mean('psnr_corrected', method=m, spp=spp):.2f}" for spp in levels)
-        lines.append(f"| `{m}` | {psnr} | {mean('tpsnr', method=m):.2f} | {mean('relmse', method=m):.3f} |")
+        end = f" {mean('fovvideovdp', method=m):.2f} |" if seen else ""
+        lines.append(f"| `{m}` | {psnr} | {mean('tpsnr', method=m):.2f} | {mean('relmse', method=m):.3f} |{end}")
     each = [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
     for m in main:
         psnr = " | ".join(f"{mean('psnr_corrected', method=m, sequence=name):.2f}" for name in names)

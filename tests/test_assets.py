@@ -329,6 +329,21 @@ def test_stills_of_assets_are_single_frames(folder, tmp_path):
     assert options.clips_per_scene > ClipOptions(assets="x").clips_per_scene
 
 
+def test_repeats_of_a_still_differ_in_noise_alone(folder, tmp_path):
+    options = ClipOptions(1, (32, 32), 1, seed=1, reference_error=1, reference_range=(16, 16), workers=1,
+                          assets=str(folder))  # fmt: skip
+    for name, repeats in (("once", 1), ("thrice", 3)):
+        render_clips(tmp_path / name, replace(options, repeats=repeats), lambda *_: None)
+    (once,), thrice = (ClipDataset(tmp_path / name).load(0) for name in ("once", "thrice"))
+    assert len(thrice) == 3
+    for frame in thrice:
+        assert frame.reference.equal(once.reference) and frame.reference_half.equal(once.reference_half)
+        assert not frame.motion.any() and not frame.motion_next.any()
+    assert thrice[0].radiance.equal(once.radiance) and not thrice[1].radiance.equal(thrice[2].radiance)
+    with pytest.raises(InputError, match="was rendered with frames = 3, not 1"):
+        render_clips(tmp_path / "thrice", options, lambda *_: None)
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [
@@ -336,6 +351,7 @@ def test_stills_of_assets_are_single_frames(folder, tmp_path):
         ("--allow-unlicensed", "--allow-unlicensed: goes with --assets"),
         ("--assets x --sun 1", "--sun: is for generated scenes, not for --assets"),
         ("--assets x --generator 1", "--assets: goes with --generator 2 and 3"),
+        ("--assets x --repeats 2", "--repeats: is for stills"),
         ("--assets nowhere", "cannot be read: No such file"),
     ],
 )

@@ -25,6 +25,7 @@ from rtdenoise.models import PRESETS, load, read
 from rtdenoise.ops import warp
 from rtdenoise.training import tasks
 from rtdenoise.training.augment import MAX_RELIGHT, augment, relight
+from rtdenoise.training.batches import TrainingSet
 from rtdenoise.training.batches import clips as batch
 from rtdenoise.training.loop import train
 from rtdenoise.training.trainer import TrainConfig, Trainer
@@ -249,6 +250,20 @@ def test_every_clip_is_seen_once_an_epoch(config):
     noise = [sum((f.radiance / f.reference).mean().item() for f in batch(data, one, step)) for step in range(10)]
     means = [round(mean, 5) for mean in noise]
     assert len(set(means[:5])) == 5 and set(means[:5]) == set(means[5:])
+
+
+def test_every_second_step_takes_stills(config, other_clips):
+    config = replace(config, stills=(other_clips,), val=None, batch=2, frames=3)
+    data = TrainingSet.open(config)
+    taken = [data.batch(batch, config, step) for step in range(6)]
+    assert [(len(frames), len(frames[0].radiance)) for frames in taken] == [(3, 2), (1, 6)] * 3
+    without = [batch(data.clips, config, step) for step in range(3)]  # the clips come in the order of a run without
+    assert all(torch.equal(a[0].radiance, b[0].radiance) for a, b in zip(taken[::2], without, strict=True))
+    assert train(config).is_file()
+    with pytest.raises(InputError, match="combiner takes windows of frames"):
+        train(replace(config, model="combiner", frames=5))
+    with pytest.raises(InputError, match="scenes that are in the training clips too"):
+        train(replace(config, val=other_clips))
 
 
 def test_what_does_not_fit_is_refused(config, tmp_path):

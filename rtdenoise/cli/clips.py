@@ -17,7 +17,7 @@ OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
 OF_SHOTS = {"reference", "preset"}
 OF_PATHS = {
     "scenes", "motions", "exclude", "generator", "sun", "calm", "textures", "assets", "allow_unlicensed",
-    "reference_error",
+    "reference_error", "repeats",
 }  # fmt: skip
 OF_CHAINS = {"chains", "attribution"}
 OF_BOTH = {"shots", "out", "count", "frames", "size", "width", "height", "seed"}
@@ -54,6 +54,8 @@ class Clips:
     """With --assets: use assets whose licence is unknown, too."""
     frames: int = 10
     """Frames of each clip; with --assets 8 to 10, some 16 to 32, or with --frames 1 stills of more cameras."""
+    repeats: int = 1
+    """With --frames 1: renders of each still, with noise of their own: the frames of a clip in which nothing moves."""
     size: int = 128
     """Pixels: width and height, unless those are given."""
     width: int | None = None
@@ -92,7 +94,7 @@ class Clips:
     """Render on an existing Ray cluster: HOST:PORT, 'auto' or ray://HOST:PORT; a clip takes one core."""
 
     def run(self) -> None:
-        at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers", "chains")
+        at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers", "chains", "repeats")
         not_negative(self, "seed", "reference_spp")
         if self.shots:
             self._cut()
@@ -138,8 +140,8 @@ class Clips:
             self.reference_spp or (256 if metropolis else 64), self.max_depth or (8 if metropolis else 6),
             self.workers, parse_shard(self.shard),
             find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (), self.generator, self.sun,
-            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, self.ray or "",
-            metropolis,
+            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, self.repeats,
+            self.ray or "", metropolis,
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
@@ -172,6 +174,8 @@ class Clips:
             raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
         if self.assets and (unused := given & (OF_GENERATED - ({"frames"} if self.frames == 1 else set()))):
             raise InputError(f"--{min(unused)}: is for generated scenes, not for --assets")
+        if self.repeats > 1 and not (self.assets and self.frames == 1):
+            raise InputError("--repeats: is for stills, --assets with --frames 1")
         if self.allow_unlicensed and not self.assets:
             raise InputError("--allow-unlicensed: goes with --assets")
         if given >= {"ray", "workers"}:

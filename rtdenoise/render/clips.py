@@ -89,6 +89,8 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
         }  # fmt: skip
         if not options.assets:  # with assets they differ from clip to clip,
             expected |= {"frames": options.frames}
+        elif options.stills:
+            expected |= {"frames": options.repeats}
         if not options.assets and not options.metropolis:  # these by Metropolis sampling, too
             expected |= {"spp": options.spp}
         wanted = options.scenes_are_of()
@@ -101,7 +103,8 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
 
 
 def _disk_use(out: Path, missing: int, options: ClipOptions) -> str:
-    needed, free = missing * bytes_per_clip(options.size, options.frames, options.layers), shutil.disk_usage(out).free
+    frames = options.frames * options.repeats
+    needed, free = missing * bytes_per_clip(options.size, frames, options.layers), shutil.disk_usage(out).free
     if needed > free:
         raise InputError(f"{out}: {missing} clips take {_bytes(needed)}, {_bytes(free)} are free")
     return f"{missing} clips to render, {_bytes(needed)} on disk ({_bytes(free)} are free)"

@@ -9,7 +9,8 @@ lamps and sky have their radiance, clipped to [0, 1], as albedo.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -144,17 +145,31 @@ def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, 
     return direct + indirect, indirect
 
 
-def render_frame(stage: Stage, number: int, options: RenderOptions) -> dict[str, np.ndarray]:
-    """All layers of one frame."""
+def render_frame(
+    stage: Stage, number: int, options: RenderOptions, halves: Sequence[dict[str, np.ndarray]] = ()
+) -> dict[str, np.ndarray]:
+    """All layers of one frame. `halves`: the `light` of its references, where that is known."""
     layers = features(stage, number, options.size, options.spp, options.seed)
     del layers["emission"]
     layers |= light(stage, number, options, options.spp, NOISY)
     if options.reference_spp:
         half = max(options.reference_spp // 2, 1)
-        first, second = (light(stage, number, options, half, stream) for stream in (FIRST_HALF, SECOND_HALF))
+        streams = FIRST_HALF, SECOND_HALF
+        first, second = halves or (light(stage, number, options, half, stream) for stream in streams)
         for name, source in (("reference", "color"), ("indirect_reference", "indirect")):
             layers[name], layers[f"{name}_half"] = (first[source] + second[source]) / 2, first[source]
     return layers
+
+
+def repeat_frame(
+    stage: Stage, number: int, options: RenderOptions, count: int, frame: dict[str, np.ndarray]
+) -> list[dict[str, np.ndarray]]:
+    """`frame` of `render_frame` as the first of `count` frames of one instant: each has noise of its own, the references
+    are the same, and nothing moves."""
+    held = {name: layer for name, layer in frame.items() if "reference" in name}
+    others = (replace(options, seed=stream_seed(options.seed, i), reference_spp=0) for i in range(1, count))
+    frames = [frame, *(render_frame(stage, number, other) | held for other in others)]
+    return [f | {name: np.zeros_like(f[name]) for name in ("motion", "motion_next")} for f in frames]
 
 
 def light(stage: Stage, number: int, options: RenderOptions, samples: int, stream: int) -> dict[str, np.ndarray]:

@@ -34,6 +34,7 @@ class ClipOptions:
     textures: str = ""  # folder of pictures that some surfaces get; "": none
     assets: str = ""  # folder of a library: compositions of it take the place of generated scenes; "": none
     allow_unlicensed: bool = False  # use assets without a licence
+    repeats: int = 1  # renders of each still, with noise of their own
     ray: str = ""  # address of a Ray cluster that takes the place of processes here; "": none
     metropolis: MetropolisOptions | None = None  # clips of caustic scenes; None: path tracing
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..data.clips import clip_path, write_clip
 from .draw import Take, draw_first, draw_takes, scene_seed
-from .frames import RenderOptions, calibrate, grey, radiance, render_frame, uncovered
+from .frames import RenderOptions, calibrate, grey, light, render_frame, repeat_frame, uncovered
 from .options import ClipOptions
 from .scenes.caustic import caustic
 from .stage import Stage
@@ -109,11 +109,14 @@ def _render_take(
         seed = int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0])
         numbers = range(window.first, window.first + take.frames)
         samples = draw_samples(options, rng)
-        spp, error = reference_samples(stage, numbers[len(numbers) // 2], options, samples, seed)
+        spp, error, halves = reference_samples(stage, numbers[len(numbers) // 2], options, samples, seed)
         render = RenderOptions(options.size, samples, spp, options.max_depth, seed)
         more |= {"reference_error": error} | ({"samples": samples} if options.assets else {})
-        facts = take.facts | more
-        rendered.append(_render_clip(clip_path(out, index), stage, numbers, facts, render, clock, options.layers))
+        facts, path = take.facts | more, clip_path(out, index)
+        if options.stills:
+            rendered.append(_render_still(path, stage, numbers[0], facts, render, clock, options, halves))
+        else:
+            rendered.append(_render_clip(path, stage, numbers, facts, render, clock, options.layers))
         clock = time.process_time()
     stage.scene = whole
     return rendered
@@ -126,24 +129,26 @@ def draw_samples(options: ClipOptions, rng: np.random.Generator) -> int:
     return options.spp * int(rng.choice(MORE_SAMPLES))
 
 
-def reference_samples(stage: Stage, number: int, options: ClipOptions, samples: int, seed: int) -> tuple[int, float]:
-    """(samples a pixel of both halves together, the error they are expected to leave) for the target error.
+def reference_samples(
+    stage: Stage, number: int, options: ClipOptions, samples: int, seed: int
+) -> tuple[int, float, list[dict]]:
+    """(samples a pixel of both halves together, the error they are expected to leave, both halves where these are
+    rendered already) for the target error.
 
     Two halves of PILOT_SPP / 2 samples give the error of their mean, mean((a − b)² / 4) relative to the squared mean;
     it falls as one over the number of samples. A pixel counts 1 at most: no number of samples would tame a firefly.
     A reference has at least twice the `samples` of the noisy frame.
     """
-    a, b = (
-        grey(radiance(stage, number, options.size, PILOT_SPP // 2, seed, stream, options.max_depth)[0])
-        for stream in (FIRST_HALF, SECOND_HALF)
-    )
+    pilot = RenderOptions(options.size, max_depth=options.max_depth, seed=seed)
+    halves = [light(stage, number, pilot, PILOT_SPP // 2, stream) for stream in (FIRST_HALF, SECOND_HALF)]
+    a, b = (grey(half["color"]) for half in halves)
     mean = (a + b) / 2
     squared = (a - b) ** 2 / 4 / (mean**2 + (0.1 * mean.mean()) ** 2 + 1e-12)
     error = float(np.minimum(squared, 1).mean())
     low, high = options.reference_range
     half = np.clip(np.ceil(PILOT_SPP * error / options.reference_error / 2), low // 2, high // 2)
     spp = 2 * int(max(half, samples if samples > 1 else 0))
-    return spp, error * PILOT_SPP / spp
+    return spp, error * PILOT_SPP / spp, halves if spp == PILOT_SPP else []
 
 
 def _render_clip(
@@ -151,13 +156,29 @@ def _render_clip(
 ) -> dict:
     """Render the frames `numbers`, write them, return the facts; `clock` is the processor time at which work began."""
     frames = [render_frame(stage, number, render) for number in numbers]
+    return _write(path, frames, facts | {"first_frame": numbers[0]}, render, clock, layers)
+
+
+def _render_still(
+    path: Path, stage: Stage, number: int, facts: dict, render: RenderOptions, clock: float, options: ClipOptions,
+    halves: list[dict],
+) -> dict:  # fmt: skip
+    """As `_render_clip`, for one frame, of whose references `halves` may be rendered already."""
+    frame = render_frame(stage, number, render, halves)
+    frames = repeat_frame(stage, number, render, options.repeats, frame) if options.repeats > 1 else [frame]
+    return _write(path, frames, facts | {"first_frame": number}, render, clock, options.layers)
+
+
+def _write(
+    path: Path, frames: list[dict], facts: dict, render: RenderOptions, clock: float, layers: tuple[str, ...]
+) -> dict:
     for frame in frames:
         frame["samples"] = np.full((*render.size, 1), render.spp, np.float32)
     if "uncovered" not in facts:
         shares = [uncovered(b["motion"], a["motion_next"]).mean() for a, b in pairwise(frames)]
         facts |= {"uncovered": float(np.mean(shares)) if shares else 0.0}
     facts = facts | {
-        "first_frame": numbers[0], "frames": len(numbers), "size": list(render.size), "spp": render.spp,
+        "frames": len(frames), "size": list(render.size), "spp": render.spp,
         "reference_spp": render.reference_spp, "max_depth": render.max_depth,
         "seconds": time.process_time() - clock, "versions": versions(),
     }  # fmt: skip

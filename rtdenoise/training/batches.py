@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
 import numpy as np
 
 from ..data.clips import ClipDataset, estimated_signals
@@ -11,8 +15,36 @@ from ..models import COMBINERS, Window
 from .augment import augment, relight
 from .config import TrainConfig, model_config
 
+Batch = Callable[[ClipDataset, TrainConfig, int, tuple[int, int]], Any]
+"""(clips, options, step, (rank, processes)) -> the batch of a step, a function of these alone."""
 COLOR_SHARE = 1 / 3  # of the clips where both signals are trained
 MISSING_SHARE = 0.1  # of the windows that lack frames, as at the ends of shots
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """What a run trains on."""
+
+    clips: ClipDataset
+    stills: ClipDataset | None = None  # single frames, for every second step
+
+    @classmethod
+    def open(cls, config: TrainConfig) -> TrainingSet:
+        """Raises InputError for folders without clips."""
+        return cls(ClipDataset(*config.data), ClipDataset(*config.stills) if config.stills else None)
+
+    def scenes(self) -> set[str]:
+        """As `ClipDataset.scenes`."""
+        return self.clips.scenes() | (self.stills.scenes() if self.stills else set())
+
+    def batch(self, take: Batch, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> Any:
+        """The batch of a step, by the `Task.batch` of its network."""
+        if self.stills is None:
+            return take(self.clips, config, step, share)
+        turn, of_stills = divmod(step, 2)
+        if not of_stills:
+            return take(self.clips, config, turn, share)
+        return take(self.stills, replace(config, batch=config.batch * config.frames, frames=1), turn, share)
 
 
 def clips(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> list[Frame]:

@@ -18,6 +18,9 @@ class TrainConfig:
     """Folders of training clips, written by `rtdenoise clips`."""
     out: Path
     """Run directory; a run in it is resumed."""
+    stills: tuple[Path, ...] = ()
+    """Folders of single frames, `rtdenoise clips --assets DIR --frames 1`: every second step takes these, `batch` times
+    `frames` of them. With --data alone every step takes clips."""
     val: Path | None = None
     """Folder of validation clips, of other scenes than the training ones."""
     init: Path | None = None

@@ -22,6 +22,7 @@ from ..data.clips import ClipDataset
 from ..errors import InputError
 from ..files import lock, read_json, remove_unfinished, write_atomically
 from ..models import save
+from .batches import TrainingSet
 from .config import TrainConfig
 from .distributed import any_of, processes, wait_for_all
 from .log import Log
@@ -33,7 +34,7 @@ OnStep = Callable[[int, int, float], None]  # step, steps in all, loss
 WEIGHTS, CHECKPOINT = "weights.safetensors", "checkpoint.pt"
 LOG_EVERY = 20  # steps
 MAX_SKIPPED_IN_TURN = 20  # steps without a finite loss: a broken clip costs one, broken weights all
-NOT_COMPARED = ("data", "val", "out", "device", "init", "tensorboard", "checkpoint_minutes")  # may change on resuming
+NOT_COMPARED = ("data", "stills", "val", "out", "device", "init", "tensorboard", "checkpoint_minutes")  # may change on resuming
 
 
 def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None) -> Path:
@@ -50,11 +51,10 @@ def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None)
         rank, count = share
         if config.batch % count:
             raise InputError(f"batch: expected a multiple of the {count} processes, got {config.batch}")
-        data = ClipDataset(*config.data)
+        data = TrainingSet.open(config)
         validation = open_validation(config, data)
-        task_of(model_config(config)).batch(
-            data, config, 0, share
-        )  # clips that do not fit are refused before there is a run
+        for step in range(2 if data.stills else 1):  # clips that do not fit are refused before there is a run
+            data.batch(task_of(model_config(config)).batch, config, step, share)
         out = Path(config.out)
         out.mkdir(parents=True, exist_ok=True)
         with lock(out) if rank == 0 else nullcontext():
@@ -64,7 +64,7 @@ def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None)
 def _train(
     config: TrainConfig,
     share: tuple[int, int],
-    data: ClipDataset,
+    data: TrainingSet,
     validation: ClipDataset | None,
     on_step: OnStep,
 ) -> Path:
@@ -93,7 +93,7 @@ def _train(
 def _lead(
     trainer: Trainer,
     share: tuple[int, int],
-    data: ClipDataset,
+    data: TrainingSet,
     validation: ClipDataset | None,
     stopping: list[int],
     on_step: OnStep,
@@ -125,16 +125,16 @@ def _lead(
 
 
 def _steps(
-    trainer: Trainer, share: tuple[int, int], data: ClipDataset, stopping: list[int]
+    trainer: Trainer, share: tuple[int, int], data: TrainingSet, stopping: list[int]
 ) -> Iterator[dict[str, float]]:
     """Take steps until the last one, or until a process is told to stop, and yield a log row for each. The next batch
     is read meanwhile."""
     config = trainer.config
     with ThreadPoolExecutor(1) as reader:
-        waiting = reader.submit(trainer.task.batch, data, config, trainer.step, share)
+        waiting = reader.submit(data.batch, trainer.task.batch, config, trainer.step, share)
         while trainer.step < config.steps and not any_of(bool(stopping)):
             batch = waiting.result()
-            waiting = reader.submit(trainer.task.batch, data, config, trainer.step + 1, share)
+            waiting = reader.submit(data.batch, trainer.task.batch, config, trainer.step + 1, share)
             started = time.perf_counter()
             row = trainer.train_step(batch)
             if trainer.skipped_in_turn == MAX_SKIPPED_IN_TURN:

@@ -16,7 +16,7 @@ from ..frame import Frame
 from ..models import Combiner, Denoiser, Window
 from ..models.presets import Config
 from ..motion import occlusion_weights, uncovered
-from .batches import clips, windows
+from .batches import Batch, clips, windows
 from .config import TrainConfig
 from .validate import validate, validate_windows
 
@@ -27,8 +27,7 @@ Terms = dict[str, float]  # of the loss, to log
 class Task:
     """How networks of an architecture are trained."""
 
-    batch: Callable[[ClipDataset, TrainConfig, int, tuple[int, int]], Any]
-    """(clips, options, step, (rank, processes)) -> the batch of a step, a function of these alone."""
+    batch: Batch
     loss: Callable[[Any, Any, TrainConfig, int], tuple[Tensor, Terms]]
     """(network, batch, options, step) -> the loss, and its terms."""
     validate: Callable[[Any, ClipDataset, TrainConfig], dict[str, float]]

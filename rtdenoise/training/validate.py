@@ -14,12 +14,13 @@ from ..evaluate.sequence import outputs, uncovered
 from ..frame import Frame, History
 from ..metrics import psnr
 from ..models import Combiner, Denoiser, Window
+from .batches import TrainingSet
 from .config import TrainConfig
 
 MIN_UNCOVERED = 0.005  # share of a frame; the PSNR of fewer pixels is meaningless
 
 
-def open_validation(config: TrainConfig, data: ClipDataset) -> ClipDataset | None:
+def open_validation(config: TrainConfig, data: TrainingSet) -> ClipDataset | None:
     """The clips of `config.val`. Raises InputError where they show scenes of `data` or have denoised references."""
     if config.val is None:
         return None
