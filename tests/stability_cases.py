@@ -51,10 +51,11 @@ class Subject:
             if training:
                 reference = torch.full_like(image, 0.5)
                 weights = torch.full_like(image[:, :1], 1.8)
-                loss = temporal_kpn_loss(image, reference, (image.detach(), reference), weights, exposure(reference))
+                terms = temporal_kpn_loss(image, reference, (image.detach(), reference), weights, exposure(reference))
+                loss = terms.total.mean()
                 parameters = [p for p in self.denoiser.parameters() if p.requires_grad]
-                gradients = torch.autograd.grad(loss.total, parameters, allow_unused=True)
-                self.count(loss.total, *(g for g in gradients if g is not None))
+                gradients = torch.autograd.grad(loss, parameters, allow_unused=True)
+                self.count(loss, *(g for g in gradients if g is not None))
         tensors = {name: tensor.detach() for name, tensor in history.layers().items()}
         self.count(image, *tensors.values())
         return image.detach(), replace(history, **tensors)

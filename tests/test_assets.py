@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from rtdenoise.cli.main import main
-from rtdenoise.data.clips import ClipDataset, clip_path, read_facts
+from rtdenoise.data.clips import ClipDataset, clip_path, read_facts, read_layers
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.render.clips import render_clips
@@ -340,6 +340,7 @@ def test_repeats_of_a_still_differ_in_noise_alone(folder, tmp_path):
         assert frame.reference.equal(once.reference) and frame.reference_half.equal(once.reference_half)
         assert not frame.motion.any() and not frame.motion_next.any()
     assert thrice[0].radiance.equal(once.radiance) and not thrice[1].radiance.equal(thrice[2].radiance)
+    assert {"albedo_reference", "normal_reference"} <= read_layers(clip_path(tmp_path / "once", 0)).keys()
     with pytest.raises(InputError, match="was rendered with frames = 3, not 1"):
         render_clips(tmp_path / "thrice", options, lambda *_: None)
 

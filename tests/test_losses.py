@@ -39,6 +39,12 @@ def test_exposure_is_applied_before_the_compression():
     assert loss.spatial.item() == pytest.approx(math.log(7 / 4))
 
 
+def test_each_image_of_a_batch_has_its_own_loss():
+    image, reference = torch.cat([flat(0.5), flat(0.3)]), torch.cat([flat(0.2), flat(0.2)])
+    loss = temporal_kpn_loss(image, reference, (image, reference), None)
+    torch.testing.assert_close(loss.total, torch.tensor([0.3, 0.1]))
+
+
 def test_a_firefly_does_not_rule_the_loss():
     image = flat(0.2)
     image[0, 0, 0, 0] = 1e6

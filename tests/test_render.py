@@ -22,6 +22,7 @@ from rtdenoise.render.frames import (
     features,
     motion_between,
     radiance,
+    render_frame,
     uncovered,
 )
 from rtdenoise.render.options import ClipOptions
@@ -166,6 +167,14 @@ def test_features_have_the_ranges_of_the_conventions(shot):
 
 
 # --- motion -----------------------------------------------------------------------------------------------------------
+
+
+def test_features_of_many_samples_have_less_noise_and_samples_of_their_own(room):
+    frame = render_frame(room, 4, replace(OPTIONS, reference_spp=0, feature_spp=16))
+    truth = features(room, 4, SIZE, 64, seed=99)
+    for name in ("albedo", "normal"):
+        error = [np.square(layer - truth[name]).mean() for layer in (frame[name], frame[f"{name}_reference"])]
+        assert error[1] < 0.2 * error[0]
 
 
 def test_warping_by_motion_reproduces_the_next_reference(shot):

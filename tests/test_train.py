@@ -266,6 +266,20 @@ def test_every_second_step_takes_stills(config, other_clips):
         train(replace(config, val=other_clips))
 
 
+def test_the_root_of_the_loss_weighs_clips_of_small_errors_more(config):
+    """With two items of errors a and b, the gradient of √a + √b is that of each over its own root."""
+    clip = batch(ClipDataset(*config.data), config, 0)
+    plain, root = (
+        tasks.denoiser_loss(Trainer(c).model, clip, c, 0)[0] for c in (config, replace(config, loss_power=0.5))
+    )
+    alone = [tasks.denoiser_loss(Trainer(config).model, [frame.map(lambda x, i=i: x[i : i + 1]) for frame in clip],
+                                 config, 0)[0] for i in range(config.batch)]  # fmt: skip
+    torch.testing.assert_close(plain, torch.stack(alone).mean())
+    torch.testing.assert_close(root, (torch.stack(alone) + tasks.LEAST_LOSS).sqrt().mean())
+    with pytest.raises(InputError, match="loss_power: expected more than 0 and 1 at most, got 2"):
+        train(replace(config, loss_power=2.0))
+
+
 def test_what_does_not_fit_is_refused(config, tmp_path):
     train(config)
     with pytest.raises(InputError, match="started with lr"):

@@ -46,6 +46,8 @@ LAYERS = {
     "large": Layer("RGB", in_every_clip=False),  # beauty from large steps of a Metropolis renderer
     "small": Layer("RGB", in_every_clip=False),  # beauty from its small steps
     "proposals": Layer("RGB", in_every_clip=False),  # beauty path traced from its large proposals, accepted or not
+    "albedo_reference": Layer("RGB", in_every_clip=False),  # of more samples: references are cleaned by them
+    "normal_reference": Layer("XYZ", in_every_clip=False),
 }
 SIGNALS = {  # signal -> layer of `Frame` -> layer on disk
     "color": {"radiance": "color", "reference": "reference", "reference_half": "reference_half"},

@@ -42,4 +42,4 @@ class Denoiser(Protocol):
         scale: Tensor | float,  # [B, 1, 1, 1] exposure of the loss
         huber: float,  # error up to which the loss is quadratic
     ) -> Loss:
-        """The training loss of one frame."""
+        """The training loss of one frame, of each image of the batch."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -13,7 +14,7 @@ from ..frame import Frame
 
 @dataclass(frozen=True)
 class Loss:
-    """The three terms of one frame, each a scalar."""
+    """The three terms of each image of a batch, `[B]`."""
 
     spatial: Tensor
     temporal: Tensor
@@ -41,11 +42,11 @@ def temporal_kpn_loss(
     """
 
     def distance(a: Tensor, b: Tensor) -> Tensor:
-        return F.smooth_l1_loss(a, b, beta=huber)
+        return F.smooth_l1_loss(a, b, beta=huber, reduction="none").mean((1, 2, 3))
 
     image, reference = compress(image * scale), compress(reference * scale)
     spatial = distance(image, reference)
-    temporal = occluded = image.new_zeros(())
+    temporal = occluded = torch.zeros_like(spatial)
     if previous is not None:
         before, reference_before = (compress(x * scale) for x in previous)
         temporal = distance(image - before, reference - reference_before)
@@ -76,11 +77,11 @@ def mltd_loss(
 ) -> Loss:
     """As `Denoiser.loss`, without a term for occlusion: SMAPE(I, R) + ½ SMAPE(I_i - I_{i-1}, R_i - R_{i-1}) on exposed
     linear radiance (Chen et al. 2024, eq. 10 and 11)."""
-    spatial = smape(image, frame.reference, scale).mean()
-    temporal = image.new_zeros(())
+    spatial = smape(image, frame.reference, scale)
+    temporal = torch.zeros_like(spatial)
     if previous is not None:
-        temporal = 0.5 * smape(image - previous[0], frame.reference - previous[1], scale).mean()
-    return Loss(spatial, temporal, image.new_zeros(()))
+        temporal = 0.5 * smape(image - previous[0], frame.reference - previous[1], scale)
+    return Loss(spatial, temporal, torch.zeros_like(spatial))
 
 
 def smape(image: Tensor, reference: Tensor, scale: Tensor | float = 1.0) -> Tensor:

@@ -22,13 +22,14 @@ from ..frame import OCCLUSION_THRESHOLD
 from .metropolis import MetropolisOptions, metropolis
 from .scenes.scene import Scene
 from .stage import Stage, start_mitsuba
-from .streams import FIRST_HALF, NOISY, PROBE, SECOND_HALF, stream_seed
+from .streams import FEATURES, FIRST_HALF, NOISY, PROBE, SECOND_HALF, stream_seed
 
 MAX_RAYS = 1 << 21  # in flight at once; bounds memory
 MAX_DEPTH = 6  # path edges while the exposure is measured
 LAYERS = (
     "color", "indirect", "albedo", "normal", "depth", "motion", "motion_next", "position", "id",
     "reference", "indirect_reference", "reference_half", "indirect_reference_half", "large", "small", "proposals",
+    "albedo_reference", "normal_reference",
 )  # fmt: skip
 
 
@@ -42,6 +43,7 @@ class RenderOptions:
     max_depth: int = 6  # path edges, the one to the camera included
     seed: int = 0  # of the noise; the scene has its own
     metropolis: MetropolisOptions | None = None  # None: path tracing
+    feature_spp: int = 0  # of albedo_reference and normal_reference; 0: none
 
 
 # --- motion -----------------------------------------------------------------------------------------------------------
@@ -158,6 +160,9 @@ def render_frame(
         first, second = halves or (light(stage, number, options, half, stream) for stream in streams)
         for name, source in (("reference", "color"), ("indirect_reference", "indirect")):
             layers[name], layers[f"{name}_half"] = (first[source] + second[source]) / 2, first[source]
+    if options.feature_spp:
+        clean = features(stage, number, options.size, options.feature_spp, stream_seed(options.seed, FEATURES))
+        layers |= {f"{name}_reference": clean[name] for name in ("albedo", "normal")}
     return layers
 
 
@@ -167,7 +172,8 @@ def repeat_frame(
     """`frame` of `render_frame` as the first of `count` frames of one instant: each has noise of its own, the references
     are the same, and nothing moves."""
     held = {name: layer for name, layer in frame.items() if "reference" in name}
-    others = (replace(options, seed=stream_seed(options.seed, i), reference_spp=0) for i in range(1, count))
+    seeds = (stream_seed(options.seed, NOISY, i) for i in range(1, count))
+    others = (replace(options, seed=seed, reference_spp=0, feature_spp=0) for seed in seeds)
     frames = [frame, *(render_frame(stage, number, other) | held for other in others)]
     return [f | {name: np.zeros_like(f[name]) for name in ("motion", "motion_next")} for f in frames]
 

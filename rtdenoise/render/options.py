@@ -48,7 +48,7 @@ class ClipOptions:
         """The optional layers of the clips."""
         if self.metropolis:
             return "position", "samples", "large", "small", "proposals"
-        return ("samples",) if self.assets else ()
+        return ("samples", "albedo_reference", "normal_reference") if self.assets else ()
 
     @property
     def stills(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..data.clips import clip_path, write_clip
 from .draw import Take, draw_first, draw_takes, scene_seed
-from .frames import RenderOptions, calibrate, grey, light, render_frame, repeat_frame, uncovered
+from .frames import MAX_RAYS, RenderOptions, calibrate, grey, light, render_frame, repeat_frame, uncovered
 from .options import ClipOptions
 from .scenes.caustic import caustic
 from .stage import Stage
@@ -24,6 +24,7 @@ ACTIVE_SHARE = 0.75  # of the clips whose window is the one with most activity; 
 MORE_SAMPLES = (2, 4, 8, 16, 32, 64)  # factors on the samples of half of the clips, in sets with assets
 MORE_MUTATIONS = (1, 2, 4, 8)  # factors on the mutations of clips by Metropolis sampling,
 PIXELS_PER_CHAIN = (4, 16)  # and pixels for every chain
+FEATURE_SPP = 32  # samples a pixel of the features that references are cleaned by
 PILOT_SPP = 16  # samples a pixel from which a reference's error is estimated
 
 
@@ -110,7 +111,8 @@ def _render_take(
         numbers = range(window.first, window.first + take.frames)
         samples = draw_samples(options, rng)
         spp, error, halves = reference_samples(stage, numbers[len(numbers) // 2], options, samples, seed)
-        render = RenderOptions(options.size, samples, spp, options.max_depth, seed)
+        feature_spp = min(FEATURE_SPP, MAX_RAYS // (options.size[0] * options.size[1])) if options.assets else 0
+        render = RenderOptions(options.size, samples, spp, options.max_depth, seed, feature_spp=feature_spp)
         more |= {"reference_error": error} | ({"samples": samples} if options.assets else {})
         facts, path = take.facts | more, clip_path(out, index)
         if options.stills:

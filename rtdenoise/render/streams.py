@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-NOISY, FIRST_HALF, SECOND_HALF, PROBE = range(4)  # of a frame
+NOISY, FIRST_HALF, SECOND_HALF, PROBE, FEATURES = range(5)  # of a frame
 
 
 def stream_seed(*key: int) -> int:

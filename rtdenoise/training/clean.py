@@ -23,8 +23,8 @@ from ..frame import Frame
 
 CARD = """# Training clips with cleaned references
 
-The clips of another folder, {count} of them. References: {cleaned} (Intel Open Image Denoise) with
-the clips' own albedo and normal. Both halves are the whole reference here: they say nothing about its error. For
+The clips of another folder, {count} of them. References: {cleaned} (Intel Open Image Denoise), with
+albedo and normal of many samples where the clips have them. Both halves are the whole reference here: they say nothing about its error. For
 training, not for validation. The rest is as it was, and so are its licences:
 
 """
@@ -47,7 +47,7 @@ def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda
 
 def _clean_all(folder: Path, out: Path, progress: Callable[[int, int], None]) -> int:
     paths = ClipDataset(folder).paths
-    oidn = Oidn()
+    oidn = Oidn(prefilter=True)
     missing = [path for path in paths if not _is_there(path, out / path.name)]
     for done, path in enumerate(missing):
         progress(done, len(missing))
@@ -81,10 +81,11 @@ def _clean(path: Path, out: Path, oidn: Oidn) -> None:
     frames = [
         {key: layer[i].permute(1, 2, 0).numpy() for key, layer in layers.items()} for i in range(len(layers["depth"]))
     ]
-    facts |= {"references": f"denoised by pyoidn {importlib.metadata.version('pyoidn')}"}
+    facts |= {"references": f"denoised by pyoidn {importlib.metadata.version('pyoidn')}, features prefiltered"}
     write_clip(out, frames, facts, [name for name in OPTIONAL if name in layers], signals)
 
 
 def _filtered(layers: dict[str, Tensor], reference: str, i: int, oidn: Oidn) -> Tensor:
-    radiance, albedo, normal, depth = (layers[key][i : i + 1] for key in (reference, "albedo", "normal", "depth"))
+    features = (name if (name := f"{key}_reference") in layers else key for key in ("albedo", "normal"))
+    radiance, albedo, normal, depth = (layers[key][i : i + 1] for key in (reference, *features, "depth"))
     return oidn.step(Frame(radiance, albedo=albedo, normal=normal, depth=depth))[0]

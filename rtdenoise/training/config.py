@@ -50,6 +50,9 @@ class TrainConfig:
     """The loss is taken on log(1 + loss_exposure · s · x), s the exposure of the reference."""
     huber: float = 0.0
     """The loss is quadratic up to this error and absolute beyond; 0: L1, as in the paper."""
+    loss_power: float = 1.0
+    """The loss of each clip is taken to this power: at 0.5 clips of many samples, whose errors are small, weigh nearly
+    as much as those of few."""
     frames: int = 9
     """Consecutive frames a clip, through all of which the loss is back-propagated."""
     size: int = 128

@@ -20,6 +20,7 @@ from .batches import Batch, clips, windows
 from .config import TrainConfig
 from .validate import validate, validate_windows
 
+LEAST_LOSS = 1e-6
 Terms = dict[str, float]  # of the loss, to log
 
 
@@ -35,7 +36,8 @@ class Task:
 
 
 def denoiser_loss(model: Denoiser, clip: list[Frame], config: TrainConfig, step: int) -> tuple[Tensor, Terms]:
-    """Mean loss over the frames of a batch of clips; history passes from frame to frame."""
+    """Mean loss over a batch of clips, of each the mean over its frames to the power that `config` asks for; history
+    passes from frame to frame."""
     with_occlusion = config.occlusion_loss and step >= config.steps // 2
     terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
     total = 0.0
@@ -53,9 +55,11 @@ def denoiser_loss(model: Denoiser, clip: list[Frame], config: TrainConfig, step:
         loss = model.loss(image, frame, previous, weights, scale, config.huber)
         total = total + loss.total / len(clip)
         for name in terms:
-            terms[name] += getattr(loss, name).item() / len(clip)
+            terms[name] += getattr(loss, name).mean().item() / len(clip)
         previous = (image, frame.reference)
-    return total, terms
+    if config.loss_power != 1:
+        total = (total + LEAST_LOSS) ** config.loss_power  # the root of 0 has no gradient
+    return total.mean(), terms
 
 
 def combiner_loss(model: Combiner, window: Window, config: TrainConfig, step: int) -> tuple[Tensor, Terms]:

@@ -160,6 +160,8 @@ def check(config: TrainConfig) -> None:
         raise InputError(f"seed: expected 0 to 2^63 - 1, got {shown(config.seed)}")
     if not 0 < config.lr <= MAX_LR:
         raise InputError(f"lr: expected more than 0 and {MAX_LR:g} at most, got {config.lr}")
+    if not 0 < config.loss_power <= 1:
+        raise InputError(f"loss_power: expected more than 0 and 1 at most, got {config.loss_power}")
     for name in ("cuts", "relight"):
         if not 0 <= getattr(config, name) <= 1:
             raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
