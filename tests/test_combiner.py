@@ -39,6 +39,7 @@ SMALL = {
     "ours": CombinerConfig(widths=(6, 8, 8)),
     "causal": CombinerConfig(widths=(6, 8, 8), frames=3, causal=True),
     "drc": replace(COMBINERS["drc"], widths=(4, 6, 6, 8)),
+    "no residual as input": CombinerConfig(widths=(6, 8, 8), residual_input=False, statistics=False),
 }
 configs = pytest.mark.parametrize("config", SMALL.values(), ids=SMALL.keys())
 

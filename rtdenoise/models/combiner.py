@@ -108,10 +108,12 @@ class Combiner(nn.Module):
         channels = []
         for one in aligned:
             if one is None:
-                channels.append(frame.radiance.new_zeros(*frame.radiance.shape[:1], 10, *frame.size))
+                count = 10 if self.config.residual_input else 7
+                channels.append(frame.radiance.new_zeros(*frame.radiance.shape[:1], count, *frame.size))
                 continue
             light = torch.log1p(scale * torch.cat([one.noisy, one.estimate], 1).clamp(min=0))
-            channels += [light, signed_log(scale * one.residual), one.valid]
+            residual = [signed_log(scale * one.residual)] if self.config.residual_input else []
+            channels += [light, *residual, one.valid]
         channels += [frame.albedo, frame.normal, nearness(frame.depth, mean_distance(frame.depth))]
         if self.config.statistics:
             channels.append(statistics([one for one in aligned if one is not None], scale))

@@ -34,6 +34,8 @@ class CombinerConfig(NetworkConfig):
     """A share for no correction competes with those of the frames; without it the weights of a pixel sum to 1."""
     demodulate: bool = True
     """Residuals are divided by the albedo."""
+    residual_input: bool = True
+    """The input has the residuals y - z beside y and z."""
     statistics: bool = True
     """The input has means of residuals over neighbourhoods, in units of their standard errors."""
 
@@ -58,9 +60,9 @@ class CombinerConfig(NetworkConfig):
 
     @property
     def features(self) -> int:
-        """Input channels: of each frame y 3, z 3, residual 3, validity 1; albedo 3, normal 3, nearness 1 of the current
+        """Input channels: of each frame y 3, z 3, residual 3 if asked for, validity 1; albedo 3, normal 3, nearness 1 of the current
         one; statistics 13."""
-        return 10 * self.frames + 7 + (13 if self.statistics else 0)
+        return (10 if self.residual_input else 7) * self.frames + 7 + (13 if self.statistics else 0)
 
     @property
     def heads(self) -> tuple[tuple[Head, ...], ...]:
