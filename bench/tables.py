@@ -17,9 +17,10 @@ from bench import harness
 
 # Each has RESULT, a JSON file; PAGES, the pages with its sections; and tables(document) -> section -> Markdown.
 MODULES = (
-    "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "cycles", "files", "held", "latency_720p", "metropolis",
-    "missing_layers", "mltd", "mltd_memory", "offline", "plan", "quality", "sample", "stability", "tiles",
-    "calibration.cuts", "diagnosis.activity", "diagnosis.bias", "diagnosis.clean", "diagnosis.generalisation", "diagnosis.where",
+    "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "cycles", "files",
+    "held", "latency_720p", "metropolis", "missing_layers", "mltd", "mltd_memory", "offline", "plan", "quality",
+    "sample", "stability", "tiles", "calibration.cuts", "diagnosis.activity", "diagnosis.bias",
+    "diagnosis.clean", "diagnosis.generalisation", "diagnosis.where",
 )  # fmt: skip
 
 

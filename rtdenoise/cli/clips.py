@@ -55,7 +55,7 @@ class Clips:
     frames: int = 10
     """Frames of each clip; with --assets 8 to 10, some 16 to 32, or with --frames 1 stills of more cameras."""
     repeats: int = 1
-    """With --frames 1: renders of each still, with noise of their own: the frames of a clip in which nothing moves."""
+    """With --frames 1: renders of each still, with other noise each, as the frames of a clip without motion."""
     size: int = 128
     """Pixels: width and height, unless those are given."""
     width: int | None = None

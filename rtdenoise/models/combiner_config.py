@@ -60,8 +60,8 @@ class CombinerConfig(NetworkConfig):
 
     @property
     def features(self) -> int:
-        """Input channels: of each frame y 3, z 3, residual 3 if asked for, validity 1; albedo 3, normal 3, nearness 1 of the current
-        one; statistics 13."""
+        """Input channels: of each frame y 3, z 3, if asked for residual 3, validity 1; albedo 3, normal 3, nearness 1
+        of the current one; statistics 13."""
         return (10 if self.residual_input else 7) * self.frames + 7 + (13 if self.statistics else 0)
 
     @property

@@ -169,8 +169,8 @@ def render_frame(
 def repeat_frame(
     stage: Stage, number: int, options: RenderOptions, count: int, frame: dict[str, np.ndarray]
 ) -> list[dict[str, np.ndarray]]:
-    """`frame` of `render_frame` as the first of `count` frames of one instant: each has noise of its own, the references
-    are the same, and nothing moves."""
+    """`frame` of `render_frame` as the first of `count` frames of one instant: each has noise of its own, the
+    references are the same, and nothing moves."""
     held = {name: layer for name, layer in frame.items() if "reference" in name}
     seeds = (stream_seed(options.seed, NOISY, i) for i in range(1, count))
     others = (replace(options, seed=seed, reference_spp=0, feature_spp=0) for seed in seeds)

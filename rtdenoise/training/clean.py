@@ -24,8 +24,8 @@ from ..frame import Frame
 CARD = """# Training clips with cleaned references
 
 The clips of another folder, {count} of them. References: {cleaned} (Intel Open Image Denoise), with
-albedo and normal of many samples where the clips have them. Both halves are the whole reference here: they say nothing about its error. For
-training, not for validation. The rest is as it was, and so are its licences:
+albedo and normal of many samples where the clips have them. Both halves are the whole reference here: they say nothing
+about its error. For training, not for validation. The rest is as it was, and so are its licences:
 
 """
 

@@ -34,7 +34,9 @@ OnStep = Callable[[int, int, float], None]  # step, steps in all, loss
 WEIGHTS, CHECKPOINT = "weights.safetensors", "checkpoint.pt"
 LOG_EVERY = 20  # steps
 MAX_SKIPPED_IN_TURN = 20  # steps without a finite loss: a broken clip costs one, broken weights all
-NOT_COMPARED = ("data", "stills", "val", "out", "device", "init", "tensorboard", "checkpoint_minutes")  # may change on resuming
+NOT_COMPARED = (  # may change on resuming
+    "data", "stills", "val", "out", "device", "init", "tensorboard", "checkpoint_minutes",
+)  # fmt: skip
 
 
 def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None) -> Path:
