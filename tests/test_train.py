@@ -24,7 +24,7 @@ from rtdenoise.frame import stack
 from rtdenoise.models import PRESETS, load, read
 from rtdenoise.ops import warp
 from rtdenoise.training import tasks
-from rtdenoise.training.augment import MAX_RELIGHT, augment, relight
+from rtdenoise.training.augment import MAX_RELIGHT, MAX_SHADE, augment, relight, shade
 from rtdenoise.training.batches import TrainingSet
 from rtdenoise.training.batches import clips as batch
 from rtdenoise.training.loop import train
@@ -278,6 +278,17 @@ def test_the_root_of_the_loss_weighs_clips_of_small_errors_more(config):
     torch.testing.assert_close(root, (torch.stack(alone) + tasks.LEAST_LOSS).sqrt().mean())
     with pytest.raises(InputError, match="loss_power: expected more than 0 and 1 at most, got 2"):
         train(replace(config, loss_power=2.0))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_shading_multiplies_noise_and_reference_alike(seed):
+    frame = make_frames(1, H=40, W=56, seed=seed)[0]
+    (shaded,) = shade([frame], np.random.default_rng(seed))
+    factor = shaded.reference / frame.reference
+    torch.testing.assert_close(shaded.radiance, frame.radiance * factor)
+    assert factor.max() <= 1.0001 and factor.min() >= 2**-MAX_SHADE * 0.999 and factor.std() > 0.02
+    torch.testing.assert_close(factor[:, 0], factor[:, 2])
+    assert shaded.albedo is frame.albedo and shaded.normal is frame.normal
 
 
 def test_what_does_not_fit_is_refused(config, tmp_path):

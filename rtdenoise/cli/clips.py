@@ -55,7 +55,7 @@ class Clips:
     frames: int = 10
     """Frames of each clip; with --assets 8 to 10, some 16 to 32, or with --frames 1 stills of more cameras."""
     repeats: int = 1
-    """With --frames 1: renders of each still, with other noise each, as the frames of a clip without motion."""
+    """With --frames 1: renders of each still with noise of their own, the frames of a clip without motion."""
     size: int = 128
     """Pixels: width and height, unless those are given."""
     width: int | None = None
@@ -94,7 +94,8 @@ class Clips:
     """Render on an existing Ray cluster: HOST:PORT, 'auto' or ray://HOST:PORT; a clip takes one core."""
 
     def run(self) -> None:
-        at_least_one(self, "count", "frames", "width", "height", "size", "spp", "max_depth", "workers", "chains", "repeats")
+        counts = "count", "frames", "width", "height", "size", "spp", "max_depth", "workers", "chains", "repeats"
+        at_least_one(self, *counts)
         not_negative(self, "seed", "reference_spp")
         if self.shots:
             self._cut()

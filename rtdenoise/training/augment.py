@@ -1,13 +1,15 @@
 """Augmentation: random flips, quarter turns, time reversal, tints and channel permutations of a clip, with its motion
-vectors; and moving light where there was none."""
+vectors; moving light and patterns of shadow where there were none."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from ..frame import Frame
 
@@ -16,6 +18,9 @@ _LIGHT = ("radiance", "components", "reference", "reference_half")
 _MOTIONS = ("motion", "motion_next")
 MAX_RELIGHT = 3.0  # stops between a patch of light and its surroundings, brighter or darker
 MAX_SPEED = 8.0  # of the patch, pixels a frame
+PERIODS = 4, 64  # of a pattern, pixels
+SOFTNESS = 0.5, 8  # of its edges, pixels
+MAX_SHADE = 7.0  # stops between its light and its shadow
 MAX_TINT = 0.5  # stops by which a colour channel of the light is brightened or darkened
 
 
@@ -54,6 +59,35 @@ def augment(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
 def _reordered(image: Tensor, order: Tensor) -> Tensor:
     """Each picture of `image` `[B, 3K, H, W]` with its colour channels in another order."""
     return image.unflatten(1, (-1, 3))[:, :, order].flatten(1, 2)
+
+
+def shade(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    """The clip with a pattern of shadow that no feature shows: stripes as of blinds, a grid as of a window, or spots as
+    of leaves.
+
+    Noise and reference are multiplied alike. Rendered sets have few such shadows, and without them a network learns
+    that detail is in the features alone: it wipes out the shadow of a blind that 64 samples show clearly. The pattern
+    stays where it is on the screen, so this is for single frames and still cameras.
+    """
+    H, W = frames[0].radiance.shape[2:]
+    y, x = torch.meshgrid(torch.linspace(-1, 1, H), torch.linspace(-1, 1, W), indexing="ij")
+    period = math.exp(rng.uniform(*np.log(PERIODS)))  # pixels
+    nearer = 1 + rng.uniform(-0.4, 0.4) * x + rng.uniform(-0.4, 0.4) * y  # in perspective
+    angle, kind = rng.uniform(0, math.pi), rng.integers(3)
+    u = (math.cos(angle) * x * W / 2 + math.sin(angle) * y * H / 2) / nearer
+    v = (math.cos(angle) * y * H / 2 - math.sin(angle) * x * W / 2) / nearer
+    if kind == 2:
+        coarse = (1, 1, max(2, round(H / period)), max(2, round(W / period)))
+        spots = torch.from_numpy(rng.standard_normal(coarse)).float()
+        wave = F.interpolate(spots, (H, W), mode="bicubic", align_corners=False)[0, 0]
+    else:
+        wave = torch.sin(2 * math.pi * u / period + rng.uniform(0, 7))
+        if kind == 1:
+            wave = torch.minimum(wave, torch.sin(2 * math.pi * v / period + rng.uniform(0, 7)))
+    steep = period / (2 * math.pi) / math.exp(rng.uniform(*np.log(SOFTNESS)))
+    lit = torch.sigmoid(4 * steep * (wave - rng.uniform(-0.5, 0.5)))
+    factor = 1 - (1 - 2.0 ** -rng.uniform(1, MAX_SHADE)) * lit
+    return [replace(f, **{k: t * factor for k in _LIGHT if (t := getattr(f, k)) is not None}) for f in frames]
 
 
 def relight(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:

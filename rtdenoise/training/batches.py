@@ -12,7 +12,7 @@ from ..data.clips import ClipDataset, estimated_signals
 from ..errors import InputError
 from ..frame import Frame, stack
 from ..models import COMBINERS, Window
-from .augment import augment, relight
+from .augment import augment, relight, shade
 from .config import TrainConfig, model_config
 
 Batch = Callable[[ClipDataset, TrainConfig, int, tuple[int, int]], Any]
@@ -92,6 +92,8 @@ def _clip(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place:
     reads = model_config(config).reads
     frames = data.load(index, signal=signal, size=config.size, frames=config.frames, rng=rng, layers=reads)
     frames = augment(frames, rng)
+    if len(frames) == 1 and rng.random() < config.shade:
+        return shade(frames, rng)
     return relight(frames, rng) if rng.random() < config.relight else frames
 
 

@@ -46,6 +46,8 @@ class TrainConfig:
     """Share of steps in which history is dropped at one frame, as at a cut."""
     relight: float = 0.0
     """Share of clips in which a patch of light or shadow that no feature shows moves or begins."""
+    shade: float = 0.0
+    """Share of single frames that a pattern of shadow falls on: stripes, a grid or spots that no feature shows."""
     loss_exposure: float = 1.0
     """The loss is taken on log(1 + loss_exposure · s · x), s the exposure of the reference."""
     huber: float = 0.0

@@ -162,7 +162,7 @@ def check(config: TrainConfig) -> None:
         raise InputError(f"lr: expected more than 0 and {MAX_LR:g} at most, got {config.lr}")
     if not 0 < config.loss_power <= 1:
         raise InputError(f"loss_power: expected more than 0 and 1 at most, got {config.loss_power}")
-    for name in ("cuts", "relight"):
+    for name in ("cuts", "relight", "shade"):
         if not 0 <= getattr(config, name) <= 1:
             raise InputError(f"{name}: expected a share from 0 to 1, got {getattr(config, name)}")
     if config.model not in (known := PRESETS | STILLS | COMBINERS):
