@@ -2,17 +2,18 @@
 
 python bench/held.py HELD... --weights default quality runs/mine/weights.safetensors
 
-HELD/spp01, HELD/spp04 ... hold the same clips at several sample counts (`combine_clips.py --held-out`), with references
-of independent samples in two halves. PSNR is corrected for the references' own noise, and taken at the display exposure
-and three stops to either side of it: dark pictures show deep shadows, bright ones what glows. This is the figure that
-steers training; `quality.py` has all metrics. Writes bench/results/held.json and tables of docs/results/held.md.
+HELD/spp01, HELD/spp04 ... hold clips or stills at several sample counts (`combine_clips.py --held-out`,
+`held_stills.py`), with references of independent samples in two halves. PSNR is corrected for the references' own
+noise, and taken at the display exposure and three stops to either side of it: dark pictures show deep shadows, bright
+ones what glows. This is the figure that steers training; `quality.py` has all metrics. Writes bench/results/held.json
+and tables of docs/results/held.md.
 """
 
 from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
@@ -32,6 +33,7 @@ from rtdenoise.models import load
 RESULT, PAGES = RESULTS / "held.json", (DOCS / "results" / "held.md",)
 SIGNALS = ("indirect", "color")
 LEVELS = (1, 4, 16, 64)
+KINDS = ("single", "later")
 STOPS = (0, 3, -3)  # exposures of the measure
 LATER = 3  # frames at the end of a clip that count as later ones
 LEAST = 1e-7  # squared error that a logarithm is taken of
@@ -39,7 +41,7 @@ LEAST = 1e-7  # squared error that a logarithm is taken of
 
 def main(
     held: tyro.conf.Positional[tuple[Path, ...]],
-    weights: tuple[str, ...] = ("fast", "default", "quality"),
+    weights: tuple[str, ...] = ("fast", "default", "quality", "many"),
     levels: tuple[int, ...] = LEVELS,
     write: bool = True,
 ) -> None:
@@ -78,41 +80,59 @@ def measured(folder: Path, level: int, weights: tuple[str, ...]) -> Iterator[dic
                     )
                     errors[kind, stops].append(exposed)
             yield {
-                "clip": f"{folder.name}/{clips.facts(index)['place']}", "signal": signal, "spp": level, "method": name,
-                "psnr": {f"{kind} {stops:+d}": decibels(max(LEAST, float(np.mean(errors[kind, stops]))))
-                         for kind in ("single", "later") for stops in STOPS},
+                "set": folder.name, "place": clips.facts(index)["place"], "clip": index, "signal": signal, "spp": level,
+                "method": name, "psnr": {f"{kind} {stops:+d}": decibels(max(LEAST, float(np.mean(found))))
+                                         for (kind, stops), found in errors.items() if kind in KINDS},
             }  # fmt: skip
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Sections `held` (leads over OIDN), `held-clips` (at 1 spp, clip by clip) and `held-exposures` (at 1 spp)."""
-    cells = {
-        (row["method"], row["spp"], row["signal"], row["clip"]): row["psnr"] for row in document["rows"]
-    }  # fmt: skip
-    clips = list(dict.fromkeys(row["clip"] for row in document["rows"]))
+    """Sections `held` (leads over OIDN), `held-scenes` (at the fewest samples, scene by scene) and `held-exposures`."""
+    sets = list(dict.fromkeys(row["set"] for row in document["rows"]))
+    levels = document["levels"]
+    columns = [(name, kind, spp) for name in sets for kind in KINDS for spp in levels]
+    columns = [c for c in columns if _leads(document, "oidn", *c, "indirect", 0)]
+    lines = _head(f"{kind}, {spp} spp<br>{name}" for name, kind, spp in columns)
+    exposures = _head(f"{kind}, ×{2.0**s:g}" for kind in KINDS for s in STOPS)
+    places = list(dict.fromkeys((row["set"], row["place"]) for row in document["rows"]))
+    scenes = _head(f"{place}<br>{name}" for name, place in places)
+    for method in document["weights"]:
+        label = f"`{method}`" if "/" not in method else f"`{Path(method).parent.name}`"
+        lines.append(_line(label, (_lead(document, method, *c) for c in columns)))
+        first = ((sets[0], kind, levels[0], s) for kind in KINDS for s in STOPS)
+        exposures.append(_line(label, (_lead(document, method, *c[:3], stops=c[3]) for c in first)))
+        for kind in KINDS:
+            found = (_lead(document, method, name, kind, levels[0], place=place) for name, place in places)
+            scenes.append(_line(f"{label}, {kind}", found))
+    return {name: "\n".join(text) for name, text in
+            {"held": lines, "held-exposures": exposures, "held-scenes": scenes}.items()}  # fmt: skip
 
-    def leads(name: str, spp: int, kind: str, signal: str) -> list[float]:
-        return [cells[name, spp, signal, c][kind] - cells["oidn", spp, signal, c][kind] for c in clips]
 
-    def lead(name: str, spp: int, kind: str) -> str:
-        return ", ".join(f"{np.mean(leads(name, spp, kind, s)):+.2f}" for s in SIGNALS)
+def _head(cells: Iterable[str]) -> list[str]:
+    cells = list(cells)
+    return [_line("", cells), "|---" * (len(cells) + 1) + "|"]
 
-    first = document["levels"][0]
-    heads = " | ".join(f"{kind}, {spp} spp" for kind in ("single", "later") for spp in document["levels"])
-    main = [f"| | {heads} |", "|---" * (2 * len(document["levels"]) + 1) + "|"]
-    exposures = ["| | " + " | ".join(f"{kind}, ×{2.0**s:g}" for kind in ("single", "later") for s in STOPS) + " |",
-                 "|---" * (2 * len(STOPS) + 1) + "|"]  # fmt: skip
-    by_clip = [f"| | {' | '.join(clips)} |", "|---" * (len(clips) + 1) + "|"]
-    for name in document["weights"]:
-        label = f"`{name}`" if "/" not in name else f"`{Path(name).parent.name}`"
-        values = [lead(name, spp, f"{kind} +0") for kind in ("single", "later") for spp in document["levels"]]
-        main.append(f"| {label} | {' | '.join(values)} |")
-        values = [lead(name, first, f"{kind} {s:+d}") for kind in ("single", "later") for s in STOPS]
-        exposures.append(f"| {label} | {' | '.join(values)} |")
-        for kind in ("single", "later"):
-            both = zip(*(leads(name, first, f"{kind} +0", s) for s in SIGNALS), strict=True)
-            by_clip.append(f"| {label}, {kind} | {' | '.join(f'{a:+.2f}, {b:+.2f}' for a, b in both)} |")
-    return {"held": "\n".join(main), "held-exposures": "\n".join(exposures), "held-clips": "\n".join(by_clip)}
+
+def _line(label: str, cells: Iterable[str]) -> str:
+    return f"| {label} | {' | '.join(cells)} |"
+
+
+def _lead(document: dict, method: str, *place, **where) -> str:
+    stops, scene = where.get("stops", 0), where.get("place")
+    both = [_leads(document, method, *place, signal, stops, scene) for signal in SIGNALS]
+    return ", ".join(f"{np.mean(found):+.2f}" for found in both if found)
+
+
+def _leads(
+    document: dict, method: str, name: str, kind: str, spp: int, signal: str, stops: int, place: str | None = None
+) -> list[float]:
+    """dB over OIDN of a method, clip by clip."""
+    found: dict[str, dict[int, float]] = {method: {}, "oidn": {}}
+    for row in document["rows"]:
+        here = (row["set"], row["spp"], row["signal"]) == (name, spp, signal) and place in (None, row["place"])
+        if here and row["method"] in found and (key := f"{kind} {stops:+d}") in row["psnr"]:
+            found[row["method"]][row["clip"]] = row["psnr"][key]
+    return [value - found["oidn"][clip] for clip, value in found[method].items()]
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from synthetic import TINY, make_frames, write_clips
 
-from rtdenoise.data.clips import RADIANCE, ClipDataset, clip_path, write_clip
+from rtdenoise.data.clips import RADIANCE, ClipDataset, clip_path, read_layers, write_clip
 from rtdenoise.errors import InputError
 from rtdenoise.files import dumps
 from rtdenoise.frame import stack
@@ -264,6 +264,16 @@ def test_every_second_step_takes_stills(config, other_clips):
         train(replace(config, model="combiner", frames=5))
     with pytest.raises(InputError, match="scenes that are in the training clips too"):
         train(replace(config, val=other_clips))
+
+
+def test_clips_of_few_samples_are_left_out(tmp_path, config):
+    layers = {n: layer[0].transpose(1, 2, 0) for n, layer in read_layers(ClipDataset(*config.data).paths[0]).items()}
+    for index, spp in enumerate((1, 4, 16)):
+        write_clip(clip_path(tmp_path, index), [layers], {"spp": spp})
+    found = [len(TrainingSet.open(replace(config, data=(tmp_path,), least_spp=n)).clips) for n in (1, 4, 16)]
+    assert found == [3, 2, 1]
+    with pytest.raises(InputError, match="no clip has 32 samples a pixel"):
+        TrainingSet.open(replace(config, data=(tmp_path,), least_spp=32))
 
 
 def test_the_root_of_the_loss_weighs_clips_of_small_errors_more(config):

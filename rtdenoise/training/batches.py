@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..data.clips import ClipDataset, estimated_signals
+from ..data.clips import ClipDataset, estimated_signals, read_facts
 from ..errors import InputError
 from ..frame import Frame, stack
 from ..models import COMBINERS, Window
@@ -30,8 +31,9 @@ class TrainingSet:
 
     @classmethod
     def open(cls, config: TrainConfig) -> TrainingSet:
-        """Raises InputError for folders without clips."""
-        return cls(ClipDataset(*config.data), ClipDataset(*config.stills) if config.stills else None)
+        """Raises InputError for folders without clips, or without any of `config.least_spp`."""
+        least = config.least_spp
+        return cls(_opened(config.data, least), _opened(config.stills, least) if config.stills else None)
 
     def scenes(self) -> set[str]:
         """As `ClipDataset.scenes`."""
@@ -45,6 +47,16 @@ class TrainingSet:
         if not of_stills:
             return take(self.clips, config, turn, share)
         return take(self.stills, replace(config, batch=config.batch * config.frames, frames=1), turn, share)
+
+
+def _opened(folders: tuple[Path, ...], least_spp: int) -> ClipDataset:
+    """The clips of at least so many samples a pixel."""
+    data = ClipDataset(*folders)
+    if least_spp > 1:
+        data.paths = [path for path in data.paths if read_facts(path).get("spp", 1) >= least_spp]
+    if not data.paths:
+        raise InputError(f"{folders[0]}: no clip has {least_spp} samples a pixel; expected a lower --least-spp")
+    return data
 
 
 def clips(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> list[Frame]:

@@ -21,6 +21,8 @@ class TrainConfig:
     stills: tuple[Path, ...] = ()
     """Folders of single frames, `rtdenoise clips --assets DIR --frames 1`: every second step takes these, `batch` times
     `frames` of them. With --data alone every step takes clips."""
+    least_spp: int = 1
+    """Clips and stills of fewer samples a pixel are left out."""
     val: Path | None = None
     """Folder of validation clips, of other scenes than the training ones."""
     init: Path | None = None

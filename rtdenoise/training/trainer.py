@@ -151,7 +151,7 @@ def _initial(config: TrainConfig, wanted: Config) -> Denoiser | Combiner:
 
 def check(config: TrainConfig) -> None:
     """Raise InputError for impossible options."""
-    for name in ("steps", "batch", "frames", "size", "validate_every", "warmup"):
+    for name in ("steps", "batch", "frames", "size", "validate_every", "warmup", "least_spp"):
         if getattr(config, name) < 1:
             raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
         if getattr(config, name) > MOST:
