@@ -12,6 +12,7 @@ and tables of docs/results/held.md.
 from __future__ import annotations
 
 import sys
+import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -70,9 +71,11 @@ def measured(folder: Path, level: int, weights: tuple[str, ...]) -> Iterator[dic
         frames = clips.load(index, signal=signal)
         scale = display_exposure(torch.cat([frame.reference for frame in frames]))
         for name, method in methods.items():
-            errors, history = defaultdict(list), None
+            errors, history, seconds = defaultdict(list), None, []
             for number, frame in enumerate(frames):
+                started = time.process_time()
                 image, history = method.step(frame, history)
+                seconds.append(time.process_time() - started)
                 kind = "single" if number == 0 else "later" if number >= len(frames) - LATER else "between"
                 for stops in STOPS:
                     exposed = mse_corrected(
@@ -81,8 +84,9 @@ def measured(folder: Path, level: int, weights: tuple[str, ...]) -> Iterator[dic
                     errors[kind, stops].append(exposed)
             yield {
                 "set": folder.name, "place": clips.facts(index)["place"], "clip": index, "signal": signal, "spp": level,
-                "method": name, "psnr": {f"{kind} {stops:+d}": decibels(max(LEAST, float(np.mean(found))))
-                                         for (kind, stops), found in errors.items() if kind in KINDS},
+                "method": name, "seconds": float(np.median(seconds)),
+                "psnr": {f"{kind} {stops:+d}": decibels(max(LEAST, float(np.mean(found))))
+                         for (kind, stops), found in errors.items() if kind in KINDS},
             }  # fmt: skip
 
 
@@ -92,13 +96,14 @@ def tables(document: dict) -> dict[str, str]:
     levels = document["levels"]
     columns = [(name, kind, spp) for name in sets for kind in KINDS for spp in levels]
     columns = [c for c in columns if _leads(document, "oidn", *c, "indirect", 0)]
-    lines = _head(f"{kind}, {spp} spp<br>{name}" for name, kind, spp in columns)
+    lines = _head([*(f"{kind}, {spp} spp<br>{name}" for name, kind, spp in columns), "CPU time"])
     exposures = _head(f"{kind}, ×{2.0**s:g}" for kind in KINDS for s in STOPS)
     places = list(dict.fromkeys((row["set"], row["place"]) for row in document["rows"]))
     scenes = _head(f"{place}<br>{name}" for name, place in places)
     for method in document["weights"]:
         label = f"`{method}`" if "/" not in method else f"`{Path(method).parent.name}`"
-        lines.append(_line(label, (_lead(document, method, *c) for c in columns)))
+        slower = _seconds(document, method) / _seconds(document, "oidn")
+        lines.append(_line(label, [*(_lead(document, method, *c) for c in columns), f"{slower:.2f}×"]))
         first = ((sets[0], kind, levels[0], s) for kind in KINDS for s in STOPS)
         exposures.append(_line(label, (_lead(document, method, *c[:3], stops=c[3]) for c in first)))
         for kind in KINDS:
@@ -106,6 +111,10 @@ def tables(document: dict) -> dict[str, str]:
             scenes.append(_line(f"{label}, {kind}", found))
     return {name: "\n".join(text) for name, text in
             {"held": lines, "held-exposures": exposures, "held-scenes": scenes}.items()}  # fmt: skip
+
+
+def _seconds(document: dict, method: str) -> float:
+    return sum(row["seconds"] for row in document["rows"] if row["method"] == method)
 
 
 def _head(cells: Iterable[str]) -> list[str]:

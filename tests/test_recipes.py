@@ -24,19 +24,23 @@ def printed(model, **environment):
     return [shlex.split(line) for line in result.stdout.splitlines()]
 
 
+def folders_of(config):
+    return *config.data, *config.stills, *([config.val] if config.val else [])
+
+
 def parsed(commands):
     """The options of the training runs among the commands; others must make the clips of these runs."""
     commands = [parse(words[1:]) for words in commands]  # exits at an unknown option
     trained = [command.config for command in commands if hasattr(command, "config")]
     rendered = {str(command.out) for command in commands if not hasattr(command, "config")}
-    assert {str(folder) for config in trained for folder in (*config.data, config.val)} <= rendered
+    assert {str(folder) for config in trained for folder in folders_of(config)} <= rendered
     return trained
 
 
-@pytest.mark.parametrize("model", ["default", "fast", "quality"])
+@pytest.mark.parametrize("model", ["default", "fast", "quality", "many"])
 def test_the_recipe_is_that_of_the_weights(model):
-    *commands, ship = printed(model, SCENES="scenes")
-    assert ship[-2:] == [f"runs/{model}-last/weights.safetensors", model]
+    *commands, ship = printed(model, SCENES="scenes", ASSETS="library")
+    assert ship[2:4] == [f"runs/{model}-last/weights.safetensors", model]
     trained = parsed(commands)
     for before, config in pairwise(trained):
         assert config.init == before.out / "weights.safetensors"
@@ -69,7 +73,8 @@ def test_scene_files_are_used_only_where_a_folder_is_named():
 
 def test_a_model_without_a_recipe_is_refused():
     result = subprocess.run(["sh", RECIPE, "paper"], capture_output=True, text=True)
-    assert result.returncode == 2 and result.stderr == "expected default, fast, quality or settings, got 'paper'\n"
+    assert result.returncode == 2
+    assert result.stderr == "expected default, fast, quality, many or settings, got 'paper'\n"
 
 
 def test_the_gpu_check_needs_a_gpu(tmp_path):

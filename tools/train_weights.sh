@@ -1,5 +1,5 @@
 #!/bin/sh
-# Make the weights that ship, from the first clip on:  sh tools/train_weights.sh default|fast|quality [cpu|cuda]
+# Make the weights that ship, from the first clip on:  sh tools/train_weights.sh default|fast|quality|many [cpu|cuda]
 # `settings` instead of a model trains the paper's settings A, B and C, which docs/results/quality.md compares, into
 # runs/paper-A, -B and -C.
 #
@@ -13,15 +13,19 @@
 #   PROCESSES=2     trains in two processes
 #   SCENES=FOLDER   scene files, FOLDER/NAME/scene.xml (docs/reference/models/default.md names them); without them generated
 #                   scenes take their place
+#   ASSETS=FOLDER   for `many`: a library of assets with its index.json
 #   DRY=1           prints the commands and runs none
 set -eu
 cd "$(dirname "$0")/.."
 trap 'exit 143' TERM # after the running command has written its checkpoint
 model=${1:-} device=${2:-cpu}
 case $model in
-    default | fast | quality | settings) ;;
-    *) echo "expected default, fast, quality or settings, got '$model'" >&2; exit 2 ;;
+    default | fast | quality | many | settings) ;;
+    *) echo "expected default, fast, quality, many or settings, got '$model'" >&2; exit 2 ;;
 esac
+if [ "$model" = many ] && [ -z "${ASSETS:-}" ]; then
+    echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2
+fi
 
 run() {
     echo "$*"
@@ -39,6 +43,18 @@ clips() { # NAME OPTIONS...: clips into data/NAME, and with cleaned references i
 wide="--generator 2"
 noisy="--reference-error 0.2"
 files=${SCENES:+--scenes $SCENES --motions examples/motions}
+if [ "$model" = many ]; then # from the weights of default that ship
+    library="--assets $ASSETS $files --size 192 --frames 1 --reference-error 0.5"
+    clips stills $library --count 195
+    clips more-stills $library --count 183 --seed 1
+    clips samples8 --count 32 --spp 8 --frames 9 --seed 52000 $noisy --sun 0.4 --calm 0.2 $files
+    run rtdenoise train --out runs/many-last --model default --set detail=true --device "$device" \
+        --data data/samples8-clean --stills data/stills-clean data/more-stills-clean --least-spp 4 \
+        --init rtdenoise/weights/default.safetensors --signal both --loss-exposure 4 --huber 0.2 --loss-power 0.5 \
+        --frames 8 --batch 1 --lr 1e-3 --warmup 50 --steps 6000 --cuts 0.3 --shade 0.3
+    run python tools/ship_weights.py runs/many-last/weights.safetensors many default 0.35
+    exit
+fi
 two=${SCENES:+--exclude street dining-room} # of the other scenes this set shows three, none of the measured ones
 run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128
 if [ "$model" = settings ]; then

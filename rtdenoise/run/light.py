@@ -77,7 +77,7 @@ class LightBackend:
 
         self.network = inner.network
         if not isinstance(self.network, AccumulatedKPN):
-            raise InputError(f"{told}: goes with --model default, fast or quality, which divide light by its colour")
+            raise InputError(f"{told}: goes with --model default, many, fast or quality, which filter irradiance")
         self._inner, self._passes, self._each = inner, passes, each
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
         self._left_out: dict[str, int] | None = None

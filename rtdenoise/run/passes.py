@@ -46,8 +46,8 @@ class Passes:
         """Raises InputError for a model that keeps no running mean, and what loading it raises."""
         self.backend = TorchBackend(model, device, precision)
         if "mean" not in self.backend.config.carries:
-            raise InputError(f"--offline: model {model!r} does not average light over time; choose default, fast or "
-                             "quality")  # fmt: skip
+            raise InputError(f"--offline: model {model!r} does not average light over time; choose default, many, "
+                             "fast or quality")  # fmt: skip
         self.has_oidn = importlib.util.find_spec("pyoidn") is not None
         self._second, self._averaged = Oidn(prefilter=True), Oidn()
 
