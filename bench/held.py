@@ -94,23 +94,32 @@ def tables(document: dict) -> dict[str, str]:
     """Sections `held` (leads over OIDN), `held-scenes` (at the fewest samples, scene by scene) and `held-exposures`."""
     sets = list(dict.fromkeys(row["set"] for row in document["rows"]))
     levels = document["levels"]
-    columns = [(name, kind, spp) for name in sets for kind in KINDS for spp in levels]
-    columns = [c for c in columns if _leads(document, "oidn", *c, "indirect", 0)]
-    lines = _head([*(f"{kind}, {spp} spp<br>{name}" for name, kind, spp in columns), "CPU time"])
+    lines = []
+    for name in sets:
+        columns = [(name, kind, spp) for kind in KINDS for spp in levels]
+        columns = [c for c in columns if _leads(document, "oidn", *c, "indirect", 0)]
+        lines += [f"`{name}`", "", *_head([*(f"{kind}, {spp} spp" for _, kind, spp in columns), "CPU time"])]
+        for method in document["weights"]:
+            slower = _seconds(document, method) / _seconds(document, "oidn")
+            leads = (_lead(document, method, *c) for c in columns)
+            lines.append(_line(_label(method), [*leads, f"{slower:.2f}×"]))
+        lines.append("")
     exposures = _head(f"{kind}, ×{2.0**s:g}" for kind in KINDS for s in STOPS)
     places = list(dict.fromkeys((row["set"], row["place"]) for row in document["rows"]))
     scenes = _head(f"{place}<br>{name}" for name, place in places)
     for method in document["weights"]:
-        label = f"`{method}`" if "/" not in method else f"`{Path(method).parent.name}`"
-        slower = _seconds(document, method) / _seconds(document, "oidn")
-        lines.append(_line(label, [*(_lead(document, method, *c) for c in columns), f"{slower:.2f}×"]))
+        label = _label(method)
         first = ((sets[0], kind, levels[0], s) for kind in KINDS for s in STOPS)
         exposures.append(_line(label, (_lead(document, method, *c[:3], stops=c[3]) for c in first)))
         for kind in KINDS:
             found = (_lead(document, method, name, kind, levels[0], place=place) for name, place in places)
             scenes.append(_line(f"{label}, {kind}", found))
-    return {name: "\n".join(text) for name, text in
+    return {name: "\n".join(text).strip() for name, text in
             {"held": lines, "held-exposures": exposures, "held-scenes": scenes}.items()}  # fmt: skip
+
+
+def _label(method: str) -> str:
+    return f"`{method}`" if "/" not in method else Path(method).parent.name
 
 
 def _seconds(document: dict, method: str) -> float:
