@@ -12,7 +12,7 @@ import numpy as np
 from ..data.clips import ClipDataset, estimated_signals, read_facts
 from ..errors import InputError
 from ..frame import Frame, stack
-from ..models import COMBINERS, Window
+from ..models import Window
 from .augment import augment, relight, shade
 from .config import TrainConfig, model_config
 
@@ -81,7 +81,7 @@ def windows(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int,
     )
     window = Window(tuple(frames), tuple(frame.radiance for frame in estimates))
     rng = np.random.default_rng([config.seed, step])
-    return _shortened(window, COMBINERS[config.model].current, rng) if rng.random() < MISSING_SHARE else window
+    return _shortened(window, model_config(config).current, rng) if rng.random() < MISSING_SHARE else window
 
 
 def _places(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, int]) -> list[tuple[int, int, int]]:
