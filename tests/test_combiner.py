@@ -32,6 +32,7 @@ from rtdenoise.models import (
 )
 from rtdenoise.models import combiner as module
 from rtdenoise.models.window import comparable, two_step
+from rtdenoise.training.batches import windows
 from rtdenoise.training.config import TrainConfig
 from rtdenoise.training.trainer import Trainer
 
@@ -330,6 +331,18 @@ def test_training_corrects_the_estimate(clips, tmp_path, monkeypatch):
     assert sum(row["loss"] for row in rows[-10:]) < 0.99 * sum(row["loss"] for row in rows[:10])
     found = trainer.task.validate(trainer.average, data, config)
     assert found.keys() == {"estimate", "denoised"}
+
+
+def test_windows_of_any_length_keep_their_current_frame(clips):
+    for settings, count, current in (((), 5, 2), (("frames=1",), 1, 0), (("frames=3",), 3, 1)):
+        config = TrainConfig(
+            data=(clips,), out=clips, model="combiner", set=settings, estimates=("svgf",), signal="color",
+            frames=count, size=16, batch=1, amp=False,
+        )  # fmt: skip
+        if count <= len(ClipDataset(clips).load(0)):
+            found = [windows(ClipDataset(clips), config, step) for step in range(40)]
+            assert all(window.frames[current] is not None for window in found)
+            assert count == 1 or any(None in window.frames for window in found)
 
 
 def test_a_run_with_another_number_of_frames_is_refused(tmp_path):
