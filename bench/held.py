@@ -28,12 +28,14 @@ import tyro
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
+from rtdenoise.evaluate.sequence import Step, outputs
 from rtdenoise.metrics.image import decibels, mse_corrected
 from rtdenoise.models import load
+from rtdenoise.run.passes import InMemory, Passes
 
 RESULT, PAGES = RESULTS / "held.json", (DOCS / "results" / "held.md",)
 SIGNALS = ("indirect", "color")
-LEVELS = (1, 4, 16, 64)
+LEVELS = (1, 4, 8, 16, 64)
 KINDS = ("single", "later")
 STOPS = (0, 3, -3)  # exposures of the measure
 LATER = 3  # frames at the end of a clip that count as later ones
@@ -42,7 +44,7 @@ LEAST = 1e-7  # squared error that a logarithm is taken of
 
 def main(
     held: tyro.conf.Positional[tuple[Path, ...]],
-    weights: tuple[str, ...] = ("fast", "default", "quality", "many"),
+    weights: tuple[str, ...] = ("fast", "default", "quality", "many", "default+offline", "many+offline"),
     levels: tuple[int, ...] = LEVELS,
     write: bool = True,
 ) -> None:
@@ -50,11 +52,12 @@ def main(
 
     Args:
         held: Folders with a folder of clips for each sample count.
-        weights: Names of shipped weights, or files.
-        levels: Sample counts.
+        weights: Names of shipped weights, NAME+offline for both directions in time, or files.
+        levels: Sample counts; those that a folder lacks are left out.
         write: Write the JSON and the tables; off: only print them.
     """
-    rows = [row for folder in held for level in levels for row in measured(folder, level, weights)]
+    places = [(folder, level) for folder in held for level in levels if (folder / f"spp{level:02d}").is_dir()]
+    rows = [row for place in places for row in measured(*place, weights)]
     document = {"weights": list(weights), "levels": list(levels), "rows": rows}
     for section in tables(document).values():
         print(section, end="\n\n")
@@ -66,16 +69,15 @@ def main(
 def measured(folder: Path, level: int, weights: tuple[str, ...]) -> Iterator[dict]:
     """A row for every clip, signal and method: corrected PSNR of single and of later frames, by exposure."""
     clips = ClipDataset(folder / f"spp{level:02d}")
-    methods = {"oidn": Oidn()} | {name: load(name, precision="fp32") for name in weights}
+    methods = {"oidn": (Oidn().step, 0)} | {name: opened(name) for name in weights}
     for index, signal in ((i, s) for i in range(len(clips)) for s in SIGNALS):
         frames = clips.load(index, signal=signal)
         scale = display_exposure(torch.cat([frame.reference for frame in frames]))
-        for name, method in methods.items():
-            errors, history, seconds = defaultdict(list), None, []
-            for number, frame in enumerate(frames):
-                started = time.process_time()
-                image, history = method.step(frame, history)
-                seconds.append(time.process_time() - started)
+        for name, (step, delay) in methods.items():
+            errors, started = defaultdict(list), time.process_time()
+            images = [output.image for output in outputs(step, frames, delay)]
+            seconds = (time.process_time() - started) / len(frames)
+            for number, (frame, image) in enumerate(zip(frames, images, strict=True)):
                 kind = "single" if number == 0 else "later" if number >= len(frames) - LATER else "between"
                 for stops in STOPS:
                     exposed = mse_corrected(
@@ -84,10 +86,18 @@ def measured(folder: Path, level: int, weights: tuple[str, ...]) -> Iterator[dic
                     errors[kind, stops].append(exposed)
             yield {
                 "set": folder.name, "place": clips.facts(index)["place"], "clip": index, "signal": signal, "spp": level,
-                "method": name, "seconds": float(np.median(seconds)),
+                "method": name, "seconds": seconds,
                 "psnr": {f"{kind} {stops:+d}": decibels(max(LEAST, float(np.mean(found))))
                          for (kind, stops), found in errors.items() if kind in KINDS},
             }  # fmt: skip
+
+
+def opened(name: str) -> tuple[Step, int]:
+    """The step of NAME, or of NAME+offline, and its delay."""
+    model, _, offline = name.partition("+")
+    if offline:
+        return InMemory(Passes(model, "cpu", "fp32")).step, InMemory.delay
+    return load(model, precision="fp32").step, 0
 
 
 def tables(document: dict) -> dict[str, str]:
