@@ -1,10 +1,10 @@
 """What do the parts of the deep residual combiner gain? The paper's ablations: pyramid, frames, residuals as input.
 
-python bench/combine_ablation.py HELD --data CLIPS ... [--steps 300]
+python bench/combine_ablation.py HELD ... --data CLIPS ... [--steps 300]
 
 Trains every variant of `combiner` with two seeds for the same number of steps on CLIPS (`combine_clips.py`, several
 sample counts, `rtdenoise estimates` beside them), then measures them on HELD as `combine.py` does: the geometric mean
-of a combiner's corrected MSE over that of the denoised frames. Runs are kept in --runs and resumed. Writes
+of a combiner's corrected MSE over that of the denoised frames. Runs are kept in --runs; finished ones are taken. Writes
 bench/results/combine_ablation.json and a table of docs/results/combine.md.
 """
 
@@ -21,7 +21,8 @@ import tyro
 
 from bench.combine import measure, summary
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.models import load_combiner
+from rtdenoise.models import COMBINERS, load_combiner
+from rtdenoise.models.presets import with_settings
 from rtdenoise.training.config import TrainConfig
 from rtdenoise.training.loop import WEIGHTS, train
 
@@ -40,7 +41,7 @@ VARIANTS = {
 
 def main(
     held: tyro.conf.Positional[tuple[Path, ...]],
-    data: tuple[Path, ...] = (),
+    data: tuple[Path, ...],
     runs: Path = ROOT / "data" / "combiner-runs",
     steps: int = 300,
     seeds: int = 2,
@@ -50,20 +51,21 @@ def main(
 
     Args:
         held: Folders with a folder of clips for each sample count, of scenes that are not in --data.
-        data: Folders of training clips; none: measure the runs that are there.
+        data: Folders of training clips.
         runs: Folder of the runs.
         steps: Of each training.
         seeds: Trainings of each variant.
         levels: Sample counts to measure.
     """
     names = [f"{name}.{seed}" for seed in range(seeds) for name in VARIANTS]
-    for name in names if data else ():
+    networks = {}
+    for name in names:
         train(config_of(name, data, runs / name, steps))
+        networks[name] = load_combiner(runs / name / WEIGHTS, precision="fp32")
         print(name, flush=True)
-    networks = {n: load_combiner(runs / n / WEIGHTS, precision="fp32") for n in names if (runs / n / WEIGHTS).is_file()}
     rows = [row for folder in held for row in measure(folder, ("oidn", "default"), networks, levels)]
-    clips = ClipDataset(*data) if data else ()
-    document = {"steps": steps, "clips": len(clips), "scenes": len(clips.scenes()) if data else 0}
+    clips = ClipDataset(*data)
+    document = {"steps": steps, "clips": len(clips), "scenes": len(clips.scenes())}
     harness.publish(RESULT, document | {"summary": summary(rows), "rows": rows}, digits=4, pages=PAGES, tables=tables)
 
 
@@ -71,10 +73,10 @@ def config_of(name: str, data: tuple[Path, ...], run: Path, steps: int) -> Train
     """The training of the variant and seed NAME.SEED."""
     variant, seed = name.rsplit(".", 1)
     settings = (*BASE, *VARIANTS[variant][1])
-    frames = 1 if "frames=1" in settings else 5
     return TrainConfig(
-        data=data, out=run, model="combiner", set=settings, signal="both", frames=frames, batch=4, size=96,
-        steps=steps, lr=1e-3, warmup=20, optimiser="muon", seed=int(seed),
+        data=data, out=run, model="combiner", set=settings, signal="both",
+        frames=with_settings(COMBINERS["combiner"], settings).frames, batch=4, size=96, steps=steps, lr=1e-3,
+        warmup=20, optimiser="muon", seed=int(seed),
     )  # fmt: skip
 
 

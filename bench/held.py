@@ -57,7 +57,8 @@ def main(
         write: Write the JSON and the tables; off: only print them.
     """
     places = [(folder, level) for folder in held for level in levels if (folder / f"spp{level:02d}").is_dir()]
-    rows = [row for place in places for row in measured(*place, weights)]
+    methods = {"oidn": (Oidn().step, 0)} | {name: opened(name) for name in weights}
+    rows = [row for place in places for row in measured(*place, methods)]
     document = {"weights": list(weights), "levels": list(levels), "rows": rows}
     for section in tables(document).values():
         print(section, end="\n\n")
@@ -66,10 +67,9 @@ def main(
 
 
 @torch.inference_mode()
-def measured(folder: Path, level: int, weights: tuple[str, ...]) -> Iterator[dict]:
+def measured(folder: Path, level: int, methods: dict[str, tuple[Step, int]]) -> Iterator[dict]:
     """A row for every clip, signal and method: corrected PSNR of single and of later frames, by exposure."""
     clips = ClipDataset(folder / f"spp{level:02d}")
-    methods = {"oidn": (Oidn().step, 0)} | {name: opened(name) for name in weights}
     for index, signal in ((i, s) for i in range(len(clips)) for s in SIGNALS):
         frames = clips.load(index, signal=signal)
         scale = display_exposure(torch.cat([frame.reference for frame in frames]))
@@ -119,8 +119,8 @@ def tables(document: dict) -> dict[str, str]:
     scenes = _head(f"{place}<br>{name}" for name, place in places)
     for method in document["weights"]:
         label = _label(method)
-        first = ((sets[0], kind, levels[0], s) for kind in KINDS for s in STOPS)
-        exposures.append(_line(label, (_lead(document, method, *c[:3], stops=c[3]) for c in first)))
+        first = ((sets[0], kind, levels[0], stops) for kind in KINDS for stops in STOPS)
+        exposures.append(_line(label, (_lead(document, method, *c) for c in first)))
         for kind in KINDS:
             found = (_lead(document, method, name, kind, levels[0], place=place) for name, place in places)
             scenes.append(_line(f"{label}, {kind}", found))
@@ -145,9 +145,8 @@ def _line(label: str, cells: Iterable[str]) -> str:
     return f"| {label} | {' | '.join(cells)} |"
 
 
-def _lead(document: dict, method: str, *place, **where) -> str:
-    stops, scene = where.get("stops", 0), where.get("place")
-    both = [_leads(document, method, *place, signal, stops, scene) for signal in SIGNALS]
+def _lead(document: dict, method: str, name: str, kind: str, spp: int, stops: int = 0, place: str | None = None) -> str:
+    both = [_leads(document, method, name, kind, spp, signal, stops, place) for signal in SIGNALS]
     return ", ".join(f"{np.mean(found):+.2f}" for found in both if found)
 
 

@@ -2,14 +2,13 @@
 
 python bench/held_stills.py --out DIR --scenes SCENES --assets LIBRARY [--motions examples/motions]
 
-DIR/spp01, DIR/spp04 ... hold a still each for every scene and for as many cameras as asked for. Cameras, windows and
-exposures are those of `rtdenoise clips --assets`; the library is not shown.
+DIR/spp01, DIR/spp04 ... hold --count stills of every scene, each level other ones. Cameras, windows and exposures are
+those of `rtdenoise clips --assets`; the library is not shown.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
@@ -49,21 +48,24 @@ def main(
     """
     start_mitsuba(1)
     draw.FILE_SHARE = 1.0  # scene files alone
+    scene_clips.draw_samples = lambda options, rng: options.spp
     files = [pair for pair in find_scenes(scenes, motions, ()) if Path(pair[0]).parent.name in HELD_OUT]
     for level in levels:
         folder = out / f"spp{level:02d}"
         folder.mkdir(parents=True, exist_ok=True)
-        scene_clips.draw_samples = lambda options, rng: options.spp
         for number, file in enumerate(files):
+            paths = [clip_path(folder, number * count + i) for i in range(count)]
+            if all(path.exists() for path in paths):
+                continue
             options = ClipOptions(
-                count, (size, size), 1, seed + number, level, 0.01, reference, workers=1, scenes=(file,),
+                count, (size, size), 1, seed + number + 10 * level, level, 0.01, reference, workers=1, scenes=(file,),
                 assets=str(assets),
             )  # fmt: skip
             part = out / f"{level}-{number}"
             part.mkdir(exist_ok=True)
-            scene_clips.render_group(part, 0, replace(options, seed=options.seed + 10 * level))
-            for i in range(count):
-                clip_path(part, i).replace(clip_path(folder, number * count + i))
+            scene_clips.render_group(part, 0, options)
+            for i, path in enumerate(paths):
+                clip_path(part, i).replace(path)
             part.rmdir()
 
 

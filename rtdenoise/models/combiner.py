@@ -108,7 +108,7 @@ class Combiner(nn.Module):
         channels = []
         for one in aligned:
             if one is None:
-                count = 10 if self.config.residual_input else 7
+                count = self.config.of_each_frame
                 channels.append(frame.radiance.new_zeros(*frame.radiance.shape[:1], count, *frame.size))
                 continue
             light = torch.log1p(scale * torch.cat([one.noisy, one.estimate], 1).clamp(min=0))

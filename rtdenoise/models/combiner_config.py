@@ -59,10 +59,14 @@ class CombinerConfig(NetworkConfig):
         return self.offsets.index(0)
 
     @property
+    def of_each_frame(self) -> int:
+        """Input channels of each frame: y 3, z 3, if asked for residual 3, validity 1."""
+        return 10 if self.residual_input else 7
+
+    @property
     def features(self) -> int:
-        """Input channels: of each frame y 3, z 3, if asked for residual 3, validity 1; albedo 3, normal 3, nearness 1
-        of the current one; statistics 13."""
-        return (10 if self.residual_input else 7) * self.frames + 7 + (13 if self.statistics else 0)
+        """Input channels: those of each frame; albedo 3, normal 3, nearness 1 of the current one; statistics 13."""
+        return self.of_each_frame * self.frames + 7 + (13 if self.statistics else 0)
 
     @property
     def heads(self) -> tuple[tuple[Head, ...], ...]:
