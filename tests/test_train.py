@@ -266,14 +266,19 @@ def test_every_second_step_takes_stills(config, other_clips):
         train(replace(config, val=other_clips))
 
 
-def test_clips_of_few_samples_are_left_out(tmp_path, config):
+def test_clips_of_too_few_or_too_many_samples_are_left_out(tmp_path, config):
     layers = {n: layer[0].transpose(1, 2, 0) for n, layer in read_layers(ClipDataset(*config.data).paths[0]).items()}
     for index, spp in enumerate((1, 4, 16)):
         write_clip(clip_path(tmp_path, index), [layers], {"spp": spp})
-    found = [len(TrainingSet.open(replace(config, data=(tmp_path,), least_spp=n)).clips) for n in (1, 4, 16)]
-    assert found == [3, 2, 1]
-    with pytest.raises(InputError, match="no clip has 32 samples a pixel"):
-        TrainingSet.open(replace(config, data=(tmp_path,), least_spp=32))
+    config = replace(config, data=(tmp_path,), val=None)
+    ranges = {(1, None): 3, (4, None): 2, (16, None): 1, (1, 1): 1, (1, 4): 2, (4, 15): 1}
+    found = {spp: len(TrainingSet.open(replace(config, least_spp=spp[0], most_spp=spp[1])).clips) for spp in ranges}
+    assert found == ranges
+    for spp, told in (((32, None), "no clip has 32 and more samples"), ((5, 8), "no clip has 5 to 8 samples")):
+        with pytest.raises(InputError, match=told):
+            TrainingSet.open(replace(config, least_spp=spp[0], most_spp=spp[1]))
+    with pytest.raises(InputError, match="most_spp: expected 4"):
+        train(replace(config, least_spp=4, most_spp=2))
 
 
 def test_the_root_of_the_loss_weighs_clips_of_small_errors_more(config):

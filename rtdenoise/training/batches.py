@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,9 +32,9 @@ class TrainingSet:
 
     @classmethod
     def open(cls, config: TrainConfig) -> TrainingSet:
-        """Raises InputError for folders without clips, or without any of `config.least_spp`."""
-        least = config.least_spp
-        return cls(_opened(config.data, least), _opened(config.stills, least) if config.stills else None)
+        """Raises InputError for folders without clips, or without any of `config.least_spp` to `config.most_spp`."""
+        spp = config.least_spp, config.most_spp
+        return cls(_opened(config.data, *spp), _opened(config.stills, *spp) if config.stills else None)
 
     def scenes(self) -> set[str]:
         """As `ClipDataset.scenes`."""
@@ -49,13 +50,15 @@ class TrainingSet:
         return take(self.stills, replace(config, batch=config.batch * config.frames, frames=1), turn, share)
 
 
-def _opened(folders: tuple[Path, ...], least_spp: int) -> ClipDataset:
-    """The clips of at least so many samples a pixel."""
+def _opened(folders: tuple[Path, ...], least_spp: int, most_spp: int | None) -> ClipDataset:
+    """The clips whose samples a pixel lie in a range."""
     data = ClipDataset(*folders)
-    if least_spp > 1:
-        data.paths = [path for path in data.paths if read_facts(path).get("spp", 1) >= least_spp]
+    if least_spp > 1 or most_spp:
+        most = most_spp or math.inf
+        data.paths = [path for path in data.paths if least_spp <= read_facts(path).get("spp", 1) <= most]
     if not data.paths:
-        raise InputError(f"{folders[0]}: no clip has {least_spp} samples a pixel; expected a lower --least-spp")
+        asked = f"{least_spp} to {most_spp}" if most_spp else f"{least_spp} and more"
+        raise InputError(f"{folders[0]}: no clip has {asked} samples a pixel; choose others by --least-spp, --most-spp")
     return data
 
 

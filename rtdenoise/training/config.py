@@ -23,6 +23,8 @@ class TrainConfig:
     `frames` of them. With --data alone every step takes clips."""
     least_spp: int = 1
     """Clips and stills of fewer samples a pixel are left out."""
+    most_spp: int | None = None
+    """Clips and stills of more samples a pixel are left out."""
     val: Path | None = None
     """Folder of validation clips, of other scenes than the training ones."""
     init: Path | None = None
