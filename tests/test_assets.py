@@ -16,6 +16,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.render.clips import render_clips
 from rtdenoise.render.frames import features, radiance
 from rtdenoise.render.options import ClipOptions
+from rtdenoise.render.scene_clips import draw_samples
 from rtdenoise.render.scenes import meshes
 from rtdenoise.render.scenes.assets import load_hdri, load_model, read_library, read_picture
 from rtdenoise.render.scenes.composed import KINDS, Composer, compose
@@ -329,6 +330,14 @@ def test_stills_of_assets_are_single_frames(folder, tmp_path):
     assert options.clips_per_scene > ClipOptions(assets="x").clips_per_scene
 
 
+def test_a_set_of_assets_has_no_more_samples_than_allowed():
+    draws = {}
+    for most in (None, 16, 7, 4):
+        options, rng = ClipOptions(spp=4, assets="x", most_spp=most), np.random.default_rng(0)
+        draws[most] = {draw_samples(options, rng) for _ in range(200)}
+    assert draws == {None: {4, 8, 16, 32, 64, 128, 256}, 16: {4, 8, 16}, 7: {4}, 4: {4}}
+
+
 def test_repeats_of_a_still_differ_in_noise_alone(folder, tmp_path):
     options = ClipOptions(1, (32, 32), 1, seed=1, reference_error=1, reference_range=(16, 16), workers=1,
                           assets=str(folder))  # fmt: skip
@@ -353,6 +362,8 @@ def test_repeats_of_a_still_differ_in_noise_alone(folder, tmp_path):
         ("--assets x --sun 1", "--sun: is for generated scenes, not for --assets"),
         ("--assets x --generator 1", "--assets: goes with --generator 2 and 3"),
         ("--assets x --repeats 2", "--repeats: is for stills"),
+        ("--most-spp 1", "--most-spp: goes with --assets"),
+        ("--assets x --spp 4 --most-spp 2", "--most-spp: expected 4 (--spp) or more, got 2"),
         ("--assets nowhere", "cannot be read: No such file"),
     ],
 )

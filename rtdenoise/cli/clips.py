@@ -17,7 +17,7 @@ OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
 OF_SHOTS = {"reference", "preset"}
 OF_PATHS = {
     "scenes", "motions", "exclude", "generator", "sun", "calm", "textures", "assets", "allow_unlicensed",
-    "reference_error", "repeats",
+    "reference_error", "repeats", "most_spp",
 }  # fmt: skip
 OF_CHAINS = {"chains", "attribution"}
 OF_BOTH = {"shots", "out", "count", "frames", "size", "width", "height", "seed"}
@@ -65,6 +65,9 @@ class Clips:
     spp: int = 1
     """Samples per pixel of the noisy frames; with --assets half of the clips have 2 to 64 times as many. With pssmlt
     mutations: a quarter of the clips each have 1, 2, 4 and 8 times as many."""
+    most_spp: int | None = None
+    """With --assets: the most samples per pixel of the noisy frames (default: 64 times --spp).
+    --most-spp 1 renders frames of one sample alone."""
     reference_error: float = 0.01
     """Relative squared error that references of beauty may have; sets their samples, 32 to 512 (with --assets 128,
     stills from 16 on)."""
@@ -142,7 +145,7 @@ class Clips:
             self.workers, parse_shard(self.shard),
             find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (), self.generator, self.sun,
             self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, self.repeats,
-            self.ray or "", metropolis,
+            self.most_spp, self.ray or "", metropolis,
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
@@ -175,6 +178,10 @@ class Clips:
             raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
         if self.assets and (unused := given & (OF_GENERATED - ({"frames"} if self.frames == 1 else set()))):
             raise InputError(f"--{min(unused)}: is for generated scenes, not for --assets")
+        if self.most_spp is not None and not self.assets:
+            raise InputError("--most-spp: goes with --assets; other sets have --spp samples a pixel")
+        if self.most_spp is not None and self.most_spp < self.spp:
+            raise InputError(f"--most-spp: expected {self.spp} (--spp) or more, got {self.most_spp}")
         if self.repeats > 1 and not (self.assets and self.frames == 1):
             raise InputError("--repeats: is for stills, --assets with --frames 1")
         if self.allow_unlicensed and not self.assets:

@@ -35,6 +35,7 @@ class ClipOptions:
     assets: str = ""  # folder of a library: compositions of it take the place of generated scenes; "": none
     allow_unlicensed: bool = False  # use assets without a licence
     repeats: int = 1  # renders of each still, with noise of their own
+    most_spp: int | None = None  # with assets: at most so many samples a pixel of the noisy frames; None: 64 × spp
     ray: str = ""  # address of a Ray cluster that takes the place of processes here; "": none
     metropolis: MetropolisOptions | None = None  # clips of caustic scenes; None: path tracing
 
@@ -96,7 +97,11 @@ class ClipOptions:
         files = [[Path(file).parent.name, bool(motion)] for file, motion in self.scenes]
         shares = {"sun": self.sun, "calm": self.calm}
         choice = shares | {"files": files, "textures": bool(self.textures), "reference_error": self.reference_error}
-        return choice | ({"assets": Path(self.assets).name} if self.assets else {})
+        if self.assets:
+            choice["assets"] = Path(self.assets).name
+        if self.most_spp is not None:
+            choice["most_spp"] = self.most_spp
+        return choice
 
 
 def parse_shard(text: str) -> tuple[int, int]:

@@ -125,10 +125,13 @@ def _render_take(
 
 
 def draw_samples(options: ClipOptions, rng: np.random.Generator) -> int:
-    """Samples a pixel of a clip's noisy frames; with assets half of the clips have more than `options.spp`."""
-    if not options.assets or rng.uniform() < 0.5:
+    """Samples a pixel of a clip's noisy frames; with assets half of the clips have more than `options.spp`, unless
+    `most_spp` forbids it."""
+    most = MORE_SAMPLES[-1] if options.most_spp is None else options.most_spp // options.spp
+    factors = [factor for factor in MORE_SAMPLES if factor <= most]
+    if not options.assets or rng.uniform() < 0.5 or not factors:
         return options.spp
-    return options.spp * int(rng.choice(MORE_SAMPLES))
+    return options.spp * int(rng.choice(factors))
 
 
 def reference_samples(
