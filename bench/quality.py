@@ -5,13 +5,15 @@ python bench/quality.py [SEQ ...]    # the standard set, and sequences of your o
 
 Renders what is missing of the standard set, measures into out/quality, and writes bench/results/quality.json, the
 tables of docs/results/quality.md and docs/images/quality/SEQ-SIGNAL.webp. Results are reused unless their input or
-weights have changed. The paper's settings A, B and C must be trained first: `sh tools/train_weights.sh settings`.
+weights have changed. `sh tools/train_weights.sh settings` trains the paper's settings A, B and C; a setting whose
+weights are not there keeps the rows that the JSON has of it, under the run that measured them.
 FovVideoVDP is measured where pyfvvdp is installed.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import sys
 import time
@@ -57,16 +59,18 @@ MEASURED = (*OF_FRAME[:-1], "mse", "mse_corrected")
 
 def main(sequences: tyro.conf.Positional[tuple[str, ...]] = ()) -> None:
     started = time.perf_counter()
-    if missing := [file for file in SETTINGS.values() if not Path(file).is_file()]:
-        sys.exit(f"{missing[0]}: no such weights; train them with: sh tools/train_weights.sh settings")
+    kept = [name for name, file in SETTINGS.items() if not Path(file).is_file()]
+    if kept:
+        print(f"{', '.join(kept)}: no weights, rows are kept; sh tools/train_weights.sh settings trains them")
     folders = [*standard.prepare(), *sequences]
     measured = (*MEASURED, "fovvideovdp") if importlib.util.find_spec("pyfvvdp") else MEASURED
-    chosen = tuple(f"{name}={SETTINGS[name]}" if name in SETTINGS else name for name in LABELS)
+    chosen = tuple(f"{name}={SETTINGS[name]}" if name in SETTINGS else name for name in LABELS if name not in kept)
     documents = {}
     for signal in SIGNALS:
         documents[signal] = run(folders, OUT / signal, EvaluateOptions(chosen, metrics=measured, signal=signal))
     draw(documents)
-    harness.publish(RESULT, summary(documents), digits=5, pages=PAGES, tables=tables)
+    before = json.loads(RESULT.read_text()) if kept else {}
+    harness.publish(RESULT, keep(summary(documents), before, kept), digits=5, pages=PAGES, tables=tables)
     print(f"{time.perf_counter() - started:.0f} s")
 
 
@@ -94,13 +98,27 @@ def summary(documents: dict[str, Document]) -> dict:
     }  # fmt: skip
 
 
+def keep(document: dict, before: dict, methods: Sequence[str]) -> dict:
+    """`document` with the rows of `methods` on the same sequences from a document before, and the runs of these."""
+    for signal in SIGNALS if methods else ():
+        runs = document["runs"][signal]
+        first = len(runs)
+        runs += before["runs"][signal]
+        document["rows"] += [
+            row | {"run": first + row["run"]}
+            for row in before["rows"]
+            if row["signal"] == signal and row["method"] in methods and row["sequence"] in document["sequences"][signal]
+        ]
+    return document
+
+
 def draw(documents: dict[str, Document]) -> None:
     """Write the strips into docs/images."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     for signal, document in documents.items():
         for name, sequence in document.sequences.items():
             still = OUT / signal / "pictures" / name / f"{sequence['stills'][0]:04d}"
-            shown = {"noisy": "noisy", "OIDN": "oidn", "A (traditional motion)": "A", "default": "default"}
+            shown = {"noisy": "noisy", "OIDN": "oidn", "default": "default"}
             picture = strips.compose(still, shown, sequence["exposure"])
             (PICTURES / f"{name}-{signal}.webp").write_bytes(strips.encode(picture))
 
@@ -197,7 +215,7 @@ def _scenes(document: dict) -> list[str]:
                 f"### {name}, {signal}",
                 f"{facts['frames']} frames of {width}×{height}, {100 * facts['uncovered_share']:.1f} % uncovered; the "
                 f"references' own error: {own[0]} dB PSNR, relMSE {own[1]}.",
-                f"![noisy, OIDN, A, default, reference](../images/quality/{name}-{signal}.webp)",
+                f"![noisy, OIDN, default, reference](../images/quality/{name}-{signal}.webp)",
                 _table(_rows(document, signal, name)),
             ]
     return parts
