@@ -43,6 +43,7 @@ class ExrHeader:
     channels: dict[str, str]  # full channel name -> "half", "float" or "uint"
     parts: tuple[Part, ...] = field(repr=False)
     flags: int = field(repr=False)  # of the version field
+    samples: int = 0  # a pixel, as the renderer noted them; 0: unknown
 
     @property
     def summary(self) -> str:

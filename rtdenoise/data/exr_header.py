@@ -90,7 +90,7 @@ def _parse(path: Path, head: bytes) -> ExrHeader:
     _refuse_repeated(path, [full for part in parts for full in part.full_names])
     channels = {full: part.channels[stored] for part in parts for full, stored in part.full_names.items()}
     width, height = parts[0].size
-    return ExrHeader(path, width, height, channels, parts, version)
+    return ExrHeader(path, width, height, channels, parts, version, _samples(descriptions[0][1]))
 
 
 def _parse_attributes(path: Path, cursor: _Cursor) -> tuple[bytes, dict[str, bytes]]:
@@ -103,6 +103,12 @@ def _parse_attributes(path: Path, cursor: _Cursor) -> tuple[bytes, dict[str, byt
     if missing := [name for name in ("channels", "dataWindow", "compression") if name not in attributes]:
         raise InputError(f"{path}: damaged: the header has no '{missing[0]}'")
     return cursor.data[start : cursor.position - 1], attributes
+
+
+def _samples(attributes: dict[str, bytes]) -> int:
+    """Samples a pixel that Cycles noted as `cycles.ViewLayer.samples`, those of the view layer with fewest; 0: none."""
+    noted = [v for name, v in attributes.items() if name.startswith("cycles.") and name.endswith(".samples")]
+    return min((int(value) for value in noted if value.isdigit() and len(value) < 10), default=0)
 
 
 def _parse_part(path: Path, cursor: _Cursor, raw: bytes, attributes: dict[str, bytes], flags: int) -> Part:

@@ -50,7 +50,7 @@ class FrameFiles:
         if "" in headers:
             return first
         channels = {f"{buffer}.{c}": t for buffer, header in headers.items() for c, t in header.channels.items()}
-        return ExrHeader(first.path, first.width, first.height, channels, (), 0)
+        return ExrHeader(first.path, first.width, first.height, channels, (), 0, first.samples)
 
     def read(self, names: Collection[str]) -> dict[str, np.ndarray]:
         """The pixels `[H, W]` float32 of channels, by the names that `header` gives them."""

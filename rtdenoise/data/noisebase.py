@@ -83,7 +83,7 @@ class ArchiveFrame(FrameFiles):
                              f"noisebase:{samples} or fewer)")  # fmt: skip
         types = {name: "half" if name in ("normal", "diffuse") else "float" for name in COMPONENTS}
         channels = {f"{name}.{c}": types[name] for name, letters in COMPONENTS.items() for c in letters}
-        return ExrHeader(self.path, width, height, channels, (), 0)
+        return ExrHeader(self.path, width, height, channels, (), 0, self.samples)
 
     def read(self, names: Collection[str]) -> dict[str, np.ndarray]:
         wanted = {name.partition(".")[0] for name in names}

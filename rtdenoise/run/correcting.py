@@ -106,7 +106,8 @@ class Run:
 
     def _read(self, i: int) -> Pair:
         raw = self.source.read(i)
-        frame, half = raw.with_samples(self.options.samples).map(torch.from_numpy).to(self.device), None
+        counted = raw.with_samples(self.options.samples or self.source.header.samples)
+        frame, half = counted.map(torch.from_numpy).to(self.device), None
         if self.second:
             frame, half = both(frame, read_estimate(self.second, i).to(self.device))
         return Pair(i, raw, frame, read_estimate(self.estimates, i).to(self.device), half)

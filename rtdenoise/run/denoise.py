@@ -17,9 +17,10 @@ from ..frame import MAX_CUT_MISMATCH, Frame
 from ..models.weights import read_config
 from ..sanitise import faults
 from .backends import Backend, open_backend
+from .choice import choose_model
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 from .light import in_parts
-from .options import EXAMINED, SUMMARY, Options, Summary, check_samples
+from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, check_samples
 from .state import STATE, read_state, save_state
 
 
@@ -44,10 +45,21 @@ def denoise(
     if options.offline and (options.lights or options.also):
         raise InputError("--lights and --also: go without --offline, which has no kernels for them")
     _check_correction(options)
+    options, notes = choose_model(source, options)
     if options.offline:
         from .offline import denoise_offline
 
-        return denoise_offline(source, out, options, overwrite, on_frame)
+        summary = denoise_offline(source, out, options, overwrite, on_frame)
+    else:
+        summary = _denoise(source, out, options, overwrite, on_frame)
+    summary.notes[:0] = notes
+    return summary
+
+
+def _denoise(
+    source: str, out: str | Path, options: Options, overwrite: bool, on_frame: Callable[[int, int], None]
+) -> Summary:
+    """`denoise`, forward in time."""
     if options.confidence:
         raise InputError("--confidence: goes with --offline")
     reads = read_config(options.model).reads
@@ -105,7 +117,9 @@ def _run(
 
     on_frame(done, len(sequence))
     for i in range(done, len(sequence)):
-        frame = read(sequence, i).with_samples(options.samples)
+        frame = read(sequence, i)
+        if options.correct:
+            frame = frame.with_samples(options.samples or sequence.header.samples)
         for what, count in faults(frame).items():
             summary.replaced[what] = summary.replaced.get(what, 0) + count
         if i and frame.number != sequence.numbers[i - 1] + 1:
@@ -132,8 +146,8 @@ def _check_correction(options: Options) -> None:
         raise InputError("--correct: goes without --offline, --lights and --also; `rtdenoise combine` corrects their "
                          "frames")  # fmt: skip
     check_samples(options.samples)
-    if options.samples and not options.correct:
-        raise InputError(f"--samples {options.samples}: goes with --correct")
+    if options.samples and not options.correct and options.model != AUTO:
+        raise InputError(f"--samples {options.samples}: goes with --correct, or without --model")
 
 
 def _resume(

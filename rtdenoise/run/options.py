@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .plan import Plan
 
 SUMMARY = "denoise.json"
+AUTO = "auto"
 EXAMINED = 3  # frames that the plan examines
 MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
 
@@ -21,8 +22,9 @@ class Options:
 
     signal: str = "color"
     """The signal to denoise: 'color' (the beauty) or 'indirect'."""
-    model: str = "default"
-    """The network: 'default', 'fast', 'quality', 'paper', or a .safetensors file that `rtdenoise train` wrote."""
+    model: str = AUTO
+    """The network: 'default', 'many', 'fast', 'quality', 'paper', or a .safetensors file that `rtdenoise train` wrote.
+    'auto': 'many' from 4 samples a pixel on, where these are known, else 'default'."""
     preset: str = "auto"
     """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
     file."""
@@ -56,7 +58,8 @@ class Options:
     correct: bool = False
     """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
     samples: int = 0
-    """With --correct: samples a pixel of the frames, where the files do not say. From 4 on edges are corrected, too."""
+    """Samples a pixel of the frames, where the files do not say (those of Cycles do): the model 'auto' and --correct go
+    by them."""
     confidence: bool = False
     """With --offline: also write how far the candidates lie apart, in radiance, as the layer 'confidence' (small is
     sure)."""

@@ -1,0 +1,81 @@
+"""Which network denoises frames whose number of samples a pixel is known."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from rtdenoise.cli.main import main
+from rtdenoise.data.exr import read_channels, read_header, write_layers
+from rtdenoise.errors import InputError
+from rtdenoise.run.choice import choose_model
+from rtdenoise.run.denoise import denoise
+from rtdenoise.run.options import Options
+
+SAMPLE = Path(__file__).parents[1] / "samples" / "mural"
+CYCLES = Path(__file__).parent / "data" / "cycles"
+
+
+@pytest.fixture
+def shot(tmp_path):
+    """Two frames of the sample."""
+    folder = tmp_path / "shot"
+    folder.mkdir()
+    for file in sorted(SAMPLE.glob("*.exr"))[:2]:
+        shutil.copy(file, folder)
+    return folder
+
+
+def noted(tmp_path, **attributes):
+    """A file with these header attributes; _ stands for a point."""
+    attributes = {name.replace("_", "."): value for name, value in attributes.items()}
+    write_layers(tmp_path / "noted.exr", {"color": np.ones((4, 4, 3), np.float32)}, attributes=attributes)
+    return read_header(tmp_path / "noted.exr").samples
+
+
+def write_again(file, more, **attributes):
+    """Write a file anew with more channels and attributes."""
+    copy = OpenEXR.File(str(file), separate_channels=True)
+    channels = {name: channel.pixels for name, channel in copy.channels().items()} | more
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header | attributes, channels).write(str(file))
+
+
+def test_the_samples_that_cycles_notes_are_read(tmp_path):
+    assert read_header(next(CYCLES.glob("*.exr"))).samples == 1  # a file that Blender wrote
+    assert noted(tmp_path, cycles_ViewLayer_samples="64") == 64
+    assert noted(tmp_path, cycles_A_samples="64", cycles_B_samples="16") == 16
+    assert noted(tmp_path, samples="64", cycles_A_samples="many", cycles_B_samples="9" * 40) == 0
+
+
+def test_the_network_is_that_of_the_samples(shot, tmp_path):
+    assert choose_model(str(shot), Options()) == (Options(model="default"), [])
+    for samples, model in ((3, "default"), (4, "many"), (16, "many")):
+        assert choose_model(str(shot), Options(samples=samples))[0].model == model
+    assert choose_model(str(shot), Options(model="fast"))[0].model == "fast"
+    for file in shot.glob("*.exr"):
+        write_again(file, {}, **{"cycles.ViewLayer.samples": "8"})
+    assert choose_model(str(shot), Options()) == (Options(model="many"), ["model: many, for 8 samples a pixel"])
+    assert choose_model(str(shot), Options(samples=2))[0].model == "default"  # what the user says counts
+
+
+def test_a_layer_of_samples_counts_most(shot):
+    for file in shot.glob("*.exr"):
+        header = read_header(file)
+        write_again(file, {"samples.V": np.full((header.height, header.width), 32, np.float32)})
+    assert choose_model(str(shot), Options(samples=1))[1] == ["model: many, for 32 samples a pixel"]
+
+
+def test_a_run_with_many_samples_is_that_of_its_network(shot, tmp_path, capsys):
+    main(["denoise", str(shot), "--out", str(tmp_path / "auto"), "--samples", "16", "--float32"])
+    assert "model: many, for 16 samples a pixel" in capsys.readouterr().out
+    denoise(str(shot), tmp_path / "named", Options(model="many", float32=True))
+    for file in (tmp_path / "named").glob("*.exr"):
+        for name, plane in read_channels(file, ["R", "G", "B"]).items():
+            assert np.array_equal(read_channels(tmp_path / "auto" / file.name, [name])[name], plane)
+    assert json.loads((tmp_path / "auto" / "denoise.json").read_text())["options"]["model"] == "many"
+    with pytest.raises(InputError, match="goes with --correct, or without --model"):
+        denoise(str(shot), tmp_path / "no", Options(model="fast", samples=16))
