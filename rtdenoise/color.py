@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .constants import LUMINANCE_WEIGHTS, MIN_ALBEDO, MIN_ALBEDO_SHARE
+from .constants import GLOSS, LUMINANCE_WEIGHTS
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -45,13 +45,12 @@ def luminance(rgb: Tensor) -> Tensor:
 def albedo_divisor(albedo: Tensor, depth: Tensor) -> Tensor:
     """The divisor that takes textures out of radiance, and the factor that gives them back, `[B, 3, H, W]`.
 
-    The albedo, but at least `MIN_ALBEDO` and at least `MIN_ALBEDO_SHARE` of its brightest channel; 1 where nothing was
-    hit (`depth` is 0). The reason for the share: mirrors and gloss reflect light that does not take the albedo's
-    colour. Divided by a deep red it would be a glaring cyan, which a filter would spread beyond the red. Continuous in
-    the albedo: dark textures that dither around a threshold stay smooth.
+    The albedo plus `GLOSS`; 1 where nothing was hit (`depth` is 0). Every surface reflects some light that does not
+    take its colour. Divided by a deep red alone that light would be a glaring cyan, which a filter would spread beyond
+    the red; with a least divisor in place of the sum, a texture darker than that would not be taken out at all
+    (docs/notes/divisor.md compares both). Linear in the albedo: the mean of divisors is the divisor of the mean.
     """
-    floor = (MIN_ALBEDO_SHARE * albedo.amax(dim=1, keepdim=True)).clamp(min=MIN_ALBEDO)
-    return albedo.maximum(floor).where(depth > 0, 1.0)
+    return (albedo + GLOSS).where(depth > 0, 1.0)
 
 
 def display_exposure(reference: Image) -> Tensor | float:

@@ -2,10 +2,9 @@
 
 LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)  # of red, green and blue, Rec. 709
 
-# Least divisors where radiance is divided by albedo: light from mirrors and gloss does not have the albedo's colour
+# Added to the albedo where radiance is divided by it: the part of the light that does not take the surface's colour
 # (`color.albedo_divisor`).
-MIN_ALBEDO = 0.1
-MIN_ALBEDO_SHARE = 0.25  # of the brightest channel of the pixel's albedo
+GLOSS = 0.08
 
 # Two pixels may show the same surface (`ops.alike`).
 DEPTH_TOLERANCE = 0.1  # largest difference of depths, as a share of the greater one

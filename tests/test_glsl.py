@@ -267,7 +267,7 @@ def test_constants_are_strict():
 
 def test_shared_constants_have_the_values_of_python():
     text = expand("frame/light", GROUP_X=8, GROUP_Y=8).text
-    assert f"#define MIN_ALBEDO {constants.MIN_ALBEDO}\n" in text
+    assert f"#define GLOSS {constants.GLOSS}\n" in text
     assert f"#define LUMINANCE_WEIGHTS vec3{constants.LUMINANCE_WEIGHTS}\n" in text
     assert "MIN_HISTORY_WEIGHT" not in text  # the shader does not ask for it
 

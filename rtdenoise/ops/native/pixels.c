@@ -1,12 +1,9 @@
-// Ops in which every pixel stands alone. The specification is ops/pixels.py. C is the number of channels; MIN_ALBEDO and
-// MIN_ALBEDO_SHARE are those of constants.py. Images are contiguous: [B, C, H, W], but [B, 1, H, W] for depth, sharp, length and
-// reset.
+// Ops in which every pixel stands alone. The specification is ops/pixels.py. C is the number of channels; GLOSS is that of
+// constants.py. Images are contiguous: [B, C, H, W], but [B, 1, H, W] for depth, sharp, length and reset.
 #include "common.h"
 
 // color.albedo_divisor
-static inline float divisor(float albedo, float brightest, float depth) {
-    return depth > 0 ? MAX(albedo, MAX(MIN_ALBEDO, MIN_ALBEDO_SHARE * brightest)) : 1;
-}
+static inline float divisor(float albedo, float depth) { return depth > 0 ? albedo + (float)GLOSS : 1; }
 
 #define BLOCK 1024  // pixels
 #define EACH_BLOCK(B, plane) \
@@ -21,11 +18,7 @@ void demodulate(const float *radiance, const float *albedo, const float *depth, 
         int64_t to = MIN(from + BLOCK, plane), first = b * C * plane;
         const float *r = radiance + first, *a = albedo + first, *d = depth + b * plane;
         float *o = out + first;
-        EACH_PIXEL {
-            float most = a[x];
-            for (int c = 1; c < C; c++) most = MAX(most, a[c * plane + x]);
-            for (int c = 0; c < C; c++) o[c * plane + x] = r[c * plane + x] / divisor(a[c * plane + x], most, d[x]);
-        }
+        for (int c = 0; c < C; c++, r += plane, a += plane, o += plane) EACH_PIXEL o[x] = r[x] / divisor(a[x], d[x]);
     }
 }
 
@@ -36,14 +29,8 @@ void modulate(const float *irradiance, const float *albedo, const float *mean_al
         const float *i = irradiance + first, *a = albedo + first, *m = mean_albedo + first;
         const float *s = sharp + b * plane, *d = depth + b * plane;
         float *o = out + first;
-        EACH_PIXEL {
-            float texture[C], most = -INFINITY;
-            for (int c = 0; c < C; c++) {
-                texture[c] = lerp(m[c * plane + x], a[c * plane + x], s[x]);
-                most = MAX(most, texture[c]);
-            }
-            for (int c = 0; c < C; c++) o[c * plane + x] = MAX(i[c * plane + x], 0) * divisor(texture[c], most, d[x]);
-        }
+        for (int c = 0; c < C; c++, i += plane, a += plane, m += plane, o += plane)
+            EACH_PIXEL o[x] = MAX(i[x], 0) * divisor(lerp(m[x], a[x], s[x]), d[x]);
     }
 }
 

@@ -8,7 +8,7 @@ from ctypes import c_float, c_int64
 import torch
 from torch import Tensor
 
-from ...constants import MIN_ALBEDO, MIN_ALBEDO_SHARE
+from ...constants import GLOSS
 from .compiler import library, pointer
 
 
@@ -52,4 +52,4 @@ def _each_pixel(name: str, inputs: list[Tensor], outputs: list[Tensor], *more: c
 
 
 def _library(channels: int) -> ctypes.CDLL:
-    return library("pixels", C=channels, MIN_ALBEDO=MIN_ALBEDO, MIN_ALBEDO_SHARE=MIN_ALBEDO_SHARE)
+    return library("pixels", C=channels, GLOSS=GLOSS)
