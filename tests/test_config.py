@@ -72,7 +72,7 @@ def test_settings_change_fields():
         ("widths=a,b", "expected a value like 32,56,72,88,104"),
         ("kernel=4", "expected an odd size"),
         ("kernel=1e9", "expected a value like 5"),
-        ("detail=maybe", "expected a value like false"),
+        ("detail=maybe", "expected a value like true"),
         ("widths=8,99999999,8,8,8", "expected 2 to 5 widths from 1 to 1024"),
     ],
 )

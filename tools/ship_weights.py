@@ -1,10 +1,11 @@
-"""Put the weights of a training run into the package, in half precision.
+"""Put weights into the package in half precision, or the mean of several.
 
-python tools/ship_weights.py WEIGHTS NAME [BASE SHARE]
+python tools/ship_weights.py NAME FILE
+python tools/ship_weights.py NAME FILE=SHARE FILE=SHARE ...
 
-With BASE, a model that ships, the weights are a mean: SHARE of BASE, grown to the same configuration, and the rest of
-WEIGHTS. A network that was trained on for other frames then keeps most of what it knew, and gains nearly as much
-(Wortsman et al., Robust fine-tuning of zero-shot models, 2022).
+NAME is that of a model that ships, or a path to write to. FILE is a file of weights or a model that ships. In a mean
+all networks are grown to the configuration of the last one. The mean of a network and one that was trained on from it
+for other frames keeps most of what both know (Wortsman et al., Robust fine-tuning of zero-shot models, 2022).
 
 Half precision rounds each weight by 0.05 % at most, a tenth of the error of bfloat16 inference, and halves the wheel.
 """
@@ -12,6 +13,7 @@ Half precision rounds each weight by 0.05 % at most, a tenth of the error of bfl
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -20,23 +22,42 @@ from safetensors import safe_open
 from safetensors.torch import save
 
 from rtdenoise.models import grow, read
+from rtdenoise.models.weights import find
 
 SHIPPED = Path(__file__).parent.parent / "rtdenoise" / "weights"
 
 
-def main(weights: Path, name: str, base: str = "", share: float = 0.0) -> None:
-    with safe_open(weights, framework="numpy") as file:
+def main(name: str, *parts: str) -> None:
+    files, shares = zip(*map(parsed, parts), strict=True)
+    if not math.isclose(sum(shares), 1):
+        sys.exit(f"expected shares with the sum 1, got {sum(shares):g}")
+    config = read(files[-1]).config
+    states = [grown(file, config) for file in files]
+    tensors = {
+        key: sum(share * state[key] for share, state in zip(shares, states, strict=True)).to(torch.float16).contiguous()
+        for key in states[-1]
+    }
+    with safe_open(find(files[-1]), framework="numpy") as file:
         metadata = file.metadata()
-    network = read(weights)
-    tensors = network.state_dict()
-    if base:
-        before = grow(read(base), network.config).state_dict()
-        tensors = {key: share * before[key] + (1 - share) * tensor for key, tensor in tensors.items()}
-        told = json.loads(metadata["training"]) | {"base": base, "share_of_base": share}
+    if len(parts) > 1:
+        told = json.loads(metadata.get("training", "{}")) | {"mean_of": list(parts)}
         metadata |= {"training": json.dumps(told)}
-    halves = {key: tensor.to(torch.float16).contiguous() for key, tensor in tensors.items()}
-    (SHIPPED / f"{name}.safetensors").write_bytes(save(halves, metadata=metadata))
+    out = Path(name) if name.endswith(".safetensors") else SHIPPED / f"{name}.safetensors"
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(save(tensors, metadata=metadata))
+
+
+def parsed(part: str) -> tuple[str, float]:
+    """(file, share) of FILE or FILE=SHARE."""
+    file, equals, share = part.rpartition("=")
+    return (file, float(share)) if equals else (part, 1.0)
+
+
+def grown(file: str, config) -> dict[str, torch.Tensor]:
+    """The weights of a file, as those of a network of `config`."""
+    network = read(file)
+    return (network if network.config == config else grow(network, config)).state_dict()
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], *sys.argv[3:4], *map(float, sys.argv[4:5]))
+    main(*sys.argv[1:])

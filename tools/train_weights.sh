@@ -13,7 +13,7 @@
 #   PROCESSES=2     trains in two processes
 #   SCENES=FOLDER   scene files, FOLDER/NAME/scene.xml (docs/reference/models/default.md names them); without them generated
 #                   scenes take their place
-#   ASSETS=FOLDER   for `many`: a library of assets with its index.json
+#   ASSETS=FOLDER   for `default` and `many`: a library of assets with its index.json
 #   DRY=1           prints the commands and runs none
 set -eu
 cd "$(dirname "$0")/.."
@@ -23,9 +23,9 @@ case $model in
     default | fast | quality | many | settings) ;;
     *) echo "expected default, fast, quality, many or settings, got '$model'" >&2; exit 2 ;;
 esac
-if [ "$model" = many ] && [ -z "${ASSETS:-}" ]; then
-    echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2
-fi
+case $model in default | many) # both begin with weights trained on generated scenes and scene files
+    [ -n "${ASSETS:-}" ] || { echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2; };;
+esac
 
 run() {
     echo "$*"
@@ -43,18 +43,6 @@ clips() { # NAME OPTIONS...: clips into data/NAME, and with cleaned references i
 wide="--generator 2"
 noisy="--reference-error 0.2"
 files=${SCENES:+--scenes $SCENES --motions examples/motions}
-if [ "$model" = many ]; then # from the weights of default that ship
-    library="--assets $ASSETS $files --size 192 --frames 1 --reference-error 0.5"
-    clips stills $library --count 195
-    clips more-stills $library --count 183 --seed 1
-    clips samples8 --count 32 --spp 8 --frames 9 --seed 52000 $noisy --sun 0.4 --calm 0.2 $files
-    run rtdenoise train --out runs/many-last --model default --set detail=true --device "$device" \
-        --data data/samples8-clean --stills data/stills-clean data/more-stills-clean --least-spp 4 \
-        --init rtdenoise/weights/default.safetensors --signal both --loss-exposure 4 --huber 0.2 --loss-power 0.5 \
-        --frames 8 --batch 1 --lr 1e-3 --warmup 50 --steps 6000 --cuts 0.3 --shade 0.3
-    run python tools/ship_weights.py runs/many-last/weights.safetensors many default 0.35
-    exit
-fi
 two=${SCENES:+--exclude street dining-room} # of the other scenes this set shows three, none of the measured ones
 run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128
 if [ "$model" = settings ]; then
@@ -70,6 +58,16 @@ else
     clips wide3 --count 189 --seed 41000 $noisy --sun 0.5 $files
 fi
 [ "$model" != fast ] || clips calm --count 136 --seed 51000 $noisy --sun 0.4 --calm 1 $files
+case $model in default | many)
+    stills="--assets $ASSETS $files --size 192 --frames 1 --reference-error 0.5"
+    clips stills $stills --count 195
+    clips more-stills $stills --count 276 --seed 1
+    clips samples8 --count 32 --spp 8 --frames 9 --seed 52000 $noisy --sun 0.4 --calm 0.2 $files;;
+esac
+if [ "$model" = default ]; then
+    clips one-sample-stills $stills --count 324 --seed 2 --most-spp 1
+    clips history --count 96 --frames 9 --seed 51000 $noisy --sun 0.4 --calm 0.2 $files
+fi
 
 # --- the weights ------------------------------------------------------------------------------------------------------
 
@@ -104,21 +102,45 @@ if [ "$model" = fast ]; then
     train sun $first data/sun-clean $(after clips) --frames 6 --steps 900 --lr 4e-4 --cuts 0.4 --validate-every 450
     train edges $all $(after sun) --frames 6 --steps 2000 --lr 6e-4 --cuts 0.5 --relight 0.05 --validate-every 500
     train last $all data/calm-clean $(after edges) --steps 1500 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 500
-else
-    network=default
+else # the first runs of `default`
+    network=default loss="$loss --set detail=false"
     train single $first --frames 1 --batch 16 --steps 1500 --lr 5e-4 --no-occlusion-loss
     train clips $first $(after single) --steps 4800 --lr 4e-4 --cuts 0.5 --validate-every 400
     train sun $sunny $(after clips) --steps 6000 --lr 4e-4 --cuts 0.5 --validate-every 800
 fi
-if [ "$model" = default ]; then
-    train edges $all $(after sun) --steps 2400 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 400
-    train last $sunny $(after edges) --steps 1000 --lr 3e-4 --cuts 0.5 --validate-every 500
-fi
 if [ "$model" = quality ]; then # grows from default as it is after its run `sun`
-    start=$(after sun) network=quality
+    start=$(after sun) network=quality loss="--loss-exposure 4 --huber 0.2"
     train relit $all $start --steps 3200 --lr 4e-4 --cuts 0.5 --relight 0.33 --validate-every 800
     train less $all $(after relit) --steps 950 --lr 3e-4 --cuts 0.5 --relight 0.1 --validate-every 950
     train little $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900
     train last $all $(after little) --steps 1300 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 650
 fi
-run python tools/ship_weights.py "runs/$model-last/weights.safetensors" "$model"
+case $model in fast | quality) run python tools/ship_weights.py "$model" "runs/$model-last/weights.safetensors"; exit;; esac
+
+train edges $all $(after sun) --steps 2400 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 400
+train base $sunny $(after edges) --steps 1000 --lr 3e-4 --cuts 0.5 --validate-every 500
+
+# --- `many` and `default`: from there, on stills of a library ---------------------------------------------------------
+
+base=runs/default-base/weights.safetensors many=runs/many-last/weights.safetensors
+train_on() { # OUT FROM OPTIONS...: with stills in every second step
+    out=$1 from=$2; shift 2
+    run rtdenoise train --out "$out" --model default --set detail=true --device "$device" --init "$from" --signal both \
+        --loss-exposure 4 --huber 0.2 --loss-power 0.5 --frames 8 --batch 1 --warmup 50 --cuts 0.3 "$@"
+}
+mean() { run python tools/ship_weights.py "$@"; }
+
+train_on runs/many-last $base --data data/samples8-clean --stills data/stills-clean data/more-stills-clean --least-spp 4 \
+    --lr 1e-3 --steps 6000 --shade 0.3
+if [ "$model" = many ]; then
+    mean many $base=0.35 $many=0.65
+    exit
+fi
+few="--data data/history-clean --most-spp 1 --lr 5e-4 --relight 0.05 --shade 0.15"
+few="$few --stills data/stills-clean data/more-stills-clean"
+train_on runs/default-one $base --steps 2400 $few
+mean runs/default-one/mean.safetensors $base=0.4 $many=0.3 runs/default-one/weights.safetensors=0.3
+train_on runs/default-two runs/default-one/mean.safetensors --steps 4000 --seed 1 $few
+mean runs/default-two/mean.safetensors $base=0.25 $many=0.3 runs/default-two/weights.safetensors=0.45
+train_on runs/default-last runs/default-two/mean.safetensors --steps 4000 --seed 2 $few data/one-sample-stills-clean
+mean default $base=0.25 $many=0.3 runs/default-last/weights.safetensors=0.45

@@ -20,7 +20,7 @@ CONFIGS: dict[str, type[Config]] = {
 PRESETS: dict[str, Config] = {
     "paper": TemporalKPNConfig(),
     "fast": AccumulatedKPNConfig(widths=(16, 24, 32, 48, 64), kernel=3, edge_kernel=3),
-    "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3),
+    "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3, detail=True),
     "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
     "mltd": MLTDConfig(),
     "mltd-small": MLTDConfig(width=16, blocks=(1,) * 8, kernel=7),
