@@ -143,4 +143,4 @@ mean runs/default-one/mean.safetensors $base=0.4 $many=0.3 runs/default-one/weig
 train_on runs/default-two runs/default-one/mean.safetensors --steps 4000 --seed 1 $few
 mean runs/default-two/mean.safetensors $base=0.25 $many=0.3 runs/default-two/weights.safetensors=0.45
 train_on runs/default-last runs/default-two/mean.safetensors --steps 4000 --seed 2 $few data/one-sample-stills-clean
-mean default $base=0.25 $many=0.3 runs/default-last/weights.safetensors=0.45
+mean default $base=0.5 $many=0.2 runs/default-last/weights.safetensors=0.3
