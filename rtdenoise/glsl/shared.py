@@ -1,5 +1,5 @@
 """Constants that shaders share with the rest of the package. A shader asks for one by its name: `#pragma constants
-MIN_ALBEDO`."""
+GLOSS`."""
 
 from __future__ import annotations
 
