@@ -12,6 +12,7 @@ from test_denoise import pixels, refused
 
 import rtdenoise
 from rtdenoise.cli.main import main
+from rtdenoise.color import albedo_divisor
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.data.stored import read_history, write_history
 from rtdenoise.errors import InputError
@@ -311,9 +312,11 @@ def estimate(image, length, first=False):
 def test_the_frame_itself_counts_once_in_the_mean_of_both_sides():
     """Forward mean of (1, y), backward mean of (y, 4): the mean of 1, y and 4."""
     y = torch.full((1, 3, 4, 4), 2.5)
-    frame = Frame(0.5 * y, torch.full_like(y, 0.5), torch.zeros_like(y), torch.ones_like(y[:, :1]))
+    grey, depth = torch.full_like(y, 0.5), torch.ones_like(y[:, :1])
+    divisor = albedo_divisor(grey, depth)
+    frame = Frame(divisor * y, grey, torch.zeros_like(y), depth)
     light, albedo = two_sided(frame, estimate((1 + y) / 2, 2.0), estimate((y + 4) / 2, 2.0))
-    assert torch.allclose(light, 0.5 * (1 + y + 4) / 3) and torch.allclose(albedo, torch.full_like(y, 0.5))
+    assert torch.allclose(light, divisor * (1 + y + 4) / 3) and torch.allclose(albedo, grey)
     light, _ = two_sided(frame, estimate(y, 1.0), estimate(y, 1.0))
     assert torch.allclose(light, frame.radiance)
 
