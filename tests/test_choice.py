@@ -11,7 +11,7 @@ import pytest
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.errors import InputError
-from rtdenoise.run.choice import choose_model
+from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import Options
 
@@ -36,6 +36,13 @@ def noted(tmp_path, **attributes):
     return read_header(tmp_path / "noted.exr").samples
 
 
+def chosen(shot, options):
+    """The options with a network, and what is told; opening reads no layer but those of every run."""
+    sequence, options, notes = open_chosen(str(shot), options)
+    assert "samples" not in sequence.rules
+    return options, notes
+
+
 def write_again(file, more, **attributes):
     """Write a file anew with more channels and attributes."""
     copy = OpenEXR.File(str(file), separate_channels=True)
@@ -52,21 +59,21 @@ def test_the_samples_that_cycles_notes_are_read(tmp_path):
 
 
 def test_the_network_is_that_of_the_samples(shot, tmp_path):
-    assert choose_model(str(shot), Options()) == (Options(model="default"), [])
+    assert chosen(shot, Options()) == (Options(model="default"), [])
     for samples, model in ((3, "default"), (4, "many"), (16, "many")):
-        assert choose_model(str(shot), Options(samples=samples))[0].model == model
-    assert choose_model(str(shot), Options(model="fast"))[0].model == "fast"
+        assert chosen(shot, Options(samples=samples))[0].model == model
+    assert chosen(shot, Options(model="fast"))[0].model == "fast"
     for file in shot.glob("*.exr"):
         write_again(file, {}, **{"cycles.ViewLayer.samples": "8"})
-    assert choose_model(str(shot), Options()) == (Options(model="many"), ["model: many, for 8 samples a pixel"])
-    assert choose_model(str(shot), Options(samples=2))[0].model == "default"  # what the user says counts
+    assert chosen(shot, Options()) == (Options(model="many"), ["model: many, for 8 samples a pixel"])
+    assert chosen(shot, Options(samples=2))[0].model == "default"  # what the user says counts
 
 
 def test_a_layer_of_samples_counts_most(shot):
     for file in shot.glob("*.exr"):
         header = read_header(file)
         write_again(file, {"samples.V": np.full((header.height, header.width), 32, np.float32)})
-    assert choose_model(str(shot), Options(samples=1))[1] == ["model: many, for 32 samples a pixel"]
+    assert chosen(shot, Options(samples=1))[1] == ["model: many, for 32 samples a pixel"]
 
 
 def test_a_run_with_many_samples_is_that_of_its_network(shot, tmp_path, capsys):

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from ..data.output import check_output, output_names, write_frame
-from ..data.sequences import Sequence, open_sequence
+from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH, Frame
 from ..models.weights import read_config
 from ..sanitise import faults
 from .backends import Backend, open_backend
-from .choice import choose_model
+from .choice import open_chosen
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 from .light import in_parts
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, check_samples
@@ -45,28 +45,15 @@ def denoise(
     if options.offline and (options.lights or options.also):
         raise InputError("--lights and --also: go without --offline, which has no kernels for them")
     _check_correction(options)
-    options, notes = choose_model(source, options)
     if options.offline:
         from .offline import denoise_offline
 
-        summary = denoise_offline(source, out, options, overwrite, on_frame)
-    else:
-        summary = _denoise(source, out, options, overwrite, on_frame)
-    summary.notes[:0] = notes
-    return summary
-
-
-def _denoise(
-    source: str, out: str | Path, options: Options, overwrite: bool, on_frame: Callable[[int, int], None]
-) -> Summary:
-    """`denoise`, forward in time."""
+        return denoise_offline(source, out, options, overwrite, on_frame)
     if options.confidence:
         raise InputError("--confidence: goes with --offline")
-    reads = read_config(options.model).reads
+    reads = () if options.model == AUTO else read_config(options.model).reads
     layers = (*reads, *(["samples"] if options.correct else []))
-    sequence = open_sequence(
-        source, signal=options.signal, preset=options.preset, layers=layers, allow_gaps=options.allow_gaps
-    )
+    sequence, options, notes = open_chosen(source, options, layers)
     sequence.require("albedo", "normal", "depth", *reads)
     check_output(sequence, options.layout, options.recombine, options.keep)
     backend = open_backend(options.backend, options.model, options.device, options.precision, options.correct)
@@ -83,7 +70,9 @@ def _denoise(
     out = prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
-        return _run(sequence, out, options, backend, read, write, overwrite, on_frame)
+        summary = _run(sequence, out, options, backend, read, write, overwrite, on_frame)
+    summary.notes[:0] = notes
+    return summary
 
 
 def _run(

@@ -21,11 +21,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..data.output import check_output, output_names, write_frame
-from ..data.sequences import Sequence, open_sequence
+from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH, Frame
 from ..sanitise import faults
+from .choice import open_chosen
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 from .options import EXAMINED, SUMMARY, Options, Summary
 from .state import STATE, read_state, save_state
@@ -56,7 +57,7 @@ def denoise_offline(
         raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
     if find_spec("torch") is None:
         raise InputError("--offline needs PyTorch, which is not installed; leave it out")
-    sequence = open_sequence(source, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps)
+    sequence, options, notes = open_chosen(source, options)
     sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
     check_output(sequence, options.layout, options.recombine, options.keep)
     if options.confidence and options.layout != "plain":
@@ -67,7 +68,9 @@ def denoise_offline(
     out = prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
-        return _Run(sequence, out, options, passes, on_frame).run(overwrite)
+        summary = _Run(sequence, out, options, passes, on_frame).run(overwrite)
+    summary.notes[:0] = notes
+    return summary
 
 
 @dataclass
