@@ -72,12 +72,14 @@ fi
 # --- the weights ------------------------------------------------------------------------------------------------------
 
 loss="--loss-exposure 4 --huber 0.2" # of our own networks; the paper's takes the defaults
+fields= # of the configuration, other than the preset's
+ship() { run python tools/ship_weights.py "$@"; } # NAME FILE, or a mean: NAME FILE=SHARE...
 train() { # RUN OPTIONS...: train $network into runs/NETWORK-RUN
     out=runs/$network-$1; shift
     several=
     [ "${PROCESSES:-1}" = 1 ] || several="torchrun --standalone --nproc-per-node $PROCESSES -m --"
     run $several rtdenoise train --out "$out" --model "$network" --device "$device" --val data/val --signal both \
-        $loss --optimiser muon "$@"
+        $loss $fields --optimiser muon "$@"
 }
 after() { # RUN: start from its weights
     echo "--init runs/$network-$1/weights.safetensors"
@@ -103,19 +105,19 @@ if [ "$model" = fast ]; then
     train edges $all $(after sun) --frames 6 --steps 2000 --lr 6e-4 --cuts 0.5 --relight 0.05 --validate-every 500
     train last $all data/calm-clean $(after edges) --steps 1500 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 500
 else # the first runs of `default`
-    network=default loss="$loss --set detail=false"
+    network=default fields="--set detail=false"
     train single $first --frames 1 --batch 16 --steps 1500 --lr 5e-4 --no-occlusion-loss
     train clips $first $(after single) --steps 4800 --lr 4e-4 --cuts 0.5 --validate-every 400
     train sun $sunny $(after clips) --steps 6000 --lr 4e-4 --cuts 0.5 --validate-every 800
 fi
 if [ "$model" = quality ]; then # grows from default as it is after its run `sun`
-    start=$(after sun) network=quality loss="--loss-exposure 4 --huber 0.2"
+    start=$(after sun) network=quality fields=
     train relit $all $start --steps 3200 --lr 4e-4 --cuts 0.5 --relight 0.33 --validate-every 800
     train less $all $(after relit) --steps 950 --lr 3e-4 --cuts 0.5 --relight 0.1 --validate-every 950
     train little $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900
     train last $all $(after little) --steps 1300 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 650
 fi
-case $model in fast | quality) run python tools/ship_weights.py "$model" "runs/$model-last/weights.safetensors"; exit;; esac
+case $model in fast | quality) ship "$model" "runs/$model-last/weights.safetensors"; exit;; esac
 
 train edges $all $(after sun) --steps 2400 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 400
 train base $sunny $(after edges) --steps 1000 --lr 3e-4 --cuts 0.5 --validate-every 500
@@ -126,21 +128,20 @@ base=runs/default-base/weights.safetensors many=runs/many-last/weights.safetenso
 train_on() { # OUT FROM OPTIONS...: with stills in every second step
     out=$1 from=$2; shift 2
     run rtdenoise train --out "$out" --model default --set detail=true --device "$device" --init "$from" --signal both \
-        --loss-exposure 4 --huber 0.2 --loss-power 0.5 --frames 8 --batch 1 --warmup 50 --cuts 0.3 "$@"
+        $loss --loss-power 0.5 --frames 8 --batch 1 --warmup 50 --cuts 0.3 "$@"
 }
-mean() { run python tools/ship_weights.py "$@"; }
 
 train_on runs/many-last $base --data data/samples8-clean --stills data/stills-clean data/more-stills-clean --least-spp 4 \
     --lr 1e-3 --steps 6000 --shade 0.3
 if [ "$model" = many ]; then
-    mean many $base=0.35 $many=0.65
+    ship many $base=0.35 $many=0.65
     exit
 fi
 few="--data data/history-clean --most-spp 1 --lr 5e-4 --relight 0.05 --shade 0.15"
 few="$few --stills data/stills-clean data/more-stills-clean"
 train_on runs/default-one $base --steps 2400 $few
-mean runs/default-one/mean.safetensors $base=0.4 $many=0.3 runs/default-one/weights.safetensors=0.3
+ship runs/default-one/mean.safetensors $base=0.4 $many=0.3 runs/default-one/weights.safetensors=0.3
 train_on runs/default-two runs/default-one/mean.safetensors --steps 4000 --seed 1 $few
-mean runs/default-two/mean.safetensors $base=0.25 $many=0.3 runs/default-two/weights.safetensors=0.45
+ship runs/default-two/mean.safetensors $base=0.25 $many=0.3 runs/default-two/weights.safetensors=0.45
 train_on runs/default-last runs/default-two/mean.safetensors --steps 4000 --seed 2 $few data/one-sample-stills-clean
-mean default $base=0.5 $many=0.2 runs/default-last/weights.safetensors=0.3
+ship default $base=0.5 $many=0.2 runs/default-last/weights.safetensors=0.3
