@@ -13,7 +13,15 @@ from synthetic import make_frames
 from rtdenoise.color import display, srgb_decode
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import uncovered
-from rtdenoise.metrics import fovvideovdp, ghost_length, recent_masks, temporal_relmae, tpsnr
+from rtdenoise.metrics import (
+    fovvideovdp,
+    ghost_length,
+    recent_masks,
+    temporal_relmae,
+    tmse_corrected,
+    tpsnr,
+    tpsnr_corrected,
+)
 from rtdenoise.metrics.video import ages
 
 
@@ -30,6 +38,25 @@ def test_a_steady_error_does_not_flicker():
     assert tpsnr((image[0], image[0]), (reference[0], reference[0]), 1.0) == math.inf
     assert temporal_relmae((image[0], image[0]), (reference[0], reference[0]), 1.0) == 0
     assert math.isnan(tpsnr((image[0],) * 2, (reference[0],) * 2, 1.0, torch.zeros(1, 1, 8, 8, dtype=torch.bool)))
+
+
+def test_corrected_tpsnr_does_not_see_the_noise_of_references():
+    g = torch.Generator().manual_seed(6)
+    truth = [0.1 + 0.3 * torch.rand(1, 3, 96, 96, generator=g) for _ in "12"]
+    images = tuple(x + 0.01 * torch.randn(x.shape, generator=g) for x in truth)
+    halves = tuple(x + 0.02 * torch.randn(x.shape, generator=g) for x in truth)
+    others = tuple(x + 0.02 * torch.randn(x.shape, generator=g) for x in truth)
+    references = tuple((a + b) / 2 for a, b in zip(halves, others, strict=True))
+    mask = torch.rand(1, 1, 96, 96, generator=g) < 0.5
+    for where in (None, mask):
+        true = tpsnr(images, tuple(truth), 1.0, where)
+        assert tpsnr_corrected(images, references, 1.0, where, reference_halves=halves) == pytest.approx(true, abs=0.1)
+        assert tpsnr(images, references, 1.0, where) < true - 4  # what it hides
+    # Noise that is the same in both frames does not flicker, and is not taken out.
+    still = tpsnr_corrected(images, (references[0],) * 2, 1.0, reference_halves=(halves[0],) * 2)
+    assert still == tpsnr(images, (references[0],) * 2, 1.0)
+    own = tmse_corrected(references, references, 1.0, reference_halves=halves)
+    assert own < 0 and math.isnan(tpsnr_corrected(references, references, 1.0, reference_halves=halves))
 
 
 def test_temporal_relmae_of_flat_images():

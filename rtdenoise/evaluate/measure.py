@@ -24,8 +24,9 @@ from .sequence import Step, outputs, uncovered
 ALL_REGIONS = ("frame", "uncovered", "uncovered-1", "uncovered-2")
 ALL_METRICS = (
     "psnr", "psnr_corrected", "ssim", "relmse", "flip", "smape", "l1", "mse", "mse_corrected", "tpsnr",
-    "temporal_relmae",
+    "tpsnr_corrected", "tmse_corrected", "temporal_relmae",
 )  # fmt: skip
+MEAN_SQUARES = {"psnr_corrected": "mse_corrected", "tpsnr_corrected": "tmse_corrected"}  # of these decibels
 WHOLE_METRICS = ("fovvideovdp",)  # of a whole sequence, over the frame only
 REGIONS = ALL_REGIONS[:2]
 METRICS = ("psnr", "ssim", "relmse")
@@ -37,7 +38,8 @@ class Result:
     """One method on one sequence.
 
     `errors[region][metric]` is the mean over frames, weighted by the pixels of the region in each; NaN where the region
-    is empty. `psnr_corrected` is the PSNR of the mean of `mse_corrected`, which can be negative in a single frame.
+    is empty. `psnr_corrected` is the PSNR of the mean of `mse_corrected`, which can be negative in a single frame;
+    `tpsnr_corrected` likewise.
     """
 
     method: str
@@ -165,7 +167,7 @@ class _Judge:
     @property
     def _of_frames(self) -> list[str]:
         wanted = [metric for metric in self.metrics if metric not in WHOLE_METRICS]
-        return wanted + (["mse_corrected"] if "psnr_corrected" in wanted and "mse_corrected" not in wanted else [])
+        return list(dict.fromkeys([*wanted, *(MEAN_SQUARES[m] for m in wanted if m in MEAN_SQUARES)]))
 
     def _mask(self, region: str, i: int) -> Tensor | None:
         index = ALL_REGIONS.index(region)
@@ -186,9 +188,15 @@ def _errors(images: list[Tensor], frames: Sequence[Frame], scale: Tensor, wanted
     def over_time(metric: Callable[..., float]) -> Callable[[Tensor | None], float]:
         return partial(metric, *pairs) if len(images) > 1 else nothing
 
+    halves = tuple(f.reference_half for f in frames)
+
     def corrected(metric: Callable[..., float]) -> Callable[[Tensor | None], float]:
         half = frame.reference_half
         return nothing if half is None else lambda mask: metric(*now, mask, reference_half=half)
+
+    def corrected_over_time(metric: Callable[..., float]) -> Callable[[Tensor | None], float]:
+        known = len(images) > 1 and all(half is not None for half in halves)
+        return partial(metric, *pairs, reference_halves=halves) if known else nothing
 
     def flip() -> Callable[[Tensor | None], float]:
         differences = measures.flip_map(*now)  # the slowest metric: one map for all regions
@@ -200,6 +208,8 @@ def _errors(images: list[Tensor], frames: Sequence[Frame], scale: Tensor, wanted
                 return flip()
             case "psnr_corrected" | "mse_corrected":
                 return corrected(getattr(measures, metric))
+            case "tpsnr_corrected" | "tmse_corrected":
+                return corrected_over_time(getattr(measures, metric))
             case "tpsnr" | "temporal_relmae":
                 return over_time(getattr(measures, metric))
             case "relmse":
@@ -214,8 +224,8 @@ def _overall(metric: str, frames: list[dict[str, float]], weights: list[int]) ->
     """The error of a region over all frames, from its error in each."""
     if metric in WHOLE_METRICS:
         return math.nan
-    if metric == "psnr_corrected":
-        mse = _mean([frame["mse_corrected"] for frame in frames], weights)
+    if metric in MEAN_SQUARES:
+        mse = _mean([frame[MEAN_SQUARES[metric]] for frame in frames], weights)
         return decibels(mse) if mse > 0 else math.nan
     return _mean([frame[metric] for frame in frames], weights)
 

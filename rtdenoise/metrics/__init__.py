@@ -13,9 +13,10 @@ from .image import (
     smape,
     ssim,
 )
-from .video import fovvideovdp, ghost_length, recent_masks, temporal_relmae, tpsnr
+from .video import fovvideovdp, ghost_length, recent_masks, temporal_relmae, tmse_corrected, tpsnr, tpsnr_corrected
 
 __all__ = [
     "flip", "flip_map", "fovvideovdp", "ghost_length", "l1", "mse", "mse_corrected", "psnr", "psnr_corrected",
-    "recent_masks", "reference_mse", "relmse", "smape", "ssim", "temporal_relmae", "tpsnr",
+    "recent_masks", "reference_mse", "relmse", "smape", "ssim", "temporal_relmae", "tmse_corrected",
+    "tpsnr", "tpsnr_corrected",
 ]  # fmt: skip

@@ -28,8 +28,42 @@ def tpsnr(
     at the same pixel, without motion compensation: a constant error costs nothing, flicker does. NaN where the mask is
     empty.
     """
-    (before, now), (before_r, now_r) = ([display(x, scale) for x in pair] for pair in (images, references))
-    return decibels(masked_mean(((now - before) - (now_r - before_r)).square(), mask))
+    difference = _change(images, scale) - _change(references, scale)
+    return decibels(masked_mean(difference.square(), mask))
+
+
+def tmse_corrected(
+    images: tuple[Tensor, Tensor],
+    references: tuple[Tensor, Tensor],
+    scale: Tensor | float,
+    mask: Tensor | None = None,
+    *,
+    reference_halves: tuple[Tensor, Tensor],  # [1, 3, H, W] means of one half of the references' samples
+) -> float:
+    """The mean square of `tpsnr` minus what the references' noise adds to it, arguments as there: as
+    `image.mse_corrected`, from the difference of both halves' changes,
+
+        mean((ΔI - ΔR)²) - mean((ΔR₁ - ΔR₂)²) / 4
+
+    The estimate is noisy and can be 0 or negative: average it over frames before taking a logarithm.
+    """
+    others = tuple(2 * whole - half for whole, half in zip(references, reference_halves, strict=True))
+    difference = _change(images, scale) - _change(references, scale)
+    noise = _change(reference_halves, scale) - _change(others, scale)
+    return masked_mean(difference.square(), mask) - masked_mean(noise.square(), mask) / 4
+
+
+def tpsnr_corrected(
+    images: tuple[Tensor, Tensor],
+    references: tuple[Tensor, Tensor],
+    scale: Tensor | float,
+    mask: Tensor | None = None,
+    *,
+    reference_halves: tuple[Tensor, Tensor],
+) -> float:
+    """`tmse_corrected` in dB; NaN where that is 0 or negative: the references are too noisy to tell."""
+    corrected = tmse_corrected(images, references, scale, mask, reference_halves=reference_halves)
+    return decibels(corrected) if corrected > 0 else math.nan
 
 
 def temporal_relmae(
@@ -44,6 +78,12 @@ def temporal_relmae(
     """
     (before, now), (before_r, now_r) = ([x * scale for x in pair] for pair in (images, references))
     return masked_mean(((now - before) - (now_r - before_r)).abs() / (now_r.abs() + 0.01), mask)
+
+
+def _change(pair: tuple[Tensor, Tensor], scale: Tensor | float) -> Tensor:
+    """D(second) - D(first), D the display transform."""
+    before, now = (display(x, scale) for x in pair)
+    return now - before
 
 
 def recent_masks(masks: Sequence[Tensor], i: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -41,6 +41,8 @@ METRICS = {
     "mse": Metric("MSE", 5),
     "mse_corrected": Metric("corrected MSE", 5),
     "tpsnr": Metric("tPSNR", 2, True, "dB"),
+    "tpsnr_corrected": Metric("corrected tPSNR", 2, True, "dB"),
+    "tmse_corrected": Metric("corrected temporal MSE", 5),
     "temporal_relmae": Metric("temporal relMAE", 3),
     "fovvideovdp": Metric("FovVideoVDP", 2, True, "JOD"),
 }
