@@ -164,3 +164,10 @@ def test_facts_that_do_not_name_the_scene_are_one_line(tmp_path, facts):
     save_file(load_file(path), path, {"clip": json.dumps(facts)})
     with pytest.raises(InputError, match=r"clip_000000\.safetensors: its facts lack '(seed|source)'"):
         ClipDataset(tmp_path).scenes()
+
+
+def test_every_composition_of_assets_is_a_scene(tmp_path):
+    for index, (scene, take) in enumerate([(0, 0), (0, 1), (1, 0)]):
+        facts = {"kind": "composed", "scene": scene, "take": take, "seed": 2}
+        write_clip(clip_path(tmp_path, index), make_frames(), facts)
+    assert ClipDataset(tmp_path).scenes() == {"composition 0, seed 2", "composition 1, seed 2"}

@@ -139,8 +139,8 @@ class ClipDataset:
         return read_facts(self.paths[index])
 
     def scenes(self) -> set[str]:
-        """The scenes that the clips show: the name of a scene file, the folder of a shot, or the version and seed of a
-        generator. A generator draws textures and objects from its seed, so scenes of different seeds share nothing."""
+        """The scenes that the clips show: the name of a scene file, the folder of a shot, the number and seed of a
+        composition of assets, or the version and seed of a generator. A generator draws textures and objects from its seed, so scenes of different seeds share nothing."""
         return {_scene(path, read_facts(path)) for path in self.paths}
 
     def load(
@@ -284,6 +284,8 @@ def _scene(path: Path, facts: dict) -> str:
     try:
         if facts.get("kind") in ("scene file", SHOT):
             return str(facts["source"])
+        if facts.get("kind") == "composed":
+            return f"composition {facts['scene']}, seed {facts['seed']}"
         return f"generator {facts.get('generator')}, seed {facts.get('scene_seed', facts['seed'])}"
     except KeyError as missing:
         raise InputError(f"{path}: its facts lack {missing}; delete it and render it again") from None
