@@ -140,7 +140,8 @@ class ClipDataset:
 
     def scenes(self) -> set[str]:
         """The scenes that the clips show: the name of a scene file, the folder of a shot, the number and seed of a
-        composition of assets, or the version and seed of a generator. A generator draws textures and objects from its seed, so scenes of different seeds share nothing."""
+        composition of assets, or the version and seed of a generator. A generator draws textures and objects from its
+        seed, so scenes of different seeds share nothing."""
         return {_scene(path, read_facts(path)) for path in self.paths}
 
     def load(
