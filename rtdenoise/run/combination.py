@@ -23,8 +23,8 @@ from torch import Tensor
 from ..color import compress, expand
 from ..exposure import exposure
 
-WEIGHTS = {"forward": 0.36, "backward": 0.36, "single": -0.4, "second": 0.48, "averaged": 0.2}
-WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}
+WEIGHTS = {"forward": 0.4, "backward": 0.4, "single": -0.33, "second": 0.26, "averaged": 0.27}
+WEIGHTS_WITHOUT_OIDN = {"forward": 0.61, "backward": 0.61, "single": -0.22}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 
 

@@ -1,7 +1,8 @@
 """One frame of an animation on disk: what the passes over the sequence know of it, and their combination.
 
 The network runs over a sequence forward in time and backward. Read backward, a sequence is one whose `motion` and
-`motion_next` have changed places. `combination` joins both passes, the frame alone and OIDN's two opinions.
+`motion_next` have changed places. `combination` joins both passes, the frame alone and OIDN's two opinions; `sides`
+corrects the result.
 """
 
 from __future__ import annotations
@@ -15,28 +16,16 @@ import torch
 from torch import Tensor
 
 from ..baselines.oidn import Oidn
-from ..color import albedo_divisor
 from ..errors import InputError
 from ..frame import Frame, History
 from ..ops.even_sky import even_sky
-from ..ops.pixels import demodulate
 from ..sanitise import sanitise
 from ..splat import splat_motion_next
 from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
+from .sides import Estimate, corrected, two_sided
 
 WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds about 0.6 dB"
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """One pass's knowledge of a frame."""
-
-    image: Tensor  # [1, 3, H, W] the denoised frame
-    mean: Tensor  # [1, 3, H, W] irradiance averaged over time
-    mean_albedo: Tensor  # [1, 3, H, W] likewise
-    length: Tensor  # [1, 1, H, W] frames in these means
-    first: bool  # whether the pass begins a shot here: the image is that of the frame alone
 
 
 class Passes:
@@ -49,7 +38,7 @@ class Passes:
             raise InputError(f"--offline: model {model!r} does not average light over time; choose default, many, "
                              "fast or quality")  # fmt: skip
         self.has_oidn = importlib.util.find_spec("pyoidn") is not None
-        self._second, self._averaged = Oidn(prefilter=True), Oidn()
+        self._oidn = Oidn(prefilter=True)
 
     @property
     def notes(self) -> list[str]:
@@ -66,7 +55,8 @@ class Passes:
     def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
         found = combine(self.candidates(frame, forward, backward))
-        return replace(found, image=even_sky(found.image, frame.radiance, frame.depth))  # OIDN filters the sky too
+        image = corrected(frame, found.image, forward, backward)
+        return replace(found, image=even_sky(image, frame.radiance, frame.depth))  # OIDN filters the sky too
 
     def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:
         """What is known of a prepared frame."""
@@ -74,9 +64,8 @@ class Passes:
         if not self.has_oidn:
             return Candidates(*ours)
         light, albedo = two_sided(frame, forward, backward)
-        second, _ = self._second.step(frame)
-        averaged, _ = self._averaged.step(replace(frame, radiance=light, albedo=albedo))
-        return Candidates(*ours, second, averaged)
+        averaged = replace(frame, radiance=light, albedo=albedo)
+        return Candidates(*ours, *(self._oidn.step(seen)[0] for seen in (frame, averaged)))
 
     def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """The network's image of the frame alone; a pass that begins here has it already."""
@@ -94,23 +83,6 @@ def reverse(frame: Frame, following: Frame | None) -> Frame:
     if onward is None and following is not None:
         onward = splat_motion_next(following.motion, following.depth, frame.depth)
     return replace(frame, motion=onward, motion_next=frame.motion)
-
-
-def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor]:
-    """Radiance and albedo, `[1, 3, H, W]` each, averaged over the frames before and after.
-
-    With n frames in the forward mean m and n' in the backward mean m', which share the frame itself, y:
-    (n m + n' m' - y) / (n + n' - 1), of light over albedo; then multiplied by the averaged albedo.
-    """
-    noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
-    count = forward.length + backward.length - 1
-
-    def joined(before: Tensor, after: Tensor, now: Tensor) -> Tensor:
-        return ((forward.length * before + backward.length * after - now) / count).clamp(min=0)
-
-    light = joined(forward.mean, backward.mean, noisy)
-    albedo = joined(forward.mean_albedo, backward.mean_albedo, frame.albedo)
-    return light * albedo_divisor(albedo, frame.depth), albedo
 
 
 class InMemory:

@@ -12,7 +12,7 @@ from ..data.stored import read_history, write_history
 from ..errors import InputError
 
 if TYPE_CHECKING:
-    from .passes import Estimate
+    from .sides import Estimate
 
 LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
 STORED = {"radiance": "image", "mean": "mean", "mean_albedo": "mean_albedo", "length": "length"}  # in a file -> field
@@ -36,7 +36,7 @@ def read_estimate(path: Path, device: str, size: tuple[int, int]) -> Estimate:
     cannot be read, or is not of this frame."""
     import torch
 
-    from .passes import Estimate
+    from .sides import Estimate
 
     arrays, metadata = read_history(path)
     try:
