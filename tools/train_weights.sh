@@ -13,7 +13,7 @@
 #   PROCESSES=2     trains in two processes
 #   SCENES=FOLDER   scene files, FOLDER/NAME/scene.xml (docs/reference/models/default.md names them); without them generated
 #                   scenes take their place
-#   ASSETS=FOLDER   for `default` and `many`: a library of assets with its index.json
+#   ASSETS=FOLDER   for `default`, `many` and `quality`: a library of assets with its index.json
 #   DRY=1           prints the commands and runs none
 set -eu
 cd "$(dirname "$0")/.."
@@ -23,7 +23,7 @@ case $model in
     default | fast | quality | many | settings) ;;
     *) echo "expected default, fast, quality, many or settings, got '$model'" >&2; exit 2 ;;
 esac
-case $model in default | many) # both begin with weights trained on generated scenes and scene files
+case $model in default | many | quality)
     [ -n "${ASSETS:-}" ] || { echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2; };;
 esac
 
@@ -56,6 +56,12 @@ else
     clips sun $wide --count 240 --seed 21000 $noisy --sun 1
     clips sun3 --count 120 --seed 31000 $noisy --sun 0.6
     clips wide3 --count 189 --seed 41000 $noisy --sun 0.5 $files
+fi
+if [ "$model" = quality ]; then # the last runs, on light divided by albedo + 0.08
+    clips history --count 96 --frames 9 --seed 51000 $noisy --sun 0.4 --calm 0.2 $files
+    new="--assets $ASSETS $files --size 192 --frames 1 --most-spp 1"
+    clips one-sample-stills $new --reference-error 0.5 --count 324 --seed 2
+    clips sharp-stills $new --reference-error 0.01 --count 138 --seed 3
 fi
 [ "$model" != fast ] || clips calm --count 136 --seed 51000 $noisy --sun 0.4 --calm 1 $files
 case $model in default | many)
@@ -115,9 +121,24 @@ if [ "$model" = quality ]; then # grows from default as it is after its run `sun
     train relit $all $start --steps 3200 --lr 4e-4 --cuts 0.5 --relight 0.33 --validate-every 800
     train less $all $(after relit) --steps 950 --lr 3e-4 --cuts 0.5 --relight 0.1 --validate-every 950
     train little $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900
-    train last $all $(after little) --steps 1300 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 650
+    train edges $all $(after little) --steps 1300 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 650
 fi
-case $model in fast | quality) ship "$model" "runs/$model-last/weights.safetensors"; exit;; esac
+if [ "$model" = fast ]; then
+    ship fast runs/fast-last/weights.safetensors
+    exit
+elif [ "$model" = quality ]; then
+    from=runs/quality-edges/weights.safetensors
+    go_on() { # RUN OPTIONS...: from there, with stills in every second step
+        out=$1; shift
+        run rtdenoise train --out "$out" --model quality --device "$device" --init $from --signal both $loss --loss-power 0.5 \
+            --data data/history-clean --stills data/one-sample-stills-clean data/sharp-stills-clean --frames 8 --batch 1 \
+            --steps 500 --lr 3e-4 --warmup 50 "$@"
+    }
+    go_on runs/quality-again
+    go_on runs/quality-last --seed 1
+    ship quality $from=0.3 runs/quality-again/weights.safetensors=0.35 runs/quality-last/weights.safetensors=0.35
+    exit
+fi
 
 train edges $all $(after sun) --steps 2400 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 400
 train base $sunny $(after edges) --steps 1000 --lr 3e-4 --cuts 0.5 --validate-every 500
