@@ -67,6 +67,8 @@ def test_oidn_prefilters_noisy_guides_and_takes_frames_of_another_size():
     assert errors[0] < errors[1]
     smaller = frame.crop(0, 0, 48, 80)
     torch.testing.assert_close(method.step(smaller)[0], Oidn(prefilter=True).step(smaller)[0])
+    apart = Oidn(clean=True)  # features filtered once, for several pictures
+    assert torch.equal(apart.step(apart.prefiltered(smaller))[0], method.step(smaller)[0])
 
 
 def test_clamping_pulls_history_into_the_range_of_the_neighbourhood():

@@ -70,6 +70,12 @@ case $model in default | many)
     clips more-stills $stills --count 276 --seed 1
     clips samples8 --count 32 --spp 8 --frames 9 --seed 52000 $noisy --sun 0.4 --calm 0.2 $files;;
 esac
+if [ "$model" = many ]; then # small pictures, with shadows a pixel or two wide
+    small="--frames 1 --sun 0.6 $files"
+    clips small64 --count 51 --spp 64 --seed 60064 --reference-error 0.003 $small
+    clips small16 --count 24 --spp 16 --seed 60016 --reference-error 0.005 $small
+    clips samples16 --count 2 --spp 16 --frames 6 --seed 71016 --reference-error 0.02 --sun 0.6 --calm 0.4 $files
+fi
 if [ "$model" = default ]; then
     clips one-sample-stills $stills --count 324 --seed 2 --most-spp 1
     clips history --count 96 --frames 9 --seed 51000 $noisy --sun 0.4 --calm 0.2 $files
@@ -145,20 +151,25 @@ train base $sunny $(after edges) --steps 1000 --lr 3e-4 --cuts 0.5 --validate-ev
 
 # --- `many` and `default`: from there, on stills of a library ---------------------------------------------------------
 
-base=runs/default-base/weights.safetensors many=runs/many-last/weights.safetensors
+base=runs/default-base/weights.safetensors many=runs/many-one/weights.safetensors
 train_on() { # OUT FROM OPTIONS...: with stills in every second step
     out=$1 from=$2; shift 2
     run rtdenoise train --out "$out" --model default --set detail=true --device "$device" --init "$from" --signal both \
-        $loss --loss-power 0.5 --frames 8 --batch 1 --warmup 50 --cuts 0.3 "$@"
+        $loss --batch 1 --warmup 50 --cuts 0.3 --least-spp "$least" "$@"
 }
 
-train_on runs/many-last $base --data data/samples8-clean --stills data/stills-clean data/more-stills-clean --least-spp 4 \
-    --lr 1e-3 --steps 6000 --shade 0.3
+least=4 large="--stills data/stills-clean data/more-stills-clean" root="--loss-power 0.5 --frames 8"
+train_on runs/many-one $base --data data/samples8-clean $large --lr 1e-3 --steps 6000 --shade 0.3 $root
 if [ "$model" = many ]; then
-    ship many $base=0.35 $many=0.65
+    mean=runs/many-one/mean.safetensors last=runs/many-last/weights.safetensors
+    ship $mean $base=0.35 $many=0.65
+    small="data/small64 data/small64 data/small16 data/small16" # each twice: they are few
+    train_on runs/many-last $mean --data data/samples8-clean data/samples16 $large $small --lr 5e-4 --steps 4000 --seed 3 \
+        --shade 0.2 --loss-power 0.1 --frames 6
+    ship many $mean=0.35 $last=0.65
     exit
 fi
-few="--data data/history-clean --most-spp 1 --lr 5e-4 --relight 0.05 --shade 0.15"
+least=1 few="--data data/history-clean --most-spp 1 --lr 5e-4 --relight 0.05 --shade 0.15 $root"
 few="$few --stills data/stills-clean data/more-stills-clean"
 train_on runs/default-one $base --steps 2400 $few
 ship runs/default-one/mean.safetensors $base=0.4 $many=0.3 runs/default-one/weights.safetensors=0.3

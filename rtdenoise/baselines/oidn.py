@@ -24,6 +24,7 @@ class Oidn:
 
     quality: str = "high"  # high | balanced | fast
     prefilter: bool = False  # denoise albedo and normal first, as OIDN's manual advises, and declare them clean
+    clean: bool = False  # albedo and normal are free of noise, as `prefiltered` makes them
     accumulate: str = "none"  # input: filter the accumulated signal; output: accumulate the filtered signal
     alpha: float = 0.5  # of that accumulation
     _filters: dict[tuple[str, ...], OidnFilter] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -45,11 +46,13 @@ class Oidn:
             return accumulate.step(replace(frame, radiance=image), history)
         return image, None
 
-    def _filter(self, frame: Frame) -> Tensor:
+    def prefiltered(self, frame: Frame) -> Frame:
+        """The (sanitised) frame with its albedo and normal denoised, each by itself."""
         images = filter_inputs(frame)
-        if self.prefilter:
-            images |= {name: self._run({name: images[name]}) for name in ("albedo", "normal")}
-        return self._run(images)
+        return replace(frame, **{name: self._run({name: images[name]}) for name in ("albedo", "normal")})
+
+    def _filter(self, frame: Frame) -> Tensor:
+        return self._run(filter_inputs(self.prefiltered(frame) if self.prefilter else frame))
 
     def _run(self, images: dict[str, Tensor]) -> Tensor:
         """The filter of these inputs, set up again where size or device have changed."""
@@ -57,7 +60,7 @@ class Oidn:
         if kept is None or not kept.fits(images):
             if kept is not None:
                 kept.release()
-            clean = self.prefilter and "color" in images
+            clean = (self.prefilter or self.clean) and "color" in images
             kept = self._filters[tuple(images)] = OidnFilter(images, self.quality, clean)
         return kept(images)
 

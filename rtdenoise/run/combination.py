@@ -9,7 +9,8 @@ sum of them is closer to the truth than each:
 The weight of the single frame is negative: forward and backward pass share the noise of the frame itself, and the
 single frame shows it. Where all candidates are equal the image equals them to the bit.
 
-The weights were fitted by least squares on training clips, on the display transform (`python bench/offline.py fit`).
+The weights were fitted by least squares on training clips, on the display transform
+(`python bench/offline.py --fit CLIPS`).
 Weights by pixel, from a network or by length of history, gained nothing on other scenes (docs/notes/offline.md).
 """
 
@@ -23,8 +24,8 @@ from torch import Tensor
 from ..color import compress, expand
 from ..exposure import exposure
 
-WEIGHTS = {"forward": 0.4, "backward": 0.4, "single": -0.33, "second": 0.26, "averaged": 0.27}
-WEIGHTS_WITHOUT_OIDN = {"forward": 0.61, "backward": 0.61, "single": -0.22}
+WEIGHTS = {"forward": 0.36, "backward": 0.36, "single": -0.4, "second": 0.48, "averaged": 0.2}
+WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 
 

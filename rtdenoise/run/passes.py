@@ -38,7 +38,7 @@ class Passes:
             raise InputError(f"--offline: model {model!r} does not average light over time; choose default, many, "
                              "fast or quality")  # fmt: skip
         self.has_oidn = importlib.util.find_spec("pyoidn") is not None
-        self._oidn = Oidn(prefilter=True)
+        self._oidn = Oidn(clean=True)
 
     @property
     def notes(self) -> list[str]:
@@ -63,9 +63,10 @@ class Passes:
         ours = forward.image, backward.image, self._single(frame, forward, backward)
         if not self.has_oidn:
             return Candidates(*ours)
-        light, albedo = two_sided(frame, forward, backward)
-        averaged = replace(frame, radiance=light, albedo=albedo)
-        return Candidates(*ours, *(self._oidn.step(seen)[0] for seen in (frame, averaged)))
+        light = two_sided(frame, forward, backward)
+        clean = self._oidn.prefiltered(frame)
+        second, averaged = (self._oidn.step(replace(clean, radiance=x))[0] for x in (frame.radiance, light))
+        return Candidates(*ours, second, averaged)
 
     def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """The network's image of the frame alone; a pass that begins here has it already."""

@@ -27,8 +27,8 @@ class Estimate:
     first: bool  # whether the pass begins a shot here: the image is that of the frame alone
 
 
-def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor]:
-    """Radiance and albedo, `[1, 3, H, W]` each, averaged over the frames before and after.
+def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
+    """Radiance `[1, 3, H, W]`, averaged over the frames before and after.
 
     With n frames in the forward mean m and n' in the backward mean m', which share the frame itself, y:
     (n m + n' m' - y) / (n + n' - 1), of light over albedo; then multiplied by the averaged albedo.
@@ -41,7 +41,7 @@ def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tens
 
     light = joined(forward.mean, backward.mean, noisy)
     albedo = joined(forward.mean_albedo, backward.mean_albedo, frame.albedo)
-    return light * albedo_divisor(albedo, frame.depth), albedo
+    return light * albedo_divisor(albedo, frame.depth)
 
 
 def corrected(frame: Frame, image: Tensor, forward: Estimate, backward: Estimate) -> Tensor:
