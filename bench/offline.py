@@ -4,7 +4,8 @@ python bench/offline.py SEQ ...          # sequences with references that no net
 python bench/offline.py --fit CLIPS      # the weights, by least squares on training clips
 
 Measures OIDN, `default` and `offline` on every sequence and both signals, over the frame and in uncovered regions, and
-the time of each; writes bench/results/offline.json and the tables of docs/results/offline.md. The aims: corrected PSNR
+the time of each; writes bench/results/offline.json, the tables of docs/results/offline.md, and
+docs/images/offline/SEQ.webp, a strip of beauty. The aims: corrected PSNR
 over OIDN's by 2.5 dB on average and 1.5 dB on each, by 1 dB in uncovered regions of each, corrected tPSNR by 2.5 dB.
 
 `--fit` prints weights for `rtdenoise/run/combination.py`: those with the least squared error on the display transform,
@@ -19,6 +20,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
 from bench import DOCS, RESULTS, ROOT, harness
+from bench.harness import strips
 
 # isort: split
 import numpy as np
@@ -34,9 +36,10 @@ from rtdenoise.run.passes import Passes, reverse
 from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "offline.json", (DOCS / "results" / "offline.md",)
-OUT = ROOT / "out" / "offline"
+OUT, PICTURES = ROOT / "out" / "offline", DOCS / "images" / "offline"
 SIGNALS = ("indirect", "color")
 METHODS = ("oidn", "default", "offline")
+SHOWN = {"OIDN": "oidn", "default": "default", "offline": "offline"}
 METRICS = ("psnr", "psnr_corrected", "mse_corrected", "flip", "tpsnr", "tpsnr_corrected")
 REGIONS = ("frame", "uncovered")
 AIMS = {
@@ -74,6 +77,11 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]] = (), fit: Path | None
                 "uncovered_pixels": facts["uncovered_share"] * math.prod(facts["size"]) * (len(facts["frames"]) - 1),
                 **{region: {m: row["errors"][region][m] for m in METRICS} for region in REGIONS},
             })  # fmt: skip
+    PICTURES.mkdir(exist_ok=True)
+    for name, facts in documents["color"].sequences.items():
+        still = OUT / "color" / "pictures" / name / f"{facts['stills'][0]:04d}"
+        picture = strips.compose(still, SHOWN, facts["exposure"])
+        (PICTURES / f"{name}.webp").write_bytes(strips.encode(picture))
     weights = {"with OIDN": combination.WEIGHTS, "without": combination.WEIGHTS_WITHOUT_OIDN}
     harness.publish(RESULT, {"weights": weights, "rows": rows}, digits=5, pages=PAGES, tables=tables)
 
