@@ -77,11 +77,8 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]] = (), fit: Path | None
                 "uncovered_pixels": facts["uncovered_share"] * math.prod(facts["size"]) * (len(facts["frames"]) - 1),
                 **{region: {m: row["errors"][region][m] for m in METRICS} for region in REGIONS},
             })  # fmt: skip
-    PICTURES.mkdir(exist_ok=True)
     for name, facts in documents["color"].sequences.items():
-        still = OUT / "color" / "pictures" / name / f"{facts['stills'][0]:04d}"
-        picture = strips.compose(still, SHOWN, facts["exposure"])
-        (PICTURES / f"{name}.webp").write_bytes(strips.encode(picture))
+        strips.draw(OUT / "color", name, facts, SHOWN, PICTURES / f"{name}.webp")
     weights = {"with OIDN": combination.WEIGHTS, "without": combination.WEIGHTS_WITHOUT_OIDN}
     harness.publish(RESULT, {"weights": weights, "rows": rows}, digits=5, pages=PAGES, tables=tables)
 

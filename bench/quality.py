@@ -114,13 +114,10 @@ def keep(document: dict, before: dict, methods: Sequence[str]) -> dict:
 
 def draw(documents: dict[str, Document]) -> None:
     """Write the strips into docs/images."""
-    PICTURES.mkdir(parents=True, exist_ok=True)
     for signal, document in documents.items():
         for name, sequence in document.sequences.items():
-            still = OUT / signal / "pictures" / name / f"{sequence['stills'][0]:04d}"
             shown = {"noisy": "noisy", "OIDN": "oidn", "default": "default"}
-            picture = strips.compose(still, shown, sequence["exposure"])
-            (PICTURES / f"{name}-{signal}.webp").write_bytes(strips.encode(picture))
+            strips.draw(OUT / signal, name, sequence, shown, PICTURES / f"{name}-{signal}.webp")
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------

@@ -21,6 +21,13 @@ MAX_WIDTH = 1640  # pixels; wider strips are scaled down
 QUALITIES = range(80, 20, -5)  # of WebP, tried in this order until a strip is small enough
 
 
+def draw(evaluation: Path, name: str, sequence: dict, methods: dict[str, str], out: Path) -> None:
+    """Write the strip of a sequence's first still from the folder of an evaluation; `sequence` are its facts there."""
+    still = evaluation / "pictures" / name / f"{sequence['stills'][0]:04d}"
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(encode(compose(still, methods, sequence["exposure"])))
+
+
 def compose(still: Path, methods: dict[str, str], exposure: float) -> Image.Image:
     """One panel per method and one of the reference, from a frame's folder of pictures that `evaluate` wrote.
 
