@@ -57,17 +57,11 @@ else
     clips sun3 --count 120 --seed 31000 $noisy --sun 0.6
     clips wide3 --count 189 --seed 41000 $noisy --sun 0.5 $files
 fi
-if [ "$model" = quality ]; then # the last runs, on light divided by albedo + 0.08
-    clips history --count 96 --frames 9 --seed 51000 $noisy --sun 0.4 --calm 0.2 $files
-    new="--assets $ASSETS $files --size 192 --frames 1 --most-spp 1"
-    clips one-sample-stills $new --reference-error 0.5 --count 324 --seed 2
-    clips sharp-stills $new --reference-error 0.01 --count 138 --seed 3
-fi
 [ "$model" != fast ] || clips calm --count 136 --seed 51000 $noisy --sun 0.4 --calm 1 $files
+stills="--assets ${ASSETS:-} $files --size 192 --frames 1"
 case $model in default | many)
-    stills="--assets $ASSETS $files --size 192 --frames 1 --reference-error 0.5"
-    clips stills $stills --count 195
-    clips more-stills $stills --count 276 --seed 1
+    clips stills $stills --reference-error 0.5 --count 195
+    clips more-stills $stills --reference-error 0.5 --count 276 --seed 1
     clips samples8 --count 32 --spp 8 --frames 9 --seed 52000 $noisy --sun 0.4 --calm 0.2 $files;;
 esac
 if [ "$model" = many ]; then # small pictures, with shadows a pixel or two wide
@@ -76,10 +70,11 @@ if [ "$model" = many ]; then # small pictures, with shadows a pixel or two wide
     clips small16 --count 24 --spp 16 --seed 60016 --reference-error 0.005 $small
     clips samples16 --count 2 --spp 16 --frames 6 --seed 71016 --reference-error 0.02 --sun 0.6 --calm 0.4 $files
 fi
-if [ "$model" = default ]; then
-    clips one-sample-stills $stills --count 324 --seed 2 --most-spp 1
-    clips history --count 96 --frames 9 --seed 51000 $noisy --sun 0.4 --calm 0.2 $files
-fi
+case $model in default | quality)
+    clips one-sample-stills $stills --reference-error 0.5 --count 324 --seed 2 --most-spp 1
+    clips history --count 96 --frames 9 --seed 51000 $noisy --sun 0.4 --calm 0.2 $files;;
+esac
+[ "$model" != quality ] || clips sharp-stills $stills --reference-error 0.01 --count 138 --seed 3 --most-spp 1
 
 # --- the weights ------------------------------------------------------------------------------------------------------
 
@@ -92,6 +87,11 @@ train() { # RUN OPTIONS...: train $network into runs/NETWORK-RUN
     [ "${PROCESSES:-1}" = 1 ] || several="torchrun --standalone --nproc-per-node $PROCESSES -m --"
     run $several rtdenoise train --out "$out" --model "$network" --device "$device" --val data/val --signal both \
         $loss $fields --optimiser muon "$@"
+}
+train_on() { # OUT FROM OPTIONS...: $network, with stills in every second step
+    out=$1 from=$2; shift 2
+    run rtdenoise train --out "$out" --model "$network" $fields --device "$device" --init "$from" --signal both $loss \
+        --batch 1 --warmup 50 "$@"
 }
 after() { # RUN: start from its weights
     echo "--init runs/$network-$1/weights.safetensors"
@@ -134,14 +134,10 @@ if [ "$model" = fast ]; then
     exit
 elif [ "$model" = quality ]; then
     from=runs/quality-edges/weights.safetensors
-    go_on() { # RUN OPTIONS...: from there, with stills in every second step
-        out=$1; shift
-        run rtdenoise train --out "$out" --model quality --device "$device" --init $from --signal both $loss --loss-power 0.5 \
-            --data data/history-clean --stills data/one-sample-stills-clean data/sharp-stills-clean --frames 8 --batch 1 \
-            --steps 500 --lr 3e-4 --warmup 50 "$@"
-    }
-    go_on runs/quality-again
-    go_on runs/quality-last --seed 1
+    new="--data data/history-clean --stills data/one-sample-stills-clean data/sharp-stills-clean --loss-power 0.5"
+    new="$new --frames 8 --steps 500 --lr 3e-4"
+    train_on runs/quality-again $from $new
+    train_on runs/quality-last $from $new --seed 1
     ship quality $from=0.3 runs/quality-again/weights.safetensors=0.35 runs/quality-last/weights.safetensors=0.35
     exit
 fi
@@ -152,24 +148,20 @@ train base $sunny $(after edges) --steps 1000 --lr 3e-4 --cuts 0.5 --validate-ev
 # --- `many` and `default`: from there, on stills of a library ---------------------------------------------------------
 
 base=runs/default-base/weights.safetensors many=runs/many-one/weights.safetensors
-train_on() { # OUT FROM OPTIONS...: with stills in every second step
-    out=$1 from=$2; shift 2
-    run rtdenoise train --out "$out" --model default --set detail=true --device "$device" --init "$from" --signal both \
-        $loss --batch 1 --warmup 50 --cuts 0.3 --least-spp "$least" "$@"
-}
+fields="--set detail=true"
 
-least=4 large="--stills data/stills-clean data/more-stills-clean" root="--loss-power 0.5 --frames 8"
-train_on runs/many-one $base --data data/samples8-clean $large --lr 1e-3 --steps 6000 --shade 0.3 $root
+large="--stills data/stills-clean data/more-stills-clean" root="--cuts 0.3 --loss-power 0.5 --frames 8"
+train_on runs/many-one $base --data data/samples8-clean $large --least-spp 4 --lr 1e-3 --steps 6000 --shade 0.3 $root
 if [ "$model" = many ]; then
     mean=runs/many-one/mean.safetensors last=runs/many-last/weights.safetensors
     ship $mean $base=0.35 $many=0.65
     small="data/small64 data/small64 data/small16 data/small16" # each twice: they are few
     train_on runs/many-last $mean --data data/samples8-clean data/samples16 $large $small --lr 5e-4 --steps 4000 --seed 3 \
-        --shade 0.2 --loss-power 0.1 --frames 6
+        --least-spp 4 --cuts 0.3 --shade 0.2 --loss-power 0.1 --frames 6
     ship many $mean=0.35 $last=0.65
     exit
 fi
-least=1 few="--data data/history-clean --most-spp 1 --lr 5e-4 --relight 0.05 --shade 0.15 $root"
+few="--data data/history-clean --most-spp 1 --lr 5e-4 --relight 0.05 --shade 0.15 $root"
 few="$few --stills data/stills-clean data/more-stills-clean"
 train_on runs/default-one $base --steps 2400 $few
 ship runs/default-one/mean.safetensors $base=0.4 $many=0.3 runs/default-one/weights.safetensors=0.3
