@@ -31,6 +31,7 @@ from rtdenoise.frame import Frame
 from rtdenoise.metrics.image import decibels, mse, reference_mse
 from rtdenoise.models import load
 from rtdenoise.models.accumulated_kpn import AccumulatedKPN, Heads
+from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.pixels import demodulate, modulate
 
 RESULT, PAGES = RESULTS / "clean_input.json", (DOCS / "notes" / "clean_input.md",)
@@ -48,9 +49,7 @@ def main(folders: tyro.conf.Positional[tuple[Path, ...]], weights: tuple[str, ..
         for index in range(len(clips)):
             for signal in SIGNALS:
                 frame = clips.load(index, signal=signal)[0]
-                rows.append(
-                    {"clips": f"{folder.parent.name}", "clip": index, "signal": signal, **measured(frame, networks)}
-                )
+                rows.append({"clips": folder.parent.name, "clip": index, "signal": signal, **measured(frame, networks)})
                 print(rows[-1], flush=True)
     harness.publish(RESULT, {"weights": list(weights), "rows": rows}, digits=4, pages=PAGES, tables=tables)
 
@@ -75,16 +74,18 @@ def measured(frame: Frame, networks: dict[str, AccumulatedKPN]) -> dict[str, flo
             "-finest": finest,
             "-both": replace(finest, edge=None),
         }
-        found |= {name + key: psnr(filtered(network, frame, heads)) for key, heads in changed.items()}
+        found |= {name + key: psnr(filtered(network, frame, other)) for key, other in changed.items()}
         found[f"{name}-centre"], found[f"{name}-edge-centre"] = _middle(heads.spatial[0]), _middle(heads.edge)
     return found
 
 
 def filtered(network: AccumulatedKPN, frame: Frame, heads: Heads) -> Tensor:
-    """A first frame, filtered by other kernels than it has."""
+    """A first frame as `AccumulatedKPN.step` filters it, by `heads`."""
     light = network.over_space(demodulate(frame.radiance, frame.albedo, frame.depth), heads)
     image = modulate(light, frame.albedo, frame.albedo, heads.sharp, frame.depth)
-    return network.over_edges_and_time(image, frame.radiance, torch.zeros_like(frame.depth, dtype=torch.bool), heads)
+    never = torch.zeros_like(frame.depth, dtype=torch.bool)
+    image = network.over_edges_and_time(image, frame.radiance, never, heads)
+    return even_sky(image, frame.radiance, frame.depth)
 
 
 def _alone(logits: Tensor) -> Tensor:
