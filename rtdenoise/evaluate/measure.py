@@ -16,7 +16,7 @@ from .. import metrics as measures
 from ..color import display_exposure
 from ..errors import InputError
 from ..frame import Frame
-from ..metrics.image import decibels, masked_mean
+from ..metrics.image import decibels_of_estimate, masked_mean
 from .registry import choose
 from .sequence import Step, outputs, uncovered
 
@@ -225,8 +225,7 @@ def _overall(metric: str, frames: list[dict[str, float]], weights: list[int]) ->
     if metric in WHOLE_METRICS:
         return math.nan
     if metric in MEAN_SQUARES:
-        mse = _mean([frame[MEAN_SQUARES[metric]] for frame in frames], weights)
-        return decibels(mse) if mse > 0 else math.nan
+        return decibels_of_estimate(_mean([frame[MEAN_SQUARES[metric]] for frame in frames], weights))
     return _mean([frame[metric] for frame in frames], weights)
 
 

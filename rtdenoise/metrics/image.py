@@ -62,8 +62,7 @@ def psnr_corrected(
     reference_half: Tensor,
 ) -> float:
     """`mse_corrected` in dB; NaN where that is 0 or negative: the reference is too noisy to tell."""
-    corrected = mse_corrected(image, reference, scale, mask, reference_half=reference_half)
-    return decibels(corrected) if corrected > 0 else math.nan
+    return decibels_of_estimate(mse_corrected(image, reference, scale, mask, reference_half=reference_half))
 
 
 def reference_mse(
@@ -150,6 +149,11 @@ def flip_map(image: Tensor, reference: Tensor, scale: Tensor | float, dynamic_ra
     r, a = (np.ascontiguousarray(x[0].permute(1, 2, 0).cpu().numpy(), np.float32) for x in (r, a))
     error, _, _ = flip_evaluator.evaluate(r, a, dynamic_range, applyMagma=False, computeMeanError=False)
     return torch.from_numpy(np.ascontiguousarray(error)).permute(2, 0, 1)[None]
+
+
+def decibels_of_estimate(mse: float) -> float:
+    """`decibels` of a corrected mean square; NaN where that is 0 or negative."""
+    return decibels(mse) if mse > 0 else math.nan
 
 
 def decibels(mse: float) -> float:

@@ -12,7 +12,7 @@ from ..color import display
 from ..errors import InputError
 from ..motion import on_screen
 from ..ops import fetch
-from .image import decibels, masked_mean
+from .image import decibels, decibels_of_estimate, masked_mean
 
 
 def tpsnr(
@@ -62,8 +62,7 @@ def tpsnr_corrected(
     reference_halves: tuple[Tensor, Tensor],
 ) -> float:
     """`tmse_corrected` in dB; NaN where that is 0 or negative: the references are too noisy to tell."""
-    corrected = tmse_corrected(images, references, scale, mask, reference_halves=reference_halves)
-    return decibels(corrected) if corrected > 0 else math.nan
+    return decibels_of_estimate(tmse_corrected(images, references, scale, mask, reference_halves=reference_halves))
 
 
 def temporal_relmae(
