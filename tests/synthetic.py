@@ -57,12 +57,12 @@ def write_sequence(folder, frames, without=()):
     return folder
 
 
-def write_clips(folder, seeds, size=24, reference_noise=0.0):
-    """A clip of four frames for each seed, in the format that rendering writes."""
+def write_clips(folder, seeds, size=24, reference_noise=0.0, lead_in=0):
+    """A clip of four frames, and a lead-in, for each seed, in the format that rendering writes."""
     folder.mkdir(exist_ok=True)
     for index, seed in enumerate(seeds):
         frames, rng = [], np.random.default_rng(seed)
-        for frame in make_frames(4, H=size, W=size, seed=seed):
+        for frame in make_frames(lead_in + 4, H=size, W=size, seed=seed):
             layers = {layer: t[0].permute(1, 2, 0).numpy() for layer, t in frame.layers()}
             layers["color"] = layers["indirect"] = layers.pop("radiance")
             layers["indirect_reference"] = layers["reference"]
@@ -70,8 +70,11 @@ def write_clips(folder, seeds, size=24, reference_noise=0.0):
             layers["id"] = np.ones((size, size, 1))
             for name in ("reference", "indirect_reference") if reference_noise else ():
                 layers[name] = layers[name] * (1 + reference_noise * rng.uniform(-1, 1, (size, size, 1)))
+            if frame.number < lead_in:
+                layers |= {name: np.zeros_like(layer) for name, layer in layers.items() if "reference" in name}
             frames.append(layers)
-        write_clip(clip_path(folder, index), frames, {"seed": seed, "generator": 1})
+        facts = {"seed": seed, "generator": 1} | ({"lead_in": lead_in} if lead_in else {})
+        write_clip(clip_path(folder, index), frames, facts)
     return folder
 
 

@@ -43,6 +43,14 @@ def test_references_lose_their_noise_and_nothing_else_changes(noisy, cleaned, si
                 assert name.startswith("reference") or torch.equal(layer, getattr(b, name)), name
 
 
+def test_a_lead_in_stays_without_references(tmp_path):
+    noisy = write_clips(tmp_path / "noisy", range(1), lead_in=2, reference_noise=0.5)
+    main(["clean", str(noisy), "--out", str(tmp_path / "clean")])
+    before, after = (ClipDataset(tmp_path / name).load(0, lead_in=2) for name in ("noisy", "clean"))
+    changed = [not torch.equal(a.reference, b.reference) for a, b in zip(before, after, strict=True)]
+    assert changed == [False] * 2 + [True] * 4
+
+
 def test_what_is_there_is_kept_and_the_card_says_what_it_is(noisy, cleaned, capsys):
     clip_path(cleaned, 1).unlink()
     written = clip_path(cleaned, 0).stat().st_mtime_ns

@@ -19,6 +19,7 @@ from synthetic import TINY, make_frames, write_clips
 
 from rtdenoise.data.clips import RADIANCE, ClipDataset, clip_path, read_layers, write_clip
 from rtdenoise.errors import InputError
+from rtdenoise.exposure import exposure
 from rtdenoise.files import dumps
 from rtdenoise.frame import stack
 from rtdenoise.models import PRESETS, load, read
@@ -264,6 +265,31 @@ def test_every_second_step_takes_stills(config, other_clips):
         train(replace(config, model="combiner", frames=5))
     with pytest.raises(InputError, match="scenes that are in the training clips too"):
         train(replace(config, val=other_clips))
+
+
+def test_a_lead_in_gives_history_and_counts_for_nothing(tmp_path, config):
+    """Its references are never read, and the loss is that of the same frames with the history passed on by hand."""
+    write_clips(tmp_path, range(1), lead_in=3)
+    config = replace(config, data=(tmp_path,), val=None, batch=1, size=24, frames=4, lead_in=8)
+    data = ClipDataset(tmp_path)
+    taken = batch(data, config, 0)
+    assert len(taken) == 7 and len(batch(data, replace(config, lead_in=0), 0)) == 4
+    loss = tasks.denoiser_loss(Trainer(config).model, taken, config, 0)[0]
+    lit = [replace(f, reference=f.radiance, reference_half=f.radiance) for f in taken[:3]] + taken[3:]
+    torch.testing.assert_close(tasks.denoiser_loss(Trainer(config).model, lit, config, 0)[0], loss)
+    assert tasks.denoiser_loss(Trainer(config).model, taken[3:], config, 0)[0] != loss
+    history, total, previous = None, 0.0, None
+    model = Trainer(config).model
+    for i, frame in enumerate(taken):
+        image, history = model.step(frame, history)
+        if i >= 3:
+            scale = config.loss_exposure * exposure(frame.reference)
+            total += model.loss(image, frame, previous, None, scale, config.huber).total.item() / 4
+            previous = image, frame.reference
+    assert total == pytest.approx(loss.item(), rel=1e-4)
+    assert train(config).is_file()
+    with pytest.raises(InputError, match="lead_in: expected 0 to"):
+        train(replace(config, lead_in=-1))
 
 
 def test_clips_of_too_few_or_too_many_samples_are_left_out(tmp_path, config):

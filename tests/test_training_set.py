@@ -102,6 +102,25 @@ def test_a_set_is_the_same_in_shards_and_after_a_kill(tmp_path):
     assert not any(clip.name.startswith(".clip") for clip in parts.iterdir())
 
 
+def test_a_lead_in_has_no_references_and_comes_before_the_rest(tmp_path):
+    options = replace(TINY, count=1, lead_in=4)
+    render_clips(tmp_path, options, lambda *_: None)
+    data = ClipDataset(tmp_path)
+    assert read_facts(data.paths[0])["frames"] == 3 and read_facts(data.paths[0])["lead_in"] == 4
+    plain, whole = data.load(0), data.load(0, lead_in=9)
+    assert [len(plain), len(whole)] == [3, 7]
+    assert all((frame.reference == 0).all() for frame in whole[:4]) and all((f.reference > 0).any() for f in plain)
+    assert all((frame.radiance > 0).any() for frame in whole)
+    assert all(torch.equal(a.radiance, b.radiance) for a, b in zip(plain, whole[4:], strict=True))
+    assert [frame.number for frame in whole] == list(range(7))
+    part = data.load(0, frames=1, lead_in=5, rng=np.random.default_rng(1))
+    assert len(part) == 1 + min(5, part[-1].number) and (part[-1].reference > 0).any()
+    with pytest.raises(InputError, match="expected at least 4 frames of 32×32, found 3"):
+        data.load(0, frames=4)
+    with pytest.raises(InputError, match="lead_in"):
+        render_clips(tmp_path, TINY, lambda *_: None)
+
+
 def test_scenes_are_mixed_in_with_their_licences(room, tmp_path):
     street = tmp_path / "street"
     street.mkdir()
@@ -448,6 +467,9 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
         ("clips --reference-spp 9", "--reference-spp: goes with --generator 1"),
         ("clips --generator 1 --reference-spp 0", "need references; expected 2 or more, got 0"),
         ("clips --generator 1 --sun 1", "--sun: goes with --generator 2 and 3, not with 1"),
+        ("clips --generator 1 --lead-in 3", "--lead-in: goes with --generator 2 and 3, not with 1"),
+        ("clips --lead-in -1", "--lead-in: expected 0 or more, got -1"),
+        ("clips --assets x --frames 1 --lead-in 3", "--lead-in: is for clips; stills have no frames before them"),
         ("clips --motions x", "go with --scenes"),
         ("clips --seed -1", "--seed: expected 0 or more, got -1"),
         ("render", "nothing to render: name a scene"),

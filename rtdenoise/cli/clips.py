@@ -12,12 +12,12 @@ from ..errors import InputError
 from .progress import progress_bar
 from .render import at_least_one, not_negative
 
-OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error", "assets"}
+OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error", "assets", "lead_in"}
 OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
 OF_SHOTS = {"reference", "preset"}
 OF_PATHS = {
     "scenes", "motions", "exclude", "generator", "sun", "calm", "textures", "assets", "allow_unlicensed",
-    "reference_error", "repeats", "most_spp",
+    "reference_error", "lead_in", "repeats", "most_spp",
 }  # fmt: skip
 OF_CHAINS = {"chains", "attribution"}
 OF_BOTH = {"shots", "out", "count", "frames", "size", "width", "height", "seed"}
@@ -53,7 +53,10 @@ class Clips:
     allow_unlicensed: bool = False
     """With --assets: use assets whose licence is unknown, too."""
     frames: int = 10
-    """Frames of each clip; with --assets 8 to 10, some 16 to 32, or with --frames 1 stills of more cameras."""
+    """Frames of each clip; with --assets 8 to 10, some 16 to 32, or so many where there is a lead-in, or with
+    --frames 1 stills of more cameras."""
+    lead_in: int = 0
+    """Frames before these, noisy and without references: `rtdenoise train --lead-in` begins with their history."""
     repeats: int = 1
     """With --frames 1: renders of each still with noise of their own, the frames of a clip without motion."""
     size: int = 128
@@ -99,7 +102,7 @@ class Clips:
     def run(self) -> None:
         counts = "count", "frames", "width", "height", "size", "spp", "max_depth", "workers", "chains", "repeats"
         at_least_one(self, *counts)
-        not_negative(self, "seed", "reference_spp")
+        not_negative(self, "seed", "reference_spp", "lead_in")
         if self.shots:
             self._cut()
         else:
@@ -144,8 +147,8 @@ class Clips:
             self.reference_spp or (256 if metropolis else 64), self.max_depth or (8 if metropolis else 6),
             self.workers, parse_shard(self.shard),
             find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (), self.generator, self.sun,
-            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, self.repeats,
-            self.most_spp, self.ray or "", metropolis,
+            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, self.lead_in,
+            self.repeats, self.most_spp, self.ray or "", metropolis,
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)
@@ -176,7 +179,8 @@ class Clips:
             raise InputError("--reference-spp: goes with --generator 1 and pssmlt; other sets take --reference-error")
         if self.reference_spp == 0:
             raise InputError("--reference-spp: clips are for training and need references; expected 2 or more, got 0")
-        if self.assets and (unused := given & (OF_GENERATED - ({"frames"} if self.frames == 1 else set()))):
+        drawn = OF_GENERATED - ({"frames"} if self.frames == 1 or self.lead_in else set())
+        if self.assets and (unused := given & drawn):
             raise InputError(f"--{min(unused)}: is for generated scenes, not for --assets")
         if self.most_spp is not None and not self.assets:
             raise InputError("--most-spp: goes with --assets; other sets have --spp samples a pixel")
@@ -184,6 +188,8 @@ class Clips:
             raise InputError(f"--most-spp: expected {self.spp} (--spp) or more, got {self.most_spp}")
         if self.repeats > 1 and not (self.assets and self.frames == 1):
             raise InputError("--repeats: is for stills, --assets with --frames 1")
+        if self.lead_in and self.assets and self.frames == 1:
+            raise InputError("--lead-in: is for clips; stills have no frames before them")
         if self.allow_unlicensed and not self.assets:
             raise InputError("--allow-unlicensed: goes with --assets")
         if given >= {"ray", "workers"}:

@@ -13,7 +13,7 @@ from ..errors import InputError
 
 MOST = {  # of the options that count something; more is a slip, or more than the renderer takes
     "frames": 1_000_000, "width": 65_536, "height": 65_536, "size": 65_536, "spp": 1 << 24, "reference_spp": 1 << 24,
-    "max_depth": 10_000, "count": 10_000_000, "workers": 1024,
+    "max_depth": 10_000, "count": 10_000_000, "workers": 1024, "lead_in": 1_000_000,
 }  # fmt: skip
 MAX_PATHS = 2**32 - 1  # of one frame: samples are numbered by 32 bits
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 RADIANCE = tuple(layer for names in zip(*(SIGNALS[s].values() for s in SIGNALS), strict=True) for layer in names)
 FEATURES = tuple(name for name, layer in LAYERS.items() if layer.in_every_clip and name not in RADIANCE)
 OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_clip)
+LEAD_IN = "lead_in"  # fact of a clip: how many of its frames, the first ones, have no references
 SHOT = "shot"  # kind of the clips that are cut from frames on disk
 REPEAT = "delete it and make it again: rtdenoise estimates"
 FLOAT_TYPES, ID_TYPES = ("F16", "F32"), ("U16", "U8", "F32")  # names of safetensors; older clips have the later ones
@@ -150,14 +151,16 @@ class ClipDataset:
         *,
         signal: str = "color",  # color | indirect
         size: int | tuple[int, int] | None = None,  # of the window, (height, width); None: the whole image
-        frames: int | None = None,  # how many consecutive ones; None: all
+        frames: int | None = None,  # how many consecutive ones with references; None: all
+        lead_in: int = 0,  # so many of the frames before these too, or all there are
         rng: np.random.Generator | None = None,  # draws window and first frame; None: centre and first
         layers: Collection[str] = (),  # layers of `Frame` to load too: "position"
         estimates: str = "",  # method whose denoised frames to load too (`estimate_path`)
     ) -> list[Frame]:
         """Consecutive frames of clip `index`, tensors [1, C, H, W] float32, of one random window; no more is read.
 
-        With `estimates` as many frames follow whose radiance is the denoised one.
+        With `lead_in` those before them come first; some of these have references of zero (`LEAD_IN`). With `estimates`
+        as many frames follow whose radiance is the denoised one.
 
         `Frame.samples`, and for the signal `color` `Frame.components`, are loaded from the clips that have them. Raises
         InputError for an unknown signal, a clip that is too small, and a signal or layer that the clip lacks.
@@ -168,24 +171,25 @@ class ClipDataset:
         with _opened(path) as clip:
             sources = _sources(path, set(clip.keys()), signal, layers)
             length, height, width = _size(path, clip, {name for names in sources.values() for name in names})
-            count = length if frames is None else frames
+            before = _from_header(path, clip, "clip").get(LEAD_IN, 0)
+            count = length - before if frames is None else frames
             window = (height, width) if size is None else (size, size) if isinstance(size, int) else size
-            if count > length or window[0] > height or window[1] > width:
+            if count > length - before or window[0] > height or window[1] > width:
                 raise InputError(f"{path}: expected at least {count} frames of {window[1]}×{window[0]}, "
-                                 f"found {length} of {width}×{height}")  # fmt: skip
-            room = (length - count, height - window[0], width - window[1])
+                                 f"found {length - before} of {width}×{height}")  # fmt: skip
+            room = (length - before - count, height - window[0], width - window[1])
             first, top, left = rng.integers(0, room, endpoint=True) if rng else (0, room[1] // 2, room[2] // 2)
-            time, rows, columns = (
-                slice(start, start + length) for start, length in zip((first, top, left), (count, *window), strict=True)
-            )
+            begin = max(before + int(first) - lead_in, 0)
+            time = slice(begin, before + int(first) + count)
+            rows, columns = slice(top, top + window[0]), slice(left, left + window[1])
             scales = _scales(path, clip)
             tensors = {
                 field: _stacked([_unscaled(clip.get_slice(n)[time, :, rows, columns], scales.get(n)) for n in names])
                 for field, names in sources.items()
             }
         loaded = [
-            Frame(**{field: t[i : i + 1] for field, t in tensors.items()}, number=int(first) + i, name=path.name)
-            for i in range(count)
+            Frame(**{field: t[i : i + 1] for field, t in tensors.items()}, number=number, name=path.name)
+            for i, number in enumerate(range(time.start, time.stop))
         ]
         if not estimates:
             return loaded

@@ -29,7 +29,7 @@ from .stage import start_mitsuba
 from .windows import COARSE
 from .workers import KILLED, only_run, start_worker
 
-BEFORE = {"calm": 0.0}  # options that clips of older versions do not record
+BEFORE = {"calm": 0.0, "lead_in": 0}  # options that clips of older versions do not record
 
 
 def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, str], None]) -> dict:
@@ -87,11 +87,9 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
             "generator": options.made_by, "seed": options.clip_seed(index), "size": list(options.size),
             "max_depth": options.max_depth,
         }  # fmt: skip
-        if not options.assets:  # with assets they differ from clip to clip,
-            expected |= {"frames": options.frames}
-        elif options.stills:
-            expected |= {"frames": options.repeats}
-        if not options.assets and not options.metropolis:  # these by Metropolis sampling, too
+        if options.frames_are_given:
+            expected |= {"frames": options.repeats if options.stills else options.frames}
+        if not options.assets and not options.metropolis:  # there they differ from clip to clip
             expected |= {"spp": options.spp}
         wanted = options.scenes_are_of()
         told = {key: facts[key] for key in wanted.keys() & facts.keys()} | facts.get("scenes_are_of", {})
@@ -103,7 +101,7 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
 
 
 def _disk_use(out: Path, missing: int, options: ClipOptions) -> str:
-    frames = options.frames * options.repeats
+    frames = options.lead_in + options.frames * options.repeats
     needed, free = missing * bytes_per_clip(options.size, frames, options.layers), shutil.disk_usage(out).free
     if needed > free:
         raise InputError(f"{out}: {missing} clips take {_bytes(needed)}, {_bytes(free)} are free")

@@ -34,6 +34,7 @@ class ClipOptions:
     textures: str = ""  # folder of pictures that some surfaces get; "": none
     assets: str = ""  # folder of a library: compositions of it take the place of generated scenes; "": none
     allow_unlicensed: bool = False  # use assets without a licence
+    lead_in: int = 0  # frames before these that have no references: clips begin with so much history
     repeats: int = 1  # renders of each still, with noise of their own
     most_spp: int | None = None  # with assets: at most so many samples a pixel of the noisy frames; None: 64 × spp
     ray: str = ""  # address of a Ray cluster that takes the place of processes here; "": none
@@ -57,6 +58,11 @@ class ClipOptions:
         return bool(self.assets) and self.frames == 1
 
     @property
+    def frames_are_given(self) -> bool:
+        """Whether all clips have `frames` frames; clips of assets without a lead-in differ in length."""
+        return not self.assets or self.stills or self.lead_in > 0
+
+    @property
     def takes_per_scene(self) -> int:
         """A scene is loaded, and its kernels compiled, once; takes of it differ in camera and motions."""
         if self.stills:
@@ -70,6 +76,10 @@ class ClipOptions:
         if self.stills:
             return 3
         return 2 if self.assets else 4
+
+    def filmed(self, frames: int) -> int:
+        """Frames for which a scene of generators 2 and 3 moves, where clips of `frames` frames are cut from it."""
+        return 2 * frames + self.lead_in
 
     @property
     def clips_per_scene(self) -> int:
@@ -95,8 +105,8 @@ class ClipOptions:
         if self.generator == 1:
             return {}
         files = [[Path(file).parent.name, bool(motion)] for file, motion in self.scenes]
-        shares = {"sun": self.sun, "calm": self.calm}
-        choice = shares | {"files": files, "textures": bool(self.textures), "reference_error": self.reference_error}
+        choice = {"sun": self.sun, "calm": self.calm, "lead_in": self.lead_in}
+        choice |= {"files": files, "textures": bool(self.textures), "reference_error": self.reference_error}
         if self.assets:
             choice["assets"] = Path(self.assets).name
         if self.most_spp is not None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data.clips import clip_path, write_clip
+from ..data.clips import LEAD_IN, clip_path, write_clip
 from .draw import Take, draw_first, draw_takes, scene_seed
 from .frames import MAX_RAYS, RenderOptions, calibrate, grey, light, render_frame, repeat_frame, uncovered
 from .options import ClipOptions
@@ -110,7 +110,7 @@ def _render_take(
         seed = int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0])
         numbers = range(window.first, window.first + take.frames)
         samples = draw_samples(options, rng)
-        spp, error, halves = reference_samples(stage, numbers[len(numbers) // 2], options, samples, seed)
+        spp, error, halves = reference_samples(stage, numbers[(options.lead_in + len(numbers)) // 2], options, samples, seed)
         feature_spp = min(FEATURE_SPP, MAX_RAYS // (options.size[0] * options.size[1])) if options.assets else 0
         render = RenderOptions(options.size, samples, spp, options.max_depth, seed, feature_spp=feature_spp)
         more |= {"reference_error": error} | ({"samples": samples} if options.assets else {})
@@ -118,7 +118,8 @@ def _render_take(
         if options.stills:
             rendered.append(_render_still(path, stage, numbers[0], facts, render, clock, options, halves))
         else:
-            rendered.append(_render_clip(path, stage, numbers, facts, render, clock, options.layers))
+            lead_in = options.lead_in
+            rendered.append(_render_clip(path, stage, numbers, facts, render, clock, options.layers, lead_in))
         clock = time.process_time()
     stage.scene = whole
     return rendered
@@ -157,11 +158,18 @@ def reference_samples(
 
 
 def _render_clip(
-    path: Path, stage: Stage, numbers: range, facts: dict, render: RenderOptions, clock: float, layers: tuple[str, ...]
-) -> dict:
-    """Render the frames `numbers`, write them, return the facts; `clock` is the processor time at which work began."""
-    frames = [render_frame(stage, number, render) for number in numbers]
-    return _write(path, frames, facts | {"first_frame": numbers[0]}, render, clock, layers)
+    path: Path, stage: Stage, numbers: range, facts: dict, render: RenderOptions, clock: float, layers: tuple[str, ...],
+    lead_in: int = 0,
+) -> dict:  # fmt: skip
+    """Render the frames `numbers`, write them, return the facts; `clock` is the processor time at which work began. The
+    first `lead_in` frames get no references: these layers are zero."""
+    noisy = replace(render, reference_spp=0, feature_spp=0)
+    first = [render_frame(stage, number, noisy) for number in numbers[:lead_in]]
+    frames = [render_frame(stage, number, render) for number in numbers[lead_in:]]
+    nothing = {name: np.zeros_like(layer) for name, layer in frames[0].items() if "reference" in name}
+    frames = [frame | nothing for frame in first] + frames
+    facts |= {"first_frame": numbers[0]} | ({LEAD_IN: lead_in} if lead_in else {})
+    return _write(path, frames, facts, render, clock, layers)
 
 
 def _render_still(
@@ -183,7 +191,7 @@ def _write(
         shares = [uncovered(b["motion"], a["motion_next"]).mean() for a, b in pairwise(frames)]
         facts |= {"uncovered": float(np.mean(shares)) if shares else 0.0}
     facts = facts | {
-        "frames": len(frames), "size": list(render.size), "spp": render.spp,
+        "frames": len(frames) - facts.get(LEAD_IN, 0), "size": list(render.size), "spp": render.spp,
         "reference_spp": render.reference_spp, "max_depth": render.max_depth,
         "seconds": time.process_time() - clock, "versions": versions(),
     }  # fmt: skip

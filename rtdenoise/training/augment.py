@@ -24,15 +24,16 @@ MAX_SHADE = 7.0  # stops between its light and its shadow
 MAX_TINT = 0.5  # stops by which a colour channel of the light is brightened or darkened
 
 
-def augment(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
-    """The clip flipped, turned, reversed, tinted and with permuted colour channels: one draw for all its frames.
+def augment(frames: list[Frame], rng: np.random.Generator, reversible: bool = True) -> list[Frame]:
+    """The clip flipped, turned, reversed (if `reversible`), tinted and with permuted colour channels: one draw for all
+    its frames.
 
     In a reversed clip `motion` and `motion_next` change places; numbers and noise stay with their frames. World-space
     normals stay: a mirrored picture shows a mirrored world, in which they are plausible normals too.
     """
     flip_x, flip_y, transposed = rng.random(3) < 0.5
     order = torch.from_numpy(rng.permutation(3))
-    backwards = rng.random() < 0.5
+    backwards = rng.random() < 0.5 and reversible
     tint = torch.from_numpy(2 ** rng.uniform(-MAX_TINT, MAX_TINT, 3)).float().reshape(1, 3, 1, 1)
 
     def spatial(tensor: Tensor) -> Tensor:

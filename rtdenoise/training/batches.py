@@ -63,13 +63,14 @@ def _opened(folders: tuple[Path, ...], least_spp: int, most_spp: int | None) -> 
 
 
 def clips(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> list[Frame]:
-    """The frames of one step, `[batch / processes, C, size, size]` each, for process `share` = (rank, processes). Every
-    clip is seen once an epoch.
+    """The frames of one step, `[batch / processes, C, size, size]` each, for process `share` = (rank, processes); those
+    before the last `config.frames` are a lead-in. Every clip is seen once an epoch.
 
     Raises InputError where a clip is smaller or shorter than asked for.
     """
     loaded = [_clip(data, config, *place) for place in _places(data, config, step, share)]
-    return [stack(list(frames)) for frames in zip(*loaded, strict=True)]
+    shared = min(len(frames) for frames in loaded)  # clips have lead-ins of different lengths
+    return [stack(list(frames)) for frames in zip(*(frames[-shared:] for frames in loaded), strict=True)]
 
 
 def windows(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> Window:
@@ -101,15 +102,17 @@ def _order(count: int, seed: int, epoch: int) -> list[int]:
 
 
 def _clip(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place: int) -> list[Frame]:
-    """An augmented clip."""
+    """An augmented clip. One with a lead-in does not run backwards: the frames before may have no references."""
     rng = np.random.default_rng([config.seed, epoch, place])
     signal = config.signal if config.signal != "both" else "color" if rng.random() < COLOR_SHARE else "indirect"
     reads = model_config(config).reads
-    frames = data.load(index, signal=signal, size=config.size, frames=config.frames, rng=rng, layers=reads)
-    frames = augment(frames, rng)
+    wanted = {"size": config.size, "frames": config.frames, "lead_in": config.lead_in if config.frames > 1 else 0}
+    frames = data.load(index, signal=signal, rng=rng, layers=reads, **wanted)
+    frames = augment(frames, rng, reversible=len(frames) == config.frames)
     if len(frames) == 1 and rng.random() < config.shade:
         return shade(frames, rng)
-    return relight(frames, rng) if rng.random() < config.relight else frames
+    before, frames = frames[: -config.frames], frames[-config.frames :]
+    return before + (relight(frames, rng) if rng.random() < config.relight else frames)
 
 
 def _window(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place: int) -> tuple[list[Frame], ...]:

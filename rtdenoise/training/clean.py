@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from ..baselines.oidn import Oidn
-from ..data.clips import OPTIONAL, ClipDataset, read_facts, read_layers, write_clip
+from ..data.clips import LEAD_IN, OPTIONAL, ClipDataset, read_facts, read_layers, write_clip
 from ..data.layers import SIGNALS
 from ..errors import InputError
 from ..files import lock, read_bytes, remove_unfinished, utf8, write_atomically
@@ -75,9 +75,10 @@ def _clean(path: Path, out: Path, oidn: Oidn) -> None:
         raise InputError(f"{path}: its references are denoised already; give the folder that was rendered")
     layers = {name: torch.from_numpy(layer) for name, layer in read_layers(path).items()}
     signals = [name for name, signal in SIGNALS.items() if signal["radiance"] in layers]
-    for signal in map(SIGNALS.get, signals):
-        cleaned = torch.cat([_filtered(layers, signal["reference"], i, oidn) for i in range(len(layers["depth"]))])
-        layers[signal["reference"]] = layers[signal["reference_half"]] = cleaned
+    for reference in (SIGNALS[signal]["reference"] for signal in signals):
+        for i in range(facts.get(LEAD_IN, 0), len(layers["depth"])):
+            layers[reference][i] = _filtered(layers, reference, i, oidn)[0]
+        layers[f"{reference}_half"] = layers[reference]
     frames = [
         {key: layer[i].permute(1, 2, 0).numpy() for key, layer in layers.items()} for i in range(len(layers["depth"]))
     ]

@@ -61,6 +61,9 @@ class TrainConfig:
     as much as those of few."""
     frames: int = 9
     """Consecutive frames a clip, through all of which the loss is back-propagated."""
+    lead_in: int = 0
+    """At most so many of the frames before these are denoised first, without a loss: the clip begins with their
+    history. `rtdenoise clips --lead-in` renders clips that have many."""
     size: int = 128
     """Side of the random crop in pixels."""
     optimiser: str = "adam"

@@ -36,17 +36,24 @@ class Task:
 
 
 def denoiser_loss(model: Denoiser, clip: list[Frame], config: TrainConfig, step: int) -> tuple[Tensor, Terms]:
-    """Mean loss over a batch of clips, of each the mean over its frames to the power that `config` asks for; history
-    passes from frame to frame."""
+    """Mean loss over a batch of clips, of each the mean over its last `config.frames` frames to the power that `config`
+    asks for; history passes from frame to frame, those of the lead-in before them included."""
     with_occlusion = config.occlusion_loss and step >= config.steps // 2
     terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
-    total = 0.0
+    total, history = 0.0, None
+    lead_in, clip = clip[: -config.frames], clip[-config.frames :]
     rng = np.random.default_rng([config.seed, step])
     cut = int(rng.integers(1, len(clip))) if len(clip) > 1 and rng.random() < config.cuts else 0
+    masks: list[Tensor] = []
+    for frame in (frame.to(config.device) for frame in lead_in):
+        masks = [uncovered(frame, history and history.motion_next), *masks][:2]
+        with torch.no_grad(), torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
+            _, history = model.step(frame, history)
     for i, frame in enumerate(frame.to(config.device) for frame in clip):
-        if i in (0, cut):
-            history, previous = None, None
-            masks: list[Tensor] = []
+        if i == 0:
+            previous = None
+        elif i == cut:
+            history, previous, masks = None, None, []
         masks = [uncovered(frame, history and history.motion_next), *masks][:3]
         with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
             image, history = model.step(frame, history)

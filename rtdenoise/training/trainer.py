@@ -156,6 +156,8 @@ def check(config: TrainConfig) -> None:
             raise InputError(f"{name}: expected 1 or more, got {getattr(config, name)}")
         if getattr(config, name) > MOST:
             raise InputError(f"{name}: expected {MOST} at most, got {shown(getattr(config, name))}")
+    if not 0 <= config.lead_in <= MOST:
+        raise InputError(f"lead_in: expected 0 to {MOST}, got {shown(config.lead_in)}")
     if config.most_spp is not None and config.most_spp < config.least_spp:
         raise InputError(f"most_spp: expected {config.least_spp} (least_spp) or more, got {shown(config.most_spp)}")
     if not 0 <= config.seed < 2**63:
