@@ -31,7 +31,6 @@ from rtdenoise.render.stage import Stage, start_mitsuba
 from rtdenoise.render.streams import NOISY, stream_seed
 from rtdenoise.render.windows import candidates, choose, look_through
 
-WINDOWS = 1  # clips of one scene
 HELD_OUT = ("street", "dining-room", "staircase2", "bathroom")
 ACTIVE_SHARE = 0.5  # of the windows, chosen for activity; the others are random
 
@@ -82,16 +81,20 @@ def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int,
     return found
 
 
-def render_scene(out: Path, group: int, levels: tuple[int, ...], half: int, options: ClipOptions, held: bool) -> None:
-    """Render the missing clips of scene number `group`; a held-out scene is the file of that number."""
-    members = range(group * WINDOWS, (group + 1) * WINDOWS)
+def render_scene(
+    out: Path, group: int, each: int, levels: tuple[int, ...], half: int, options: ClipOptions, held: bool
+) -> None:
+    """Render the missing ones of `each` clips of scene number `group`; a held-out scene is the file of that number."""
+    members = range(group * each, (group + 1) * each)
     if all(clip_path(out / f"spp{levels[-1]:02d}", i).exists() for i in members):
         return
     if held:
         rng = np.random.default_rng([options.seed, group])
         take = draw._draw_file(group, replace(options, scenes=(options.scenes[group],)), False, rng)
     else:
-        ((_, take),) = draw.draw_takes(group, options, [0])
+        take = next((take for _, take in draw.draw_takes(group, options, [0])), None)
+        if take is None:
+            return print(f"scene {group}: nothing can be seen", flush=True)
     stage, facts = take.stage, take.facts
     whole, windows, taken = stage.scene, candidates(take.found, options.size, options.frames), []
     for index in members:
@@ -133,6 +136,8 @@ def main(
     levels: tuple[int, ...] = (1, 2, 4, 8, 16, 32),
     half: int = 12,
     seed: int = 21,
+    windows: int = 1,
+    assets: Path | None = None,
     shard: tuple[int, int] = (0, 1),
 ) -> None:
     """Render `count` clips.
@@ -148,6 +153,9 @@ def main(
         levels: Samples per pixel of the noisy frames.
         half: Half the samples per pixel that no noisy frame holds.
         seed: Of everything.
+        windows: Clips of one scene.
+        assets: A library, as `rtdenoise clips --assets` takes it: compositions take the place of generated scenes, and
+            windows are cut from pictures of 1280×720 pixels and more.
         shard: (i, n): scenes g with g mod n = i.
     """
     start_mitsuba(1)
@@ -155,10 +163,10 @@ def main(
     files = find_scenes(scenes, motions, () if held_out else HELD_OUT)
     if held_out:
         files = tuple(pair for pair in files if Path(pair[0]).parent.name in HELD_OUT)
-    options = ClipOptions(count, (size, size), frames, seed, scenes=files, sun=0.3, calm=0.15)
-    for group in range(len(files) if held_out else count // WINDOWS):
+    options = ClipOptions(count, (size, size), frames, seed, scenes=files, sun=0.3, calm=0.15, assets=str(assets or ""))
+    for group in range(len(files) if held_out else count // windows):
         if group % shard[1] == shard[0]:
-            render_scene(out, group, levels, half, options, held_out)
+            render_scene(out, group, windows, levels, half, options, held_out)
 
 
 if __name__ == "__main__":
