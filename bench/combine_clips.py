@@ -24,6 +24,7 @@ from bench import harness
 import numpy as np
 
 from rtdenoise.data.clips import clip_path, write_clip
+from rtdenoise.errors import InputError
 from rtdenoise.render import draw
 from rtdenoise.render.frames import _image, describe_frame, motion_between
 from rtdenoise.render.options import ClipOptions, find_scenes
@@ -127,7 +128,7 @@ def render_scene(
 
 def main(
     out: Path,
-    scenes: Path,
+    scenes: Path | None = None,
     motions: Path | None = None,
     held_out: bool = False,
     count: int = 80,
@@ -144,7 +145,7 @@ def main(
 
     Args:
         out: Folder for the clips.
-        scenes: Folder of NAME/scene.xml.
+        scenes: Folder of NAME/scene.xml; without it all scenes are generated.
         motions: Folder of NAME.toml.
         held_out: The scenes that training leaves out, WINDOWS clips each, instead of all others.
         count: Number of clips.
@@ -160,7 +161,9 @@ def main(
     """
     start_mitsuba(1)
     out.mkdir(parents=True, exist_ok=True)
-    files = find_scenes(scenes, motions, () if held_out else HELD_OUT)
+    if held_out and scenes is None:
+        raise InputError("--held-out: goes with --scenes")
+    files = find_scenes(scenes, motions, () if held_out else HELD_OUT) if scenes else ()
     if held_out:
         files = tuple(pair for pair in files if Path(pair[0]).parent.name in HELD_OUT)
     options = ClipOptions(count, (size, size), frames, seed, scenes=files, sun=0.3, calm=0.15, assets=str(assets or ""))

@@ -110,7 +110,8 @@ def _render_take(
         seed = int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0])
         numbers = range(window.first, window.first + take.frames)
         samples = draw_samples(options, rng)
-        spp, error, halves = reference_samples(stage, numbers[(options.lead_in + len(numbers)) // 2], options, samples, seed)
+        middle = numbers[(options.lead_in + len(numbers)) // 2]  # of the frames with references
+        spp, error, halves = reference_samples(stage, middle, options, samples, seed)
         feature_spp = min(FEATURE_SPP, MAX_RAYS // (options.size[0] * options.size[1])) if options.assets else 0
         render = RenderOptions(options.size, samples, spp, options.max_depth, seed, feature_spp=feature_spp)
         more |= {"reference_error": error} | ({"samples": samples} if options.assets else {})
