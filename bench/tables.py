@@ -20,7 +20,8 @@ MODULES = (
     "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "cycles", "files",
     "held", "latency_720p", "metropolis", "missing_layers", "mltd", "mltd_memory", "offline", "plan", "quality",
     "sample", "stability", "tiles", "calibration.cuts", "diagnosis.activity", "diagnosis.bias",
-    "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.generalisation", "diagnosis.where",
+    "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.generalisation",
+    "diagnosis.ideal_history", "diagnosis.where",
 )  # fmt: skip
 
 
