@@ -65,16 +65,33 @@ case $model in default | many)
     clips samples8 --count 32 --spp 8 --frames 9 --seed 52000 $noisy --sun 0.4 --calm 0.2 $files;;
 esac
 if [ "$model" = many ]; then # small pictures, with shadows a pixel or two wide
-    small="--frames 1 --sun 0.6 $files"
-    clips small64 --count 51 --spp 64 --seed 60064 --reference-error 0.003 $small
-    clips small16 --count 24 --spp 16 --seed 60016 --reference-error 0.005 $small
+    small_options="--frames 1 --sun 0.6 $files"
+    clips small64 --count 51 --spp 64 --seed 60064 --reference-error 0.003 $small_options
+    clips small16 --count 24 --spp 16 --seed 60016 --reference-error 0.005 $small_options
     clips samples16 --count 2 --spp 16 --frames 6 --seed 71016 --reference-error 0.02 --sun 0.6 --calm 0.4 $files
 fi
 case $model in default | quality)
     clips one-sample-stills $stills --reference-error 0.5 --count 324 --seed 2 --most-spp 1
     clips history --count 96 --frames 9 --seed 51000 $noisy --sun 0.4 --calm 0.2 $files;;
 esac
-[ "$model" != quality ] || clips sharp-stills $stills --reference-error 0.01 --count 138 --seed 3 --most-spp 1
+levels() { # NAME OPTIONS...: the same clips at 1, 4 and 16 samples a pixel, with references of 64 and more
+    name=$1; shift
+    run python bench/combine_clips.py --out "data/$name" $files --size 128 --frames 5 --levels 1 4 16 64 --half 32 \
+        --windows 2 "$@"
+    for spp in 01 04 16; do
+        run rtdenoise clean "data/$name/spp$spp" --out "data/$name-clean/spp$spp"
+    done
+}
+case $model in default | many)
+    levels levels --count 72 --seed 81
+    levels levels720 --count 32 --seed 82 --assets "$ASSETS";;
+esac
+if [ "$model" = default ]; then # long histories
+    long="--frames 3 --lead-in 20 --sun 0.5 --calm 0.3"
+    clips long --count 71 --seed 94000 --reference-error 0.01 $long
+    clips long-scenes --count 73 --seed 95000 --reference-error 0.02 $long $files
+fi
+case $model in default | quality) clips sharp-stills $stills --reference-error 0.01 --count 138 --seed 3 --most-spp 1;; esac
 
 # --- the weights ------------------------------------------------------------------------------------------------------
 
@@ -153,12 +170,20 @@ fields="--set detail=true"
 large="--stills data/stills-clean data/more-stills-clean" root="--cuts 0.3 --loss-power 0.5 --frames 8"
 train_on runs/many-one $base --data data/samples8-clean $large --least-spp 4 --lr 1e-3 --steps 6000 --shade 0.3 $root
 if [ "$model" = many ]; then
-    mean=runs/many-one/mean.safetensors last=runs/many-last/weights.safetensors
+    mean=runs/many-one/mean.safetensors second=runs/many-small/weights.safetensors
     ship $mean $base=0.35 $many=0.65
     small="data/small64 data/small64 data/small16 data/small16" # each twice: they are few
-    train_on runs/many-last $mean --data data/samples8-clean data/samples16 $large $small --lr 5e-4 --steps 4000 --seed 3 \
+    train_on runs/many-small $mean --data data/samples8-clean data/samples16 $large $small --lr 5e-4 --steps 4000 --seed 3 \
         --least-spp 4 --cuts 0.3 --shade 0.2 --loss-power 0.1 --frames 6
-    ship many $mean=0.35 $last=0.65
+    ship runs/many-small/mean.safetensors $mean=0.35 $second=0.65
+    clips small16 --count 60 --spp 16 --seed 60016 --reference-error 0.005 $small_options # more of them
+    clips small4 --count 43 --spp 4 --seed 60004 --reference-error 0.005 $small_options
+    small="data/small64 data/small16 data/small4"
+    counts=; for name in levels levels720; do counts="$counts data/$name-clean/spp04 data/$name-clean/spp16"; done
+    sharp="--data$counts --lr 5e-4 --least-spp 4 --cuts 0.2 --shade 0.2 --loss-power 0.1 --frames 5"
+    train_on runs/many-sharp runs/many-small/mean.safetensors $sharp --stills $small --steps 3000 --seed 4
+    train_on runs/many-last runs/many-sharp/weights.safetensors $sharp --stills $small$counts --steps 3300 --seed 5
+    ship many runs/many-sharp/weights.safetensors=0.65 runs/many-last/weights.safetensors=0.35
     exit
 fi
 few="--data data/history-clean --most-spp 1 --lr 5e-4 --relight 0.05 --shade 0.15 $root"
@@ -167,5 +192,13 @@ train_on runs/default-one $base --steps 2400 $few
 ship runs/default-one/mean.safetensors $base=0.4 $many=0.3 runs/default-one/weights.safetensors=0.3
 train_on runs/default-two runs/default-one/mean.safetensors --steps 4000 --seed 1 $few
 ship runs/default-two/mean.safetensors $base=0.25 $many=0.3 runs/default-two/weights.safetensors=0.45
-train_on runs/default-last runs/default-two/mean.safetensors --steps 4000 --seed 2 $few data/one-sample-stills-clean
-ship default $base=0.5 $many=0.2 runs/default-last/weights.safetensors=0.3
+train_on runs/default-three runs/default-two/mean.safetensors --steps 4000 --seed 2 $few data/one-sample-stills-clean
+ship runs/default-three/mean.safetensors $base=0.5 $many=0.2 runs/default-three/weights.safetensors=0.3
+mean=runs/default-three/mean.safetensors
+sharp="--data data/long-clean data/long-scenes-clean data/levels-clean/spp01 data/levels720-clean/spp01"
+sharp="$sharp --most-spp 1 --frames 3 --lead-in 20 --cuts 0.1 --shade 0.15 --loss-power 0.5 --lr 5e-4"
+train_on runs/default-sharp $mean $sharp --stills data/sharp-stills-clean --relight 0.05 --steps 3000 --seed 3
+ship runs/default-sharp/mean.safetensors $mean=0.5 runs/default-sharp/weights.safetensors=0.5
+single="data/sharp-stills-clean data/levels-clean/spp01 data/levels720-clean/spp01 data/long-clean data/long-scenes-clean"
+train_on runs/default-last runs/default-sharp/mean.safetensors $sharp --stills $single --relight 0.1 --steps 3300 --seed 4
+ship default $mean=0.4 runs/default-last/weights.safetensors=0.6
