@@ -105,6 +105,7 @@ def test_a_set_is_the_same_in_shards_and_after_a_kill(tmp_path):
 def test_a_lead_in_has_no_references_and_comes_before_the_rest(tmp_path):
     options = replace(TINY, count=1, lead_in=4)
     render_clips(tmp_path, options, lambda *_: None)
+    assert "1 clips of 3 frames after 4 without references, 32×32" in (tmp_path / "DATA.md").read_text()
     data = ClipDataset(tmp_path)
     assert read_facts(data.paths[0])["frames"] == 3 and read_facts(data.paths[0])["lead_in"] == 4
     plain, whole = data.load(0), data.load(0, lead_in=9)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data.clips import ClipDataset, read_facts
+from ..data.clips import LEAD_IN, ClipDataset, read_facts
 from ..files import utf8, write_atomically
 from .options import CAUSTIC
 
@@ -28,6 +28,7 @@ def write_card(folder: Path, command: str) -> dict:
     card = {
         "clips": len(facts),
         "frames_per_clip": _range([f["frames"] for f in facts]),
+        LEAD_IN: first.get(LEAD_IN, 0),
         "size": first["size"],
         "generators": sorted({f["generator"] for f in facts}),
         "seeds": [min(f["seed"] for f in facts), max(f["seed"] for f in facts)],
@@ -89,9 +90,10 @@ def _text(card: dict) -> str:
     spp, share = card["reference_spp"], card["uncovered_share"]
     scenes = {name: count for name, count in card["sources"].items() if name not in (GENERATED, COMPOSED)}
     first, last = card["seeds"]
+    lead_in = f" after {card[LEAD_IN]} without references" if card[LEAD_IN] else ""
     text = f"""# Training clips
 
-{card["clips"]} clips of {_span(card["frames_per_clip"])} frames, {width}×{height}, seeds {first} to {last}.
+{card["clips"]} clips of {_span(card["frames_per_clip"])} frames{lead_in}, {width}×{height}, seeds {first} to {last}.
 {_scenes(card)}
 Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
 
