@@ -95,7 +95,8 @@ def render_scene(
     else:
         take = next((take for _, take in draw.draw_takes(group, options, [0])), None)
         if take is None:
-            return print(f"scene {group}: nothing can be seen", flush=True)
+            print(f"scene {group}: nothing can be seen", flush=True)
+            return
     stage, facts = take.stage, take.facts
     whole, windows, taken = stage.scene, candidates(take.found, options.size, options.frames), []
     for index in members:
@@ -147,7 +148,7 @@ def main(
         out: Folder for the clips.
         scenes: Folder of NAME/scene.xml; without it all scenes are generated.
         motions: Folder of NAME.toml.
-        held_out: The scenes that training leaves out, WINDOWS clips each, instead of all others.
+        held_out: The scenes that training leaves out, `windows` clips each, instead of all others.
         count: Number of clips.
         size: Side of a clip in pixels.
         frames: Frames of a clip.

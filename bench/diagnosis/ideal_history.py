@@ -29,8 +29,9 @@ from torch import Tensor
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
+from rtdenoise.evaluate.sequence import outputs
 from rtdenoise.frame import Frame, History
-from rtdenoise.metrics.image import decibels, mse_corrected
+from rtdenoise.metrics import psnr_corrected
 from rtdenoise.models import Denoiser, load
 from rtdenoise.ops.pixels import demodulate
 
@@ -38,7 +39,6 @@ RESULT, PAGES = RESULTS / "ideal_history.json", (DOCS / "notes" / "long_history.
 SIGNALS = ("indirect", "color")
 WAYS = {"ideal": "ideal history", "real": "its history as it is", "first": "first frame of so many samples"}
 ROUNDS = 4  # steps on the same mean, until the previous output has settled
-LEAST = 1e-7  # squared error that a logarithm is taken of
 
 
 @torch.inference_mode()
@@ -69,25 +69,21 @@ def measured(
     clips = {spp: ClipDataset(folder / f"spp{spp:02d}").load(index, signal=signal) for spp in (1, *levels)}
     exposure = display_exposure(torch.cat([frame.reference for frame in clips[1]]))
 
-    def row(method: str, way: str, length: int, image: Tensor) -> dict:
-        # The references of all levels have samples that no noisy frame of theirs holds.
-        frame = clips[1 if way == "real" else length][-1]
-        error = mse_corrected(image, frame.reference, exposure, reference_half=frame.reference_half)
-        found = {"clip": index, "signal": signal, "method": method, "way": way, "length": length}
-        return found | {"psnr": decibels(max(LEAST, error))}
+    def row(method: str, way: str, length: int, image: Tensor, frame: Frame) -> dict:
+        psnr = psnr_corrected(image, frame.reference, exposure, reference_half=frame.reference_half)
+        return {"clip": index, "signal": signal, "method": method, "way": way, "length": length, "psnr": psnr}
 
     oidn, one = Oidn().step, clips[1][-1]
     for length, frames in clips.items():
-        yield row("oidn", "", length, oidn(frames[-1])[0])
+        many = frames[-1]
+        yield row("oidn", "", length, oidn(many)[0], many)
         for name, network in networks.items():
-            yield row(name, "first", length, network.step(frames[-1])[0])
+            yield row(name, "first", length, network.step(many)[0], many)
             if length > 1:
-                yield row(name, "ideal", length, ideal(network, one, frames[-1], length))
+                yield row(name, "ideal", length, ideal(network, one, many, length), many)
     for name, network in networks.items():
-        history = None
-        for frame in clips[1]:
-            image, history = network.step(frame, history)
-        yield row(name, "real", len(clips[1]), image)
+        *_, last = outputs(network.step, clips[1])
+        yield row(name, "real", len(clips[1]), last.image, one)
 
 
 def ideal(network: Denoiser, frame: Frame, many: Frame, length: int) -> Tensor:

@@ -171,16 +171,17 @@ class ClipDataset:
         with _opened(path) as clip:
             sources = _sources(path, set(clip.keys()), signal, layers)
             length, height, width = _size(path, clip, {name for names in sources.values() for name in names})
-            before = _from_header(path, clip, "clip").get(LEAD_IN, 0)
-            count = length - before if frames is None else frames
+            skipped = _from_header(path, clip, "clip").get(LEAD_IN, 0)
+            usable = length - skipped
+            count = usable if frames is None else frames
             window = (height, width) if size is None else (size, size) if isinstance(size, int) else size
-            if count > length - before or window[0] > height or window[1] > width:
+            if count > usable or window[0] > height or window[1] > width:
                 raise InputError(f"{path}: expected at least {count} frames of {window[1]}×{window[0]}, "
-                                 f"found {length - before} of {width}×{height}")  # fmt: skip
-            room = (length - before - count, height - window[0], width - window[1])
+                                 f"found {usable} of {width}×{height}")  # fmt: skip
+            room = (usable - count, height - window[0], width - window[1])
             first, top, left = rng.integers(0, room, endpoint=True) if rng else (0, room[1] // 2, room[2] // 2)
-            begin = max(before + int(first) - lead_in, 0)
-            time = slice(begin, before + int(first) + count)
+            first = skipped + int(first)
+            time = slice(max(first - lead_in, 0), first + count)
             rows, columns = slice(top, top + window[0]), slice(left, left + window[1])
             scales = _scales(path, clip)
             tensors = {

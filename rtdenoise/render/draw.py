@@ -121,7 +121,7 @@ def _draw_assets(
     for k in sorted(wanted):
         rng = np.random.default_rng([options.seed, group, 3, k + 1])
         view = VIEWS[rng.integers(len(VIEWS))]
-        frames = options.lead_in + (options.frames if options.frames_are_given else _draw_length(rng))
+        frames = options.length if options.frames_are_given else _draw_length(rng)
         for attempt in range(MAX_TAKES):
             scene = direct(rng, frames, view[1])
             if scene is None:
@@ -150,20 +150,19 @@ def _source(file: str, scene: Scene) -> dict:
 def _draw_file(group: int, options: ClipOptions, calm: bool, rng: np.random.Generator) -> Take:
     """One of the scene files; unless it is calm, with further objects that cross the view."""
     file, motion = options.scenes[rng.integers(len(options.scenes))]
-    frames = options.filmed(options.frames)
+    frames = options.filmed
     opened = open_file(Path(file), motion or None)
     scene = _papered(_at_rest(opened) if calm else dress(opened, rng, frames), options, group)
     stage = Stage(scene)
     found = survey(stage, frames, options.view)
     calibrate(stage, scene.facts.get("brightness", 0.5), frames // 2)
     facts = scene.facts | _source(file, scene) | ({"kind": "calm scene file"} if calm else {})
-    return Take(stage, found, options.view, options.lead_in + options.frames, facts)
+    return Take(stage, found, options.view, options.length, facts)
 
 
 def _draw_generated(group: int, options: ClipOptions, calm: bool, rng: np.random.Generator) -> Take:
     """A scene of `wide`, with a sun in some: the first attempt that shows something, near enough and well lit."""
-    seed, frames = scene_seed(rng), options.filmed(options.frames)
-    length = options.lead_in + options.frames
+    seed, frames = scene_seed(rng), options.filmed
     sunny = rng.uniform() < options.sun
     attempts = MAX_ATTEMPTS[options.generator]
     for attempt in range(attempts):
@@ -174,13 +173,13 @@ def _draw_generated(group: int, options: ClipOptions, calm: bool, rng: np.random
         stage = Stage(scene)
         found = survey(stage, frames, options.view)
         last = attempt == attempts - 1
-        most = max(w.uncovered for w in candidates(found, options.size, length))
+        most = max(w.uncovered for w in candidates(found, options.size, options.length))
         wanted = MIN_UNCOVERED_IN_WINDOW.get(scene.facts["kind"], 0.0)
         if last or (found.sky < 0.75 and found.near > 0.3 and most >= wanted):
             light = calibrate(stage, scene.facts["brightness"], frames // 2)
             if last or (light["evenness"] > 0.08 and light["noise"] < 8):
                 facts = scene.facts | light | {"source": GENERATED, "scene_seed": seed}
-                return Take(stage, found, options.view, length, facts)
+                return Take(stage, found, options.view, options.length, facts)
     raise AssertionError("unreachable")
 
 

@@ -77,9 +77,15 @@ class ClipOptions:
             return 3
         return 2 if self.assets else 4
 
-    def filmed(self, frames: int) -> int:
-        """Frames for which a scene of generators 2 and 3 moves, where clips of `frames` frames are cut from it."""
-        return 2 * frames + self.lead_in
+    @property
+    def length(self) -> int:
+        """Frames of a clip where these are given, the lead-in included."""
+        return self.lead_in + self.frames
+
+    @property
+    def filmed(self) -> int:
+        """Frames for which a scene of generators 2 and 3 moves; clips are cut from these."""
+        return self.length + self.frames
 
     @property
     def clips_per_scene(self) -> int:

@@ -119,8 +119,8 @@ def _render_take(
         if options.stills:
             rendered.append(_render_still(path, stage, numbers[0], facts, render, clock, options, halves))
         else:
-            lead_in = options.lead_in
-            rendered.append(_render_clip(path, stage, numbers, facts, render, clock, options.layers, lead_in))
+            facts |= {LEAD_IN: options.lead_in} if options.lead_in else {}
+            rendered.append(_render_clip(path, stage, numbers, facts, render, clock, options.layers))
         clock = time.process_time()
     stage.scene = whole
     return rendered
@@ -159,18 +159,16 @@ def reference_samples(
 
 
 def _render_clip(
-    path: Path, stage: Stage, numbers: range, facts: dict, render: RenderOptions, clock: float, layers: tuple[str, ...],
-    lead_in: int = 0,
-) -> dict:  # fmt: skip
-    """Render the frames `numbers`, write them, return the facts; `clock` is the processor time at which work began. The
-    first `lead_in` frames get no references: these layers are zero."""
-    noisy = replace(render, reference_spp=0, feature_spp=0)
+    path: Path, stage: Stage, numbers: range, facts: dict, render: RenderOptions, clock: float, layers: tuple[str, ...]
+) -> dict:
+    """Render the frames `numbers`, write them, return the facts; `clock` is the processor time at which work began.
+    Frames of a lead-in get no references: these layers are zero."""
+    noisy, lead_in = replace(render, reference_spp=0, feature_spp=0), facts.get(LEAD_IN, 0)
     first = [render_frame(stage, number, noisy) for number in numbers[:lead_in]]
     frames = [render_frame(stage, number, render) for number in numbers[lead_in:]]
     nothing = {name: np.zeros_like(layer) for name, layer in frames[0].items() if "reference" in name}
     frames = [frame | nothing for frame in first] + frames
-    facts |= {"first_frame": numbers[0]} | ({LEAD_IN: lead_in} if lead_in else {})
-    return _write(path, frames, facts, render, clock, layers)
+    return _write(path, frames, facts | {"first_frame": numbers[0]}, render, clock, layers)
 
 
 def _render_still(

@@ -47,7 +47,7 @@ class TrainingSet:
         turn, of_stills = divmod(step, 2)
         if not of_stills:
             return take(self.clips, config, turn, share)
-        return take(self.stills, replace(config, batch=config.batch * config.frames, frames=1), turn, share)
+        return take(self.stills, replace(config, batch=config.batch * config.frames, frames=1, lead_in=0), turn, share)
 
 
 def _opened(folders: tuple[Path, ...], least_spp: int, most_spp: int | None) -> ClipDataset:
@@ -106,7 +106,7 @@ def _clip(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place:
     rng = np.random.default_rng([config.seed, epoch, place])
     signal = config.signal if config.signal != "both" else "color" if rng.random() < COLOR_SHARE else "indirect"
     reads = model_config(config).reads
-    wanted = {"size": config.size, "frames": config.frames, "lead_in": config.lead_in if config.frames > 1 else 0}
+    wanted = {"size": config.size, "frames": config.frames, "lead_in": config.lead_in}
     frames = data.load(index, signal=signal, rng=rng, layers=reads, **wanted)
     frames = augment(frames, rng, reversible=len(frames) == config.frames)
     if len(frames) == 1 and rng.random() < config.shade:

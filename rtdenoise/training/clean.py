@@ -75,10 +75,11 @@ def _clean(path: Path, out: Path, oidn: Oidn) -> None:
         raise InputError(f"{path}: its references are denoised already; give the folder that was rendered")
     layers = {name: torch.from_numpy(layer) for name, layer in read_layers(path).items()}
     signals = [name for name, signal in SIGNALS.items() if signal["radiance"] in layers]
-    for reference in (SIGNALS[signal]["reference"] for signal in signals):
-        for i in range(facts.get(LEAD_IN, 0), len(layers["depth"])):
-            layers[reference][i] = _filtered(layers, reference, i, oidn)[0]
-        layers[f"{reference}_half"] = layers[reference]
+    for signal in map(SIGNALS.get, signals):
+        cleaned = layers[signal["reference"]]
+        for i in range(facts.get(LEAD_IN, 0), len(cleaned)):
+            cleaned[i] = _filtered(layers, signal["reference"], i, oidn)[0]
+        layers[signal["reference_half"]] = cleaned
     frames = [
         {key: layer[i].permute(1, 2, 0).numpy() for key, layer in layers.items()} for i in range(len(layers["depth"]))
     ]

@@ -40,29 +40,25 @@ def denoiser_loss(model: Denoiser, clip: list[Frame], config: TrainConfig, step:
     asks for; history passes from frame to frame, those of the lead-in before them included."""
     with_occlusion = config.occlusion_loss and step >= config.steps // 2
     terms = {"spatial": 0.0, "temporal": 0.0, "occlusion": 0.0}
-    total, history = 0.0, None
-    lead_in, clip = clip[: -config.frames], clip[-config.frames :]
-    rng = np.random.default_rng([config.seed, step])
-    cut = int(rng.integers(1, len(clip))) if len(clip) > 1 and rng.random() < config.cuts else 0
+    total, history, previous = 0.0, None, None
     masks: list[Tensor] = []
-    for frame in (frame.to(config.device) for frame in lead_in):
-        masks = [uncovered(frame, history and history.motion_next), *masks][:2]
-        with torch.no_grad(), torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
-            _, history = model.step(frame, history)
-    for i, frame in enumerate(frame.to(config.device) for frame in clip):
-        if i == 0:
-            previous = None
-        elif i == cut:
+    length = min(len(clip), config.frames)
+    rng = np.random.default_rng([config.seed, step])
+    cut = int(rng.integers(1, length)) if length > 1 and rng.random() < config.cuts else 0
+    for i, frame in enumerate((frame.to(config.device) for frame in clip), start=length - len(clip)):
+        if cut and i == cut:
             history, previous, masks = None, None, []
         masks = [uncovered(frame, history and history.motion_next), *masks][:3]
-        with torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
+        with torch.set_grad_enabled(i >= 0), torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
             image, history = model.step(frame, history)
+        if i < 0:  # of the lead-in
+            continue
         weights = occlusion_weights(masks) if with_occlusion else None
         scale = config.loss_exposure * exposure(frame.reference)
         loss = model.loss(image, frame, previous, weights, scale, config.huber)
-        total = total + loss.total / len(clip)
+        total = total + loss.total / length
         for name in terms:
-            terms[name] += getattr(loss, name).mean().item() / len(clip)
+            terms[name] += getattr(loss, name).mean().item() / length
         previous = (image, frame.reference)
     if config.loss_power != 1:
         total = (total + LEAST_LOSS) ** config.loss_power  # the root of 0 has no gradient
