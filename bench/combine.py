@@ -43,7 +43,7 @@ FIRST = 1  # frames before this one are not measured: temporal denoisers have no
 def main(
     clips: tyro.conf.Positional[tuple[Path, ...]],
     methods: tuple[str, ...] = ("oidn", "default", "svgf"),
-    combiners: tuple[str, ...] = (),
+    combiners: tuple[str, ...] = ("combiner",),
     levels: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64, 128, 256),
 ) -> None:
     """Measure every clip.
@@ -51,7 +51,7 @@ def main(
     Args:
         clips: Folders, each with a folder of clips for each sample count.
         methods: Denoisers to correct.
-        combiners: Weights files of networks.
+        combiners: Networks that ship, or weights files.
         levels: Sample counts; those that a folder lacks are left out.
     """
     networks = {Path(name).stem: load_combiner(name, precision="fp32") for name in combiners}
@@ -100,6 +100,9 @@ def errors(
             images["shrinkage-halves"] = Shrinkage().combine(window_at(i, Shrinkage(), frames, estimates, halves)).image
         for name, network in networks.items():
             images[name] = network.combine(window_at(i, network, frames, estimates)).image
+            if halves is not None and network.config.evidence:
+                with_halves = window_at(i, network, frames, estimates, halves)
+                images[f"{name}-halves"] = network.combine(with_halves).image
         for name, image in images.items():
             found[name].append(mse_corrected(image, frame.reference, scale, reference_half=frame.reference_half))
     return {name: float(np.mean(values)) for name, values in found.items()}
@@ -196,7 +199,7 @@ def _name(clips: ClipDataset, index: int) -> str:
 
 def _networks(rows: list[dict]) -> list[str]:
     known = {"set", "sequence", "signal", "spp", "method", "noisy", "estimate", *PLAIN}
-    return [name for name in rows[0] if name not in known]
+    return list(dict.fromkeys(name for row in rows for name in row if name not in known))
 
 
 def _by(rows: list[dict], *keys: str) -> dict:

@@ -22,14 +22,16 @@ import tyro
 
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.models import Shrinkage
+from rtdenoise.models import load_combiner
 from rtdenoise.run.preview import strip
 
 PICTURE = DOCS / "images" / "combine.webp"
+COMBINER = "combiner"
 ENLARGED = 3  # times, by repeating pixels
 QUALITY = 80  # of WebP
 
 
+@torch.inference_mode()
 def main(
     clips: tyro.conf.Positional[Path], clip: int = 0, signal: str = "color", spp: int = 64, method: str = "default"
 ) -> None:
@@ -44,7 +46,7 @@ def main(
     """
     both = ClipDataset(clips / f"spp{spp:02d}").load(clip, signal=signal, estimates=method)
     frames, estimates = both[: len(both) // 2], [frame.radiance for frame in both[len(both) // 2 :]]
-    i, combiner, halves = len(frames) // 2, Shrinkage(), halves_of(clips, clip, signal, spp)
+    i, combiner, halves = len(frames) // 2, load_combiner(COMBINER), halves_of(clips, clip, signal, spp)
     window = window_at(i, combiner, frames, estimates, halves)
     images = {
         f"{spp} samples": frames[i].radiance,

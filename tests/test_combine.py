@@ -28,8 +28,18 @@ class Stop(Exception):
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
+    return saved(TINY, tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def free(tmp_path_factory):
+    """A network that corrects without evidence from other frames, too."""
+    return saved(replace(TINY, evidence=False), tmp_path_factory)
+
+
+def saved(config, tmp_path_factory):
     torch.manual_seed(0)
-    combiner = create(TINY)
+    combiner = create(config)
     for parameter in combiner.parameters():
         parameter.data.normal_(std=0.2)
     path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
@@ -98,7 +108,8 @@ def test_without_a_model_it_needs_no_training(shot, clean, frames, tmp_path, two
     torch.manual_seed(1)
     others = [frame.radiance * (0.5 + torch.rand_like(frame.radiance)) for frame in frames]
     second = str(write_images(tmp_path / "second", others)) if two else ""
-    run(shot, clean, tmp_path / "out", options=CombineOptions(second=second, samples=8, float32=True))
+    options = CombineOptions(model="shrinkage", second=second, samples=8, float32=True)
+    run(shot, clean, tmp_path / "out", options=options)
     read = list(rtdenoise.open_sequence(shot))
     noisy = [(frame.radiance + other) / 2 if two else frame.radiance for frame, other in zip(read, others, strict=True)]
     samples = torch.full_like(read[0].depth, 16 if two else 8)
@@ -134,7 +145,7 @@ def test_pixels_that_one_render_lacks_are_as_without_a_second(shot, clean, frame
     """One noisy value alone does not agree with itself."""
     lost = [torch.full_like(frame.radiance, torch.nan) for frame in frames]
     lost[0][..., :1, :1] = 0.3  # so that there is something to compare
-    options = CombineOptions(samples=8, float32=True)
+    options = CombineOptions(model="shrinkage", samples=8, float32=True)
     run(shot, clean, tmp_path / "one", options=options)
     source = rtdenoise.open_sequence(shot)
     assert torch.isnan(both(source[1], lost[1])[1]).all() and both(source[1], lost[1])[0].samples is None
@@ -165,7 +176,7 @@ def test_the_samples_that_files_tell_count(clean, frames, tmp_path):
     told = [replace(frame, samples=torch.full_like(frame.depth, 16)) for frame in frames]
     plain, counted = (write_sequence(tmp_path / name, shot) for name, shot in (("plain", frames), ("told", told)))
     for name, shot, samples in (("unknown", plain, 0), ("given", plain, 16), ("read", counted, 0)):
-        run(shot, clean, tmp_path / name, options=CombineOptions(samples=samples, float32=True))
+        run(shot, clean, tmp_path / name, options=CombineOptions(model="shrinkage", samples=samples, float32=True))
         denoise(str(shot), tmp_path / f"{name}-on", Options(model="fast", correct=True, samples=samples, float32=True))
     for more in ("", "-on"):
         assert_same(tmp_path / f"given{more}", tmp_path / f"read{more}")
@@ -173,9 +184,10 @@ def test_the_samples_that_files_tell_count(clean, frames, tmp_path):
         assert not np.array_equal(*images), more
 
 
-def test_options_that_change_nothing_are_named(shot, clean, frames, tmp_path, options):
+def test_options_that_change_nothing_are_named(shot, clean, frames, tmp_path, options, free):
     second = str(write_images(tmp_path / "second", [frame.radiance * 1.1 for frame in frames]))
-    notes = run(shot, clean, tmp_path / "net", options=replace(options, second=second, samples=4)).notes
+    assert not run(shot, clean, tmp_path / "net", options=replace(options, second=second, samples=4)).notes
+    notes = run(shot, clean, tmp_path / "out", options=replace(options, model=free, second=second, samples=4)).notes
     assert "takes the mean of both renders" in notes[0] and "reads no --samples" in notes[1]
     still = write_sequence(tmp_path / "still", [replace(frame, motion=None, motion_next=None) for frame in frames])
     (note,) = run(still, clean, tmp_path / "still-out", options=CombineOptions()).notes
@@ -251,7 +263,8 @@ def test_one_frame(tmp_path, options, frames):
     assert np.isfinite(pixels(tmp_path / "out" / "frame.0000.exr")).all()
 
 
-def test_without_motion_every_frame_is_corrected_alone_and_it_says_so(clean, tmp_path, options, frames):
+def test_without_motion_every_frame_is_corrected_alone_and_it_says_so(clean, tmp_path, options, frames, free):
+    options = replace(options, model=free)
     still = write_sequence(tmp_path / "still", frames, without=("motion", "motion_next"))
     notes = run(still, clean, tmp_path / "out", options=options).notes
     assert notes == ["the noisy files have no motion: every frame is corrected by itself alone"]

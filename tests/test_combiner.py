@@ -65,8 +65,6 @@ def select(model, place, tap=None):
             head.bias.zero_()
     full = model.heads[0]
     full["shares"].bias.unflatten(0, (-1, model.config.frames))[:, place] = 1e4
-    if "nothing" in full:
-        full["nothing"].bias.fill_(-1e4)
     full[f"taps{offset:+d}"].bias.unflatten(0, (-1, model.config.kernel**2))[:, middle if tap is None else tap] = 1e4
     if "pick_share" in full:
         full["pick_share"].bias.fill_(-1e4)
@@ -89,6 +87,7 @@ def test_nothing_to_correct_returns_the_estimate_to_the_bit(config):
 
 @configs
 def test_all_weight_on_the_own_tap_returns_the_noisy_frame(config):
+    config = replace(config, evidence=False)
     window = window_of(config)
     model = select(make(config), config.current)
     expected, _ = comparable(window.frames[config.current].radiance, window.estimates[config.current])
@@ -98,7 +97,7 @@ def test_all_weight_on_the_own_tap_returns_the_noisy_frame(config):
 @configs
 def test_residuals_of_another_frame_arrive_along_its_motion(config):
     """One residual pixel on the square of the frame two before moves four pixels to the right with it."""
-    config = replace(config, demodulate=False)
+    config = replace(config, demodulate=False, evidence=False)
     window = window_of(config)
     place = config.current - 2
     frames = [replace(frame, radiance=frame.reference) for frame in window.frames]
@@ -115,7 +114,8 @@ def test_residuals_of_another_frame_arrive_along_its_motion(config):
 
 @configs
 def test_constant_residuals_are_added_whole_or_not_at_all(config):
-    """The frame's own share times a constant residual, whatever the kernels; neighbours agree where they are seen."""
+    """The frame's own share times a constant residual, whatever the kernels; neighbours agree where they are seen.
+    Scales with shares of their own overshoot a little when they are composed."""
     config = replace(config, demodulate=False)
     flat = [replace(frame, radiance=torch.full_like(frame.radiance, 2.0)) for frame in window_of(config).frames]
     window = Window(tuple(flat), tuple(torch.full_like(frame.radiance, 1.5) for frame in flat))
@@ -124,8 +124,9 @@ def test_constant_residuals_are_added_whole_or_not_at_all(config):
             getattr(frame, layer).zero_()
         frame.depth.fill_(4.0)
     correction = make(config).combine(window).image - 1.5
-    assert correction.min() >= -1e-6 and correction.max() <= 0.5 + 1e-5
-    if not config.nothing:
+    overshoot = 0.02 if config.evidence else 1e-5
+    assert correction.min() >= -overshoot and correction.max() <= 0.5 + overshoot
+    if not config.evidence:
         torch.testing.assert_close(correction, torch.full_like(correction, 0.5), rtol=0, atol=1e-5)
 
 
@@ -328,7 +329,7 @@ def test_training_corrects_the_estimate(clips, tmp_path, monkeypatch):
     )  # fmt: skip
     trainer, data = Trainer(config), ClipDataset(clips)
     rows = [trainer.train_step(trainer.task.batch(data, config, step % 10)) for step in range(60)]
-    assert sum(row["loss"] for row in rows[-10:]) < 0.99 * sum(row["loss"] for row in rows[:10])
+    assert sum(row["loss"] for row in rows[-10:]) < 0.995 * sum(row["loss"] for row in rows[:10])
     found = trainer.task.validate(trainer.average, data, config)
     assert found.keys() == {"estimate", "denoised"}
 
@@ -370,6 +371,7 @@ def halves(noise, bias, size=64):
 
 def window_of_pictures(pictures, z, samples=None, motion=True):
     """Five noisy pictures of a flat white wall that stands still, and its estimates."""
+
     def frame(y):
         B, _, H, W = y.shape
         still = torch.zeros(B, 2, H, W) if motion else None
@@ -430,6 +432,39 @@ def test_the_recurrent_form_finds_a_lasting_error_and_forgets_it_at_cuts():
     assert history.residual_length.max() == MAX_LENGTH
     image, _ = correct(window.frames[0], z, None, onward)
     assert torch.equal(image, z)
+
+
+def test_an_untrained_network_corrects_as_far_as_the_frames_agree():
+    torch.manual_seed(1)
+    pictures = [(1 + 0.1 * torch.randn(1, 3, 48, 48)).clamp(min=0) for _ in range(5)]
+    for bias, better in ((0.3, 0.1), (0.0, 1.3)):
+        z = torch.full((1, 3, 48, 48), 1 + bias) + 0.05 * torch.randn(1, 3, 48, 48)
+        window = window_of_pictures(pictures, z, samples=16)
+        error, of_z = errors_of(make(COMBINERS["combiner"]).combine(window).image, z)
+        assert error < better * of_z
+
+
+def test_the_share_of_a_correction_stays_within_its_bounds():
+    change = module.bounded(torch.tensor([-1e4, -0.01, 0.0, 0.01, 1e4]))
+    torch.testing.assert_close(change, torch.tensor([-module.MAX_LESS, -0.01, 0.0, 0.01, module.MAX_MORE]))
+    residual = torch.ones(1, 3, 8, 8)
+    alone = module.evidence([None, residual, None], [None, residual[:, :1], None], 1, residual[:, :1])
+    agreed = module.evidence([residual] * 3, [residual[:, :1]] * 3, 1, residual[:, :1])
+    unbelieved = module.evidence([residual] * 3, [residual[:, :1]] * 3, 1, 0 * residual[:, :1])
+    assert (alone.sigmoid() == 0).all()
+    assert (agreed.sigmoid() > 0.979).all() and (unbelieved.sigmoid() < 0.021).all()
+
+
+def test_a_network_reads_two_halves_first():
+    torch.manual_seed(1)
+    first, second = ([(1 + 0.02 * torch.randn(1, 3, 32, 32)) for _ in range(5)] for _ in range(2))
+    z = torch.full((1, 3, 32, 32), 1.3)
+    window = window_of_pictures([(a + b) / 2 for a, b in zip(first, second, strict=True)], z)
+    still = replace(window, frames=tuple(replace(f, motion=None, motion_next=None) for f in window.frames))
+    model = make(SMALL["ours"])
+    without, combined = (model.combine(replace(still, halves=h)) for h in ((), tuple(first)))
+    assert errors_of(combined.image)[0] < 0.2 * errors_of(without.image)[0]
+    torch.testing.assert_close(combined.confidence, (combined.image - z).abs().mean(1, keepdim=True))
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])

@@ -1,5 +1,6 @@
 """`tools/train_weights.sh`: its commands exist, and they are those that trained the shipped weights."""
 
+import itertools
 import json
 import os
 import shlex
@@ -27,20 +28,24 @@ def folders_of(config):
     return *config.data, *config.stills, *([config.val] if config.val else [])
 
 
-def parsed(commands):
+def parsed(words):
     """The options of the training runs among the commands; others must make the clips of these runs."""
-    commands = [parse(words[1:]) for words in commands]  # exits at an unknown option
+    commands = [parse(line[1:]) for line in words if line[0] == "rtdenoise"]  # exits at an unknown option
     trained = [command.config for command in commands if hasattr(command, "config")]
-    rendered = {str(command.out) for command in commands if not hasattr(command, "config")}
+    rendered = {str(command.out) for command in commands if hasattr(command, "out")}
+    for line in (line for line in words if line[1] == "bench/combine_clips.py"):
+        after = {option: line.index(option) + 1 for option in ("--out", "--levels")}
+        levels = itertools.takewhile(str.isdigit, line[after["--levels"] :])
+        rendered |= {f"{line[after['--out']]}/spp{int(level):02d}" for level in levels}
     assert {str(folder) for config in trained for folder in folders_of(config)} <= rendered
     return trained
 
 
-@pytest.mark.parametrize("model", ["default", "fast", "quality", "many"])
+@pytest.mark.parametrize("model", ["default", "fast", "quality", "many", "combiner"])
 def test_the_recipe_is_that_of_the_weights(model):
     commands = printed(model, SCENES="scenes", ASSETS="library")
     *means, ship = [words[1:] for words in commands if words[1].endswith("ship_weights.py")]
-    trained = parsed([words for words in commands if words[0] == "rtdenoise"])
+    trained = parsed(commands)
     written = {str(config.out / "weights.safetensors") for config in trained} | {mean[1] for mean in means}
     assert {str(config.init) for config in trained if config.init} <= written
     assert {part.rpartition("=")[0] or part for mean in (*means, ship) for part in mean[2:]} <= written
@@ -76,7 +81,7 @@ def test_scene_files_are_used_only_where_a_folder_is_named():
 def test_a_model_without_a_recipe_is_refused():
     result = subprocess.run(["sh", RECIPE, "paper"], capture_output=True, text=True)
     assert result.returncode == 2
-    assert result.stderr == "expected default, fast, quality, many or settings, got 'paper'\n"
+    assert result.stderr == "expected default, fast, quality, many, combiner or settings, got 'paper'\n"
 
 
 def test_the_gpu_check_needs_a_gpu(tmp_path):

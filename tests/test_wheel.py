@@ -52,8 +52,13 @@ def test_weights_come_with_the_wheel(with_torch):
     shipped = sorted(
         path.name.removesuffix(".safetensors") for path in (ROOT / "rtdenoise/weights").glob("*.safetensors")
     )
-    code = "from rtdenoise import models\nprint(*[name for name in models.available() if models.load(name)])"
-    assert with_torch.run("python", "-c", code).split() == shipped
+    code = (
+        "from rtdenoise import models\n"
+        "found = [name for name in models.available() if models.load(name)]\n"
+        "found += [name for name in models.available_combiners() if models.load_combiner(name)]\n"
+        "print(*found)"
+    )
+    assert sorted(with_torch.run("python", "-c", code).split()) == shipped
 
 
 def test_the_command_explains_itself(without_torch):

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Make the weights that ship, from the first clip on:  sh tools/train_weights.sh default|fast|quality|many [cpu|cuda]
+# Make the weights that ship, from the first clip on:
+#     sh tools/train_weights.sh default|fast|quality|many|combiner [cpu|cuda]
 # `settings` instead of a model trains the paper's settings A, B and C, which docs/results/quality.md compares, into
 # runs/paper-A, -B and -C.
 #
@@ -13,17 +14,17 @@
 #   PROCESSES=2     trains in two processes
 #   SCENES=FOLDER   scene files, FOLDER/NAME/scene.xml (docs/reference/models/default.md names them); without them generated
 #                   scenes take their place
-#   ASSETS=FOLDER   for `default`, `many` and `quality`: a library of assets with its index.json
+#   ASSETS=FOLDER   for all but `fast`: a library of assets with its index.json
 #   DRY=1           prints the commands and runs none
 set -eu
 cd "$(dirname "$0")/.."
 trap 'exit 143' TERM # after the running command has written its checkpoint
 model=${1:-} device=${2:-cpu}
 case $model in
-    default | fast | quality | many | settings) ;;
-    *) echo "expected default, fast, quality, many or settings, got '$model'" >&2; exit 2 ;;
+    default | fast | quality | many | combiner | settings) ;;
+    *) echo "expected default, fast, quality, many, combiner or settings, got '$model'" >&2; exit 2 ;;
 esac
-case $model in default | many | quality)
+case $model in default | many | quality | combiner)
     [ -n "${ASSETS:-}" ] || { echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2; };;
 esac
 
@@ -48,7 +49,7 @@ run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --ref
 if [ "$model" = settings ]; then
     clips some-scenes $wide --count 56 --seed 9000 $noisy $files
     clips some-sun --count 52 --seed 31000 $noisy --sun 0.6
-else
+elif [ "$model" != combiner ]; then
     clips train --generator 1 --count 200
     clips wide $wide --count 12
     clips mixed $wide --count 12 --seed 7000 --reference-error 0.02 $files $two
@@ -78,19 +79,31 @@ levels() { # NAME OPTIONS...: the same clips at 1, 4 and 16 samples a pixel, wit
     name=$1; shift
     run python bench/combine_clips.py --out "data/$name" $files --size 128 --frames 5 --levels 1 4 16 64 --half 32 \
         --windows 2 "$@"
+    [ "$model" != combiner ] || return 0
     for spp in 01 04 16; do
         run rtdenoise clean "data/$name/spp$spp" --out "data/$name-clean/spp$spp"
     done
 }
-case $model in default | many)
+case $model in default | many | quality | combiner)
     levels levels --count 72 --seed 81
     levels levels720 --count 32 --seed 82 --assets "$ASSETS";;
 esac
-if [ "$model" = default ]; then # long histories
+if [ "$model" = combiner ]; then # it corrects raw references' noisy frames, as two denoisers denoised them
+    folders=
+    for name in levels levels720; do
+        for spp in 01 04 16 64; do folders="$folders data/$name/spp$spp"; done
+    done
+    run rtdenoise estimates $folders --methods oidn default
+    run rtdenoise train --out runs/combiner-last --model combiner --device "$device" --data$folders --signal both \
+        --frames 5 --batch 4 --size 96 --optimiser muon --lr 4e-4 --warmup 50 --steps 1800
+    run python tools/ship_weights.py combiner runs/combiner-last/weights.safetensors
+    exit
+fi
+case $model in default | quality) # long histories
     long="--frames 3 --lead-in 20 --sun 0.5 --calm 0.3"
     clips long --count 71 --seed 94000 --reference-error 0.01 $long
-    clips long-scenes --count 73 --seed 95000 --reference-error 0.02 $long $files
-fi
+    clips long-scenes --count 73 --seed 95000 --reference-error 0.02 $long $files;;
+esac
 case $model in default | quality) clips sharp-stills $stills --reference-error 0.01 --count 138 --seed 3 --most-spp 1;; esac
 
 # --- the weights ------------------------------------------------------------------------------------------------------
@@ -146,6 +159,11 @@ if [ "$model" = quality ]; then # grows from default as it is after its run `sun
     train little $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900
     train edges $all $(after little) --steps 1300 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 650
 fi
+# on clips with better references, of which some have long histories
+sharp="--data data/long-clean data/long-scenes-clean data/levels-clean/spp01 data/levels720-clean/spp01"
+sharp="$sharp --most-spp 1 --frames 3 --lead-in 20 --cuts 0.1 --shade 0.15 --loss-power 0.5 --lr 5e-4"
+single="data/sharp-stills-clean data/levels-clean/spp01 data/levels720-clean/spp01 data/long-clean data/long-scenes-clean"
+
 if [ "$model" = fast ]; then
     ship fast runs/fast-last/weights.safetensors
     exit
@@ -154,8 +172,14 @@ elif [ "$model" = quality ]; then
     new="--data data/history-clean --stills data/one-sample-stills-clean data/sharp-stills-clean --loss-power 0.5"
     new="$new --frames 8 --steps 500 --lr 3e-4"
     train_on runs/quality-again $from $new
-    train_on runs/quality-last $from $new --seed 1
-    ship quality $from=0.3 runs/quality-again/weights.safetensors=0.35 runs/quality-last/weights.safetensors=0.35
+    train_on runs/quality-third $from $new --seed 1
+    mean=runs/quality-third/mean.safetensors
+    ship $mean $from=0.3 runs/quality-again/weights.safetensors=0.35 runs/quality-third/weights.safetensors=0.35
+    fields="--set detail=true" sharp="$sharp --stills $single --relight 0.1 --steps 3600"
+    train_on runs/quality-sharp $mean $sharp --seed 5
+    ship runs/quality-sharp/mean.safetensors $mean=0.35 runs/quality-sharp/weights.safetensors=0.65
+    train_on runs/quality-last runs/quality-sharp/mean.safetensors $sharp --seed 6
+    ship quality runs/quality-sharp/mean.safetensors=0.5 runs/quality-last/weights.safetensors=0.5
     exit
 fi
 
@@ -195,10 +219,7 @@ ship runs/default-two/mean.safetensors $base=0.25 $many=0.3 runs/default-two/wei
 train_on runs/default-three runs/default-two/mean.safetensors --steps 4000 --seed 2 $few data/one-sample-stills-clean
 ship runs/default-three/mean.safetensors $base=0.5 $many=0.2 runs/default-three/weights.safetensors=0.3
 mean=runs/default-three/mean.safetensors
-sharp="--data data/long-clean data/long-scenes-clean data/levels-clean/spp01 data/levels720-clean/spp01"
-sharp="$sharp --most-spp 1 --frames 3 --lead-in 20 --cuts 0.1 --shade 0.15 --loss-power 0.5 --lr 5e-4"
 train_on runs/default-sharp $mean $sharp --stills data/sharp-stills-clean --relight 0.05 --steps 3000 --seed 3
 ship runs/default-sharp/mean.safetensors $mean=0.5 runs/default-sharp/weights.safetensors=0.5
-single="data/sharp-stills-clean data/levels-clean/spp01 data/levels720-clean/spp01 data/long-clean data/long-scenes-clean"
 train_on runs/default-last runs/default-sharp/mean.safetensors $sharp --stills $single --relight 0.1 --steps 3300 --seed 4
 ship default $mean=0.4 runs/default-last/weights.safetensors=0.6

@@ -9,8 +9,9 @@ scale:
 over scales l, frames j (reprojected to the current one) and taps i. Where y = z the image is z to the bit. The kernels
 are softmax-normalised for each frame, and so are the shares of the frames. The preset `combiner` adds to the paper:
 
-- a share for no correction, so that weights sum to at most 1: a sum of 1 would average noise into pixels that need no
-  correction;
+- a share of the correction that is applied, since weights that sum to 1 would average noise into pixels that need no
+  correction. It begins with the share of `shrinkage` at each scale; the network may lower its logit much and raise it
+  little. A free share learns to be 0 before the kernels learn anything (docs/notes/combiner_training.md);
 - residuals divided by the albedo: residuals of textures do not match between neighbours;
 - means of residuals in units of their standard errors as input, and a network at half size.
 
@@ -37,13 +38,17 @@ from ..ops.logits import whole
 from ..ops.pixels import nearness
 from .combiner_config import CombinerConfig
 from .inference import as_weights
-from .losses import smape_ratio
+from .losses import smape_ratio, square_ratio
+from .shrinkage import agreement, corrected_by_halves, edges, few_samples
 from .unet import ConvRelu, UNet
-from .window import Aligned, Combined, Window, aligned, box, current_of
+from .window import Aligned, Combined, Window, aligned, box, changed, current_of
 
 MAX_LOGITS = 1 << 25  # in memory at once; beyond it, strip by strip, recomputed in the backward pass
 STATISTICS = (5, 15)  # sides in pixels of the neighbourhoods over which residuals are averaged
 LOSS_SCALES = 4  # at which the loss is taken: 1, 1/2 ... of the image size
+LEAST = 0.02  # share of a correction that nothing supports
+MAX_MORE, MAX_LESS = 0.3, 8.0  # by which the network raises or lowers the share's logit
+MAX_MORE_IN_TRAINING = 1.0  # less in use: a margin for other scenes (docs/notes/combiner_training.md)
 MIN_VARIANCE = 1e-8  # of exposed residuals, so that none is divided by zero
 
 
@@ -69,8 +74,10 @@ class Combiner(nn.Module):
                 nn.init.zeros_(module.bias)
         for convolutions, heads in zip(self.heads, config.heads, strict=True):
             for head in (head for head in heads if head.start is not None):
-                nn.init.zeros_(convolutions[head.name].weight)
-                nn.init.constant_(convolutions[head.name].bias, head.start)
+                convolution = convolutions[head.name]
+                nn.init.zeros_(convolution.weight)
+                with torch.no_grad():
+                    convolution.bias.unflatten(0, (-1, head.channels))[:, head.channels // 2] = head.start
 
     @property
     def offsets(self) -> tuple[int, ...]:
@@ -81,22 +88,26 @@ class Combiner(nn.Module):
         """Correct the current frame of a window of `config.frames` frames: the middle one, the last one if causal.
 
         Layers may be missing: without albedo nothing is demodulated, without motion only the current frame is used. A
-        neighbour that is None, or lies beyond one, gets no weight. Raises ValueError where the window has
-        another length or no current frame.
+        neighbour that is None, or lies beyond one, gets no weight. With `config.evidence` z is first corrected by
+        `window.halves`, if there are any, as `shrinkage` does it. Raises ValueError where the window has another length
+        or no current frame.
         """
+        original = window.estimates
+        window = corrected_by_halves(window) if self.config.evidence else window
         frame, estimate = current_of(window, self.config.current, self.config.frames)
         divisor = albedo_divisor(frame.albedo, frame.depth) if self.config.demodulate else 1.0
         aligned = self.aligned(window)
         now = aligned[self.config.current]
 
         levels = self.predict(self.features(frame, aligned))
-        absent = [one is None for one in aligned]
         residuals = [None if one is None else one.residual for one in aligned]
-        correction = divisor * self.correct(levels, residuals, absent)
+        valid = [None if one is None else one.valid for one in aligned]
+        believed = one_surface(frame) if self.config.evidence else None
+        correction = divisor * self.correct(levels, residuals, valid, believed)
 
         image = now.estimate * divisor if not estimate.isfinite().all() else estimate
         image = torch.maximum(image + correction, image.clamp(max=0))
-        return Combined(image, correction.abs().mean(1, keepdim=True))
+        return Combined(image, changed(image, original[self.config.current]))
 
     def aligned(self, window: Window) -> list[Aligned | None]:
         """`window.aligned` as the configuration says."""
@@ -116,7 +127,7 @@ class Combiner(nn.Module):
             channels += [light, *residual, one.valid]
         channels += [frame.albedo, frame.normal, nearness(frame.depth, mean_distance(frame.depth))]
         if self.config.statistics:
-            channels.append(statistics([one for one in aligned if one is not None], scale))
+            channels += [statistics([one for one in aligned if one is not None], scale), certainty(frame)]
         return as_weights(torch.cat(channels, dim=1), self)
 
     def predict(self, features: Tensor) -> list[Tensor]:
@@ -130,8 +141,14 @@ class Combiner(nn.Module):
         levels = self.unet(self.stem(features)[:, :, : (H + 1) // 2, : (W + 1) // 2], max(1, scales - 1))
         return [levels[self.config.level(scale)] for scale in range(scales)]
 
-    def correct(self, levels: Sequence[Tensor], residuals: Sequence[Tensor | None], absent: Sequence[bool]) -> Tensor:
-        """Σ w r, `[B, 3, H, W]`: filter the residuals of every scale, then compose from coarse to fine.
+    def correct(
+        self,
+        levels: Sequence[Tensor],
+        residuals: Sequence[Tensor | None],
+        valid: Sequence[Tensor | None],
+        believed: Tensor | None,
+    ) -> Tensor:
+        """g Σ w r, `[B, 3, H, W]`: filter the residuals of every scale, then compose from coarse to fine.
 
         A coarser scale adds its correction minus the mean of the finer one's; composing corrections instead of images
         is the paper's fusion, without resampling z.
@@ -139,8 +156,13 @@ class Combiner(nn.Module):
         filtered = []
         for scale, level in enumerate(levels):
             if scale:
-                residuals = [None if r is None else downsample(r) for r in residuals]
-            filtered.append(self._filtered(scale, level, residuals, absent))
+                residuals, valid = ([x if x is None else downsample(x) for x in part] for part in (residuals, valid))
+            kept = self._filtered(scale, level, residuals)
+            if self.config.evidence:
+                believed = downsample(believed) if scale else believed
+                change = bounded(self._logits(scale, "trust", level, kept.shape[2:]).float(), self.training)
+                kept = kept * (evidence(residuals, valid, self.config.current, believed) + change).sigmoid()
+            filtered.append(kept)
         correction = filtered[-1]
         for scale in reversed(range(len(levels) - 1)):
             finer, size = filtered[scale], filtered[scale].shape[2:]
@@ -151,27 +173,26 @@ class Combiner(nn.Module):
         return correction
 
     def loss(self, combined: Combined, frame: Frame, estimate: Tensor) -> Tensor:
-        """SMAPE of the image as a share of that of z, against `frame.reference`; mean over `LOSS_SCALES` scales.
+        """The error of the image as a share of that of z, against `frame.reference`; mean over `LOSS_SCALES` scales.
 
-        The paper takes full size alone. z's error extends over many pixels and the reference's noise does not, so
-        coarser scales show z's error more clearly.
+        The paper takes SMAPE at full size alone. z's error extends over many pixels and the reference's noise does not,
+        so coarser scales show z's error more clearly. Squares (`config.squares`) aim at the mean of noisy references,
+        and at the measure of `bench/combine.py`.
         """
         scale, total = exposure(frame.reference), 0
+        ratio = square_ratio if self.config.squares else smape_ratio
         image, reference = combined.image, frame.reference
         for _ in range(LOSS_SCALES):
-            total = total + smape_ratio(image, estimate, reference, scale) / LOSS_SCALES
+            total = total + ratio(image, estimate, reference, scale) / LOSS_SCALES
             image, estimate, reference = (F.avg_pool2d(x, 2, ceil_mode=True) for x in (image, estimate, reference))
         return total
 
-    def _filtered(
-        self, scale: int, level: Tensor, residuals: Sequence[Tensor | None], absent: Sequence[bool]
-    ) -> Tensor:
+    def _filtered(self, scale: int, level: Tensor, residuals: Sequence[Tensor | None]) -> Tensor:
         """Σ_j s_j Σ_i w_ji r_ji at one scale, `[B, 3, h, w]`."""
         size = next(r.shape[2:] for r in residuals if r is not None)
         logits = self._logits(scale, "shares", level, size).float()
-        logits = logits.masked_fill(torch.tensor(absent, device=logits.device).reshape(1, -1, 1, 1), -torch.inf)
-        if self.config.nothing:
-            logits = torch.cat([logits, self._logits(scale, "nothing", level, size).float()], dim=1)
+        absent = torch.tensor([r is None for r in residuals], device=logits.device).reshape(1, -1, 1, 1)
+        logits = logits.masked_fill(absent, -torch.inf)
         shares = logits.softmax(dim=1)
         total = 0
         for j, (offset, residual) in enumerate(zip(self.config.offsets, residuals, strict=True)):
@@ -211,9 +232,46 @@ class Combiner(nn.Module):
             whole(logits)[:, :, : size[0], : size[1]]
         )  # fmt: skip
 
+
 def signed_log(x: Tensor) -> Tensor:
     """sign(x) · log(1 + |x|): `color.compress` for values of either sign."""
     return x.sign() * x.abs().log1p()
+
+
+def evidence(
+    residuals: Sequence[Tensor | None],  # [B, 3, h, w] of every frame, zero where it is not valid
+    valid: Sequence[Tensor | None],  # [B, 1, h, w] in [0, 1]
+    current: int,
+    believed: Tensor,  # [B, 1, h, w] in [0, 1]: `one_surface`
+) -> Tensor:  # [B, 1, h, w], between those of LEAST and 1 - LEAST; -inf without other frames
+    """The logit of `shrinkage`'s share: how far the current frame and the mean of the others agree that z is wrong."""
+    own = residuals[current]
+    others = [j for j, one in enumerate(residuals) if one is not None and j != current]
+    if not others:
+        return torch.full_like(own[:, :1], -torch.inf)
+    count = sum(valid[j] for j in others)
+    mean = sum(residuals[j] for j in others) / count.clamp(min=1e-6)
+    usable = ((count > 0.5) & (believed > 0.5)).to(own.dtype)
+    return agreement(own, mean, count, usable).clamp(LEAST, 1 - LEAST).logit()
+
+
+def bounded(change: Tensor, training: bool = False) -> Tensor:
+    """`change` within `MAX_MORE` above and `MAX_LESS` below; its own near 0."""
+    bound = torch.where(change > 0, MAX_MORE_IN_TRAINING if training else MAX_MORE, MAX_LESS)
+    return bound * (change / bound).tanh()
+
+
+def one_surface(frame: Frame) -> Tensor:
+    """1 where the noisy light of a pixel is that of one surface or of many samples, else 0, `[B, 1, H, W]`: at an edge
+    a few samples of several frames agree although z is right (`shrinkage.edges`)."""
+    return (~(edges(frame) & few_samples(frame))).to(frame.depth.dtype)
+
+
+def certainty(frame: Frame) -> Tensor:
+    """log(samples) / 4, `[B, 1, H, W]`: 0 for one sample a pixel, and for an unknown number."""
+    if frame.samples is None:
+        return torch.zeros_like(frame.depth)
+    return 0.25 * torch.nan_to_num(frame.samples, nan=1.0).clamp(1, 1e4).log().expand_as(frame.depth)
 
 
 def statistics(

@@ -7,6 +7,8 @@ from typing import ClassVar
 
 from .config import Head, NetworkConfig, rounded_up, with_biases
 
+MIDDLE = 3.0  # logit of the middle tap to begin with: half the weight of 5×5 taps
+
 
 @dataclass(frozen=True)
 class CombinerConfig(NetworkConfig):
@@ -30,14 +32,18 @@ class CombinerConfig(NetworkConfig):
     """Side of the kernels over residuals, odd; one for each frame and scale."""
     pick_kernel: int = 3
     """Side of the kernels by which pixels pick from the next coarser scale, odd."""
-    nothing: bool = True
-    """A share for no correction competes with those of the frames; without it the weights of a pixel sum to 1."""
+    evidence: bool = True
+    """Corrections are multiplied by a share in [0, 1] that begins with `shrinkage`'s, and kernels begin with the weight
+    in their middle; without it the weights of a pixel sum to 1, and kernels begin at random."""
+    squares: bool = True
+    """The loss is a ratio of squared errors on log(1 + exposed light); else of SMAPE, as in the paper."""
     demodulate: bool = True
     """Residuals are divided by the albedo."""
     residual_input: bool = True
     """The input has the residuals y - z beside y and z."""
     statistics: bool = True
-    """The input has means of residuals over neighbourhoods, in units of their standard errors."""
+    """The input has means of residuals over neighbourhoods, in units of their standard errors, and the samples a
+    pixel."""
 
     def __post_init__(self) -> None:
         self.check("kernel", "pick_kernel")
@@ -65,15 +71,17 @@ class CombinerConfig(NetworkConfig):
 
     @property
     def features(self) -> int:
-        """Input channels: those of each frame; albedo 3, normal 3, nearness 1 of the current one; statistics 13."""
-        return self.of_each_frame * self.frames + 7 + (13 if self.statistics else 0)
+        """Input channels: those of each frame; albedo 3, normal 3, nearness 1 of the current one; statistics 14."""
+        return self.of_each_frame * self.frames + 7 + (14 if self.statistics else 0)
 
     @property
     def heads(self) -> tuple[tuple[Head, ...], ...]:
-        """At every scale a kernel for each frame and the shares of the frames and, if there is one, of nothing; at all
-        but the coarsest the pick kernel with its weight. The share of no correction starts like that of a frame."""
-        kernels = [Head(f"taps{offset:+d}", self.kernel**2) for offset in self.offsets]
-        shares = [Head("shares", self.frames), *([Head("nothing", 1, start=0.0)] if self.nothing else [])]
+        """At every scale a kernel for each frame, the shares of the frames and the trust in the evidence; at all
+        but the coarsest the pick kernel with its weight."""
+        middle, even = (MIDDLE, 0.0) if self.evidence else (None, None)
+        kernels = [Head(f"taps{offset:+d}", self.kernel**2, start=middle) for offset in self.offsets]
+        trust = [Head("trust", 1, start=0.0)] if self.evidence else []
+        shares = [Head("shares", self.frames, start=even), *trust]
         pick = Head("pick", self.pick_kernel**2), Head("pick_share", 1, start=0.0)
         return *[(*kernels, *shares, *pick)] * (self.scales - 1), (*kernels, *shares)
 

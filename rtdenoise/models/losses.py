@@ -11,6 +11,9 @@ from torch.nn import functional as F
 from ..color import compress
 from ..frame import Frame
 
+LEAST_SQUARE = 1e-5  # of z's error: a frame that is nearly right weighs no more than this
+MAX_DIFFERENCE = 2.0  # of a reference from z, relative
+
 
 @dataclass(frozen=True)
 class Loss:
@@ -99,3 +102,16 @@ def smape_ratio(image: Tensor, estimate: Tensor, reference: Tensor, scale: Tenso
     """`smape` of the image divided by that of `estimate`, mean over the batch: frames of many samples, whose errors are
     small, count as much as frames of few."""
     return (smape(image, reference, scale) / smape(estimate, reference, scale).clamp(min=0.01)).mean()
+
+
+def square_ratio(image: Tensor, estimate: Tensor, reference: Tensor, scale: Tensor | float = 1.0) -> Tensor:
+    """As `smape_ratio`, of mean squared differences from z relative to 1 / scale + z.
+
+    Linear in the reference, so that its noise moves no optimum: a logarithm of noisy references is too dark. Only
+    differences beyond `MAX_DIFFERENCE`, which are fireflies, are cut off.
+    """
+    relative = scale / (1 + scale * estimate.clamp(min=0))
+    change, wanted = ((x - estimate) * relative for x in (image, reference))
+    wanted = wanted.clamp(-MAX_DIFFERENCE, MAX_DIFFERENCE)
+    error, before = (x.square().mean((1, 2, 3)) for x in (change - wanted, wanted))
+    return (error / before.clamp(min=LEAST_SQUARE)).mean()

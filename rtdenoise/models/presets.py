@@ -37,8 +37,8 @@ COMBINERS: dict[str, CombinerConfig] = {
     "combiner": CombinerConfig(),
     "combiner-causal": CombinerConfig(frames=3, causal=True),
     "drc": CombinerConfig(
-        widths=(48, 64, 96, 128), half_size=False, kernel=15, pick_kernel=5, nothing=False, demodulate=False,
-        statistics=False,
+        widths=(48, 64, 96, 128), half_size=False, kernel=15, pick_kernel=5, evidence=False, squares=False,
+        demodulate=False, statistics=False,
     ),
 }  # fmt: skip
 """Name of a combiner -> its configuration: ours, ours without future frames, and its paper's."""

@@ -29,7 +29,7 @@ from ..color import albedo_divisor
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import reproject
 from ..sanitise import sanitise
-from .window import Combined, Window, aligned, box, comparable, completed, current_of
+from .window import Combined, Window, aligned, box, changed, comparable, completed, current_of
 
 Step = Callable[..., tuple[Tensor, History]]
 
@@ -58,13 +58,19 @@ class Shrinkage:
         """
         place = self.offsets.index(0)
         frame, before = current_of(window, place, len(self.offsets))
-        if window.halves:
-            parts = zip(window.frames, window.estimates, window.halves, strict=True)
-            window = replace(window, estimates=tuple(by_halves(*part) for part in parts))
+        window = corrected_by_halves(window)
         known = comparable(frame.radiance, window.estimates[place])[1]
         estimate = window.estimates[place].where(window.estimates[place].isfinite(), known)
         image = torch.maximum(estimate + by_neighbours(window, place), estimate.clamp(max=0))
-        return Combined(image, (image - before.where(before.isfinite(), image)).abs().mean(1, keepdim=True))
+        return Combined(image, changed(image, before))
+
+
+def corrected_by_halves(window: Window) -> Window:
+    """The window with every z corrected by `by_halves`, where it has halves."""
+    if not window.halves:
+        return window
+    parts = zip(window.frames, window.estimates, window.halves, strict=True)
+    return replace(window, estimates=tuple(by_halves(*part) for part in parts))
 
 
 def by_halves(frame: Frame | None, estimate: Tensor | None, half: Tensor | None) -> Tensor | None:
@@ -133,14 +139,23 @@ def supported(
     usable = count > 0
     if (few := few_samples(frame)).any():
         usable &= ~(edges(frame) & few)
-    usable = usable.to(own.dtype)
-    share = box(usable, SIDE).clamp(min=1e-6)
+    return agreement(own, mean, count, usable.to(own.dtype)) * (own + count * mean) / (count + 1)
+
+
+def agreement(
+    own: Tensor,  # [B, 3, H, W] residual of the frame
+    mean: Tensor,  # [B, 3, H, W] mean of those of other frames
+    count: Tensor,  # [B, 1, H, W] number of these
+    usable: Tensor,  # [B, 1, H, W] in {0, 1}
+) -> Tensor:  # [B, 1, H, W] in [0, 1], 0 where not usable
+    """w of a = `own` and b = `mean`, weighted as a mean of all frames."""
+    known = box(usable, SIDE).clamp(min=1e-6)
     # a - b has (count + 1) / count of a frame's variance, the mean of all frames 1 / (count + 1) of it
     error, variance = (
-        box(usable * x.mean(1, keepdim=True), SIDE) / share
+        box(usable * x.mean(1, keepdim=True), SIDE) / known
         for x in (own * mean, (own - mean).square() * count / (count + 1).square())
     )
-    return weight(error, variance, SHARE_OF_FRAMES) * usable * (own + count * mean) / (count + 1)
+    return weight(error, variance, SHARE_OF_FRAMES) * usable
 
 
 def weight(error: Tensor, variance: Tensor, share: float) -> Tensor:

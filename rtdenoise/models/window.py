@@ -37,7 +37,12 @@ class Combined:
     """A corrected frame."""
 
     image: Tensor  # [B, 3, H, W] linear radiance
-    confidence: Tensor  # [B, 1, H, W] size of the correction, |Σ w r|, mean over the channels
+    confidence: Tensor  # [B, 1, H, W] size of the correction, |image - z|, mean over the channels
+
+
+def changed(image: Tensor, estimate: Tensor) -> Tensor:
+    """`Combined.confidence` of a corrected z; 0 where z is not finite."""
+    return (image - estimate.where(estimate.isfinite(), image)).abs().mean(1, keepdim=True)
 
 
 @dataclass(frozen=True)

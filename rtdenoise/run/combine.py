@@ -10,14 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..data.output import check_output, protect_input
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from ..models.presets import SHRINKAGE
 from .folder import prepare
 from .options import EXAMINED, CombineOptions, Summary, check_samples
+
+if TYPE_CHECKING:
+    from ..models import Combiner, Shrinkage
 
 FEATURES = ("albedo", "normal", "depth")
 
@@ -69,26 +72,26 @@ def combine(
     with lock(out):
         remove_unfinished(out)
         run = Run(source, estimates, second, out, options, combiner, device, on_frame)
-        return run.run(overwrite, [*unread_options(options), *missing_layers(source, options)])
+        return run.run(overwrite, [*unread_options(options, combiner), *missing_layers(source, options, combiner)])
 
 
-def unread_options(options: CombineOptions) -> list[str]:
-    """The options that a network does without, a line each."""
-    if options.model == SHRINKAGE:
+def unread_options(options: CombineOptions, combiner: Combiner | Shrinkage) -> list[str]:
+    """The options that a network without evidence does without, a line each."""
+    if _by_evidence(combiner):
         return []
     lines = {
-        f"{options.model} takes the mean of both renders; shrinkage reads their differences, too": options.second,
+        f"{options.model} takes the mean of both renders, and does not read their differences": options.second,
         f"{options.model} reads no --samples": options.samples,
     }
     return [line for line, given in lines.items() if given]
 
 
-def missing_layers(source: Sequence, options: CombineOptions) -> list[str]:
+def missing_layers(source: Sequence, options: CombineOptions, combiner: Combiner | Shrinkage) -> list[str]:
     """What the noisy files lack and what that costs, a line each."""
     lacking = [layer for layer in FEATURES if not _has(source, layer)]
     lines = [f"the noisy files have no {', '.join(lacking)}: corrected without"] if lacking else []
     alone = "there is one frame" if len(source) == 1 else "" if _has(source, "motion") else "the files have no motion"
-    if alone and options.model == SHRINKAGE and not options.second:
+    if alone and _by_evidence(combiner) and not options.second:
         return [*lines, f"{alone}: nothing is corrected; a second render (--second) would be needed"]
     if len(source) > 1 and not _has(source, "motion"):
         return [*lines, "the noisy files have no motion: every frame is corrected by itself alone"]
@@ -96,6 +99,12 @@ def missing_layers(source: Sequence, options: CombineOptions) -> list[str]:
         instead = "it is approximated from motion and depth" if _has(source, "depth") else "frames after are not used"
         lines.append(f"the noisy files have no motion_next: {instead}")
     return lines
+
+
+def _by_evidence(combiner: Combiner | Shrinkage) -> bool:
+    """Whether it corrects what independent noisy frames agree on, and nothing else."""
+    config = getattr(combiner, "config", None)
+    return config is None or config.evidence
 
 
 def _has(source: Sequence, layer: str) -> bool:

@@ -90,8 +90,9 @@ class CombineOptions:
 
     signal: str = "color"
     """The denoised signal: 'color' (the beauty) or 'indirect'."""
-    model: str = "shrinkage"
-    """The combiner: 'shrinkage', which needs no training, or a .safetensors file that `rtdenoise train` wrote."""
+    model: str = "combiner"
+    """The combiner: 'combiner', 'shrinkage', which has no network, or a .safetensors file that `rtdenoise train`
+    wrote."""
     second: str = ""
     """A second render of the noisy frames (folder or glob) with another seed and as many samples: both are used, and
     their differences tell noise from light."""

@@ -20,6 +20,7 @@ from .config import TrainConfig, model_config
 Batch = Callable[[ClipDataset, TrainConfig, int, tuple[int, int]], Any]
 """(clips, options, step, (rank, processes)) -> the batch of a step, a function of these alone."""
 COLOR_SHARE = 1 / 3  # of the clips where both signals are trained
+UNKNOWN_SHARE = 0.1  # of the windows whose samples a pixel are not known
 MISSING_SHARE = 0.1  # of the windows that lack frames, as at the ends of shots
 
 
@@ -85,6 +86,8 @@ def windows(data: ClipDataset, config: TrainConfig, step: int, share: tuple[int,
     )
     window = Window(tuple(frames), tuple(frame.radiance for frame in estimates))
     rng = np.random.default_rng([config.seed, step])
+    if rng.random() < UNKNOWN_SHARE:
+        window = replace(window, frames=tuple(replace(frame, samples=None) for frame in window.frames))
     return _shortened(window, model_config(config).current, rng) if rng.random() < MISSING_SHARE else window
 
 
