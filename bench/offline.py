@@ -1,7 +1,7 @@
 """Is the offline mode worth its time? And with which weights does it combine its candidates?
 
 python bench/offline.py SEQ ...          # sequences with references that no network was trained on
-python bench/offline.py --fit CLIPS      # the weights, by least squares on training clips
+python bench/offline.py --fit SEQ ...    # the weights, by least squares on other sequences
 
 Measures OIDN, `default` and `offline` on every sequence and both signals, over the frame and in uncovered regions, and
 the time of each; writes bench/results/offline.json, the tables of docs/results/offline.md, and
@@ -28,11 +28,11 @@ import torch
 import tyro
 
 from rtdenoise.color import display, display_exposure
-from rtdenoise.data.clips import ClipDataset
+from rtdenoise.data.sequences import open_sequence
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.frame import Frame
 from rtdenoise.run import combination
-from rtdenoise.run.passes import Passes, reverse
+from rtdenoise.run.passes import Passes, around, completed, reverse
 from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "offline.json", (DOCS / "results" / "offline.md",)
@@ -49,20 +49,19 @@ AIMS = {
     ("frame", "tpsnr"): (2.5, None),
 }
 """(region, metric) -> gain over OIDN in dB: on average, on each sequence and signal."""
+FITTED = 16  # frames of a sequence, at most
 MIN_UNCOVERED = 500  # pixels in all frames together: fewer say nothing about uncovered regions
 
 
-def main(sequences: tyro.conf.Positional[tuple[str, ...]] = (), fit: Path | None = None) -> None:
+def main(sequences: tyro.conf.Positional[tuple[str, ...]] = (), fit: bool = False) -> None:
     """Measure, or fit.
 
     Args:
         sequences: Folders of EXR files with references.
-        fit: Folder of training clips.
+        fit: Print weights that suit the sequences best, and measure nothing.
     """
-    if fit is not None:
-        fit_weights(fit)
-    if not sequences:
-        return
+    if fit:
+        return fit_weights(sequences)
     documents = {
         signal: run(sequences, OUT / signal, EvaluateOptions(METHODS, metrics=METRICS, signal=signal))
         for signal in SIGNALS
@@ -156,14 +155,14 @@ def _number(value: float | None) -> str:
 
 
 @torch.inference_mode()
-def fit_weights(folder: Path) -> None:
-    """Print the weights with the least squared error, every clip and signal counting alike."""
-    passes, data = Passes(device="cpu"), ClipDataset(folder)
+def fit_weights(sequences: tuple[str, ...]) -> None:
+    """Print the weights with the least squared error, every sequence and signal counting alike."""
+    passes = Passes(device="cpu")
     names = list(combination.WEIGHTS)
     gram, vector = np.zeros((len(names), len(names))), np.zeros(len(names))
-    for index in range(len(data)):
+    for folder in sequences:
         for signal in SIGNALS:
-            frames = data.load(index, signal=signal)
+            frames = list(open_sequence(folder, signal=signal, layers=("reference",)))[:FITTED]
             scale = display_exposure(torch.cat([frame.reference for frame in frames]))
             shown = [_shown(c, names, scale) for c in candidates(passes, frames)]
             inputs, truth = np.concatenate(shown), _values([frame.reference for frame in frames], scale)
@@ -180,11 +179,11 @@ def candidates(passes: Passes, frames: list[Frame]) -> list[combination.Candidat
     for frame in frames:
         estimate, history = passes.step(frame, history)
         forward.append(estimate)
-    found, history, following = [], None, None
-    for frame, estimate in zip(reversed(frames), reversed(forward), strict=True):
-        backward, history = passes.step(reverse(frame, following), history)
-        found.insert(0, passes.candidates(frame, estimate, backward))
-        following = frame
+    found, history = [], None
+    frames = [completed(frame, *frames[i + 1 : i + 2]) for i, frame in enumerate(frames)]
+    for i in reversed(range(len(frames))):
+        backward, history = passes.step(reverse(frames[i]), history)
+        found.insert(0, passes.candidates(around(frames, i), forward[i], backward))
     return found
 
 

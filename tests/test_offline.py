@@ -23,8 +23,9 @@ from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, save
 from rtdenoise.run import passes as passes_module
 from rtdenoise.run.combination import WEIGHTS, WEIGHTS_WITHOUT_OIDN, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.moved import REACH, moved_mean
 from rtdenoise.run.offline import ESTIMATES
-from rtdenoise.run.passes import InMemory, Passes, reverse
+from rtdenoise.run.passes import InMemory, Passes, completed, reverse
 from rtdenoise.run.sides import Estimate, corrected, two_sided
 from rtdenoise.run.stored_estimate import read_estimate, write_estimate
 
@@ -202,8 +203,8 @@ def test_no_pass_looks_across_a_gap(tmp_path, options):
         assert_same(tmp_path / "out", tmp_path / f"{name} out", [f"frame.{f.number:04d}.exr" for f in part])
 
 
-def test_two_frames_are_in_memory_at_a_time(tmp_path, options, monkeypatch):
-    shot, alive, most = write_sequence(tmp_path / "shot", make_frames(12, H=16, W=16)), [], []
+def test_a_window_of_frames_is_in_memory_at_a_time(tmp_path, options, monkeypatch):
+    shot, alive, most = write_sequence(tmp_path / "shot", make_frames(16, H=16, W=16)), [], []
     real = rtdenoise.data.sequences.Sequence.read
 
     def read(self, i):
@@ -218,7 +219,7 @@ def test_two_frames_are_in_memory_at_a_time(tmp_path, options, monkeypatch):
         most.append(sum(array() is not None for array in alive))
 
     denoise(str(shot), tmp_path / "out", replace(options, plan=False), on_frame=count)
-    assert max(most) <= 2 and len(most) == 25
+    assert max(most) <= 2 * REACH + 2 and len(most) == 33
 
 
 def test_one_frame(tmp_path, options, model):
@@ -234,12 +235,13 @@ def test_motion_next_is_approximated_where_it_is_missing(tmp_path, options, caps
     main(["denoise", str(tmp_path / "shot"), "--out", str(tmp_path / "out"), "--offline", "--model", options.model])
     assert "the files have no motion_next: the backward pass approximates it" in capsys.readouterr().out
     lacking = replace(frames[1], motion_next=None)
-    found = reverse(lacking, frames[2]).motion
+    found = reverse(completed(lacking, frames[2])).motion
     hidden = found.abs().amax(1, keepdim=True) > 100  # wall that the square covers in the next frame
     covered = (frames[1].depth > 5) & hidden
     exact = torch.where(covered, found, frames[1].motion_next)
     assert torch.allclose(found, exact) and covered.float().mean() < 0.05
-    assert reverse(lacking, None).motion is None and reverse(frames[1], None).motion is frames[1].motion_next
+    assert reverse(completed(lacking)).motion is None
+    assert reverse(completed(frames[1], frames[2])).motion is frames[1].motion_next
 
 
 def test_without_oidn_it_says_so_and_runs(shot, tmp_path, options, monkeypatch):
@@ -291,18 +293,75 @@ def test_weights_sum_to_one():
 
 def test_equal_candidates_come_out_to_the_bit():
     image = torch.rand(1, 3, 9, 11) * 50
-    for candidates in (Candidates(*[image] * 5), Candidates(*[image] * 3)):
+    for candidates in (Candidates(*[image] * 6), Candidates(*[image] * 3)):
         found = combine(candidates)
         assert torch.equal(found.image, image) and not found.spread.any()
 
 
 def test_it_scales_with_the_light_and_stays_near_the_candidates():
-    candidates = [torch.rand(1, 3, 16, 16) for _ in range(5)]
+    candidates = [torch.rand(1, 3, 16, 16) for _ in range(6)]
     plain = combine(Candidates(*candidates))
     for scale in (1e-4, 1e4):
         scaled = combine(Candidates(*(scale * c for c in candidates)))
         assert torch.allclose(scaled.image / scale, plain.image, rtol=1e-3, atol=1e-5)
     assert plain.image.min() >= 0 and plain.image.max() < 4
+
+
+def wall(light, motion=(0.0, 0.0), depth=1.0):
+    """A frame of a grey wall that moves by `motion` pixels a frame."""
+    grey, one = torch.full_like(light, 0.5), torch.ones_like(light[:, :1])
+    normal = torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1).expand_as(light)
+    step = torch.tensor(motion).reshape(1, 2, 1, 1) * torch.ones_like(light[:, :2])
+    return Frame(albedo_divisor(grey, depth * one) * light, grey, normal, depth * one, -step, step)
+
+
+def light_of(frame, radiance):
+    return radiance / albedo_divisor(frame.albedo, frame.depth)
+
+
+@pytest.fixture
+def any_light(monkeypatch):
+    """Light counts however it differs: the pictures are too small to tell noise."""
+    monkeypatch.setattr("rtdenoise.run.moved.alike", lambda difference, valid: valid)
+
+
+def test_neighbours_are_averaged_along_their_motion(any_light):
+    """The wall moves by 2.3 pixels a frame: 2 to the next one, 5 to the one after."""
+    lights = [torch.rand(1, 3, 6, 24) for _ in range(5)]
+    frames = [wall(light, (2.3, 0.0)) for light in lights]
+    found = light_of(frames[2], moved_mean(frames[2], frames[1::-1], frames[3:]))
+    shifts = (-5, -2, 0, 2, 5)
+    expected = sum(light.roll(-shift, 3) for light, shift in zip(lights, shifts, strict=True)) / 5
+    torch.testing.assert_close(found[..., 6:-6], expected[..., 6:-6])
+
+
+def test_lookups_mix_no_pixels(any_light):
+    lights = [torch.rand(1, 3, 6, 8), torch.rand(1, 3, 6, 8)]
+    frames = [wall(light, (0.4, 0.3)) for light in lights]
+    found = light_of(frames[1], moved_mean(frames[1], frames[:1], []))
+    torch.testing.assert_close(found, (lights[0] + lights[1]) / 2)
+
+
+def test_light_that_has_changed_is_left_out():
+    """Half of the wall has got three times as bright; the noise is as large as the light."""
+    torch.manual_seed(2)
+    lights = [torch.rand(1, 3, 64, 64) * 2 for _ in range(5)]
+    brighter = torch.where(torch.arange(64) < 32, 1.0, 3.0)
+    frames = [wall(light * (brighter if i < 2 else 1.0)) for i, light in enumerate(lights)]
+    found = light_of(frames[2], moved_mean(frames[2], frames[1::-1], frames[3:]))
+    assert found[..., :20].std() < 0.6 * lights[2].std()
+    assert found[..., 44:].mean() == pytest.approx(1, abs=0.1)
+    assert frames[1].radiance[..., 44:].mean() > 2.5 * frames[2].radiance[..., 44:].mean()
+
+
+def test_frames_of_other_surfaces_and_beyond_missing_motion_are_left_out(any_light):
+    lights = [torch.rand(1, 3, 4, 4) for _ in range(4)]
+    frames = [wall(light) for light in lights]
+    far = wall(lights[1], depth=3.0)
+    torch.testing.assert_close(moved_mean(frames[0], [far], []), frames[0].radiance)
+    ends = replace(frames[1], motion_next=None)
+    found = light_of(frames[0], moved_mean(frames[0], [], [ends, *frames[2:]]))
+    torch.testing.assert_close(found, (lights[0] + lights[1]) / 2)
 
 
 def estimate(image, length, first=False):

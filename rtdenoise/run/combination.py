@@ -1,16 +1,16 @@
 """One picture of a frame on disk from what several denoisers made of it.
 
 A frame on disk has a future. The real-time network runs over it forward in time, backward, and alone; OIDN filters the
-frame, and the light that both passes have averaged over time. These candidates err in different places, so a weighted
-sum of them is closer to the truth than each:
+frame, the light that both passes have averaged over time, and that of nine frames moved to this one. These candidates
+err in different places, so a weighted sum of them is closer to the truth than each:
 
     image = c_0 + Σ_i w_i (c_i - c_0),    Σ_i w_i = 1,    in log(1 + exposure · light)
 
 The weight of the single frame is negative: forward and backward pass share the noise of the frame itself, and the
 single frame shows it. Where all candidates are equal the image equals them to the bit.
 
-The weights were fitted by least squares on training clips, on the display transform
-(`python bench/offline.py --fit CLIPS`).
+The weights were fitted by least squares on other sequences than those that are measured, on the display transform
+(`python bench/offline.py --fit SEQ ...`).
 Weights by pixel, from a network or by length of history, gained nothing on other scenes (docs/notes/offline.md).
 """
 
@@ -24,20 +24,21 @@ from torch import Tensor
 from ..color import compress, expand
 from ..exposure import exposure
 
-WEIGHTS = {"forward": 0.36, "backward": 0.36, "single": -0.4, "second": 0.48, "averaged": 0.2}
+WEIGHTS = {"forward": 0.335, "backward": 0.335, "single": -0.21, "second": 0.24, "averaged": 0.1, "moved": 0.2}
 WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """What is known of one frame, `[1, 3, H, W]` linear radiance each. Without OIDN the last two are None."""
+    """What is known of one frame, `[1, 3, H, W]` linear radiance each. Without OIDN the last three are None."""
 
     forward: Tensor  # the network with the frames before as history
     backward: Tensor  # the network with the frames after
     single: Tensor  # the network without history
     second: Tensor | None = None  # OIDN's frame
     averaged: Tensor | None = None  # OIDN of the light that both passes have averaged
+    moved: Tensor | None = None  # OIDN of the light of neighbouring frames, moved to this one
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 Two passes over the sequence. The first one runs forward in time and leaves its estimates in a hidden folder inside DIR.
 The second one runs backward, from the last frame to the first; it combines both estimates of each frame (`passes`),
-writes the frame and removes the stored estimate. A frame and two histories are in memory at a time. An interrupted run
-goes on where it stopped, in either pass, to the same result: the first pass's estimates are always read back from disk.
+writes the frame and removes the stored estimate. Nine frames and two histories are in memory at a time. An interrupted
+run goes on where it stopped, in either pass, to the same result: the first pass's estimates are always read back from
+disk.
 
 A shot begins at the first frame, after a gap, and at a cut, which the first pass finds. No pass looks beyond its shot.
 """
@@ -15,7 +16,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,7 +34,7 @@ from .state import STATE, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
 
 if TYPE_CHECKING:
-    from .passes import Passes
+    from .passes import Around, Passes
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
 OF_ESTIMATE = re.compile(r"\d{6,}\.safetensors")  # names in it
@@ -82,6 +83,7 @@ class _Run:
     options: Options
     passes: Passes
     on_frame: Callable[[int, int], None]
+    _near: dict[int, Frame] = field(default_factory=dict)  # the frames around the one at work, by index
 
     def run(self, overwrite: bool) -> Summary:
         opinions = "with OIDN" if self.passes.has_oidn else "without OIDN"  # frames of both must not be mixed
@@ -141,15 +143,12 @@ class _Run:
         """Estimate frame i from the frames after, combine, and write the frame."""
         from .passes import reverse
 
-        raw = self.sequence.read(i)
-        frame, following = self.passes.backend.prepare(raw), None
-        if history is not None and self._linked(i + 1):
-            following = self._geometry(i + 1) if raw.motion_next is None else None
-        else:
+        if history is not None and not self._linked(i + 1):
             history = None
-        backward, history = self.passes.step(reverse(frame, following), history)
+        around, raw = self._around(i), self.sequence.read(i)
+        backward, history = self.passes.step(reverse(around.frame), history)
         forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.size)
-        combined = self.passes.combine(frame, forward, backward)
+        combined = self.passes.combine(around, forward, backward)
         extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
         nans = write_frame(
             self.out, self.sequence, i, raw, combined.image.cpu().numpy(), layout=self.options.layout,
@@ -164,8 +163,21 @@ class _Run:
         number = self.sequence.numbers[i]
         return number == self.sequence.numbers[i - 1] + 1 and number not in self.summary.cuts
 
-    def _geometry(self, i: int) -> Frame:
-        return self.passes.backend.prepare(self.sequence.only(("radiance", "depth", "motion")).read(i))
+    def _around(self, i: int) -> Around:
+        """Frame i with its neighbours. They stay in memory while they are near."""
+        from .passes import REACH, around, completed
+
+        first = last = i
+        while first > max(0, i - REACH) and self._linked(first):
+            first -= 1
+        while last < min(len(self.sequence) - 1, i + REACH) and self._linked(last + 1):
+            last += 1
+        near = {}
+        for j in reversed(range(first, last + 1)):  # the frame after completes the one before it
+            following = [near[j + 1]] if j < last else []
+            near[j] = self._near.get(j) or completed(self.passes.backend.prepare(self.sequence.read(j)), *following)
+        self._near = near
+        return around([near[j] for j in range(first, last + 1)], i - first)
 
     def _examined(self) -> list[Frame]:
         return [self.sequence.read(i) for i in range(min(EXAMINED, len(self.sequence)))]

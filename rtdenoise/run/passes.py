@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,9 +24,10 @@ from ..sanitise import sanitise
 from ..splat import splat_motion_next
 from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
+from .moved import REACH, moved_mean
 from .sides import Estimate, corrected, two_sided
 
-WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds about 0.6 dB"
+WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds 0.6 dB and more"
 
 
 class Passes:
@@ -52,21 +54,21 @@ class Passes:
         return Estimate(image, after.mean, after.mean_albedo, after.length, history is None), after
 
     @torch.inference_mode()
-    def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
+    def combine(self, around: Around, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
-        found = combine(self.candidates(frame, forward, backward))
+        frame, found = around.frame, combine(self.candidates(around, forward, backward))
         image = corrected(frame, found.image, forward, backward)
         return replace(found, image=even_sky(image, frame.radiance, frame.depth))  # OIDN filters the sky too
 
-    def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:
+    def candidates(self, around: Around, forward: Estimate, backward: Estimate) -> Candidates:
         """What is known of a prepared frame."""
+        frame = around.frame
         ours = forward.image, backward.image, self._single(frame, forward, backward)
         if not self.has_oidn:
             return Candidates(*ours)
-        light = two_sided(frame, forward, backward)
+        lights = frame.radiance, two_sided(frame, forward, backward), moved_mean(frame, around.before, around.after)
         clean = self._oidn.prefiltered(frame)
-        second, averaged = (self._oidn.step(replace(clean, radiance=x))[0] for x in (frame.radiance, light))
-        return Candidates(*ours, second, averaged)
+        return Candidates(*ours, *(self._oidn.step(replace(clean, radiance=light))[0] for light in lights))
 
     def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """The network's image of the frame alone; a pass that begins here has it already."""
@@ -76,14 +78,31 @@ class Passes:
         return torch.from_numpy(self.backend.step(frame, None)[0]).to(frame.radiance.device)
 
 
-def reverse(frame: Frame, following: Frame | None) -> Frame:
-    """A frame as the backward pass sees it: motion and motion_next have changed places. `following` is the next frame
-    of the shot, None at its end; it gives an approximate `motion_next` to a frame that has none
-    (`splat.splat_motion_next`)."""
-    onward = frame.motion_next
-    if onward is None and following is not None:
-        onward = splat_motion_next(following.motion, following.depth, frame.depth)
-    return replace(frame, motion=onward, motion_next=frame.motion)
+def completed(frame: Frame, following: Frame | None = None) -> Frame:
+    """A frame with `motion_next`: where it has none, an approximate one from the next frame of the shot
+    (`splat.splat_motion_next`), None at its end."""
+    if frame.motion_next is not None or following is None:
+        return frame
+    return replace(frame, motion_next=splat_motion_next(following.motion, following.depth, frame.depth))
+
+
+def reverse(frame: Frame) -> Frame:
+    """A completed frame as the backward pass sees it: motion and motion_next have changed places."""
+    return replace(frame, motion=frame.motion_next, motion_next=frame.motion)
+
+
+def around(frames: Sequence[Frame], i: int) -> Around:
+    """Frame i of a shot's completed frames, with its neighbours."""
+    return Around(frames[i], list(frames[max(0, i - REACH) : i])[::-1], list(frames[i + 1 : i + 1 + REACH]))
+
+
+@dataclass(frozen=True)
+class Around:
+    """A prepared frame with its neighbours in the shot, at most `moved.REACH` on each side, the nearest first."""
+
+    frame: Frame
+    before: list[Frame]
+    after: list[Frame]  # they and `frame` have `motion_next`, unless motion is missing
 
 
 class InMemory:
@@ -106,11 +125,11 @@ class InMemory:
         return images[0], replace(shot, images=images[1:])
 
     def _backward(self, shot: Shot) -> list[Tensor]:
-        images, history, following = [], None, None
-        for frame, forward in zip(reversed(shot.frames), reversed(shot.estimates), strict=True):
-            backward, history = self._passes.step(reverse(frame, following), history)
-            images.insert(0, self._passes.combine(frame, forward, backward).image)
-            following = frame
+        images, history = [], None
+        frames = [completed(frame, *shot.frames[i + 1 : i + 2]) for i, frame in enumerate(shot.frames)]
+        for i in reversed(range(len(frames))):
+            backward, history = self._passes.step(reverse(frames[i]), history)
+            images.insert(0, self._passes.combine(around(frames, i), shot.estimates[i], backward).image)
         return images
 
 
