@@ -1,8 +1,8 @@
 """The mean light of a frame and of its neighbours in time, moved to it along tested motion.
 
 Every lookup takes the nearest pixel. Bilinear lookups mix the noise of four pixels; what they leave is blotches, which
-OIDN takes for light (docs/notes/offline.md). Motion is chained from frame to frame, so lookups do not drift. A frame
-whose light has changed is left out where it has: there its light differs from this frame's by more than noise, over a
+OIDN takes for light (docs/notes/offline.md). Motion is chained from frame to frame, so lookups do not drift. Where
+light has changed a frame is left out: there its light differs from this frame's by more than noise, over a
 neighbourhood.
 """
 
@@ -45,8 +45,9 @@ def moved_mean(
             motion = onward if motion is None else two_step(motion, onward)
             stored = demodulate(there.radiance, there.albedo, there.depth), there.albedo
             surfaces = (frame.depth, frame.normal), (there.depth, there.normal)
-            (its_light, its_albedo), share = _moved(stored, motion, surfaces)
-            share = share * alike(its_light - now, share)
+            found, valid = reproject(stored, motion.round(), *surfaces)  # whole pixels: the nearest one alone
+            its_light, its_albedo = found.split(3, dim=1)
+            share = valid * alike(its_light - now, valid.to(now.dtype))
             light, albedo, count = light + share * its_light, albedo + share * its_albedo, count + share
             last = there
     return light / count * albedo_divisor(albedo / count, frame.depth)
@@ -64,9 +65,3 @@ def alike(
     mean, square = (box(valid * x, SIDE) / share for x in (difference, difference.square()))
     q = SIDE**2 * share * mean.square().sum(1, keepdim=True) / square.sum(1, keepdim=True).clamp(min=1e-30)
     return ((CHANGED - q) / (CHANGED - ALIKE)).clamp(0, 1)
-
-
-def _moved(stored: tuple[Tensor, Tensor], motion: Tensor, surfaces: tuple) -> tuple[tuple[Tensor, ...], Tensor]:
-    """Both images, looked up at the nearest pixels, and where these show the same surface: `[B, 1, H, W]` in {0, 1}."""
-    found, valid = reproject(stored, motion.round(), *surfaces)
-    return found.split(3, dim=1), valid.to(found.dtype)

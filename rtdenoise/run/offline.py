@@ -165,12 +165,12 @@ class _Run:
 
     def _around(self, i: int) -> Around:
         """Frame i with its neighbours. They stay in memory while they are near."""
-        from .passes import REACH, around, completed
+        from .passes import around, completed
 
-        first = last = i
-        while first > max(0, i - REACH) and self._linked(first):
+        first, last, reach = i, i, self.passes.reach
+        while first > max(0, i - reach) and self._linked(first):
             first -= 1
-        while last < min(len(self.sequence) - 1, i + REACH) and self._linked(last + 1):
+        while last < min(len(self.sequence) - 1, i + reach) and self._linked(last + 1):
             last += 1
         near = {}
         for j in reversed(range(first, last + 1)):  # the frame after completes the one before it

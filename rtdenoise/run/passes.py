@@ -47,6 +47,11 @@ class Passes:
         """What the user should know, a line each."""
         return [] if self.has_oidn else [WITHOUT_OIDN]
 
+    @property
+    def reach(self) -> int:
+        """How many frames on each side `combine` looks at; without OIDN the next one alone, for `completed`."""
+        return REACH if self.has_oidn else 1
+
     def step(self, frame: Frame, history: History | None) -> tuple[Estimate, Any]:
         """One step of a pass over prepared frames."""
         image, after = self.backend.step(frame, history)
