@@ -9,8 +9,9 @@ err in different places, so a weighted sum of them is closer to the truth than e
 The weight of the single frame is negative: forward and backward pass share the noise of the frame itself, and the
 single frame shows it. Where all candidates are equal the image equals them to the bit.
 
-The weights were fitted by least squares on other sequences than those that are measured, on the display transform
-(`python bench/offline.py --fit SEQ ...`).
+The weights are near those that least squares find on other sequences than those that are measured, on the display
+transform (`python bench/offline.py --fit SEQ ...`), with 0.32 for the network and 0.68 for OIDN: what suits a single
+frame, where pictures of each are equal.
 Weights by pixel, from a network or by length of history, gained nothing on other scenes (docs/notes/offline.md).
 """
 
@@ -24,7 +25,7 @@ from torch import Tensor
 from ..color import compress, expand
 from ..exposure import exposure
 
-WEIGHTS = {"forward": 0.335, "backward": 0.335, "single": -0.21, "second": 0.24, "averaged": 0.1, "moved": 0.2}
+WEIGHTS = {"forward": 0.32, "backward": 0.32, "single": -0.32, "second": 0.34, "averaged": 0.1, "moved": 0.24}
 WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 
