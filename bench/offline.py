@@ -32,7 +32,8 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.frame import Frame
 from rtdenoise.run import combination
-from rtdenoise.run.passes import Passes, around, completed, reverse
+from rtdenoise.run.moved import Seen
+from rtdenoise.run.passes import Passes, around, reverse
 from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "offline.json", (DOCS / "results" / "offline.md",)
@@ -180,10 +181,12 @@ def candidates(passes: Passes, frames: list[Frame]) -> list[combination.Candidat
         estimate, history = passes.step(frame, history)
         forward.append(estimate)
     found, history = [], None
-    frames = [completed(frame, *frames[i + 1 : i + 2]) for i, frame in enumerate(frames)]
-    for i in reversed(range(len(frames))):
-        backward, history = passes.step(reverse(frames[i]), history)
-        found.insert(0, passes.candidates(around(frames, i), forward[i], backward))
+    seen: list[Seen] = []
+    for frame in reversed(frames):
+        seen.insert(0, passes.seen(frame, *seen[:1]))
+    for i in reversed(range(len(seen))):
+        backward, history = passes.step(reverse(seen[i].frame), history)
+        found.insert(0, passes.candidates(around(seen, i), forward[i], backward))
     return found
 
 

@@ -25,7 +25,7 @@ from torch import Tensor
 from ..color import compress, expand
 from ..exposure import exposure
 
-WEIGHTS = {"forward": 0.32, "backward": 0.32, "single": -0.32, "second": 0.34, "averaged": 0.1, "moved": 0.24}
+WEIGHTS = {"forward": 0.32, "backward": 0.32, "single": -0.32, "second": 0.18, "averaged": 0.1, "moved": 0.4}
 WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 

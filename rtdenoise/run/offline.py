@@ -34,6 +34,7 @@ from .state import STATE, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
 
 if TYPE_CHECKING:
+    from .moved import Seen
     from .passes import Around, Passes
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
@@ -83,7 +84,7 @@ class _Run:
     options: Options
     passes: Passes
     on_frame: Callable[[int, int], None]
-    _near: dict[int, Frame] = field(default_factory=dict)  # the frames around the one at work, by index
+    _near: dict[int, Seen] = field(default_factory=dict)  # the frames around the one at work, by index
 
     def run(self, overwrite: bool) -> Summary:
         opinions = "with OIDN" if self.passes.has_oidn else "without OIDN"  # frames of both must not be mixed
@@ -146,7 +147,7 @@ class _Run:
         if history is not None and not self._linked(i + 1):
             history = None
         around, raw = self._around(i), self.sequence.read(i)
-        backward, history = self.passes.step(reverse(around.frame), history)
+        backward, history = self.passes.step(reverse(around.now.frame), history)
         forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.size)
         combined = self.passes.combine(around, forward, backward)
         extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
@@ -165,7 +166,7 @@ class _Run:
 
     def _around(self, i: int) -> Around:
         """Frame i with its neighbours. They stay in memory while they are near."""
-        from .passes import around, completed
+        from .passes import around
 
         first, last, reach = i, i, self.passes.reach
         while first > max(0, i - reach) and self._linked(first):
@@ -175,7 +176,9 @@ class _Run:
         near = {}
         for j in reversed(range(first, last + 1)):  # the frame after completes the one before it
             following = [near[j + 1]] if j < last else []
-            near[j] = self._near.get(j) or completed(self.passes.backend.prepare(self.sequence.read(j)), *following)
+            near[j] = self._near.get(j) or self.passes.seen(
+                self.passes.backend.prepare(self.sequence.read(j)), *following
+            )
         self._near = near
         return around([near[j] for j in range(first, last + 1)], i - first)
 

@@ -24,7 +24,7 @@ from ..sanitise import sanitise
 from ..splat import splat_motion_next
 from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
-from .moved import REACH, moved_mean
+from .moved import REACH, Seen, moved_mean
 from .sides import Estimate, corrected, two_sided
 
 WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds 0.6 dB and more"
@@ -59,21 +59,30 @@ class Passes:
         return Estimate(image, after.mean, after.mean_albedo, after.length, history is None), after
 
     @torch.inference_mode()
+    def seen(self, frame: Frame, following: Seen | None = None) -> Seen:
+        """A prepared frame, completed by the next one of its shot, with OIDN's picture of it."""
+        frame = completed(frame, following and following.frame)
+        if not self.has_oidn:
+            return Seen(frame)
+        clean = self._oidn.prefiltered(frame)
+        return Seen(frame, clean, self._oidn.step(clean)[0])
+
+    @torch.inference_mode()
     def combine(self, around: Around, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
-        frame, found = around.frame, combine(self.candidates(around, forward, backward))
+        frame, found = around.now.frame, combine(self.candidates(around, forward, backward))
         image = corrected(frame, found.image, forward, backward)
         return replace(found, image=even_sky(image, frame.radiance, frame.depth))  # OIDN filters the sky too
 
     def candidates(self, around: Around, forward: Estimate, backward: Estimate) -> Candidates:
         """What is known of a prepared frame."""
-        frame = around.frame
+        frame, clean = around.now.frame, around.now.clean
         ours = forward.image, backward.image, self._single(frame, forward, backward)
-        if not self.has_oidn:
+        if clean is None:
             return Candidates(*ours)
-        lights = frame.radiance, two_sided(frame, forward, backward), moved_mean(frame, around.before, around.after)
-        clean = self._oidn.prefiltered(frame)
-        return Candidates(*ours, *(self._oidn.step(replace(clean, radiance=light))[0] for light in lights))
+        lights = two_sided(frame, forward, backward), moved_mean(around.now, around.before, around.after)
+        opinions = (self._oidn.step(replace(clean, radiance=light))[0] for light in lights)
+        return Candidates(*ours, around.now.picture, *opinions)
 
     def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """The network's image of the frame alone; a pass that begins here has it already."""
@@ -96,18 +105,18 @@ def reverse(frame: Frame) -> Frame:
     return replace(frame, motion=frame.motion_next, motion_next=frame.motion)
 
 
-def around(frames: Sequence[Frame], i: int) -> Around:
-    """Frame i of a shot's completed frames, with its neighbours."""
-    return Around(frames[i], list(frames[max(0, i - REACH) : i])[::-1], list(frames[i + 1 : i + 1 + REACH]))
+def around(shot: Sequence[Seen], i: int) -> Around:
+    """Frame i of a shot, with its neighbours."""
+    return Around(shot[i], shot[max(0, i - REACH) : i][::-1], shot[i + 1 : i + 1 + REACH])
 
 
 @dataclass(frozen=True)
 class Around:
-    """A prepared frame with its neighbours in the shot, at most `moved.REACH` on each side, the nearest first."""
+    """A frame with its neighbours in the shot, at most `moved.REACH` on each side, the nearest first."""
 
-    frame: Frame
-    before: list[Frame]
-    after: list[Frame]  # they and `frame` have `motion_next`, unless motion is missing
+    now: Seen
+    before: Sequence[Seen]
+    after: Sequence[Seen]
 
 
 class InMemory:
@@ -130,11 +139,13 @@ class InMemory:
         return images[0], replace(shot, images=images[1:])
 
     def _backward(self, shot: Shot) -> list[Tensor]:
+        seen: list[Seen] = []
+        for frame in reversed(shot.frames):
+            seen.insert(0, self._passes.seen(frame, *seen[:1]))
         images, history = [], None
-        frames = [completed(frame, *shot.frames[i + 1 : i + 2]) for i, frame in enumerate(shot.frames)]
-        for i in reversed(range(len(frames))):
-            backward, history = self._passes.step(reverse(frames[i]), history)
-            images.insert(0, self._passes.combine(around(frames, i), shot.estimates[i], backward).image)
+        for i in reversed(range(len(seen))):
+            backward, history = self._passes.step(reverse(seen[i].frame), history)
+            images.insert(0, self._passes.combine(around(seen, i), shot.estimates[i], backward).image)
         return images
 
 
