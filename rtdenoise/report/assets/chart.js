@@ -7,6 +7,13 @@ function chart(id, width, height, title, ...content) {
   byId(id).replaceChildren(shape("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": title }, ...content));
 }
 
+/** The width of a method's name in a chart, in pixels. The one that is ours is bold. */
+function nameWidth(label) {
+  const pen = document.createElement("canvas").getContext("2d");
+  pen.font = `${label === DATA.ours ? 700 : 400} 12px ${getComputedStyle(document.body).fontFamily}`;
+  return pen.measureText(label).width;
+}
+
 /** The ticks whose texts, `room` wide, do not touch. */
 function spaced(ticks, at, room) {
   let last = -Infinity;

@@ -11,7 +11,7 @@ function drawFrames() {
   const values = shown.flatMap(errors).filter((value) => value !== null);
   if (!values.length) return byId("frames-chart").replaceChildren();
   const width = chartWidth("frames-chart"), height = Math.max(330, 90 + 15 * shown.length);
-  const names = width > 700 ? 8 * Math.max(...shown.map(({ label }) => label.length)) + 20 : 14;  // else the legend is enough
+  const names = width > 700 ? Math.max(...shown.map(({ label }) => nameWidth(label))) + 26 : 14;  // else the legend is enough
   const box = { left: 52, right: width - names, top: 34, bottom: height - 50 };
   const log = isLog(state.metric) && values.every((v) => v > 0);
   const x = scale(rows[0].frames.number, [box.left, box.right], { pad: 0.02 });

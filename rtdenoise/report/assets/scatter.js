@@ -78,7 +78,7 @@ function labels(named, points, box, lines) {
     class: "label", x: anchor === "end" ? area.r : area.l, y: area.t + 12, "text-anchor": anchor,
     "font-weight": row.label === DATA.ours ? 700 : 400,
   }, row.label);
-  const width = (row) => 7.4 * row.label.length;
+  const width = (row) => nameWidth(row.label);
   const found = [];
   for (const { row, y } of lines) {
     const areas = [...Array(24)].flatMap((_, i) => [-17, 2].map((dy) => {
