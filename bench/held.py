@@ -28,6 +28,7 @@ import tyro
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
+from rtdenoise.evaluate.registry import methods
 from rtdenoise.evaluate.sequence import Step, outputs
 from rtdenoise.metrics.image import decibels, mse_corrected
 from rtdenoise.models import load
@@ -44,7 +45,16 @@ LEAST = 1e-7  # squared error that a logarithm is taken of
 
 def main(
     held: tyro.conf.Positional[tuple[Path, ...]],
-    weights: tuple[str, ...] = ("fast", "default", "quality", "many", "default+offline", "many+offline"),
+    weights: tuple[str, ...] = (
+        "fast",
+        "default",
+        "quality",
+        "many",
+        "default+oidn",
+        "many+oidn",
+        "default+offline",
+        "many+offline",
+    ),
     levels: tuple[int, ...] = LEVELS,
     write: bool = True,
 ) -> None:
@@ -52,7 +62,7 @@ def main(
 
     Args:
         held: Folders with a folder of clips for each sample count.
-        weights: Names of shipped weights, NAME+offline for both directions in time, or files.
+        weights: Names of shipped weights, NAME+oidn or NAME+offline for the modes of `denoise`, or files.
         levels: Sample counts; those that a folder lacks are left out.
         write: Write the JSON and the tables; off: only print them.
     """
@@ -93,10 +103,12 @@ def measured(folder: Path, level: int, methods: dict[str, tuple[Step, int]]) -> 
 
 
 def opened(name: str) -> tuple[Step, int]:
-    """The step of NAME, or of NAME+offline, and its delay."""
-    model, _, offline = name.partition("+")
-    if offline:
+    """The step of NAME, NAME+oidn or NAME+offline, and its delay."""
+    model, _, mode = name.partition("+")
+    if mode == "offline":
         return InMemory(Passes(model, "cpu", "fp32")).step, InMemory.delay
+    if mode == "oidn":
+        return methods()[f"{model}-oidn"].step("cpu", "fp32"), 0
     return load(model, precision="fp32").step, 0
 
 

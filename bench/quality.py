@@ -48,6 +48,7 @@ LABELS = {
     "fast": "`fast`",
     "default": "**`default`**",
     "quality": "`quality`",
+    "default-oidn": "`default` with `--oidn`",
 }
 # Weights of the paper's settings, which do not ship. Relative to the current folder, because legends show the path.
 SETTINGS = {n: os.path.relpath(ROOT / f"runs/paper-{n}/weights.safetensors") for n in "ABC"}
@@ -130,6 +131,7 @@ def tables(document: dict) -> dict[str, str]:
         "against-prefiltered": _against(document, "default", "oidn-prefiltered"),
         "against-fast": _against(document, "fast", "oidn"),
         "against-quality": _against(document, "quality", "oidn"),
+        "against-opinion": _against(document, "default-oidn", "oidn"),
     }
     return {**ahead, "settings": _settings(document), "aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
 

@@ -11,6 +11,14 @@ DEPTH_TOLERANCE = 0.1  # largest difference of depths, as a share of the greater
 MIN_NORMAL_COSINE = 0.5
 # Sum of bilinear weights below which there is no history: dividing by it would only magnify rounding (`ops.reproject`).
 MIN_HISTORY_WEIGHT = 1e-2
+FAR_AWAY = 1e6  # pixels: longer motion is off the screen anyway, and this still fits an integer
+
+# Recent frames whose light is looked up anew (`ops.recall`).
+RECALL_WORDS = 5  # channels of a kept frame, two bfloat16 in each
+RECALL_RESET = 3  # of these the one whose higher half is the reset
+RECALL_CELL = 4  # side in pixels of the cells in which light is compared; 3 × 3 cells count together
+RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |differences|²: light counts whole; not at all
+
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
 
 # The brightness of a frame, and pixels that are too bright for it (`exposure`).

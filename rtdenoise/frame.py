@@ -36,6 +36,8 @@ MAX_CUT_MISMATCH = 0.3
 # soon marks more noise than occlusions, a higher one gains little.
 OCCLUSION_THRESHOLD = 0.5
 HIDDEN = "hidden."  # prefix of the names of hidden features in `History.layers`
+RECENT = "recent."  # likewise of recent frames
+SEVERAL = HIDDEN, RECENT
 CHANNELS = {
     "radiance": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
     "position": 3, "id": 1, "samples": 1, "components": None, "reference": 3, "reference_half": 3,
@@ -155,24 +157,28 @@ class History:
     residual: Tensor | None = None  # [B, 3, H, W] running mean of (noisy - denoised) / albedo, for its correction
     residual_length: Tensor | None = None  # [B, 1, H, W] frames in it
     hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features for the next step of the model, at any scale
+    recent: tuple[Tensor, ...] = ()  # [B, 5, H, W] int32 each: of `ops.recall.keep`, the last frame first
 
     def layers(self) -> dict[str, Tensor]:
-        """name -> tensor of every field that is there; hidden features are `hidden.0`, `hidden.1` ..."""
+        """name -> tensor of every field that is there; hidden features are `hidden.0`, `hidden.1` ..., recent frames
+        likewise."""
         named = {f.name: tensor for f in fields(self) if (tensor := getattr(self, f.name)) is not None}
-        hidden = named.pop("hidden")
-        return named | {f"{HIDDEN}{i}": tensor for i, tensor in enumerate(hidden)}
+        several = {prefix: named.pop(prefix[:-1]) for prefix in SEVERAL}
+        return named | {f"{prefix}{i}": t for prefix, tensors in several.items() for i, t in enumerate(tensors)}
 
     @classmethod
     def from_layers(cls, layers: Mapping[str, Tensor | None]) -> History:
         """The inverse of `layers`; fields that are missing or None are left out. Raises ValueError for unknown names or
-        gaps in the hidden features."""
-        plain = {name: tensor for name, tensor in layers.items() if not name.startswith(HIDDEN) and tensor is not None}
-        hidden = {name: tensor for name, tensor in layers.items() if name.startswith(HIDDEN)}
-        expected = {f.name for f in fields(cls)} - {"hidden"}, [f"{HIDDEN}{i}" for i in range(len(hidden))]
-        if plain.keys() - expected[0] or hidden.keys() - set(expected[1]):
+        gaps in the hidden features or recent frames."""
+        given = {name: tensor for name, tensor in layers.items() if tensor is not None}
+        several: dict[str, tuple[Tensor, ...]] = {}
+        for prefix in SEVERAL:
+            count = sum(name.startswith(prefix) for name in given)
+            names = [name for i in range(count) if (name := f"{prefix}{i}") in given]
+            several[prefix[:-1]] = tuple(given.pop(name) for name in names)
+        if given.keys() - {f.name for f in fields(cls)}:
             raise ValueError(f"not the fields of a history: {', '.join(sorted(layers))}")
-        always = dict.fromkeys(("motion_next", "depth", "normal"))
-        return cls(**always | plain, hidden=tuple(hidden[name] for name in expected[1]))
+        return cls(**dict.fromkeys(("motion_next", "depth", "normal")) | given | several)
 
 
 @dataclass(frozen=True)

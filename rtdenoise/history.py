@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from .data.stored import read_history, write_history
 from .errors import InputError
-from .frame import Frame, History
+from .frame import RECENT, Frame, History
 from .motion import on_screen, same_surface
 
 NEAREST = ("depth", "normal", "motion_next", "length", "residual_length")  # must not be mixed across silhouettes
@@ -45,7 +45,8 @@ def _alike(frame: Frame, history: History) -> Tensor:
 
 def resize(history: History, size: tuple[int, int]) -> History:
     """History for frames of another `size` (H, W): the same field of view at another resolution. Light is interpolated
-    bilinearly, geometry and motion are taken from the nearest pixel, and motion is rescaled to the new pixels."""
+    bilinearly, geometry and motion are taken from the nearest pixel, and motion is rescaled to the new pixels. Recent
+    frames are left out: their noise would be interpolated."""
     (H, W), (before_H, before_W) = size, history.radiance.shape[2:]
     scale = torch.tensor([W / before_W, H / before_H], device=history.radiance.device).reshape(1, 2, 1, 1)
 
@@ -58,7 +59,8 @@ def resize(history: History, size: tuple[int, int]) -> History:
         smaller = h < tensor.shape[2]  # torch has no such filter for float16 on a CPU
         return F.interpolate(tensor.float(), (h, w), mode="bilinear", antialias=smaller).to(tensor.dtype)
 
-    return History.from_layers({name: resized(name, tensor) for name, tensor in history.layers().items()})
+    layers = {name: tensor for name, tensor in history.layers().items() if not name.startswith(RECENT)}
+    return History.from_layers({name: resized(name, tensor) for name, tensor in layers.items()})
 
 
 def save_history(path: Path, history: History | None, **metadata: str) -> None:

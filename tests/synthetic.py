@@ -82,3 +82,17 @@ def with_bad_pixels(frame):
     radiance = frame.radiance.clone()
     radiance[..., 3, 3], radiance[..., 4, 9] = math.nan, math.inf
     return replace(frame, radiance=radiance)
+
+
+class Stop(Exception):
+    """What `stop_after` raises."""
+
+
+def stop_after(count):
+    """An `on_frame` that stops a run after so many frames."""
+
+    def on_frame(done, total):
+        if done == count:
+            raise Stop
+
+    return on_frame

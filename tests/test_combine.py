@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import make_frames, write_sequence
+from synthetic import Stop, make_frames, stop_after, write_sequence
 from test_denoise import pixels, refused
 from test_sequences import write_cycles
 
@@ -20,10 +20,6 @@ from rtdenoise.run.pairs import both, open_denoised, open_second, read_estimate
 
 TINY = CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3)
 COUNT = 6
-
-
-class Stop(Exception):
-    pass
 
 
 @pytest.fixture(scope="module")
@@ -208,13 +204,8 @@ def test_frames_without_error_stay_as_they_are(shot, frames, tmp_path, options):
 def test_an_interrupted_run_goes_on_to_the_same_result(shot, clean, tmp_path, options, killed):
     run(shot, clean, tmp_path / "whole", options=options)
     for count in killed:
-
-        def stop(done, total, count=count):
-            if done == count:
-                raise Stop
-
         with pytest.raises(Stop):
-            run(shot, clean, tmp_path / "out", options=options, on_frame=stop)
+            run(shot, clean, tmp_path / "out", options=options, on_frame=stop_after(count))
     summary = run(shot, clean, tmp_path / "out", options=options)
     assert (summary.skipped, summary.written) == (killed[-1], COUNT - killed[-1])
     assert_same(tmp_path / "out", tmp_path / "whole")

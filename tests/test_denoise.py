@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from synthetic import TINY, make_frames, with_bad_pixels, write_sequence
+from synthetic import TINY, Stop, make_frames, stop_after, with_bad_pixels, write_sequence
 
 import rtdenoise
 from rtdenoise.cli.main import main
@@ -84,15 +84,8 @@ def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, model, mo
     options = Options(model=model, float32=True, **more)
     denoise(str(shot), tmp_path / "whole", options)
 
-    class Stop(Exception):
-        pass
-
-    def stop_after_two(done, total):
-        if done == 2:
-            raise Stop
-
     with pytest.raises(Stop):
-        denoise(str(shot), tmp_path / "halves", options, on_frame=stop_after_two)
+        denoise(str(shot), tmp_path / "halves", options, on_frame=stop_after(2))
     summary = denoise(str(shot), tmp_path / "halves", options)
     assert (summary.skipped, summary.written) == (2, 2)
     for i in range(4):
@@ -342,16 +335,9 @@ def test_the_summary_of_a_resumed_run_is_that_of_an_undisturbed_one(tmp_path, mo
     shot = spliced(tmp_path / "shot")
     write_sequence(shot, [with_bad_pixels(make_frames(2)[1])])
 
-    class Stop(Exception):
-        pass
-
-    def stop(done, total):
-        if done == 5:
-            raise Stop
-
     denoise(str(shot), tmp_path / "whole", Options(model=model))
     with pytest.raises(Stop):
-        denoise(str(shot), tmp_path / "halves", Options(model=model), on_frame=stop)
+        denoise(str(shot), tmp_path / "halves", Options(model=model), on_frame=stop_after(5))
     denoise(str(shot), tmp_path / "halves", Options(model=model))
     whole, halves = (json.loads((tmp_path / name / "denoise.json").read_text()) for name in ("whole", "halves"))
     assert whole["cuts"] == [4] and whole["replaced"] == {"radiance: NaN or Inf": 2} and whole["plan"]["layers"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from synthetic import make_frames, write_sequence
+from synthetic import Stop, make_frames, stop_after, write_sequence
 
 import rtdenoise
 from rtdenoise.cli.main import main
@@ -162,16 +162,9 @@ def test_the_whole_as_its_only_part_is_the_whole():
 
 
 def test_an_interrupted_run_goes_on_to_the_same_end(tmp_path, plain):
-    class Stop(Exception):
-        pass
-
-    def stop(done, total):
-        if done == 2:
-            raise Stop
-
     options = Options(model="fast", lights=True, float32=True)
     with pytest.raises(Stop):
-        denoise(str(SHOT), tmp_path, options, on_frame=stop)
+        denoise(str(SHOT), tmp_path, options, on_frame=stop_after(2))
     assert denoise(str(SHOT), tmp_path, options).skipped == 2
     for path, other in zip(sorted(tmp_path.glob("*.exr")), plain, strict=True):
         assert np.array_equal(image(path, ""), image(other, ""))

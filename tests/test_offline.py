@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import make_frames, write_sequence
+from synthetic import Stop, make_frames, stop_after, write_sequence
 from test_denoise import pixels, refused
 
 import rtdenoise
@@ -29,12 +29,8 @@ from rtdenoise.run.passes import InMemory, Passes, completed, reverse
 from rtdenoise.run.sides import Estimate, corrected, two_sided
 from rtdenoise.run.stored_estimate import read_estimate, write_estimate
 
-TINY = AccumulatedKPNConfig(widths=(4, 4, 4), scales=2, kernel=3)
+TINY = AccumulatedKPNConfig(widths=(4, 4, 4), scales=2, kernel=3, recent=2)
 NAMES = [f"frame.{i:04d}.exr" for i in range(4)]
-
-
-class Stop(Exception):
-    pass
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +49,6 @@ def shot(tmp_path):
 @pytest.fixture
 def options(model):
     return Options(model=model, float32=True, offline=True)
-
-
-def stop_after(count):
-    def on_frame(done, total):
-        if done == count:
-            raise Stop
-
-    return on_frame
 
 
 def assert_same(one, other, names=NAMES):

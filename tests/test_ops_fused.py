@@ -21,6 +21,7 @@ from rtdenoise.ops.block_luminance import block_luminance
 from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
+from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.shares import shares
 from rtdenoise.splat import history_motion
 
@@ -132,6 +133,32 @@ def test_reprojection(both, assert_images_close, op, size):
         motion = torch.floor(motion) + 0.25  # never half-way, where a rounding decides
     plain, fused = both(op, torch.randn(2, 3, *size), motion)
     assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("size", [*SIZES, (23, 600)], ids=str)
+@pytest.mark.parametrize("count", [1, 5])
+def test_recall(both, assert_images_close, size, count):
+    """Paths between, onto and off pixels; surfaces, and light that changes in parts of the picture."""
+
+    def frame():
+        motion = 2 * torch.randn(2, 2, *size).round() + 0.25 * torch.randn(2, 2, 1, 1).round()
+        motion[0, :, 0, 0], motion[1, :, -1, -1] = math.nan, math.inf
+        motion[:, :, :, 300:] = 1.0  # whole blocks move together
+        light = torch.empty(2, 3, *size).exponential_() * (1 + 3 * torch.rand(2, 1, 1, size[1]).round())
+        depth = 1 + 0.1 * torch.rand(2, 1, *size) - 2 * (torch.rand(2, 1, *size) < 0.1).float()
+        normal = torch.randn(2, 3, *size) + torch.tensor([0, 0, 3.0])[:, None, None]
+        return light, depth.clamp(min=0), normal, torch.rand(2, 1, *size), motion
+
+    for plain, fused in zip(*both(lambda *f: (keep(*f),), *frame()), strict=True):
+        nan = (plain & 0x7F800000 == 0x7F800000) | (plain & 0x7F80 == 0x7F80)
+        assert torch.equal(plain[~nan], fused[~nan])
+    recent = tuple(keep(*frame()) for _ in range(count))
+    light, depth, normal, _, motion = frame()
+    (mean, count), (fused_mean, fused_count) = both(recall, light, motion, (depth, normal), recent)
+    assert_images_close(fused_count, count, "float32")
+    sure = count > 1  # dividing by less magnifies rounding
+    assert_images_close(fused_mean * sure, mean * sure, "float32")
+    assert count.any() or min(size) < 4
 
 
 @pytest.mark.parametrize("op", [ops.warp, cubic])

@@ -44,14 +44,17 @@ def parsed(words):
 @pytest.mark.parametrize("model", ["default", "fast", "quality", "many", "combiner"])
 def test_the_recipe_is_that_of_the_weights(model):
     commands = printed(model, SCENES="scenes", ASSETS="library")
-    *means, ship = [words[1:] for words in commands if words[1].endswith("ship_weights.py")]
+    shipped = [words[1:] for words in commands if words[1].endswith("ship_weights.py")]
+    *means, ship = [[word for word in words if not word.startswith("set:")] for words in shipped]
     trained = parsed(commands)
     written = {str(config.out / "weights.safetensors") for config in trained} | {mean[1] for mean in means}
     assert {str(config.init) for config in trained if config.init} <= written
     assert {part.rpartition("=")[0] or part for mean in (*means, ship) for part in mean[2:]} <= written
     assert ship[1] == model and f"runs/{model}-last/weights.safetensors" in ship[-1]
     with safe_open(ROOT / "rtdenoise" / "weights" / f"{model}.safetensors", framework="np") as file:
-        options = json.loads(file.metadata()["training"])
+        options, config = (json.loads(file.metadata()[key]) for key in ("training", "config"))
+    settings = [word.removeprefix("set:").split("=") for word in shipped[-1] if word.startswith("set:")]
+    assert settings == ([["recent", str(config["recent"])]] if config.get("recent") else [])
     options.setdefault("model", options.pop("preset", None))  # the option's name when the shipped weights were trained
     last = next(config for config in trained if config.out.name == f"{model}-last")
     plain = compared(last)

@@ -30,7 +30,7 @@ def message(path) -> str:
 
 
 def test_the_fields_are_those_of_a_history():
-    assert {*CHANNELS, "hidden"} == {field.name for field in fields(History)}
+    assert {*CHANNELS, "hidden", "recent"} == {field.name for field in fields(History)}
 
 
 @pytest.mark.parametrize("history", [{}, make_history(), {"radiance": np.ones((2, 3, 1, 1), np.float32)}])

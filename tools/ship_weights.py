@@ -1,11 +1,13 @@
 """Put weights into the package in half precision, or the mean of several.
 
-python tools/ship_weights.py NAME FILE
-python tools/ship_weights.py NAME FILE=SHARE FILE=SHARE ...
+python tools/ship_weights.py NAME FILE [set:FIELD=VALUE ...]
+python tools/ship_weights.py NAME FILE=SHARE FILE=SHARE ... [set:FIELD=VALUE ...]
 
-NAME is that of a model that ships, or a path to write to. FILE is a file of weights or a model that ships. In a mean
-all networks are grown to the configuration of the last one. The mean of a network and one that was trained on from it
-for other frames keeps most of what both know (Wortsman et al., Robust fine-tuning of zero-shot models, 2022).
+NAME is that of a model that ships, or a path to write to. FILE is a file of weights or a model that ships. `set:`
+changes a field of the configuration that has no weights (`set:recent=8`).
+
+In a mean all networks are grown to the configuration of the last one. The mean of a network and one that was trained on
+from it for other frames keeps most of what both know (Wortsman et al., Robust fine-tuning of zero-shot models, 2022).
 
 Half precision rounds each weight by 0.05 % at most, a tenth of the error of bfloat16 inference, and halves the wheel.
 """
@@ -15,6 +17,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -22,12 +25,16 @@ from safetensors import safe_open
 from safetensors.torch import save
 
 from rtdenoise.models import grow, read
+from rtdenoise.models.presets import with_settings
 from rtdenoise.models.weights import find
 
 SHIPPED = Path(__file__).parent.parent / "rtdenoise" / "weights"
+SET = "set:"
 
 
-def main(name: str, *parts: str) -> None:
+def main(name: str, *words: str) -> None:
+    parts = [word for word in words if not word.startswith(SET)]
+    settings = [word.removeprefix(SET) for word in words if word.startswith(SET)]
     files, shares = zip(*map(parsed, parts), strict=True)
     if not math.isclose(sum(shares), 1):
         sys.exit(f"expected shares with the sum 1, got {sum(shares):g}")
@@ -42,6 +49,8 @@ def main(name: str, *parts: str) -> None:
     if len(parts) > 1:
         told = json.loads(metadata.get("training", "{}")) | {"mean_of": list(parts)}
         metadata |= {"training": json.dumps(told)}
+    if settings:
+        metadata |= {"config": json.dumps(asdict(with_settings(config, settings)))}
     out = Path(name) if name.endswith(".safetensors") else SHIPPED / f"{name}.safetensors"
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(save(tensors, metadata=metadata))

@@ -179,7 +179,7 @@ elif [ "$model" = quality ]; then
     train_on runs/quality-sharp $mean $sharp --seed 5
     ship runs/quality-sharp/mean.safetensors $mean=0.35 runs/quality-sharp/weights.safetensors=0.65
     train_on runs/quality-last runs/quality-sharp/mean.safetensors $sharp --seed 6
-    ship quality runs/quality-sharp/mean.safetensors=0.5 runs/quality-last/weights.safetensors=0.5
+    ship quality runs/quality-sharp/mean.safetensors=0.5 runs/quality-last/weights.safetensors=0.5 set:recent=8
     exit
 fi
 
@@ -222,4 +222,5 @@ mean=runs/default-three/mean.safetensors
 train_on runs/default-sharp $mean $sharp --stills data/sharp-stills-clean --relight 0.05 --steps 3000 --seed 3
 ship runs/default-sharp/mean.safetensors $mean=0.5 runs/default-sharp/weights.safetensors=0.5
 train_on runs/default-last runs/default-sharp/mean.safetensors $sharp --stills $single --relight 0.1 --steps 3300 --seed 4
-ship default $mean=0.4 runs/default-last/weights.safetensors=0.6
+# trained on running means, run on recent frames: docs/notes/recall.md
+ship default $mean=0.4 runs/default-last/weights.safetensors=0.6 set:recent=8

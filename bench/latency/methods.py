@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 
@@ -14,7 +14,7 @@ import torch
 
 from rtdenoise import models, ops
 from rtdenoise.baselines.oidn import OidnFilter, filter_inputs
-from rtdenoise.frame import Frame
+from rtdenoise.frame import Frame, History
 from rtdenoise.models.inference import prepare
 from rtdenoise.run.graphs import Capture, Graphed
 
@@ -54,7 +54,7 @@ def torch_methods(preset: str, frame: Frame, device: str, backends: tuple[str, .
         if dtype is not None:
             model = prepare(model, dtype)
         with ops.use(path):
-            _, history = model.step(frame)
+            history = settled(model, frame)
             image = model.step(frame, history)[0]
         reference = image.double().cpu().numpy() if reference is None else reference
         check(f"{preset} {backend}", image.cpu().numpy(), reference, tolerance)
@@ -82,7 +82,7 @@ def shader_methods(preset: str, frame: Frame) -> list[Method]:
     """The model as compute shaders. They are compared on a small frame: in a large noisy one some pixel always lies so
     near a threshold of reprojection that rounding decides its side."""
     methods, small = [], synthetic_frame(36, 64)
-    _, history = fresh(preset).step(small)
+    history = settled(fresh(preset), small)
     expected = fresh(preset).step(small, history)[0].double().numpy()
     for name, (half, tolerance) in PRECISIONS.items():
         check(f"{preset} {name}", Shaders(fresh(preset), small, half).image(), expected, tolerance)
@@ -105,6 +105,12 @@ def oidn_methods(frame: Frame, qualities: tuple[str, ...]) -> list[Method]:
 
 def has_oidn() -> bool:
     return find_spec("pyoidn") is not None
+
+
+def settled(model: torch.nn.Module, frame: Frame) -> History:
+    """A history with as many recent frames as it can have."""
+    _, history = model.step(frame)
+    return replace(history, recent=tuple(kept.clone() for kept in history.recent * model.config.recent))
 
 
 def fresh(preset: str) -> torch.nn.Module:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from rtdenoise import glsl
 from rtdenoise.errors import InputError
@@ -31,7 +32,8 @@ class Shaders:
         self._pipeline = Pipeline(denoiser.config, tensors, half)
         self._ctx = self._pipeline.ctx
         self._layers = {name: GpuArray.upload(self._ctx, t[0].cpu().numpy()) for name, t in frame.layers()}
-        self._history = self._pipeline.run(self._layers)[1]
+        _, history = self._pipeline.run(self._layers)
+        self._history = self._pipeline.remember(history, [frame.map(torch.Tensor.numpy)] * denoiser.config.recent)
 
     def step(self) -> GpuArray:
         """One frame with history, from the GPU to the GPU; returns when it is done."""
@@ -52,8 +54,9 @@ class Shaders:
 
     @property
     def megabytes(self) -> float:
-        """GPU memory of a step: the frame, two histories, and the pipeline's scratch buffers."""
-        arrays = [*self._layers.values(), *(2 * [a for a in vars(self._history).values() if a is not None])]
+        """GPU memory of a step: the frame, two histories, recent frames once, and the pipeline's scratch buffers."""
+        kept = [a for a in vars(self._history).values() if isinstance(a, GpuArray)]
+        arrays = [*self._layers.values(), *kept, *kept, *self._history.recent]
         return (sum(array.buffer.size for array in arrays) + self._pipeline.scratch.nbytes) / 1e6
 
 

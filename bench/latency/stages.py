@@ -17,7 +17,7 @@ STAGES = {
     "features + kernel prediction": ("demodulate", "features", "predict"),
     "kernel application": ("apply_kernel", "downsample", "compose", "pick", "blend_history"),
     "blending": ("accumulate", "modulate", "blend"),
-    "reprojection": ("history_motion", "warp", "reproject"),
+    "reprojection": ("history_motion", "warp", "reproject", "recall", "keep"),
 }
 
 

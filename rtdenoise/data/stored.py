@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from ..constants import RECALL_RESET, RECALL_WORDS
 from ..errors import InputError
 from ..files import open_regular, write_atomically
-from ..frame import HIDDEN
+from ..frame import HIDDEN, RECENT
 
 CHANNELS = {  # field of `History` -> channels; hidden features have any number of them, at any size
     "radiance": 3, "motion_next": 2, "depth": 1, "normal": 3, "length": 1, "mean": 3, "mean_albedo": 3,
     "residual": 3, "residual_length": 1,
 }  # fmt: skip
+RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number
 
 
@@ -39,7 +41,8 @@ def read_history(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
             fields = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that numpy lacks
         raise InputError(f"{path}: not a readable history ({error})") from None
-    unknown = [name for name in fields if name not in CHANNELS and not re.fullmatch(rf"{HIDDEN}\d{{1,4}}", name)]
+    several = re.compile(rf"({HIDDEN}|{RECENT})\d{{1,4}}")
+    unknown = [n for n in fields if n not in CHANNELS and n != RESETS and not several.fullmatch(n)]
     if unknown or (fields and "radiance" not in fields):
         raise InputError(f"{path}: not a history of this version: it holds {', '.join(sorted(fields))}")
     for name, array in fields.items():
@@ -47,16 +50,39 @@ def read_history(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     return fields, metadata
 
 
+def of_resets(words: Iterable[np.ndarray]) -> dict[str, np.ndarray]:
+    """The field `resets`, of those words of recent frames that hold them, `[1, 1, H, W]` each; none without frames."""
+    words = list(words)
+    return {RESETS: np.concatenate([w.view(np.int32) >> 16 for w in words], 1).astype(np.int16)} if words else {}
+
+
+def with_resets(fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Fields with recent frames that hold their resets and nothing else, in the place of `resets`."""
+    fields = dict(fields)
+    for i, bits in enumerate(np.moveaxis(fields.pop(RESETS, np.zeros((1, 0, 1, 1), np.int16)), 1, 0)):
+        fields[f"{RECENT}{i}"] = words = np.zeros((1, RECALL_WORDS, *bits.shape[1:]), np.int32)
+        words[:, RECALL_RESET] = bits.astype(np.int32) << 16
+    return fields
+
+
 def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> None:
-    if array.dtype not in (np.float32, np.float16):
-        raise InputError(f"{label} is {array.dtype}, expected float32")
-    if name in CHANNELS:
-        expected = (*like[:1], CHANNELS[name], *like[2:])
+    recent, resets = name.startswith(RECENT), name == RESETS
+    expected_type = np.int32 if recent else np.int16 if resets else np.float32
+    if array.dtype != expected_type and (array.dtype, expected_type) != (np.float16, np.float32):
+        raise InputError(f"{label} is {array.dtype}, expected {expected_type.__name__}")
+    channels = RECALL_WORDS if recent else CHANNELS.get(name)
+    if channels is not None:
+        expected = (*like[:1], channels, *like[2:])
         fits = len(like) == 4 and array.shape == expected
     else:
         expected = (*like[:1], "C", "h", "w")
-        fits = array.ndim == 4 and array.shape[0] == like[0]
+        fits = array.ndim == 4 and array.shape[0] == like[0] and (not resets or array.shape[2:] == like[2:])
     if not fits or not array.size:
         raise InputError(f"{label} is {array.shape}, expected {expected}")
+    if recent:
+        array = array[:, :-1]  # the last word is motion, any number
+        array = np.stack([array << 16, array & -65536]).view(np.float32)
+    if resets:
+        array = (array.astype(np.int32) << 16).view(np.float32)
     if not np.isfinite(array).all() or (name != "motion_next" and float(np.abs(array).max()) > LARGEST):
         raise InputError(f"{label} holds values that no denoiser writes (NaN, Inf or beyond {LARGEST:g})")

@@ -20,8 +20,9 @@ from ..frame import Frame
 from ..models import STILLS, CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
 from ..models.presets import SHRINKAGE
 from ..models.shrinkage import corrected
-from ..models.weights import read_model
+from ..models.weights import read_config, read_model
 from ..run.graphs import stepper
+from ..run.opinion import RECENT, Opinion
 from ..run.passes import InMemory, Passes
 from ..sanitise import sanitise
 from .corrected import Corrected
@@ -110,6 +111,11 @@ def _plain(start: Callable[[], Step], device: str | torch.device, precision: str
     return start()
 
 
+def _missing_oidn() -> str:
+    """Why OIDN cannot run; empty if it can."""
+    return "" if importlib.util.find_spec("pyoidn") else "needs pyoidn: pip install 'rtdenoise[bench]'"
+
+
 def _oidn() -> list[Method]:
     kinds = {
         "oidn": ("OIDN, high quality", {}),
@@ -119,14 +125,13 @@ def _oidn() -> list[Method]:
         "oidn-on-accumulated": ("OIDN on the accumulated signal", {"accumulate": "input"}),
         "oidn-then-accumulated": ("OIDN, its output accumulated", {"accumulate": "output"}),
     }
-    installed = importlib.util.find_spec("pyoidn") is not None
-    reason = "" if installed else "needs pyoidn: pip install 'rtdenoise[bench]'"
+    reason = _missing_oidn()
 
     def start(options: dict, device: str | torch.device, precision: str) -> Step:
         return Oidn(**options).step
 
     return [
-        Method(name, what, "oidn", partial(start, options) if installed else None, reason)
+        Method(name, what, "oidn", None if reason else partial(start, options), reason)
         for name, (what, options) in kinds.items()
     ]
 
@@ -143,9 +148,23 @@ def _network(name: str) -> list[Method]:
                partial(start, motion="traditional"), weights=(name,)),
         Method(f"{name}-corrected", f"denoise --correct with {name}", "network", partial(start, correct=True),
                precisions=PRECISIONS, weights=(name,)),
+        *_with_oidn(name),
         Method(f"{name}-spatial", f"{name} without history: spatial kernels only", "ablation",
                partial(start, history=False), weights=(name,)),
     ]  # fmt: skip
+
+
+def _with_oidn(name: str) -> list[Method]:
+    """`denoise --oidn` with shipped weights, where these average light."""
+    if "mean" not in read_config(name).carries:
+        return []
+    reason = _missing_oidn()
+
+    def start(device: str | torch.device, precision: str) -> Step:
+        return partial(Opinion(read_config(name)).step, stepper(load(name, device, precision, recent=RECENT)))
+
+    return [Method(f"{name}-oidn", f"denoise --oidn with {name}", "network", None if reason else start, reason,
+                   PRECISIONS, (name,))]  # fmt: skip
 
 
 def _corrected(base: Method, combiner: str) -> Method:

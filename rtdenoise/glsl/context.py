@@ -116,6 +116,17 @@ class GpuArray:
         array.buffer.write(values)
         return array
 
+    def read_plane(self, i: int) -> np.ndarray:
+        """`read()[i]`, and no more than that."""
+        values = np.empty(self.shape[1:], self.dtype)
+        self.buffer.read_into(values, values.nbytes, offset=i * values.nbytes)
+        return values
+
+    def write_plane(self, i: int, values: np.ndarray) -> None:
+        """Replace `read()[i]`."""
+        values = np.ascontiguousarray(values, self.dtype)
+        self.buffer.write(values, offset=i * values.nbytes)
+
     def read(self) -> np.ndarray:
         """A copy in main memory; waits for the shaders that write the array."""
         values = np.empty(self.shape, self.dtype)

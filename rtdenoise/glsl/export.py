@@ -16,6 +16,7 @@ from pathlib import Path
 from .. import __version__
 from ..errors import InputError
 from ..files import dumps, write_atomically
+from ..models.weights import read_config
 from .dispatch import Dispatch
 from .pipeline import Pipeline
 from .program import Program
@@ -54,7 +55,8 @@ def export(
     out = Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is not an empty folder; choose another --out")
-    pipeline = Pipeline.load(model, half)
+    running_mean = {"recent": 0} if read_config(model).recent else {}  # an engine's first frames have no eight others
+    pipeline = Pipeline.load(model, half, **running_mean)
     frames = sample_frames(size, len(FRAMES))
     recordings = record(pipeline, frames)
     for folder in ("glsl", "sample"):

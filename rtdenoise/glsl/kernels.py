@@ -30,6 +30,10 @@ class Kernels:
         self._predict("accumulated_kpn/accumulate", levels, 0, ("shares",), buffers, parameters)
         return mean
 
+    def forget(self, levels: list[GpuArray], kept: GpuArray) -> None:
+        """Write into a kept frame [5, H, W] how far light was reset to it."""
+        self._predict("accumulated_kpn/forget", levels, 0, ("shares",), {"kept": kept}, size=kept.shape[:0:-1])
+
     def filter(self, levels: list[GpuArray], image: GpuArray) -> GpuArray:
         """Filter every scale with its own kernels; then, from coarse to fine, compose, soften and pick."""
         filtered = [self._filter(levels, 0, ("spatial",), image, "filtered.0")]
@@ -99,13 +103,14 @@ class Kernels:
         heads: tuple[str, ...],  # the rows that it computes, one after the other
         buffers: dict[str, GpuArray],  # beside those of head.glsl; the first one has the size of the pass
         parameters: Mapping[str, float] | None = None,
+        size: tuple[int, int] | None = None,  # (W, H) of the pass, otherwise that of the first buffer, an image
         **constants: int,
     ) -> None:
         """A pass that computes rows of the last layer at the pixel where it uses them."""
         head = self._heads.layer(scale, *heads)
         cell = 2 if head.weights.shape[0] == 4 else 1  # side of the square of pixels that one feature predicts
         features = levels[max(0, scale - 1) if self._accumulates else scale]  # accumulated_kpn runs at half size
-        size = next(iter(buffers.values())).shape[1::-1]
+        size = size or next(iter(buffers.values())).shape[1::-1]
         buffers = {"features": features, "weights": head.weights, "biases": head.biases, **buffers}
         parameters = {"feature_size": features.shape[2:0:-1], "groups": head.groups[0], **(parameters or {})}
         constants |= {"CELL": cell, "ROWS": head.outputs, "HALF": int(self._scratch.half)}

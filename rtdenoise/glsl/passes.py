@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, SKY_BLOCK
+from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, RECALL_CELL, RECALL_WORDS, SKY_BLOCK
 from ..models.presets import Config
 from .context import GpuArray
 from .dispatch import dispatch, fill
@@ -122,11 +122,35 @@ class Passes:
         """The running means, reprojected to this frame from the same surfaces only."""
         size = inputs.surface.shape[:2]
         means = Means(self._scratch.image("running", size), self._scratch.fresh(size))
+        if self._config.recent:
+            self._recall(chosen, inputs, history, means.running)
         buffers = {"chosen": chosen, "surface": inputs.surface, "guide": inputs.guide}
         buffers |= {"surface_before": history.surface, "mean_before": history.mean}
         buffers |= {"mean_albedo_before": history.mean_albedo, **means._asdict()}
-        dispatch("accumulated_kpn/reproject", size[::-1], buffers)
+        dispatch("accumulated_kpn/reproject", size[::-1], buffers, RECALLS=int(self._config.recent > 0))
         return means
+
+    def keep(self, inputs: Inputs, vectors: GpuArray | None, moves: bool) -> GpuArray:
+        """This frame as later ones recall it, [5, H, W]. `moves`: the frame has motion."""
+        size, ctx = inputs.surface.shape[:2], inputs.surface.buffer.ctx
+        kept = GpuArray.empty(ctx, (RECALL_WORDS, *size), np.uint32)
+        buffers = {"light": inputs.light, "surface": inputs.surface, "vectors": vectors or inputs.light, "kept": kept}
+        dispatch("accumulated_kpn/keep", size[::-1], buffers, MOVES=int(moves))
+        return kept
+
+    def _recall(self, chosen: GpuArray, inputs: Inputs, history: History, running: GpuArray) -> None:
+        """Write the mean light of recent frames, and the sum of their weights: `rtdenoise.ops.recall`."""
+        size, last = inputs.surface.shape[:2], len(history.recent) - 1
+        cells = self._scratch.image("cells", tuple(-(-n // RECALL_CELL) for n in size))
+        looked = {"found": self._scratch.image("found", size), "cells": cells}
+        now = {"light": inputs.light, "surface": inputs.surface, "chosen": chosen}
+        now["path"] = self._scratch.image("path", size)
+        if not history.recent:
+            fill(running)
+        for i, kept in enumerate(history.recent):
+            dispatch("accumulated_kpn/look", size[::-1], now | looked | {"kept": kept}, FIRST=int(i == 0))
+            buffers = looked | {"running": running}
+            dispatch("accumulated_kpn/add", size[::-1], buffers, FIRST=int(i == 0), LAST=int(i == last))
 
     def features(self, inputs: Inputs, past: GpuArray, means: Means, groups: int) -> GpuArray:
         """The network's input, padded to whole cells of the network. Models that accumulate read `means` too, and write

@@ -9,13 +9,15 @@ Read `Pipeline.run` first: it is the order of the passes. Between upload and dow
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import moderngl
 import numpy as np
 
+from ..constants import RECALL_RESET
 from ..errors import InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
 from ..models.presets import Config
@@ -127,9 +129,25 @@ class Pipeline:
                 now = kernels.texture(levels, now, inputs.guide, means.mean_albedo)
             result, denoised = kernels.blend(levels, past, now)
             passes.keep_even_sky(inputs, result, denoised)
-        vectors = vectors if "motion_next" in layers else None
         kept = (mean, means.mean_albedo) if self.accumulates else (None, None)
-        return result, History(denoised, inputs.surface, vectors, *kept)
+        if self.config.recent:
+            with self._stage("reprojection"):
+                recent = passes.keep(inputs, vectors, "motion" in layers), *(() if first else history.recent)
+            if not first:
+                with self._stage("kernels"):
+                    kernels.forget(levels, recent[0])
+            kept += (recent[: self.config.recent],)
+        return result, History(denoised, inputs.surface, vectors if "motion_next" in layers else None, *kept)
+
+    def remember(self, history: History, frames: Sequence[Frame]) -> History:
+        """A history with recent frames, the newest first. Those that it has tell the resets."""
+        passes, recent = self.passes, []
+        for frame in frames:
+            layers = self.upload(frame, None)
+            recent.append(passes.keep(passes.prepare(layers), passes.vectors(layers), "motion" in layers))
+        for kept, before in zip(recent, history.recent, strict=False):
+            kept.write_plane(RECALL_RESET, kept.read_plane(RECALL_RESET) | before.read_plane(RECALL_RESET))
+        return replace(history, recent=tuple(recent))
 
     def upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
         """The layers that a step reads, for `run`. Raises InputError where one is missing, or history is of another

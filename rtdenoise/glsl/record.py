@@ -91,4 +91,5 @@ def check(values: np.ndarray) -> dict:
 
 
 def _images(history: History | None) -> Mapping[str, GpuArray]:
-    return {} if history is None else {name: array for name, array in vars(history).items() if array is not None}
+    fields = {} if history is None else vars(history)
+    return {name: array for name, array in fields.items() if isinstance(array, GpuArray)}

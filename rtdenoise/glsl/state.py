@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
+from ..frame import RECENT
 from .context import GpuArray
 
 
@@ -20,6 +21,7 @@ class History:
     vectors: GpuArray | None  # motion, motion_next; None: dual motion next time is approximate
     mean: GpuArray | None  # rgb, length: the running mean of light; None for models that keep none
     mean_albedo: GpuArray | None  # rgb: the running mean of albedo, likewise
+    recent: tuple[GpuArray, ...] = ()  # [5, H, W] uint32 each: recent frames, the last one first
 
     @property
     def size(self) -> tuple[int, int]:
@@ -35,7 +37,8 @@ class History:
         if self.mean is not None:
             mean, albedo = self.mean.read(), self.mean_albedo.read()
             planes |= {"mean": mean[..., :3], "length": mean[..., 3:], "mean_albedo": albedo[..., :3]}
-        return {name: np.ascontiguousarray(np.moveaxis(plane, 2, 0)[None]) for name, plane in planes.items()}
+        recent = {f"{RECENT}{i}": kept.read()[None].view(np.int32) for i, kept in enumerate(self.recent)}
+        return {name: np.ascontiguousarray(np.moveaxis(plane, 2, 0)[None]) for name, plane in planes.items()} | recent
 
     @classmethod
     def upload(cls, ctx: moderngl.Context, arrays: Mapping[str, np.ndarray]) -> History:
@@ -52,4 +55,6 @@ class History:
             mean, mean_albedo = image(arrays["mean"], arrays["length"]), image(arrays["mean_albedo"])
         surface = image(arrays["normal"], arrays["depth"])
         denoised = image(arrays["radiance"], np.ones_like(arrays["depth"]))
-        return cls(denoised, surface, vectors, mean, mean_albedo)
+        kept = [arrays[f"{RECENT}{i}"] for i in range(sum(name.startswith(RECENT) for name in arrays))]
+        recent = [GpuArray.upload(ctx, words[0].view(np.uint32), np.uint32) for words in kept]
+        return cls(denoised, surface, vectors, mean, mean_albedo, tuple(recent))

@@ -5,7 +5,8 @@ from coarse to fine, a temporal kernel, and one explicit step. Its changes:
 
 - Albedo is divided out before filtering and multiplied back after it. Then an edge kernel smooths edges, and the
   previous output, fetched by a cubic lookup, is blended in.
-- Noisy light is averaged along tested reprojections before it is filtered, as far as the network trusts the average.
+- Noisy light is averaged along tested reprojections before it is filtered, as far as the network trusts the average:
+  as a running mean, or of recent frames that are kept and looked up anew each time (`ops.recall`).
 - The network runs at half size. Five scales reach far enough for the sparse light of one sample a pixel.
 - Optional heads: pick kernels keep light of a coarser scale on its own side of an edge (`ops.pick`), `detail` takes
   noise out of the finest detail of a scale (`ops.soften`).
@@ -15,7 +16,7 @@ Read `AccumulatedKPN.step` first.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -28,6 +29,7 @@ from ..ops.blend_history import blend_history
 from ..ops.even_sky import even_sky
 from ..ops.features import features
 from ..ops.pixels import accumulate, demodulate, modulate, nearness
+from ..ops.recall import keep, recall
 from ..ops.shares import shares
 from ..sanitise import admit
 from ..splat import history_motion
@@ -44,9 +46,10 @@ FIRST_FRAME = slice(0, 3), slice(6, 19)  # input channels that are not zero ever
 class Past:
     """The history of each pixel, reprojected. Zero where there is none."""
 
-    light: Tensor  # [B, 3, H, W] running mean of irradiance
+    light: Tensor  # [B, 3, H, W] mean of irradiance
     albedo: Tensor  # [B, 3, H, W] running mean of albedo
-    length: Tensor  # [B, 1, H, W] frames in these means
+    length: Tensor  # [B, 1, H, W] frames in the mean of irradiance
+    albedo_length: Tensor  # [B, 1, H, W] likewise, but 0 where albedo is: light can reach farther back
     output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where it was off the screen
     on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
@@ -124,11 +127,11 @@ class AccumulatedKPN(nn.Module):
         frame = admit(frame, history and history.radiance, known)
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance where the surface is diffuse
 
-        past = self.reprojected(frame, history, known)
+        past = self.reprojected(frame, noisy, history, known)
         most, kept = self.config.longest - 1, torch.zeros_like(past.length)
         mean_albedo = frame.albedo
         if not known.first:
-            mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.length, kept, most)
+            mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.albedo_length, kept, most)
 
         # Predict kernels.
         heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
@@ -145,6 +148,10 @@ class AccumulatedKPN(nn.Module):
         output = self.over_edges_and_time(output, past.output, past.on_screen, heads)
         output = even_sky(output, frame.radiance, frame.depth)
         after = History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
+        if self.config.recent:
+            reset = torch.zeros_like(frame.depth) if history is None else heads.reset.detach()
+            recent = self.kept(frame, reset, noisy), *(history.recent if history else ())
+            after = replace(after, recent=recent[: self.config.recent])
         return output, after, Kernels(heads, past.length, past.on_screen)
 
     def over_space(self, mean: Tensor, heads: Heads) -> Tensor:
@@ -170,19 +177,31 @@ class AccumulatedKPN(nn.Module):
             output = apply_kernel(output, heads.edge)
         return blend_history(output, past, seen, heads.temporal, heads.alpha_temporal)
 
-    def reprojected(self, frame: Frame, history: History | None, known: Known = NOTHING_KNOWN) -> Past:
+    def reprojected(self, frame: Frame, noisy: Tensor, history: History | None, known: Known = NOTHING_KNOWN) -> Past:
         """History, reprojected to this frame: means from the same surface only, the previous output from any."""
         if history is None:
             nothing = torch.zeros_like(frame.radiance)
             never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
-            return Past(nothing, nothing, nothing[:, :1], frame.radiance, never, never)
+            return Past(nothing, nothing, nothing[:, :1], nothing[:, :1], frame.radiance, never, never)
         kind = "traditional" if known.covered else self.config.motion
         motion, seen, uncovered = history_motion(frame, history, kind)
-        kept = history.mean, history.mean_albedo, history.length
         here, before = (frame.depth, frame.normal), (history.depth, history.normal)
-        light, albedo, length = reproject(kept, motion, here, before)[0].split([3, 3, 1], dim=1)
+        if self.config.recent:
+            light, length = recall(noisy, motion, here, history.recent)
+            albedo, found = reproject(history.mean_albedo, motion, here, before)
+            albedo_length = length * found
+        else:
+            means = history.mean, history.mean_albedo, history.length
+            light, albedo, length = reproject(means, motion, here, before)[0].split([3, 3, 1], dim=1)
+            albedo_length = length
         output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
-        return Past(light, albedo, length, output, seen, uncovered)
+        return Past(light, albedo, length, albedo_length, output, seen, uncovered)
+
+    def kept(self, frame: Frame, reset: Tensor, noisy: Tensor | None = None) -> Tensor:
+        """A sanitised frame as `History.recent` has it. `noisy`: its demodulated light, where that is known."""
+        if noisy is None:
+            noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
+        return keep(noisy, frame.depth, frame.normal, reset, frame.motion)
 
     def features(
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN

@@ -33,6 +33,7 @@ class NetworkConfig:
     carries: ClassVar[tuple[str, ...]]  # fields of `History` that the network computes
     features: ClassVar[int]  # channels of the network's input
     reads: ClassVar[tuple[str, ...]] = ()  # layers of `Frame` that it needs beside those that every denoiser reads
+    recent: ClassVar[int] = 0  # last frames whose noisy light its history keeps
     max_levels: ClassVar[int]  # of the U-Net: the coarsest pixels are `CELL` wide at most
 
     widths: tuple[int, ...]
@@ -182,6 +183,8 @@ class AccumulatedKPNConfig(NetworkConfig):
     """Whether a block of guided self-attention refines the features at a quarter of the image size."""
     longest: float = 16.0
     """Frames after which the running mean forgets: a new frame weighs 1 / longest at least."""
+    recent: int = 0
+    """Frames whose noisy light is kept and looked up anew in each frame (`ops.recall`); 0: a running mean of light."""
     motion: str = "dual"
     """Motion vectors that fetch history: 'dual' or 'traditional'."""
 
@@ -199,6 +202,8 @@ class AccumulatedKPNConfig(NetworkConfig):
             )
         if not isinstance(self.longest, int | float) or not 2 <= self.longest < 1e6:
             raise ValueError(f"expected a longest mean of 2 frames or more, got {self.longest}")
+        if not isinstance(self.recent, int) or isinstance(self.recent, bool) or not 0 <= self.recent < self.longest:
+            raise ValueError(f"recent: expected a whole number of frames below {self.longest:g}, got {self.recent!r}")
 
     @property
     def heads(self) -> tuple[tuple[Head, ...], ...]:

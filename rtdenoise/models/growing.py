@@ -24,8 +24,8 @@ def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
 
     `small` is as `read` gives it: `load` rounds weights to run them.
 
-    Raises ValueError where `wanted` has another architecture, is narrower at a level, or differs in anything but widths
-    and new heads.
+    Raises ValueError where `wanted` has another architecture, is narrower at a level, or differs in anything but
+    widths, new heads and recent frames.
     """
     if not _fits(small.config, wanted):
         raise ValueError(f"expected {small.config}, or wider at any level, or with new heads, got {wanted}")
@@ -51,7 +51,8 @@ def _fits(was: Config, wanted: Config) -> bool:
     wider = all(a <= b for a, b in zip(was.widths, wanted.widths, strict=True))
     new = {name: value for name, value in WITHOUT.items() if getattr(was, name) == value}
     wider &= not was.guided or was.widths[1] == wanted.widths[1]  # the attention's heads are not split anew
-    return wider and replace(wanted, widths=was.widths, **new) == was
+    same = {"widths": was.widths, "recent": was.recent}  # recent frames have no weights
+    return wider and replace(wanted, **same, **new) == was
 
 
 def _copy(

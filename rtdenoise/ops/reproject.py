@@ -8,12 +8,11 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from ..constants import DEPTH_TOLERANCE, MIN_HISTORY_WEIGHT, MIN_NORMAL_COSINE
+from ..constants import DEPTH_TOLERANCE, FAR_AWAY, MIN_HISTORY_WEIGHT, MIN_NORMAL_COSINE
 from .alike import alike
 from .dispatch import Fused, Support, falls_back
 from .targets import check
 
-FAR_AWAY = 1e6  # pixels: longer motion is off the screen anyway, and this still fits an integer
 FUSED = Fused("reproject", native=Support(max_channels=8, gradients=("stored",)), triton=Support())
 
 

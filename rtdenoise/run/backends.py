@@ -3,12 +3,16 @@ saved histories as numpy arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from ..constants import RECALL_RESET
+from ..data.stored import of_resets, with_resets
 from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
 from ..models.presets import Config
@@ -46,15 +50,29 @@ class Backend(Protocol):
         """`step` with the image where the backend has it: a tensor on its device, or a numpy array."""
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
-        """A history as `frame.History.layers` names its fields, `[1, C, h, w]`: the same for every backend."""
+        """A history as `frame.History.layers` names its fields, `[1, C, h, w]`: the same for every backend. Of recent
+        frames only the resets (`data.stored`): all of them would be most of it, and the sequence has the rest."""
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
         """The inverse of `save`. Raises InputError where the fields are not those of a history."""
 
+    def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
+        """A restored history with its recent frames: the last `config.recent` of the shot, prepared, the newest
+        first."""
 
-def open_backend(name: str, model: str, device: str, precision: str, correct: bool = False) -> Backend:
+
+def open_backend(
+    name: str,
+    model: str,
+    device: str,
+    precision: str,
+    correct: bool = False,
+    oidn: bool = False,
+    recent: int | None = None,
+) -> Backend:
     """The backend `name` with a model in it; 'auto' is torch where it is installed. With `correct` its images are
-    corrected by the residuals of the frames before (`models.shrinkage.correct`).
+    corrected by the residuals of the frames before (`models.shrinkage.correct`). `oidn` and `recent`: as for
+    `TorchBackend`.
 
     Raises InputError for an unknown name, a device, precision or correction that the backend lacks, and as `load` for
     the model.
@@ -65,27 +83,45 @@ def open_backend(name: str, model: str, device: str, precision: str, correct: bo
     if name == "torch" and not has_torch:
         raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
     if name == "torch" or (name == "auto" and has_torch):
-        return TorchBackend(model, device, precision, correct)
-    if correct:
-        advice = "take the backend torch" if has_torch else INSTALL_TORCH
-        raise InputError(f"the correction runs in PyTorch alone; {advice}, or leave it out")
+        return TorchBackend(model, device, precision, correct, oidn, recent)
+    for chosen, what in ((correct, "the correction"), (oidn, "--oidn")):
+        if chosen:
+            advice = "take the backend torch" if has_torch else INSTALL_TORCH
+            raise InputError(f"{what} runs in PyTorch alone; {advice}, or leave it out")
     return GlslBackend(model, device, precision)
 
 
 class TorchBackend:
     """`rtdenoise.models`."""
 
-    def __init__(self, model: str, device: str, precision: str, correct: bool = False) -> None:
+    def __init__(
+        self,
+        model: str,
+        device: str,
+        precision: str,
+        correct: bool = False,
+        oidn: bool = False,
+        recent: int | None = None,
+    ) -> None:
+        """`oidn` mixes OIDN's opinion into the images (`opinion`). `recent`: frames that a network which averages light
+        keeps, in place of its configuration's; 0 is a running mean, by the same weights."""
         from ..models import load
         from ..models.inference import choose_device
         from .graphs import stepper
+        from .opinion import RECENT, Opinion
 
         self.device = choose_device(device)
         self._denoiser = load(model, self.device, precision)
         if correct and self._denoiser.config.motion is None:
             raise InputError(f"{model}: denoises single pictures, and the correction needs the frames before")
+        averages = "mean" in self._denoiser.config.carries
+        if oidn and not averages:
+            raise InputError(f"--oidn: model {model!r} does not average light; choose default, many, fast or quality")
+        self._correct, self._opinion = correct, Opinion(self._denoiser.config) if oidn else None
+        recent = RECENT if oidn else recent
+        if recent is not None and averages:
+            self._denoiser.config = replace(self._denoiser.config, recent=recent)
         self._step = self._whole = stepper(self._denoiser)
-        self._correct = correct
 
     @property
     def config(self) -> Config:
@@ -119,6 +155,7 @@ class TorchBackend:
 
         step = self._step if len(frame.radiance) == 1 else self._whole  # the plan is for single pictures
         step = corrected(step) if self._correct else step
+        step = partial(self._opinion.step, step) if self._opinion else step
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
             return step(frame, history, Known(sanitised=True))
 
@@ -144,17 +181,30 @@ class TorchBackend:
             return mismatch(frame, history).max().item()
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
-        return {name: tensor.cpu().contiguous().numpy() for name, tensor in history.layers().items()}
+        layers = replace(history, recent=()).layers()
+        fields = {name: tensor.cpu().contiguous().numpy() for name, tensor in layers.items()}
+        resets = (kept[:, RECALL_RESET, None].cpu().contiguous().numpy() for kept in history.recent)
+        return fields | of_resets(resets)
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
         from ..history import from_arrays
 
-        history = from_arrays(fields, self.device)
+        history = from_arrays(with_resets(fields), self.device)
         there = {name.partition(".")[0] for name in history.layers()}
         wanted = "depth", "normal", *self.config.carries, *(("residual", "residual_length") if self._correct else ())
         if missing := [name for name in wanted if name not in there]:
             raise InputError(f"the history has no {missing[0]}")
         return history
+
+    def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
+        import torch
+
+        if not frames:
+            return history
+        with torch.inference_mode():
+            recent = [self._denoiser.kept(frame, torch.zeros_like(frame.depth)) for frame in frames]
+            resets = history.recent or [torch.zeros_like(kept) for kept in recent]
+            return replace(history, recent=tuple(map(torch.bitwise_or, recent, resets)))
 
 
 class GlslBackend:
@@ -197,9 +247,14 @@ class GlslBackend:
         return self.step(frame, history)
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
-        return history[0].read()
+        resets = (kept.read_plane(RECALL_RESET)[None, None] for kept in history[0].recent)
+        return replace(history[0], recent=()).read() | of_resets(resets)
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
         from ..glsl import History
 
-        return History.upload(self._pipeline.ctx, fields), fields.get("motion_next")
+        return History.upload(self._pipeline.ctx, with_resets(fields)), fields.get("motion_next")
+
+    def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
+        resident, motion_next = history
+        return self._pipeline.remember(resident, frames), motion_next

@@ -21,7 +21,7 @@ from .choice import open_chosen
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 from .light import in_parts
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, check_samples
-from .state import STATE, read_state, save_state
+from .state import STATE, last_of_shot, read_state, save_state
 
 
 def denoise(
@@ -44,7 +44,7 @@ def denoise(
     """
     if options.offline and (options.lights or options.also):
         raise InputError("--lights and --also: go without --offline, which has no kernels for them")
-    _check_correction(options)
+    _check(options)
     if options.offline:
         from .offline import denoise_offline
 
@@ -56,13 +56,22 @@ def denoise(
     sequence, options, notes = open_chosen(source, options, layers)
     sequence.require("albedo", "normal", "depth", *reads)
     check_output(sequence, options.layout, options.recombine, options.keep)
-    backend = open_backend(options.backend, options.model, options.device, options.precision, options.correct)
+    in_passes = bool(options.lights or options.also)
+    backend = open_backend(
+        options.backend,
+        options.model,
+        options.device,
+        options.precision,
+        options.correct,
+        options.oidn,
+        recent=0 if in_passes else None,
+    )
     if len(sequence) > 1 and backend.config.motion is not None:
         sequence.require("motion")
     write = partial(write_frame, layout=options.layout, recombine=options.recombine, keep=options.keep,
                     float32=options.float32)  # fmt: skip
     read = Sequence.read
-    if options.lights or options.also:
+    if in_passes:
         if reads:
             raise InputError(f"--lights, --also: not with {options.model}, which reads {reads[0]}; "
                              "leave them out, or take --model default")  # fmt: skip
@@ -101,6 +110,9 @@ def _run(
     if options.plan:
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
         summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
+    if history is not None:
+        recent = last_of_shot(sequence, done, summary.cuts, backend.config.recent)
+        history = backend.remember(history, [backend.prepare(read(sequence, i)) for i in recent])
     if summary.plan:
         sequence = sequence.only({*summary.plan.layers, *(("samples",) if options.correct else ())})
 
@@ -130,10 +142,12 @@ def _run(
     return summary
 
 
-def _check_correction(options: Options) -> None:
+def _check(options: Options) -> None:
     if options.correct and (options.offline or options.lights or options.also):
         raise InputError("--correct: goes without --offline, --lights and --also; `rtdenoise combine` corrects their "
                          "frames")  # fmt: skip
+    if options.oidn and (options.offline or options.correct or options.lights or options.also):
+        raise InputError("--oidn: goes without --offline, which asks OIDN anyway, --correct, --lights and --also")
     check_samples(options.samples)
     if options.samples and not options.correct and options.model != AUTO:
         raise InputError(f"--samples {options.samples}: goes with --correct, or without --model")

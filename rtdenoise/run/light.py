@@ -7,6 +7,7 @@ which follows mirrors and glass to the surface that is seen in them: with their 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -78,6 +79,8 @@ class LightBackend:
         self.network = inner.network
         if not isinstance(self.network, AccumulatedKPN):
             raise InputError(f"{told}: goes with --model default, many, fast or quality, which filter irradiance")
+        if self.network.config.recent:
+            raise ValueError("light in parts needs a running mean: TorchBackend(..., recent=0)")
         self._inner, self._passes, self._each = inner, passes, each
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
         self._left_out: dict[str, int] | None = None
@@ -142,6 +145,9 @@ class LightBackend:
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
         return self._inner.restore(fields)
+
+    def remember(self, history: Any, frames: SequenceOf[Prepared]) -> Any:
+        return history  # it keeps running means
 
 
 def split(images: dict[str, Tensor], passes: LightPasses, each: bool) -> tuple[Parts, tuple[str, ...]]:

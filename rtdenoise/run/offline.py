@@ -30,7 +30,7 @@ from ..sanitise import faults
 from .choice import open_chosen
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 from .options import EXAMINED, SUMMARY, Options, Summary
-from .state import STATE, read_state, save_state
+from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
 
 if TYPE_CHECKING:
@@ -106,6 +106,8 @@ class _Run:
         if self.options.plan:  # tiles for large frames
             self.passes.backend.plan(self.sequence.size, count, self._examined(), {})
 
+        if history is not None:
+            history = self.passes.backend.remember(history, self._recent(done))
         self.on_frame(done, 2 * count)
         for step in range(done, 2 * count):
             started = time.perf_counter()
@@ -159,10 +161,29 @@ class _Run:
             self.summary.passed_on[channel] = self.summary.passed_on.get(channel, 0) + bad
         return history
 
+    def _recent(self, done: int) -> list[Frame]:
+        """The last frames of the shot that the pass at work has finished, as it saw them, the newest first."""
+        from .passes import completed, reverse
+
+        def prepared(i: int) -> Frame:
+            return self.passes.backend.prepare(self.sequence.read(i))
+
+        count, most = len(self.sequence), self.passes.backend.config.recent
+        if done < count:
+            return [prepared(i) for i in last_of_shot(self.sequence, done, self.summary.cuts, most)]
+        first = end = 2 * count - done
+        while end < min(first + most, count) and (end == first or self._linked(end)):
+            end += 1
+        following = prepared(end) if end < count and self._linked(end) else None
+        frames = []
+        for i in reversed(range(first, end)):  # the frame after completes the one before it
+            following = completed(prepared(i), following)
+            frames.insert(0, reverse(following))
+        return frames
+
     def _linked(self, i: int) -> bool:
         """Whether frame i goes on with the shot of the frame before."""
-        number = self.sequence.numbers[i]
-        return number == self.sequence.numbers[i - 1] + 1 and number not in self.summary.cuts
+        return linked(self.sequence, i, self.summary.cuts)
 
     def _around(self, i: int) -> Around:
         """Frame i with its neighbours. They stay in memory while they are near."""

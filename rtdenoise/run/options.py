@@ -55,6 +55,9 @@ class Options:
     offline: bool = False
     """The best picture for frames on disk: uses the frames after as well as those before, and OIDN where it is
     installed. Takes several times as long."""
+    oidn: bool = False
+    """Mix in OIDN's picture of the light that the network has averaged: better, and several times the time. Needs
+    pyoidn."""
     correct: bool = False
     """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
     samples: int = 0

@@ -62,6 +62,7 @@ class Denoiser:
         precision: str = "auto",
         detect_cuts: bool = True,
         correct: bool = False,
+        oidn: bool = False,
         samples: int = 0,
     ) -> None:
         """`model` is the name of a model that ships ('default', 'fast', 'quality', 'paper') or a .safetensors file.
@@ -70,19 +71,22 @@ class Denoiser:
         is installed. `device` is torch's, 'cpu', 'cuda' or 'auto', and the network's `precision` 'fp32', 'bf16' (with
         glsl 'fp16') or 'auto'. `detect_cuts` starts history anew where most pixels find another surface than their
         motion promises. `correct` corrects each frame by the noisy ones before it, for 4 samples a pixel and more;
-        `samples` says how many there are, so that edges are corrected, too.
+        `samples` says how many there are, so that edges are corrected, too. `oidn` mixes in OIDN's picture of the
+        averaged light, one picture at a time; it goes without `correct`.
 
         Raises InputError for an unknown model, backend, device or precision, a correction without torch, and `samples`
         without a correction or beyond all sense.
         """
         set_defaults()
         check_samples(samples, "samples")
+        if oidn and correct:
+            raise InputError("oidn=True: goes without correct=True")
         if samples and not correct:
             raise InputError(f"samples={samples}: goes with correct=True")
         self.started = True
         """Whether the last call started history anew."""
         self._detect_cuts = detect_cuts
-        self._backend, self._samples = open_backend(backend, str(model), device, precision, correct), samples
+        self._backend, self._samples = open_backend(backend, str(model), device, precision, correct, oidn), samples
         self._history: Any = None
         self._shape: tuple[int, ...] = ()  # of the frame before
         self._count = 0  # frames so far

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from ..data.sequences import Sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
 from .backends import Backend
@@ -45,3 +46,17 @@ def save_state(
     so_far = {key: getattr(summary, key) for key in ("replaced", "passed_on", "cuts", "left_out")}
     metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far), "written": written}
     write_history(path, history, metadata | {"options": json.dumps(asdict(options))})
+
+
+def linked(sequence: Sequence, i: int, cuts: list[int]) -> bool:
+    """Whether frame i goes on with the shot of the frame before."""
+    number = sequence.numbers[i]
+    return number == sequence.numbers[i - 1] + 1 and number not in cuts
+
+
+def last_of_shot(sequence: Sequence, done: int, cuts: list[int], most: int) -> list[int]:
+    """The frames before frame `done` that belong to the shot of the last of them, at most `most`, the newest first."""
+    first = done
+    while done - first < most and first > 0 and (first == done or linked(sequence, first, cuts)):
+        first -= 1
+    return list(reversed(range(first, done)))

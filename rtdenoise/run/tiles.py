@@ -16,6 +16,7 @@ from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..models import Denoiser
 from ..models.config import CELL
 from ..motion import on_screen
+from ..ops.recall import motion_of
 from ..sanitise import sanitise
 
 GEOMETRY = ("motion_next", "depth", "normal")  # fields that a history copies from its frame
@@ -79,7 +80,8 @@ def step_in_windows(
 
 def carried(frame: Frame, history: History | None) -> Tensor | None:
     """Largest distance from which each pixel fetches history, `[1, 2, H, W]` pixels in x and y: motion or dual motion,
-    where it leads to the screen, and a margin for lookups between pixels. None without history."""
+    where it leads to the screen, the way on through recent frames, and a margin for lookups between pixels. None
+    without history."""
     if history is None:
         return None
     lengths = torch.where(on_screen(frame.motion), frame.motion.abs(), 0.0)
@@ -88,6 +90,9 @@ def carried(frame: Frame, history: History | None) -> Tensor | None:
     else:
         dual = history.motion_next.abs()
         lengths = lengths.maximum(torch.where(dual < max(frame.size), dual, 0.0))
+    for kept in history.recent[:-1]:  # each leads on to the one before
+        onward = motion_of(kept).abs()
+        lengths = lengths + torch.where(onward < max(frame.size), onward, 0.0).amax((2, 3), keepdim=True) + 1
     return lengths + 5  # lookup between pixels, cracks of the splat
 
 

@@ -1,11 +1,11 @@
 #version 430
 // Reproject the running means of light and albedo, and their length (ops.reproject): bilinear, from taps that are on the screen
-// and show the same surface; 0 where these weigh too little.
+// and show the same surface; 0 where these weigh too little. With RECALLS the mean of light is there already.
 //
 // The mean of albedo includes this frame at once. The mean of light does not: the network first predicts its `reset`.
 //
 //     mean_albedo = w · albedo + (1 - w) · mean_albedo_before,    w = 1 / (1 + length)
-#pragma constants DEPTH_TOLERANCE MIN_NORMAL_COSINE
+#pragma constants RECALLS DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 
 #pragma reads vec4 chosen                        // [H, W] motion
@@ -13,7 +13,7 @@
 #pragma reads vec4 mean_before                   // [H, W] rgb, length
 #pragma reads vec4 mean_albedo_before            // [H, W] rgb
 #pragma reads vec4 guide                         // [H, W] rgb
-#pragma writes vec4 running                      // [H, W] rgb, length: light, without this frame
+#pragma changes vec4 running                     // [H, W] rgb, length: light, without this frame
 #pragma writes vec4 mean_albedo                  // [H, W] rgb, with this frame
 
 vec4 surface_before_at(ivec2 p) {
@@ -33,13 +33,14 @@ void main() {
         for (int t = 0; t < 4; ++t) {
             if (taps.weight[t] == 0.0) continue;
             int before = at(tap_pixel(taps, t), size);
-            mean += taps.weight[t] * mean_before[before];
+            if (RECALLS == 0) mean += taps.weight[t] * mean_before[before];
             albedo += taps.weight[t] * mean_albedo_before[before].rgb;
         }
         mean /= taps.total;
         albedo /= taps.total;
     }
+    if (RECALLS == 1) mean = is_valid(taps) ? running[i] : vec4(0.0);  // light can reach farther back than albedo
+    else running[i] = mean;
     float weight = 1.0 / (1.0 + mean.w);
-    running[i] = mean;
     mean_albedo[i] = vec4(weight * guide[i].rgb + (1.0 - weight) * albedo, 0.0);
 }

@@ -2,11 +2,9 @@
 // shows another surface than `here`.
 //
 // `vec4 surface_before_at(ivec2 pixel)`, normal and depth of the previous frame, is defined before this file is included.
-#pragma constants MIN_HISTORY_WEIGHT
+#pragma constants MIN_HISTORY_WEIGHT FAR_AWAY
 #include "finite.glsl"
 #include "alike.glsl"
-
-const float FAR_AWAY = 1e6;  // pixels: certainly off the screen, and pixel numbers still fit an integer
 
 struct Taps { ivec2 corner; vec4 weight; float total; };
 

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ...constants import MIN_HISTORY_WEIGHT
-from ..reproject import FAR_AWAY
+from ...constants import FAR_AWAY, MIN_HISTORY_WEIGHT
 from .compiler import library, pointer
 
 

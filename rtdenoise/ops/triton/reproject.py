@@ -7,8 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import MIN_HISTORY_WEIGHT
-from ..reproject import FAR_AWAY
+from ...constants import FAR_AWAY, MIN_HISTORY_WEIGHT
 from .alike import alike, surface_at
 from .common import constants, grid, place
 

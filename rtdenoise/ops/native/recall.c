@@ -1,0 +1,227 @@
+// The mean light of recent frames along chained motion. The specification is ops/recall.py, whose CELL and FAR_AWAY these are.
+//
+// One pass over the frame, a row of cells at a time: a row's weights need the rows above and below it, so each thread keeps
+// what it found in two rows and the sums of three, small enough for its cache.
+#include "common.h"
+#include "alike.h"
+
+#define BLOCK 256  // pixels, a multiple of CELL
+#define PART 16   // pixels of a block that are loaded together where they lie together; BLOCK is a multiple of it
+#define FOUND 2   // rows of cells of which a thread keeps what it found
+#define SUMS 3    // likewise the sums
+#define SAME 0x3f800000  // 1 as the high half of a word
+
+typedef struct {
+    const float *light, *motion, *depth, *normal;  // planes of the current frame
+    const uint32_t *const *kept;                   // K frames of 5 planes, two bfloat16 a pixel
+    float *mean, *count;
+    uint32_t *found;  // of a thread: [FOUND, K, 3 (red, green; blue, 1 or 0: same surface; s as float32), CELL, W]
+    float *cells;     // likewise: [SUMS, K, 4 (Σ d, Σ |d|²), columns]
+    float depth_tolerance, normal_tolerance, alike, changed;
+    int64_t plane;
+    int K, H, W, columns, rows;
+} Job;
+
+static inline float bounded(float motion) {
+    return isnan(motion) ? FAR_AWAY : MIN(MAX(motion, -FAR_AWAY), FAR_AWAY);
+}
+
+static inline uint32_t *found_of(Job j, int cell_row, int k) {
+    return j.found + ((int64_t)(cell_row % FOUND) * j.K + k) * 3 * CELL * j.W;
+}
+
+static inline float *cells_of(Job j, int cell_row, int k) {
+    return j.cells + ((int64_t)(cell_row % SUMS) * j.K + k) * 4 * j.columns;
+}
+
+// The two bfloat16 of a word.
+static inline float low(uint32_t word) { return from_bits(word << 16); }
+static inline float high(uint32_t word) { return from_bits(word & 0xffff0000); }
+
+// The paths of a block of pixels: motion to the kept frame, and the share that the network has left of older light.
+typedef struct { float mx[BLOCK], my[BLOCK], s[BLOCK]; } Paths;
+
+// Read pixels at[0 ... n) of a kept frame for those of this one from `first` on, whose paths are those from `p` on: light,
+// whether they are the same surface, and the path beyond. `together`: they lie in a row from at[0] on, so that they are
+// loaded instead of gathered.
+static inline void read(Job j, const uint32_t *kept, int64_t first, int n, const int *at, const int *inside, Paths *paths,
+                        int p, uint32_t *found, int together) {
+    float *mx = paths->mx + p, *my = paths->my + p, *s = paths->s + p;
+    int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
+    const uint32_t *planes[5];
+    for (int c = 0; c < 5; c++) planes[c] = kept + c * plane + (together ? at[0] : 0);
+#pragma omp simd
+    for (int x = 0; x < n; x++) {
+        int from = together ? x : at[x], in = together || inside[x];
+        uint32_t blue = planes[1][from], forgets = planes[3][from];
+        Surface here = surface_at(j.depth + first, j.normal + first, plane, x);
+        Surface its = {high(blue), low(planes[2][from]), high(planes[2][from]), low(forgets)};
+        found[x] = planes[0][from];
+        found[stride + x] = (blue & 0xffff) | (in & alike(here, its, j.depth_tolerance, j.normal_tolerance) ? SAME : 0);
+        found[2 * stride + x] = bits_of(s[x]);
+        s[x] *= 1 - high(forgets);
+        mx[x] = in ? mx[x] + low(planes[4][from]) : FAR_AWAY;
+        my[x] = in ? my[x] + high(planes[4][from]) : FAR_AWAY;
+    }
+}
+
+// Follow the paths of n pixels of row y through all kept frames.
+static inline void look(Job j, int y, int from, int n) {
+    int64_t first = (int64_t)y * j.W + from;
+    Paths p;
+    memcpy(p.mx, j.motion + first, n * sizeof *p.mx);
+    memcpy(p.my, j.motion + j.plane + first, n * sizeof *p.my);
+    for (int x = 0; x < n; x++) p.s[x] = 1;
+    for (int k = 0; k < j.K; k++) {
+        int at[BLOCK], inside[BLOCK];
+#pragma omp simd
+        for (int x = 0; x < n; x++) {
+            float u = nearbyintf(bounded(p.mx[x])) + (from + x), v = nearbyintf(bounded(p.my[x])) + y;
+            inside[x] = (u >= 0) & (u < j.W) & (v >= 0) & (v < j.H);
+            at[x] = inside[x] ? (int)v * j.W + (int)u : 0;
+        }
+        uint32_t *found = found_of(j, y / CELL, k) + y % CELL * j.W + from;
+        for (int part = 0; part < n; part += PART) {
+            int size = MIN(PART, n - part), apart = 0;
+            const int *its = at + part, *in = inside + part;
+            for (int x = 0; x < size; x++) apart |= !in[x] | (its[x] - x != its[0]);
+            for (int c = 0; c < 5; c++) __builtin_prefetch(j.kept[k] + c * j.plane + its[0] + 2 * j.W);  // for a row to come
+            if (apart || size < PART) read(j, j.kept[k], first + part, size, its, in, &p, part, found + part, 0);
+            else read(j, j.kept[k], first + part, PART, its, in, &p, part, found + part, 1);
+        }
+    }
+}
+
+// Sum up the differences between a kept frame and this one, in the cells of n pixels.
+static inline void compare(Job j, int cell_row, int k, int from, int n) {
+    int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
+    float sum[4][BLOCK] = {{0}};
+    for (int y = cell_row * CELL; y < MIN((cell_row + 1) * CELL, j.H); y++) {
+        const float *now = j.light + (int64_t)y * j.W + from;
+        const uint32_t *found = found_of(j, cell_row, k) + y % CELL * j.W + from;
+#pragma omp simd
+        for (int x = 0; x < n; x++) {
+            uint32_t other = found[stride + x];
+            float light[3] = {low(found[x]), high(found[x]), low(other)};
+#pragma GCC unroll 3
+            for (int c = 0; c < 3; c++) {
+                float d = high(other) * (light[c] - now[c * plane + x]);
+                sum[c][x] += d;
+                sum[3][x] += d * d;
+            }
+        }
+    }
+    for (int i = 0; i < 4; i++)
+        for (int x = 0; x < n; x += CELL) {
+            float total = 0;
+            for (int c = 0; c < CELL; c++) total += sum[i][x + c];
+            cells_of(j, cell_row, k)[i * j.columns + (from + x) / CELL] = total;
+        }
+}
+
+// The weight of unchanged light in a cell, from it and its neighbours.
+static inline float unchanged(Job j, int cell_row, int k, int column) {
+    float sum[4] = {0};
+    for (int i = MAX(cell_row - 1, 0); i <= MIN(cell_row + 1, j.rows - 1); i++)
+        for (int c = 0; c < 4; c++) {
+            const float *row = cells_of(j, i, k) + c * j.columns;
+            sum[c] += (column ? row[column - 1] : 0) + row[column] + (column + 1 < j.columns ? row[column + 1] : 0);
+        }
+    float q = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]) / MAX(sum[3], 1e-30f);
+    return MIN(MAX((j.changed - q) / (j.changed - j.alike), 0), 1);
+}
+
+// The mean over all kept frames, for n pixels of a row of cells.
+static inline void average(Job j, int cell_row, int from, int n) {
+    int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
+    float sum[CELL][4][BLOCK] = {{{0}}};
+    int height = MIN(CELL, j.H - cell_row * CELL);
+    for (int k = 0; k < j.K; k++) {
+        float weight[BLOCK];
+        for (int x = 0; x < n; x += CELL) {
+            float w = unchanged(j, cell_row, k, (from + x) / CELL);
+            for (int i = 0; i < CELL; i++) weight[x + i] = w;
+        }
+        for (int y = 0; y < height; y++) {
+            const uint32_t *found = found_of(j, cell_row, k) + y * j.W + from;
+#pragma omp simd
+            for (int x = 0; x < n; x++) {
+                uint32_t other = found[stride + x];
+                float w = weight[x] * high(other) * from_bits(found[2 * stride + x]);
+                sum[y][0][x] += w * low(found[x]);
+                sum[y][1][x] += w * high(found[x]);
+                sum[y][2][x] += w * low(other);
+                sum[y][3][x] += w;
+            }
+        }
+    }
+    for (int y = 0; y < height; y++) {
+        int64_t at = (int64_t)(cell_row * CELL + y) * j.W + from;
+#pragma omp simd
+        for (int x = 0; x < n; x++) {
+            j.count[at + x] = sum[y][3][x];
+            float scale = 1 / MAX(sum[y][3][x], 1e-6f);
+#pragma GCC unroll 3
+            for (int c = 0; c < 3; c++) j.mean[c * plane + at + x] = sum[y][c][x] * scale;
+        }
+    }
+}
+
+// Rows of cells [top, bottom).
+static void band(Job j, int top, int bottom) {
+    for (int row = MAX(top - 1, 0); row <= bottom; row++) {
+        if (row < j.rows)
+            for (int from = 0; from < j.W; from += BLOCK) {
+                int n = MIN(BLOCK, j.W - from);
+                for (int y = row * CELL; y < MIN((row + 1) * CELL, j.H); y++) look(j, y, from, n);
+                for (int k = 0; k < j.K; k++) compare(j, row, k, from, n);
+            }
+        if (row > top)
+            for (int from = 0; from < j.W; from += BLOCK) average(j, row - 1, from, MIN(BLOCK, j.W - from));
+    }
+}
+
+// light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], kept: B × K times [5, H, W],
+// mean like light, count like depth, all contiguous. found and cells hold the scratch of `threads` threads.
+void recall(const float *light, const float *motion, const float *depth, const float *normal, const uint32_t *const *kept,
+            float *mean, float *count, uint32_t *found, float *cells, int K, int B, int H, int W, float depth_tolerance,
+            float normal_tolerance, float alike, float changed, int threads) {
+    int64_t plane = (int64_t)H * W;
+    int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
+#pragma omp parallel for num_threads(threads) schedule(static)
+    for (int t = 0; t < threads; t++)
+        for (int b = 0; b < B; b++) {
+            Job j = {light + 3 * b * plane, motion + 2 * b * plane, depth + b * plane, normal + 3 * b * plane,
+                     kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
+                     found + (int64_t)t * FOUND * K * 3 * CELL * W, cells + (int64_t)t * SUMS * K * 4 * columns,
+                     depth_tolerance, normal_tolerance, alike, changed, plane, K, H, W, columns, rows};
+            band(j, (int64_t)rows * t / threads, (int64_t)rows * (t + 1) / threads);
+        }
+}
+
+static inline uint32_t half(float x) {  // bfloat16, the nearest, even in between
+    uint32_t bits = bits_of(x);
+    return isnan(x) ? 0x7fc0 : (bits + 0x7fff + (bits >> 16 & 1)) >> 16;
+}
+
+// light [B, 3, H, W], depth [B, 1, H, W], normal [B, 3, H, W], reset [B, 1, H, W], motion [B, 2, H, W], kept [B, 5, H, W], all
+// contiguous.
+void keep(const float *light, const float *depth, const float *normal, const float *reset, const float *motion,
+          uint32_t *kept, int B, int H, int W, int threads) {
+    int64_t plane = (int64_t)H * W;
+#pragma omp parallel for num_threads(threads) schedule(static)
+    for (int row = 0; row < B * H; row++) {
+        int64_t b = row / H, first = row % H * (int64_t)W;
+        const float *l = light + 3 * b * plane + first, *d = depth + b * plane + first, *r = reset + b * plane + first;
+        const float *n = normal + 3 * b * plane + first, *m = motion + 2 * b * plane + first;
+        uint32_t *out = kept + 5 * b * plane + first;
+#pragma omp simd
+        for (int x = 0; x < W; x++) {
+            out[x] = half(l[x]) | half(l[plane + x]) << 16;
+            out[plane + x] = half(l[2 * plane + x]) | half(d[x]) << 16;
+            out[2 * plane + x] = half(n[x]) | half(n[plane + x]) << 16;
+            out[3 * plane + x] = half(n[2 * plane + x]) | half(r[x]) << 16;
+            out[4 * plane + x] = half(m[x]) | half(m[plane + x]) << 16;
+        }
+    }
+}

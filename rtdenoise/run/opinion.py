@@ -1,0 +1,64 @@
+"""`denoise --oidn`: a second opinion in real time, mixed into the network's picture.
+
+OIDN sees one frame, and no network here filters a single frame as well. So it gets the light that the network has
+averaged over the last frames along tested motion, times the frame's albedo. With f(x) = log(1 + x), exposure s and the
+network's share a
+
+    image = f⁻¹(a · f(s · network) + (1 - a) · f(s · OIDN)) / s
+
+The average has to be one of recent frames (`ops.recall`): the lookups of a running mean between pixels leave blotches,
+which OIDN takes for light (docs/notes/offline.md). History stays the network's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.util import find_spec
+
+from torch import Tensor
+
+from ..baselines.oidn import Oidn
+from ..color import albedo_divisor, compress, expand
+from ..errors import InputError
+from ..exposure import exposure
+from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..models.presets import Config
+from ..ops.even_sky import even_sky
+from ..sanitise import sanitise
+from .graphs import Step
+
+RECENT = 8  # frames that the network keeps here, whatever its configuration says
+# The network's share: of those that keep recent frames by themselves, and of the others, `many` above all, which loses
+# more of what many samples show (docs/notes/opinion.md).
+SHARES = {True: 0.5, False: 0.3}
+
+
+class Opinion:
+    """OIDN, asked about the frames of one network."""
+
+    def __init__(self, config: Config) -> None:
+        """`config` of the network as it is stored. Raises InputError where `pyoidn` is not installed."""
+        if find_spec("pyoidn") is None:
+            raise InputError("--oidn: OIDN is not installed: pip install pyoidn")
+        self._oidn, self._share = Oidn(), SHARES[config.recent > 0]
+
+    def step(
+        self, step: Step, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History]:
+        """The step of a network that keeps recent frames, with OIDN's opinion mixed into its image. Raises InputError
+        for batches."""
+        if len(frame.radiance) != 1:
+            raise InputError(f"OIDN takes one picture at a time, got {len(frame.radiance)}")
+        frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
+        image, onward = step(frame, history, known)
+        averaged = onward.mean * albedo_divisor(frame.albedo, frame.depth)
+        picture, _ = self._oidn.step(replace(frame, radiance=averaged))
+        image = mixed(image, picture, self._share)
+        return even_sky(image, frame.radiance, frame.depth), onward  # OIDN filters the sky, too
+
+
+def mixed(image: Tensor, picture: Tensor, share: float) -> Tensor:
+    """`share` of the network's image and the rest of OIDN's picture, `[1, 3, H, W]`; the equation stands above."""
+    scale = exposure(image)
+    ours, theirs = (compress(scale * x) for x in (image, picture.clamp(min=0)))
+    return expand(share * ours + (1 - share) * theirs) / scale

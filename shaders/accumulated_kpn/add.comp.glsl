@@ -1,0 +1,31 @@
+#version 430
+// Add what `look` found to the mean of recent light, as far as the light there has not changed (ops.recall):
+//
+//     weight = found.w · clamp((RECALL_CHANGED - q) / (RECALL_CHANGED - RECALL_ALIKE), 0, 1),    q = |Σ d|² / Σ |d|²
+//
+// with sums over a cell and the eight around it. The FIRST dispatch starts from nothing, the LAST divides by the weights.
+#pragma constants FIRST LAST RECALL_CELL RECALL_ALIKE RECALL_CHANGED
+#include "image.glsl"
+
+#pragma reads vec4 found      // [H, W] rgb; 0 on another surface, else the share that resets left
+#pragma reads vec4 cells      // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] Σ d, Σ |d|²
+#pragma changes vec4 running  // [H, W] Σ weight · rgb, or at last the mean; Σ weight
+
+void main() {
+    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
+    if (!inside(pixel, size)) return;
+
+    ivec2 extent = (size + RECALL_CELL - 1) / RECALL_CELL, cell = pixel / RECALL_CELL;
+    vec4 sum = vec4(0.0);
+    for (int k = 0; k < 9; ++k) {
+        ivec2 c = cell + ivec2(k % 3, k / 3) - 1;
+        if (inside(c, extent)) sum += cells[at(c, extent)];
+    }
+    float q = dot(sum.rgb, sum.rgb) / max(sum.w, 1e-30);
+    int i = at(pixel, size);
+    float weight = found[i].w * clamp((RECALL_CHANGED - q) / (RECALL_CHANGED - RECALL_ALIKE), 0.0, 1.0);
+    vec4 total = vec4(weight * found[i].rgb, weight);
+    if (FIRST == 0) total += running[i];
+    if (LAST == 1) total.rgb /= max(total.w, 1e-6);
+    running[i] = total;
+}

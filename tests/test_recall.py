@@ -1,0 +1,267 @@
+"""Recent frames: kept, followed along chained motion, tested for changed light, averaged (`ops.recall`); and the
+network that keeps them."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from synthetic import TINY, Stop, make_frames, stop_after, write_sequence
+
+from rtdenoise import models, ops
+from rtdenoise.color import albedo_divisor
+from rtdenoise.errors import InputError
+from rtdenoise.frame import OFF_SCREEN, History
+from rtdenoise.history import load_history, resize, save_history
+from rtdenoise.models import AccumulatedKPNConfig
+from rtdenoise.ops.recall import keep, recall
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.tiles import Tiled, carried
+
+SIZE = 16, 24
+SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3)
+
+
+def image(*values):
+    return torch.tensor(values).reshape(1, -1, 1, 1).expand(1, -1, *SIZE).clone()
+
+
+WALL = image(4.0), image(0.0, 0.0, 1.0)  # depth, normal
+
+
+def noisy(mean=1.0):
+    return mean * torch.empty(1, 3, *SIZE).exponential_()
+
+
+def kept(light, depth, normal, motion, reset=0.0):
+    return keep(light, depth, normal, image(reset), motion)
+
+
+@pytest.fixture(params=["plain", "fused"])
+def choice(request):
+    with ops.use(request.param):
+        yield
+
+
+@pytest.fixture(autouse=True)
+def seed():
+    torch.manual_seed(0)
+
+
+# The op
+
+
+def test_light_that_stays_is_averaged(choice):
+    lights = [noisy().bfloat16().float() for _ in range(5)]
+    still = image(0.0, 0.0)
+    mean, count = recall(noisy(), still, WALL, [kept(light, *WALL, still) for light in lights])
+    assert (count > 4.5).float().mean() > 0.7
+    whole = (count == 5).expand_as(mean)
+    assert whole.any()
+    torch.testing.assert_close(mean[whole], torch.stack(lights).mean(0)[whole])
+
+
+def test_light_that_has_changed_is_left_out(choice):
+    still = image(0.0, 0.0)
+    frames = [kept(noisy(mean), *WALL, still) for mean in (1.0, 20.0, 0.01, 1.0)]
+    mean, count = recall(noisy(), still, WALL, frames)
+    assert 1.5 < count.mean() <= 2.001
+    assert 0.8 < mean.mean() < 1.2
+
+
+def test_a_reset_takes_weight_from_older_frames(choice):
+    still, lights = image(0.0, 0.0), [noisy().bfloat16().float() for _ in range(4)]
+    frames = [kept(light, *WALL, still, r) for light, r in zip(lights, (0.0, 0.5, 1.0, 0.0), strict=True)]
+    mean, count = recall(noisy(), still, WALL, frames)
+    whole = (count == 2.5).expand_as(mean)
+    assert whole.float().mean() > 0.5
+    expected = (lights[0] + lights[1] + 0.5 * lights[2]) / 2.5
+    torch.testing.assert_close(mean[whole], expected[whole])
+
+
+def test_paths_add_up_before_they_are_rounded(choice):
+    """0.3 pixels a frame: 0, 1, 1 after one, two and three frames."""
+    motion, light = image(-0.3, 0.0), noisy().bfloat16().float()
+    mean, count = recall(noisy(), motion, WALL, [kept(light, *WALL, motion) for _ in range(3)])
+    expected = (light + 2 * light.roll(1, dims=3)) / 3
+    whole = (count == 3).expand_as(mean)
+    assert whole.float().mean() > 0.5 and not whole[..., 0].any()
+    torch.testing.assert_close(mean[whole], expected[whole])
+
+
+@pytest.mark.parametrize("bad", [OFF_SCREEN, 1e30, -1e30, 3.4e38, float("nan"), 24.0])
+def test_paths_end_off_the_screen(choice, bad):
+    still, away = image(0.0, 0.0), image(bad, bad)
+    frames = [kept(noisy(), *WALL, still), kept(noisy(), *WALL, away), kept(noisy(), *WALL, still)]
+    mean, count = recall(noisy(), away, WALL, frames)
+    assert not count.any() and not mean.any()
+    _, count = recall(noisy(), still, WALL, frames)
+    assert 1 < count.max() <= 2  # the second frame leads away from the third
+
+
+def test_without_motion_a_frame_is_the_last_of_a_path(choice):
+    still = image(0.0, 0.0)
+    frames = [kept(noisy(), *WALL, None), kept(noisy(), *WALL, still)]
+    assert recall(noisy(), still, WALL, frames)[1].max() <= 1
+
+
+def test_other_surfaces_are_left_out(choice):
+    still, (depth, normal) = image(0.0, 0.0), WALL
+    for other in ((depth * 2, normal), (depth, -normal), (depth * 0, normal)):
+        assert not recall(noisy(), still, WALL, [kept(noisy(), *other, still)])[1].any()
+    miss = depth * 0, normal
+    assert recall(noisy(), still, miss, [kept(noisy(), *miss, still)])[1].any()  # the sky is one surface
+
+
+def test_without_frames_there_is_no_mean(choice):
+    mean, count = recall(noisy(), image(0.0, 0.0), WALL, [])
+    assert not mean.any() and not count.any()
+
+
+def test_shapes_are_checked():
+    with pytest.raises(ValueError, match="expected kept frames of"):
+        recall(noisy(), image(0.0, 0.0), WALL, [torch.zeros(1, 5, 4, 4, dtype=torch.int32)])
+
+
+# The network
+
+
+def test_resets_are_kept(network):
+    frames = make_frames(3)
+    _, history = run(network, frames)
+    newest, middle, oldest = (kept[:, 3].view(torch.bfloat16)[..., 1::2].float() for kept in history.recent)
+    assert not oldest.any()  # it has none before it
+    assert (newest > 0).all() and (middle > 0).all() and (newest < 0.2).all()
+
+
+def run(model, frames, history=None):
+    images = []
+    with torch.inference_mode():
+        for frame in frames:
+            picture, history = model.step(frame, history)
+            images.append(picture)
+    return torch.cat(images), history
+
+
+@pytest.fixture
+def network():
+    return models.create(SMALL).eval()
+
+
+def test_the_newest_frames_are_kept(network):
+    frames = make_frames(6)
+    assert [len(run(network, frames[:n])[1].recent) for n in (1, 2, 5)] == [1, 2, 3]
+    _, history = run(network, frames[:5])
+    alone = [run(network, [frame])[1].recent[0] for frame in frames[:5]]
+    everything = torch.tensor([-1, -1, -1, 0xFFFF, -1], dtype=torch.int32).reshape(1, 5, 1, 1)  # but for resets
+    for kept, expected in zip(history.recent, alone[:1:-1], strict=True):
+        assert torch.equal(kept & everything, expected & everything)
+
+
+def test_the_mean_is_of_recent_frames_and_this_one(network):
+    """Lookups of a still picture mix nothing, so that its mean is as quiet as so many frames."""
+    shot = [replace(f, motion=torch.zeros_like(f.motion), albedo=torch.ones_like(f.albedo)) for f in make_frames(1) * 4]
+    shot = [replace(f, radiance=torch.empty_like(f.radiance).exponential_()) for f in shot]
+    _, history = run(network, shot)
+    expected = torch.stack([f.radiance for f in shot]).mean(0) / albedo_divisor(shot[0].albedo, shot[0].depth)
+    whole = (history.length > 3.5).expand_as(history.mean)  # a fresh network resets a little
+    assert whole.float().mean() > 0.5
+    assert (history.mean - expected)[whole].abs().mean() < 0.25 * expected.std()
+
+
+def test_a_saved_history_goes_on_to_the_bit(network, tmp_path):
+    frames = make_frames(6)
+    expected, _ = run(network, frames)
+    _, history = run(network, frames[:4])
+    save_history(tmp_path / "h.safetensors", history)
+    found, _ = run(network, frames[4:], load_history(tmp_path / "h.safetensors")[0])
+    assert torch.equal(found, expected[4:])
+
+
+@pytest.mark.parametrize("change", ["dtype", "channels", "nan"])
+def test_damaged_recent_frames_are_refused(network, tmp_path, change):
+    _, history = run(network, make_frames(2))
+    first, *rest = (kept.clone() for kept in history.recent)
+    if change == "nan":
+        first[0, 1, 3, 3] = 0x7FC0  # the low half
+    else:
+        first = first.float() if change == "dtype" else first[:, :4]
+    save_history(tmp_path / "h.safetensors", replace(history, recent=(first, *rest)))
+    with pytest.raises(InputError, match=r"recent\.0"):
+        load_history(tmp_path / "h.safetensors")
+
+
+def test_layers_come_back(network):
+    _, history = run(network, make_frames(3))
+    again = History.from_layers(history.layers())
+    assert all(torch.equal(a, b) for a, b in zip(again.recent, history.recent, strict=True))
+    layers = history.layers()
+    del layers["recent.0"]
+    with pytest.raises(ValueError, match="not the fields of a history"):
+        History.from_layers(layers)
+
+
+def test_another_size_starts_without_recent_frames(network):
+    _, history = run(network, make_frames(3))
+    larger = resize(history, (48, 64))
+    assert larger.recent == () and larger.mean.shape[2:] == (48, 64)
+    picture, _ = run(network, make_frames(4, H=48, W=64)[3:], larger)
+    assert picture.isfinite().all()
+
+
+def test_tiles_are_seamless():
+    model = models.create(SMALL).eval()
+    frames = [replace(f, motion=f.motion * 4) for f in make_frames(5, H=64, W=96)]
+    expected, _ = run(model, frames)
+    tiled = Tiled(model)
+    tiled.split = lambda window: [(y, x, min(y + 32, 64), min(x + 32, 96)) for y in (0, 32) for x in (0, 32, 64)]
+    found, _ = run(tiled, frames)
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_tiles_reach_as_far_as_paths_go():
+    """Each kept frame leads on to the one before: 7.25 pixels a frame, the second one 20 where an object moves."""
+    frames = [replace(f, motion=torch.full_like(f.motion, 7.25)) for f in make_frames(4, H=64, W=96)]
+    frames[1].motion[:, 0, 5, 5] = -20.0
+    model = models.create(SMALL).eval()
+    lengths = [carried(frame, run(model, frames[:i])[1] if i else None) for i, frame in enumerate(frames)]
+    assert lengths[0] is None
+    reach = [tuple(length.amax((2, 3))[0].tolist()) for length in lengths[1:]]
+    short = reach[0][1]  # one lookup
+    assert reach[1][1] >= short + 7.25 and reach[2][1] >= short + 2 * 7.25
+    assert reach[2][0] >= reach[2][1] + 20 - 7.25
+
+
+@pytest.mark.parametrize("backend", ["torch", "glsl"])
+def test_an_interrupted_run_goes_on_to_the_bit(tmp_path, backend):
+    models.save(models.create(SMALL), tmp_path / "w.safetensors")
+    shot = write_sequence(tmp_path / "shot", make_frames(8))
+    options = Options(model=str(tmp_path / "w.safetensors"), precision="fp32", float32=True, backend=backend)
+    denoise(str(shot), tmp_path / "whole", options)
+
+    with pytest.raises(Stop):
+        denoise(str(shot), tmp_path / "parts", options, on_frame=stop_after(5))
+    state = tmp_path / "parts" / ".rtdenoise-state.safetensors"
+    assert b"recent" not in state.read_bytes()  # they would be most of it; their resets are there
+    assert denoise(str(shot), tmp_path / "parts", options).skipped == 5
+    for path in sorted((tmp_path / "whole").glob("*.exr")):
+        assert path.read_bytes() == (tmp_path / "parts" / path.name).read_bytes()
+
+
+def test_it_trains():
+    network = models.create(SMALL)
+    frames = make_frames(3)
+    _, history = network.step(frames[0])
+    picture, history = network.step(frames[1], history)
+    picture.mean().backward()
+    assert all(parameter.grad is not None for parameter in network.unet.parameters())
+    assert not any(kept.requires_grad for kept in history.recent)
+
+
+@pytest.mark.parametrize("recent", [-1, 16, True, 1.5, "8"])
+def test_settings_are_checked(recent):
+    with pytest.raises(ValueError, match="recent: expected"):
+        replace(SMALL, recent=recent)
+
+
+def test_the_paper_keeps_none():
+    assert TINY.recent == 0
