@@ -41,13 +41,14 @@ def parsed(words):
     return trained
 
 
-@pytest.mark.parametrize("model", ["default", "fast", "quality", "many", "combiner"])
+@pytest.mark.parametrize("model", ["default", "fast", "quality", "many", "hybrid", "combiner"])
 def test_the_recipe_is_that_of_the_weights(model):
     commands = printed(model, SCENES="scenes", ASSETS="library")
     shipped = [words[1:] for words in commands if words[1].endswith("ship_weights.py")]
     *means, ship = [[word for word in words if not word.startswith("set:")] for words in shipped]
     trained = parsed(commands)
     written = {str(config.out / "weights.safetensors") for config in trained} | {mean[1] for mean in means}
+    written |= {words[2] for words in commands if words[1].endswith("begin_hybrid.py")}
     assert {str(config.init) for config in trained if config.init} <= written
     assert {part.rpartition("=")[0] or part for mean in (*means, ship) for part in mean[2:]} <= written
     assert ship[1] == model and f"runs/{model}-last/weights.safetensors" in ship[-1]

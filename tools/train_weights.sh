@@ -1,6 +1,6 @@
 #!/bin/sh
 # Make the weights that ship, from the first clip on:
-#     sh tools/train_weights.sh default|fast|quality|many|combiner [cpu|cuda]
+#     sh tools/train_weights.sh default|fast|quality|many|hybrid|combiner [cpu|cuda]
 # `settings` instead of a model trains the paper's settings A, B and C, which docs/results/quality.md compares, into
 # runs/paper-A, -B and -C.
 #
@@ -21,10 +21,10 @@ cd "$(dirname "$0")/.."
 trap 'exit 143' TERM # after the running command has written its checkpoint
 model=${1:-} device=${2:-cpu}
 case $model in
-    default | fast | quality | many | combiner | settings) ;;
-    *) echo "expected default, fast, quality, many, combiner or settings, got '$model'" >&2; exit 2 ;;
+    default | fast | quality | many | hybrid | combiner | settings) ;;
+    *) echo "expected default, fast, quality, many, hybrid, combiner or settings, got '$model'" >&2; exit 2 ;;
 esac
-case $model in default | many | quality | combiner)
+case $model in default | many | quality | hybrid | combiner)
     [ -n "${ASSETS:-}" ] || { echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2; };;
 esac
 
@@ -45,6 +45,24 @@ wide="--generator 2"
 noisy="--reference-error 0.2"
 files=${SCENES:+--scenes $SCENES --motions examples/motions}
 two=${SCENES:+--exclude street dining-room} # of the other scenes this set shows three, none of the measured ones
+ship() { run python tools/ship_weights.py "$@"; } # NAME FILE, or a mean: NAME FILE=SHARE...
+if [ "$model" = hybrid ]; then # OIDN's network learns what averaged light is worth; the kernels are those of `default`
+    begin=runs/hybrid-begin.safetensors last=runs/hybrid-last
+    history="--size 160 --frames 2 --sun 0.5"
+    clips windows --assets "$ASSETS" $files --count 157 --seed 771 --size 192 --frames 2 --lead-in 9 \
+        --reference-error 0.05 --most-spp 8
+    clips repeated --assets "$ASSETS" $files --count 54 --seed 4242 --size 192 --frames 1 --repeats 8 \
+        --reference-error 0.3 --most-spp 4
+    clips small $wide $files --count 20 --seed 95500 $history --lead-in 12 --calm 0.3 --reference-error 0.02
+    clips more-small $wide $files --count 126 --seed 96500 $history --lead-in 9 --calm 0.2 $noisy
+    run python tools/begin_hybrid.py $begin
+    run rtdenoise train --out $last --model hybrid --device "$device" --init $begin --signal both --loss-exposure 4 \
+        --huber 0.2 --loss-power 0.5 --no-occlusion-loss --batch 1 --warmup 50 --frames 2 --lead-in 9 --cuts 0.15 \
+        --shade 0.15 --steps 3600 --lr 1e-4 \
+        --data data/windows-clean data/repeated-clean data/small-clean data/more-small-clean
+    ship hybrid $begin=0.5 $last/weights.safetensors=0.5 set:recent=8
+    exit
+fi
 run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128
 if [ "$model" = settings ]; then
     clips some-scenes $wide --count 56 --seed 9000 $noisy $files
@@ -110,7 +128,6 @@ case $model in default | quality) clips sharp-stills $stills --reference-error 0
 
 loss="--loss-exposure 4 --huber 0.2" # of our own networks; the paper's takes the defaults
 fields= # of the configuration, other than the preset's
-ship() { run python tools/ship_weights.py "$@"; } # NAME FILE, or a mean: NAME FILE=SHARE...
 train() { # RUN OPTIONS...: train $network into runs/NETWORK-RUN
     out=runs/$network-$1; shift
     several=

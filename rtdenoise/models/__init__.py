@@ -9,6 +9,7 @@ _HOMES = {
     "AccumulatedKPN": "accumulated_kpn", "AccumulatedKPNConfig": "config", "COMBINERS": "presets",
     "Combined": "window", "Combiner": "combiner", "CombinerConfig": "combiner_config", "Config": "presets",
     "Denoiser": "denoiser", "GuidedAttention": "afgsa", "GuidedAttentionConfig": "afgsa_config",
+    "Hybrid": "hybrid", "HybridConfig": "hybrid_config",
     "MLTDConfig": "mltd_config", "PRESETS": "presets", "RecurrentTransformer": "mltd", "STILLS": "presets",
     "Shrinkage": "shrinkage", "TemporalKPN": "temporal_kpn", "TemporalKPNConfig": "config", "Window": "window",
     "available": "weights", "available_combiners": "weights", "create": "loading", "find": "weights",

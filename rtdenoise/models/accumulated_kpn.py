@@ -24,35 +24,21 @@ from torch.nn import functional as F
 
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
-from ..ops import apply_kernel, compose, downsample, pick, reproject, soften, warp
+from ..ops import apply_kernel, compose, downsample, pick, soften
 from ..ops.blend_history import blend_history
 from ..ops.even_sky import even_sky
 from ..ops.features import features
 from ..ops.pixels import accumulate, demodulate, modulate, nearness
-from ..ops.recall import keep, recall
 from ..ops.shares import shares
 from ..sanitise import admit
-from ..splat import history_motion
 from .config import AccumulatedKPNConfig
 from .inference import as_weights
 from .losses import frame_loss
+from .past import Past, kept, reprojected
 from .refinement import GuidedRefinement
 from .unet import ConvRelu, UNet, by_name
 
 FIRST_FRAME = slice(0, 3), slice(6, 19)  # input channels that are not zero everywhere in a first frame
-
-
-@dataclass(frozen=True)
-class Past:
-    """The history of each pixel, reprojected. Zero where there is none."""
-
-    light: Tensor  # [B, 3, H, W] mean of irradiance
-    albedo: Tensor  # [B, 3, H, W] running mean of albedo
-    length: Tensor  # [B, 1, H, W] frames in the mean of irradiance
-    albedo_length: Tensor  # [B, 1, H, W] likewise, but 0 where albedo is: light can reach farther back
-    output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where it was off the screen
-    on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
-    uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
 
 
 @dataclass(frozen=True)
@@ -127,7 +113,7 @@ class AccumulatedKPN(nn.Module):
         frame = admit(frame, history and history.radiance, known)
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance where the surface is diffuse
 
-        past = self.reprojected(frame, noisy, history, known)
+        past = reprojected(self.config, frame, noisy, history, known)
         most, kept = self.config.longest - 1, torch.zeros_like(past.length)
         mean_albedo = frame.albedo
         if not known.first:
@@ -177,31 +163,7 @@ class AccumulatedKPN(nn.Module):
             output = apply_kernel(output, heads.edge)
         return blend_history(output, past, seen, heads.temporal, heads.alpha_temporal)
 
-    def reprojected(self, frame: Frame, noisy: Tensor, history: History | None, known: Known = NOTHING_KNOWN) -> Past:
-        """History, reprojected to this frame: means from the same surface only, the previous output from any."""
-        if history is None:
-            nothing = torch.zeros_like(frame.radiance)
-            never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
-            return Past(nothing, nothing, nothing[:, :1], nothing[:, :1], frame.radiance, never, never)
-        kind = "traditional" if known.covered else self.config.motion
-        motion, seen, uncovered = history_motion(frame, history, kind)
-        here, before = (frame.depth, frame.normal), (history.depth, history.normal)
-        if self.config.recent:
-            light, length = recall(noisy, motion, here, history.recent)
-            albedo, found = reproject(history.mean_albedo, motion, here, before)
-            albedo_length = length * found
-        else:
-            means = history.mean, history.mean_albedo, history.length
-            light, albedo, length = reproject(means, motion, here, before)[0].split([3, 3, 1], dim=1)
-            albedo_length = length
-        output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
-        return Past(light, albedo, length, albedo_length, output, seen, uncovered)
-
-    def kept(self, frame: Frame, reset: Tensor, noisy: Tensor | None = None) -> Tensor:
-        """A sanitised frame as `History.recent` has it. `noisy`: its demodulated light, where that is known."""
-        if noisy is None:
-            noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
-        return keep(noisy, frame.depth, frame.normal, reset, frame.motion)
+    kept = staticmethod(kept)
 
     def features(
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN

@@ -42,8 +42,13 @@ class NetworkConfig:
         """Raise ValueError for fields that no network can have."""
         object.__setattr__(self, "widths", tuple(self.widths))
         self.check_kernels(*kernels)
-        if not 2 <= len(self.widths) <= self.max_levels or not all(1 <= width <= MAX_WIDTH for width in self.widths):
-            raise ValueError(f"expected 2 to {self.max_levels} widths from 1 to {MAX_WIDTH}, got {self.widths}")
+        self.check_widths("widths")
+
+    def check_widths(self, name: str) -> None:
+        """The part of `check` that concerns one list of channels."""
+        widths = getattr(self, name)
+        if not 2 <= len(widths) <= self.max_levels or not all(1 <= width <= MAX_WIDTH for width in widths):
+            raise ValueError(f"{name}: expected 2 to {self.max_levels} widths from 1 to {MAX_WIDTH}, got {widths}")
 
     def check_kernels(self, *kernels: str) -> None:
         """The part of `check` that serves networks of any form."""

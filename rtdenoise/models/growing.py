@@ -46,7 +46,7 @@ def grow(small: AccumulatedKPN, wanted: Config) -> AccumulatedKPN:
 
 
 def _fits(was: Config, wanted: Config) -> bool:
-    if not all(isinstance(c, AccumulatedKPNConfig) for c in (was, wanted)) or len(was.widths) != len(wanted.widths):
+    if not all(type(c) is AccumulatedKPNConfig for c in (was, wanted)) or len(was.widths) != len(wanted.widths):
         return False
     wider = all(a <= b for a, b in zip(was.widths, wanted.widths, strict=True))
     new = {name: value for name, value in WITHOUT.items() if getattr(was, name) == value}

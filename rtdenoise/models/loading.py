@@ -15,6 +15,7 @@ from .accumulated_kpn import AccumulatedKPN
 from .afgsa import GuidedAttention
 from .combiner import Combiner
 from .denoiser import Denoiser
+from .hybrid import Hybrid
 from .inference import prepare, resolve
 from .mltd import RecurrentTransformer
 from .presets import SHRINKAGE, Config
@@ -24,7 +25,7 @@ from .weights import StoredModel, read_denoiser, read_model
 
 NETWORKS = {
     "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "afgsa": GuidedAttention,
-    "mltd": RecurrentTransformer,
+    "mltd": RecurrentTransformer, "hybrid": Hybrid,
 }  # fmt: skip
 """`Config.architecture` -> the network."""
 

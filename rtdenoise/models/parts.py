@@ -98,7 +98,7 @@ def _past(
     kernels: Kernels,
     known: Known,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The history of lights, passed and outputs, reprojected as `AccumulatedKPN.reprojected` does. Outputs where
+    """The history of lights, passed and outputs, reprojected as `past.reprojected` does. Outputs where
     motion leads off the screen are not used."""
     if history is None:
         sizes = parts.lights.shape[1], parts.passed.shape[1], 3 * len(parts.outputs)

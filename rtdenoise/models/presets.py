@@ -9,19 +9,24 @@ from ..errors import InputError
 from .afgsa_config import GuidedAttentionConfig
 from .combiner_config import CombinerConfig
 from .config import AccumulatedKPNConfig, TemporalKPNConfig
+from .hybrid_config import HybridConfig
 from .mltd_config import MLTDConfig
 
-Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | GuidedAttentionConfig | MLTDConfig
+Config = TemporalKPNConfig | AccumulatedKPNConfig | CombinerConfig | GuidedAttentionConfig | MLTDConfig | HybridConfig
 CONFIGS: dict[str, type[Config]] = {
     kind.architecture: kind
-    for kind in (TemporalKPNConfig, AccumulatedKPNConfig, CombinerConfig, GuidedAttentionConfig, MLTDConfig)
-}
+    for kind in (
+        TemporalKPNConfig, AccumulatedKPNConfig, HybridConfig, CombinerConfig, GuidedAttentionConfig, MLTDConfig,
+    )
+}  # fmt: skip
 
 PRESETS: dict[str, Config] = {
     "paper": TemporalKPNConfig(),
     "fast": AccumulatedKPNConfig(widths=(16, 24, 32, 48, 64), kernel=3, edge_kernel=3),
     "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3, detail=True),
     "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
+    "hybrid": HybridConfig(),
+    "hybrid-small": HybridConfig(down=(32, 32, 32, 32, 32), up=(32, 64, 64, 64), out=(32, 32, 64, 64)),
     "mltd": MLTDConfig(),
     "mltd-small": MLTDConfig(width=16, blocks=(1,) * 8, kernel=7),
 }

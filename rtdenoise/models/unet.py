@@ -50,7 +50,7 @@ class UNet(nn.Module):
 
         skips = []
         for level, convolve in enumerate(self.encoder):
-            x = convolve(_pool(x) if level else x)
+            x = convolve(pool(x) if level else x)
             skips.append(x)
 
         features = []
@@ -61,19 +61,20 @@ class UNet(nn.Module):
         return features[::-1]
 
 
-def double(inputs: int, outputs: int) -> list[nn.Module]:
-    """Two 3×3 convolutions with their ReLU."""
+def double(inputs: int, outputs: int, last: int | None = None) -> list[nn.Module]:
+    """Two 3×3 convolutions with their ReLU; the second has `last` channels, or `outputs`."""
     return [
         nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(inplace=True),
-        nn.Conv2d(outputs, outputs, 3, padding=1), nn.ReLU(inplace=True),
+        nn.Conv2d(outputs, last or outputs, 3, padding=1), nn.ReLU(inplace=True),
     ]  # fmt: skip
 
 
 class Up(nn.Sequential):
     """One level of the decoder: enlarge the coarser level, join the skip connection, convolve twice."""
 
-    def __init__(self, below: int, outputs: int) -> None:
-        super().__init__(*double(below + outputs, outputs))
+    def __init__(self, below: int, outputs: int, skip: int | None = None, last: int | None = None) -> None:
+        """`skip` channels of the skip connection and `last` of the output, where these are not `outputs`."""
+        super().__init__(*double(below + (skip or outputs), outputs, last))
         self.below = below
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
@@ -81,7 +82,7 @@ class Up(nn.Sequential):
         return super().forward(torch.cat([F.interpolate(x, scale_factor=2, mode="nearest"), skip], dim=1))
 
 
-def _pool(x: Tensor) -> Tensor:
+def pool(x: Tensor) -> Tensor:
     """2×2 max pooling. Without gradients by two `maximum`s, rows first: they are vectorised in every layout, torch's
     own pooling is not in channels last. With gradients by `F.max_pool2d`: its backward is vectorised, that of `maximum`
     is not."""

@@ -77,7 +77,7 @@ class LightBackend:
         from ..models.accumulated_kpn import AccumulatedKPN
 
         self.network = inner.network
-        if not isinstance(self.network, AccumulatedKPN):
+        if type(self.network) is not AccumulatedKPN:  # `hybrid` writes pixels: not linear in the light
             raise InputError(f"{told}: goes with --model default, many, fast or quality, which filter irradiance")
         if self.network.config.recent:
             raise ValueError("light in parts needs a running mean: TorchBackend(..., recent=0)")

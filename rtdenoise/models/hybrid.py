@@ -1,0 +1,107 @@
+"""Kernel prediction, and a network that writes pixels, mixed: the best picture in real time.
+
+A kernel mixes the light that is there; a network that writes pixels also knows pictures, and errs elsewhere. So the
+light that `accumulated_kpn` has averaged goes through a U-Net that writes pixels, which also sees the kernels' image
+and says for every pixel how much of each to show. History is the kernels' own.
+
+The U-Net has the form of Open Image Denoise's (Áfra 2019-2025, Apache License 2.0), whose weights its training begins
+with: it learns what averaged light is worth, not what pictures are.
+"""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ..color import albedo_divisor, compress, expand
+from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..ops.blend import blend
+from ..ops.even_sky import even_sky
+from ..ops.features import features
+from ..ops.pixels import nearness
+from ..sanitise import admit
+from .accumulated_kpn import AccumulatedKPN
+from .hybrid_config import HybridConfig
+from .unet import ConvRelu, Up, pool
+
+CELL = 16
+CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + CONTRAST): dark parts matter, too
+LIGHT = 9  # first channels of the input, of compressed light, which `UNIT` brings to the size of the others
+UNIT = 0.06145
+
+
+class Hybrid(AccumulatedKPN):
+    """The networks and their one-frame step, a `models.Denoiser`."""
+
+    def __init__(self, config: HybridConfig) -> None:
+        super().__init__(config)
+        self.pixels = PixelNetwork(config)
+
+    def step(
+        self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
+    ) -> tuple[Tensor, History]:
+        """As `Denoiser.step`. Training leaves the kernels as they are: no gradient reaches them."""
+        frame = admit(frame, history and history.radiance, known)
+        if known.exposure is None:
+            exposure, distance = self.statistics(frame)
+            known = replace(known, exposure=exposure, distance=distance)
+        with torch.no_grad():
+            image, after, kernels = self.step_and_kernels(frame, history, replace(known, sanitised=True))
+            scale = CONTRAST * known.exposure
+            light = after.mean * albedo_divisor(frame.albedo, frame.depth), frame.radiance, image
+            geometry = frame.albedo, after.mean_albedo, frame.normal, nearness(frame.depth, known.distance)
+            time = kernels.length / self.config.longest, kernels.seen
+            x = features(light, (*geometry, *time), scale, self.stem.weight)
+            least, most = surroundings(light[0], image)
+        pixels, share = self.pixels(x)
+        pixels = (expand(pixels) / scale).clamp(least, most)
+        mixed = expand(blend(compress(pixels * scale), compress(image * scale), share)) / scale
+        return even_sky(mixed, frame.radiance, frame.depth), after
+
+
+def surroundings(light: Tensor, image: Tensor) -> tuple[Tensor, Tensor]:
+    """The least and the greatest values of both, `[B, C, H, W]` each, in cells of `CELL` × `CELL` pixels and the eight
+    around them: where a network that writes pixels must stay, so that black stays black and even light even."""
+    H, W = light.shape[2:]
+
+    def greatest(x: Tensor) -> Tensor:
+        x = F.max_pool2d(F.max_pool2d(x, CELL, ceil_mode=True), 3, stride=1, padding=1)
+        return F.interpolate(x, scale_factor=CELL, mode="nearest")[..., :H, :W]
+
+    return -greatest(-torch.minimum(light, image)), greatest(torch.maximum(light, image))
+
+
+class PixelNetwork(nn.Module):
+    """A U-Net from a frame's light and surfaces to its pixels."""
+
+    def __init__(self, config: HybridConfig) -> None:
+        super().__init__()
+        self.encoder = nn.ModuleList(ConvRelu(a, b, 3, padding=1) for a, b in config.convolutions)
+        self.decoder = nn.ModuleList(Up(*level) for level in config.levels)
+        self.last = nn.Conv2d(config.out[0], 4, 3, padding=1)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """`features`, `[B, C, H, W]`, to light compressed alike, `[B, 3, H, W]` ≥ 0, and its weight against the
+        kernels' image, `[B, 1, H, W]` in [0, 1]; both float32: rounding compressed light to 8 bits would be seen."""
+        H, W = x.shape[2:]
+        cell = 2 ** len(self.decoder)
+        if H % cell or W % cell:
+            x = F.pad(x, (0, -W % cell, 0, -H % cell), mode="replicate")
+        x = torch.cat([x[:, :LIGHT] * UNIT, x[:, LIGHT:]], dim=1)
+        skips = [x]
+        x = self.encoder[1](self.encoder[0](x))
+        for convolve in self.encoder[2:-1]:
+            x = pool(x)
+            skips.append(x)
+            x = convolve(x)
+        x = self.encoder[-1](x)
+        for level in reversed(range(len(self.decoder))):
+            x = self.decoder[level](x, skips[level])
+        with nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False):
+            y = F.conv2d(x.float(), self.last.weight.float(), self.last.bias.float(), padding=1)[..., :H, :W]
+        pixels, share = y.split([3, 1], dim=1)
+        return F.relu(pixels) / UNIT, share.sigmoid()

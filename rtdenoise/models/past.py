@@ -1,0 +1,66 @@
+"""What a network that averages light knows of each pixel from the frames before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..ops import reproject, warp
+from ..ops.pixels import demodulate
+from ..ops.recall import keep, recall
+from ..splat import history_motion
+
+if TYPE_CHECKING:
+    from .presets import Config
+
+
+@dataclass(frozen=True)
+class Past:
+    """The history of each pixel, reprojected. Zero where there is none."""
+
+    light: Tensor  # [B, 3, H, W] mean of irradiance
+    albedo: Tensor  # [B, 3, H, W] running mean of albedo
+    length: Tensor  # [B, 1, H, W] frames in the mean of irradiance
+    albedo_length: Tensor  # [B, 1, H, W] likewise, but 0 where albedo is: light can reach farther back
+    output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where it was off the screen
+    on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
+    uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
+
+
+def reprojected(
+    config: Config,
+    frame: Frame,
+    noisy: Tensor,  # [B, 3, H, W] the frame's demodulated light
+    history: History | None,
+    known: Known = NOTHING_KNOWN,
+) -> Past:
+    """History, reprojected to this frame: means from the same surface only, the previous output from any. Light is the
+    mean of recent frames where `config.recent` keeps any, or else a running mean."""
+    if history is None:
+        nothing = torch.zeros_like(frame.radiance)
+        never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
+        return Past(nothing, nothing, nothing[:, :1], nothing[:, :1], frame.radiance, never, never)
+    kind = "traditional" if known.covered else config.motion
+    motion, seen, uncovered = history_motion(frame, history, kind)
+    here, before = (frame.depth, frame.normal), (history.depth, history.normal)
+    if config.recent:
+        light, length = recall(noisy, motion, here, history.recent)
+        albedo, found = reproject(history.mean_albedo, motion, here, before)
+        albedo_length = length * found
+    else:
+        means = history.mean, history.mean_albedo, history.length
+        light, albedo, length = reproject(means, motion, here, before)[0].split([3, 3, 1], dim=1)
+        albedo_length = length
+    output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
+    return Past(light, albedo, length, albedo_length, output, seen, uncovered)
+
+
+def kept(frame: Frame, reset: Tensor, noisy: Tensor | None = None) -> Tensor:
+    """A sanitised frame as `History.recent` has it. `noisy`: its demodulated light, where that is known."""
+    if noisy is None:
+        noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
+    return keep(noisy, frame.depth, frame.normal, reset, frame.motion)

@@ -1,0 +1,146 @@
+"""Kernels and a network that writes pixels, mixed (`models.hybrid`)."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from synthetic import make_frames
+
+from rtdenoise.baselines import Oidn
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.errors import InputError
+from rtdenoise.evaluate.demo import SAMPLE
+from rtdenoise.glsl import Pipeline
+from rtdenoise.models import HybridConfig, create, grow, load, read, save
+from rtdenoise.models.hybrid import surroundings
+from rtdenoise.run.backends import TorchBackend
+from rtdenoise.run.light import LightBackend
+
+ROOT = Path(__file__).parent.parent
+SMALL = HybridConfig(
+    widths=(8, 8, 8, 8), scales=4, edge_kernel=3, detail=True, recent=3, down=(8, 12, 4), up=(12, 8), out=(8, 4)
+)
+
+
+@pytest.fixture
+def model():
+    torch.manual_seed(0)
+    return create(SMALL).eval().requires_grad_(False)
+
+
+def told(model, share):
+    """The model with the share of the written pixels set by hand: a logit."""
+    model.pixels.last.weight[3] = 0
+    model.pixels.last.bias[3] = share
+    return model
+
+
+def play(model, frames):
+    """The images of consecutive frames."""
+    images, history = [], None
+    for frame in frames:
+        image, history = model.step(frame, history)
+        images.append(image)
+    return images
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 2), (17, 5), (37, 41), (16, 32)])
+def test_any_size_goes_in_and_comes_out(model, size):
+    images = play(model, make_frames(3, *size))
+    assert all(image.shape == (1, 3, *size) and image.isfinite().all() and image.min() >= 0 for image in images)
+
+
+def test_without_a_share_the_image_is_the_kernels_and_so_is_the_history(model):
+    history = alone = None
+    for frame in make_frames(4):
+        image, history = told(model, -100.0).step(frame, history)
+        kernels, alone, _ = model.step_and_kernels(frame, alone)
+        torch.testing.assert_close(image, kernels, rtol=1e-4, atol=1e-5)
+        other, _ = told(model, 0.0).step(frame, history)
+        assert not torch.allclose(other, image, rtol=1e-2)
+        for name, layer in alone.layers().items():
+            torch.testing.assert_close(history.layers()[name], layer)
+
+
+def test_it_sees_the_light_that_the_kernels_have_averaged(model):
+    """Not the frame alone: another past is another picture."""
+    *before, frame = make_frames(3)
+    images = []
+    for scale in (1.0, 1.2):
+        history = None
+        for past in before:
+            _, history = model.step(replace(past, radiance=past.radiance * scale), history)
+        seen = []
+        hook = model.pixels.register_forward_pre_hook(lambda _, inputs, seen=seen: seen.append(inputs[0]))
+        images.append(told(model, 100.0).step(frame, history)[0])
+        hook.remove()
+        assert not torch.allclose(seen[0][:, :3], seen[0][:, 3:6])  # the mean, and the noisy frame
+    assert not torch.allclose(*images)
+
+
+def test_written_pixels_stay_within_the_light_around_them(model):
+    told(model, 100.0)
+    for frame in make_frames(2, H=40, W=70):
+        even = replace(frame, radiance=torch.full_like(frame.radiance, 0.3), albedo=torch.full_like(frame.albedo, 0.6))
+        torch.testing.assert_close(model.step(even)[0], even.radiance, rtol=1e-5, atol=0)
+        assert model.step(replace(frame, radiance=torch.zeros_like(frame.radiance)))[0].max() == 0
+    light, image = torch.rand(1, 3, 40, 70), torch.rand(1, 3, 40, 70)
+    light[0, :, 35, 65] = 9.0
+    least, most = surroundings(light, image)
+    assert (least <= light.minimum(image)).all() and (most >= light.maximum(image)).all()
+    assert (most[..., 16:, 48:] == 9).all() and most[..., :16, :].max() < 1 and most[..., :48].max() < 1
+
+
+def test_training_leaves_the_kernels_alone():
+    torch.manual_seed(0)
+    model, history = create(SMALL), None
+    for frame in make_frames(2):
+        image, history = model.step(frame, history)
+    image.square().mean().backward()
+    trained = {name for name, weight in model.named_parameters() if weight.grad is not None}
+    assert trained == {name for name, _ in model.named_parameters() if name.startswith("pixels.")}
+    assert all(weight.grad.isfinite().all() for weight in model.pixels.parameters())
+
+
+def test_its_training_begins_with_oidns_network(tmp_path):
+    """OIDN's weights in our network, on its inputs, give its picture; and the kernels are those of `default`."""
+    out = tmp_path / "begin.safetensors"
+    subprocess.run([sys.executable, ROOT / "tools" / "begin_hybrid.py", out], check=True)
+    hybrid, kernels = read(out), read("default")
+    assert all(torch.equal(hybrid.state_dict()[name], weight) for name, weight in kernels.state_dict().items())
+    frame = open_sequence(SAMPLE)[0]
+    theirs = Oidn().step(frame)[0]
+    brightness = theirs.mean()
+    error = {}
+    for name, image in {"pixels": told(hybrid, 100.0).step(frame)[0], "kernels": kernels.step(frame)[0]}.items():
+        difference = (image - theirs).abs() / (theirs + brightness)
+        error[name] = difference.mean().item()
+    assert error["pixels"] < 0.015 and error["pixels"] < 0.3 * error["kernels"], error
+
+
+def test_the_shipped_weights_keep_the_kernels_of_default():
+    hybrid, kernels = read("hybrid").state_dict(), read("default").state_dict()
+    assert all(torch.equal(hybrid[name], weight) for name, weight in kernels.items())
+
+
+def test_what_it_cannot_do_is_refused():
+    with pytest.raises(ValueError, match="expected"):
+        grow(read("default"), SMALL)
+    with pytest.raises(ValueError, match="up, out: expected 2 widths"):
+        replace(SMALL, up=(8, 8, 8))
+    with pytest.raises(ValueError, match="down: expected 2 to 5 widths from 1 to 1024"):
+        replace(SMALL, down=(8, 0, 4))
+    with pytest.raises(InputError, match="no shaders for networks of the kind 'hybrid'"):
+        Pipeline.load("hybrid")
+    with pytest.raises(InputError, match="--lights: goes with --model default, many, fast or quality"):
+        LightBackend(TorchBackend("hybrid", "cpu", "fp32", recent=0), None, each=True)
+
+
+def test_a_saved_network_comes_back(model, tmp_path):
+    save(model, tmp_path / "w.safetensors")
+    again = load(tmp_path / "w.safetensors", precision="fp32")
+    for a, b in zip(play(model, make_frames(2)), play(again, make_frames(2)), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4)

@@ -1,0 +1,117 @@
+"""Write the weights that training of `hybrid` begins with: the kernels of a model, and Open Image Denoise's network.
+
+python tools/begin_hybrid.py OUT [KERNELS]
+
+OIDN's library holds the weights of its filters, as TZA archives, under the Apache License 2.0; `pyoidn` brings it.
+Taken is the filter of HDR colour, albedo and normal. Its transfer function is log(1 + 178 · x) · 0.0615 but for the
+darkest parts. What our network sees besides begins with weights of 0, and each pixel is half of either network's.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from dataclasses import asdict
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rtdenoise.models import read, save
+from rtdenoise.models.hybrid import Hybrid
+from rtdenoise.models.hybrid_config import HybridConfig
+
+MAGIC = struct.pack("<HBB", 0x41D7, 2, 0)  # of a TZA archive, and its version
+DOWN = ("enc_conv0", "enc_conv1", "enc_conv2", "enc_conv3", "enc_conv4", "enc_conv5a", "enc_conv5b")
+UP = ("dec_conv1", "dec_conv2", "dec_conv3", "dec_conv4")
+INPUTS = 9  # colour, albedo, normal
+WEIGHTS = 919_811  # of the filter that is wanted; the first of this size takes noisy albedo and normal
+# Where these stand among our channels (`Hybrid.step`), and what they are multiplied by: OIDN's normals are in [0, 1].
+PLACES, NORMAL = (0, 1, 2, 9, 10, 11, 15, 16, 17), slice(6, 9)
+
+
+def main(out: str, kernels: str = "default") -> None:
+    network, theirs = read(kernels), archive(library())
+    width = {key.removesuffix(".bias"): len(x) for key, x in theirs.items() if key.endswith(".bias")}
+    config = HybridConfig(
+        **asdict(network.config),
+        down=tuple(width[name] for name in (*DOWN[1:5], DOWN[6])),
+        up=tuple(width[f"{name}a"] for name in UP),
+        out=tuple(width[f"{name}b"] for name in UP),
+    )
+    hybrid = Hybrid(config)
+    state = hybrid.state_dict() | network.state_dict()
+    layers = {f"encoder.{i}": name for i, name in enumerate(DOWN)}
+    for level, name in enumerate(UP):
+        layers |= {f"decoder.{level}.0": f"{name}a", f"decoder.{level}.2": f"{name}b"}
+    for ours, name in layers.items():
+        weight, bias = theirs[f"{name}.weight"], theirs[f"{name}.bias"]
+        if name in ("enc_conv0", "dec_conv1a"):  # which see the input
+            weight, bias = among_ours(weight, bias, config.features)
+        state |= {f"pixels.{ours}.weight": weight, f"pixels.{ours}.bias": bias}
+    last = {"weight": torch.zeros(4, config.out[0], 3, 3), "bias": torch.zeros(4)}  # the share begins at ½
+    for key, value in last.items():
+        value[:3] = theirs[f"dec_conv0.{key}"]
+        state[f"pixels.last.{key}"] = value
+    hybrid.load_state_dict(state)
+    save(hybrid, out)
+
+
+def library() -> bytes:
+    """The library of `pyoidn` that holds the weights."""
+    (path,) = Path(str(files("pyoidn"))).glob("oidn/lib/libOpenImageDenoise_core.so.*")
+    return path.read_bytes()
+
+
+def archive(content: bytes) -> dict[str, Tensor]:
+    """The tensors of the first archive with `WEIGHTS` numbers."""
+    start = -1
+    while (start := content.find(MAGIC, start + 1)) >= 0:
+        try:
+            tensors = parsed(content, start)
+        except (struct.error, UnicodeDecodeError, ValueError, KeyError):
+            continue  # these four bytes were something else
+        if sum(x.numel() for x in tensors.values()) == WEIGHTS:
+            return tensors
+    sys.exit("found no weights of the filter in OIDN's library")
+
+
+def parsed(content: bytes, start: int) -> dict[str, Tensor]:
+    """The tensors of the archive that begins at `start`: a table at its end names their shapes, types and places."""
+    (place,) = struct.unpack_from("<Q", content, start + 4)
+    place += start
+    (count,), place = struct.unpack_from("<I", content, place), place + 4
+    if count > 100:
+        raise ValueError(count)
+    tensors = {}
+    for _ in range(count):
+        (length,) = struct.unpack_from("<H", content, place)
+        name = content[place + 2 : place + 2 + length].decode()
+        place += 2 + length
+        axes = content[place]
+        shape = struct.unpack_from(f"<{axes}I", content, place + 1)
+        place += 1 + 4 * axes + axes  # the layout is a letter an axis
+        kind = {"h": np.float16, "f": np.float32}[chr(content[place])]
+        (at,) = struct.unpack_from("<Q", content, place + 1)
+        place += 9
+        values = np.frombuffer(content, kind, int(np.prod(shape)), start + at).reshape(shape)
+        tensors[name] = torch.from_numpy(values.astype(np.float32))
+    return tensors
+
+
+def among_ours(weight: Tensor, bias: Tensor, features: int) -> tuple[Tensor, Tensor]:
+    """A layer whose last inputs are OIDN's, with ours in their place."""
+    before = weight.shape[1] - INPUTS
+    theirs = weight[:, before:].clone()
+    bias = bias + 0.5 * theirs[:, NORMAL].sum((1, 2, 3))
+    theirs[:, NORMAL] *= 0.5
+    wide = weight.new_zeros(len(weight), before + features, *weight.shape[2:])
+    wide[:, :before] = weight[:, :before]
+    wide[:, [before + place for place in PLACES]] = theirs
+    return wide, bias
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
