@@ -18,8 +18,8 @@ from bench import harness
 # Each has RESULT, a JSON file; PAGES, the pages with its sections; and tables(document) -> section -> Markdown.
 MODULES = (
     "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "cycles", "files",
-    "held", "latency_720p", "metropolis", "missing_layers", "mltd", "mltd_memory", "offline", "plan", "quality",
-    "sample", "stability", "tiles", "calibration.cuts", "diagnosis.activity", "diagnosis.bias",
+    "held", "hybrid", "latency_720p", "metropolis", "missing_layers", "mltd", "mltd_memory", "offline", "plan",
+    "quality", "sample", "stability", "tiles", "calibration.cuts", "diagnosis.activity", "diagnosis.bias",
     "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.generalisation",
     "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.where",
 )  # fmt: skip

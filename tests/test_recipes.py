@@ -85,7 +85,7 @@ def test_scene_files_are_used_only_where_a_folder_is_named():
 def test_a_model_without_a_recipe_is_refused():
     result = subprocess.run(["sh", RECIPE, "paper"], capture_output=True, text=True)
     assert result.returncode == 2
-    assert result.stderr == "expected default, fast, quality, many, combiner or settings, got 'paper'\n"
+    assert result.stderr == "expected default, fast, quality, many, hybrid, combiner or settings, got 'paper'\n"
 
 
 def test_the_gpu_check_needs_a_gpu(tmp_path):

@@ -261,8 +261,9 @@ def test_every_second_step_takes_stills(config, other_clips):
     without = [batch(data.clips, config, step) for step in range(3)]  # the clips come in the order of a run without
     assert all(torch.equal(a[0].radiance, b[0].radiance) for a, b in zip(taken[::2], without, strict=True))
     assert train(config).is_file()
-    with pytest.raises(InputError, match="combiner takes windows of frames"):
-        train(replace(config, model="combiner", frames=5))
+    for wrong in ({}, {"stills": (), "lead_in": 3}):
+        with pytest.raises(InputError, match="combiner takes windows of frames"):
+            train(replace(config, model="combiner", frames=5, **wrong))
     with pytest.raises(InputError, match="scenes that are in the training clips too"):
         train(replace(config, val=other_clips))
 

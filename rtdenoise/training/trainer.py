@@ -184,7 +184,8 @@ def check(config: TrainConfig) -> None:
     wanted = model_config(config)
     if "components" in wanted.reads and config.signal != "color":
         raise InputError(f"signal: {config.model} splits the beauty; expected 'color', got {config.signal!r}")
-    if config.stills and config.model in COMBINERS:
-        raise InputError(f"stills: {config.model} takes windows of frames; give clips alone")
+    for name in ("stills", "lead_in"):
+        if getattr(config, name) and config.model in COMBINERS:
+            raise InputError(f"{name}: {config.model} takes windows of frames; give clips alone")
     if config.model in COMBINERS and config.frames != wanted.frames:
         raise InputError(f"frames: the window of {config.model} has {wanted.frames} frames, got {config.frames}")
