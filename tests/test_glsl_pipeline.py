@@ -357,7 +357,7 @@ def test_weights_that_do_not_fit_are_named(weights, tmp_path):
         return str(error.value)
 
     assert "heads.0.bias is (51,), expected (19,)" in refused(kernel=3)
-    assert "expected an architecture of temporal_kpn, accumulated_kpn, combiner, afgsa, mltd, got 'nosuch'" in refused(
+    assert "expected an architecture of temporal_kpn, accumulated_kpn, hybrid, combiner, afgsa, mltd, got 'nosuch'" in refused(
         "nosuch"
     )
     assert "unknown field 'pool'" in refused("accumulated_kpn")
