@@ -28,7 +28,7 @@ from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
 from .unet import ConvRelu, Up, pool
 
-CELL = 16
+CELL = 16  # pixels, of `surroundings`
 CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + CONTRAST): dark parts matter, too
 LIGHT = 9  # first channels of the input, of compressed light, which `UNIT` brings to the size of the others
 UNIT = 0.06145
@@ -50,7 +50,10 @@ class Hybrid(AccumulatedKPN):
             exposure, distance = self.statistics(frame)
             known = replace(known, exposure=exposure, distance=distance)
         with torch.no_grad():
+            # Filter by kernels, and average.
             image, after, kernels = self.step_and_kernels(frame, history, replace(known, sanitised=True))
+
+            # Show the other network the averaged radiance, the noisy one and the kernels' image.
             scale = CONTRAST * known.exposure
             light = after.mean * albedo_divisor(frame.albedo, frame.depth), frame.radiance, image
             geometry = frame.albedo, after.mean_albedo, frame.normal, nearness(frame.depth, known.distance)
@@ -58,6 +61,8 @@ class Hybrid(AccumulatedKPN):
             x = features(light, (*geometry, *time), scale, self.stem.weight)
             least, most = surroundings(light[0], image)
         pixels, share = self.pixels(x)
+
+        # Mix in the compressed domain, where edges of lamps do not spread.
         pixels = (expand(pixels) / scale).clamp(least, most)
         mixed = expand(blend(compress(pixels * scale), compress(image * scale), share)) / scale
         return even_sky(mixed, frame.radiance, frame.depth), after
