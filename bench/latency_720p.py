@@ -25,6 +25,7 @@ from bench.latency.shaders import measurable
 from bench.latency.stages import STAGES, peak_bytes, staged
 from bench.latency.tables import TOTAL, plot, scaling, table
 from rtdenoise import models, ops
+from rtdenoise.baselines.oidn import installed
 from rtdenoise.frame import Frame
 from rtdenoise.run.memory import keep_freed
 
@@ -107,7 +108,7 @@ def run(
     timed = [m for preset in presets for m in methods.torch_methods(preset, frame, device, backends)]
     if with_shaders:
         timed += [m for preset in presets for m in methods.shader_methods(preset, frame)]
-    if methods.has_oidn():
+    if installed():
         timed += methods.oidn_methods(frame, qualities)
 
     totals = harness.measure({m.name: partial(step, m, device) for m in timed}, calls, warmup=1)
@@ -118,7 +119,7 @@ def run(
         elif method.shaders:
             runs = [method.shaders.stages() for _ in range(max(3, calls // 2))]
             row |= {"stages": by_stage(runs), "peak_mb": round(method.shaders.megabytes, 1)}
-    if not methods.has_oidn():
+    if not installed():
         rows.append({"method": "oidn", "reason": methods.OIDN_MISSING})
     return [{"size": size, "pixels": [W, H], **row} for row in rows]
 

@@ -117,7 +117,7 @@ def _all(document: dict) -> str:
         "|---" * 10 + "|",
     ]
     for ours, oidn in _pairs(document):
-        for row in (oidn, _find(document, ours, "default"), ours):
+        for row in (oidn, harness.beside(document, ours, "default"), ours):
             gains = [_gain(row, oidn, region, metric) for region, metric in AIMS]
             shown = ["–" if row is oidn or gain is None else f"{gain:+.2f}" for gain in gains]
             frame, uncovered = row["frame"], row["uncovered"]
@@ -134,12 +134,7 @@ def _all(document: dict) -> str:
 def _pairs(document: dict) -> list[tuple[dict, dict]]:
     """(offline, OIDN) of every sequence and signal."""
     ours = [row for row in document["rows"] if row["method"] == "offline"]
-    return [(row, _find(document, row, "oidn")) for row in ours]
-
-
-def _find(document: dict, like: dict, method: str) -> dict:
-    key = like["sequence"], like["signal"], method
-    return next(row for row in document["rows"] if (row["sequence"], row["signal"], row["method"]) == key)
+    return [(row, harness.beside(document, row, "oidn")) for row in ours]
 
 
 def _gain(row: dict, peer: dict, region: str, metric: str) -> float | None:

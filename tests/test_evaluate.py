@@ -97,7 +97,7 @@ def test_what_cannot_be_a_method(asked, message, tmp_path):
 
 
 def test_a_method_that_is_not_there_says_why(monkeypatch):
-    monkeypatch.setattr("rtdenoise.evaluate.registry.importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("rtdenoise.baselines.oidn.importlib.util.find_spec", lambda name: None)
     with pytest.raises(InputError, match="oidn: needs pyoidn: pip install"):
         methods()["oidn"].step()
 

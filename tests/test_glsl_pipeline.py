@@ -357,9 +357,8 @@ def test_weights_that_do_not_fit_are_named(weights, tmp_path):
         return str(error.value)
 
     assert "heads.0.bias is (51,), expected (19,)" in refused(kernel=3)
-    assert "expected an architecture of temporal_kpn, accumulated_kpn, hybrid, combiner, afgsa, mltd, got 'nosuch'" in refused(
-        "nosuch"
-    )
+    known = "temporal_kpn, accumulated_kpn, hybrid, combiner, afgsa, mltd"
+    assert f"expected an architecture of {known}, got 'nosuch'" in refused("nosuch")
     assert "unknown field 'pool'" in refused("accumulated_kpn")
     assert "expected motion 'dual' or 'traditional', got 'none'" in refused(motion="none")
     with pytest.raises(InputError, match=r"sales: not an override of model 'paper'.*its configuration has widths"):

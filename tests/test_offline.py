@@ -20,7 +20,6 @@ from rtdenoise.evaluate import evaluate, outputs
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import Frame
 from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, save
-from rtdenoise.run import passes as passes_module
 from rtdenoise.run.combination import WEIGHTS, WEIGHTS_WITHOUT_OIDN, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.moved import REACH, Seen, moved_mean
@@ -233,7 +232,7 @@ def test_motion_next_is_approximated_where_it_is_missing(tmp_path, options, caps
 
 
 def test_without_oidn_it_says_so_and_runs(shot, tmp_path, options, monkeypatch):
-    monkeypatch.setattr(passes_module.importlib.util, "find_spec", lambda name: None if name == "pyoidn" else True)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyoidn" else True)
     summary = denoise(str(shot), tmp_path / "out", options)
     assert len(summary.notes) == 1 and "OIDN is not installed" in summary.notes[0]
     assert all(np.isfinite(pixels(tmp_path / "out" / name)).all() for name in NAMES)
@@ -242,7 +241,7 @@ def test_without_oidn_it_says_so_and_runs(shot, tmp_path, options, monkeypatch):
 def test_frames_with_and_without_oidn_are_not_mixed(shot, tmp_path, options, monkeypatch):
     with pytest.raises(Stop):
         denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(6))
-    monkeypatch.setattr(passes_module.importlib.util, "find_spec", lambda name: None if name == "pyoidn" else True)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyoidn" else True)
     with pytest.raises(rtdenoise.InputError, match="other options or input"):
         denoise(str(shot), tmp_path / "out", options)
 

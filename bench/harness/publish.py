@@ -69,3 +69,9 @@ def command_line() -> str:
 def cpu() -> str:
     """The processor, and how many of its threads torch uses."""
     return device_name("cpu")
+
+
+def beside(document: dict, row: dict, method: str) -> dict:
+    """The row of another method on the same sequence and signal."""
+    key = row["sequence"], row["signal"], method
+    return next(r for r in document["rows"] if (r["sequence"], r["signal"], r["method"]) == key)

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.util import find_spec
 
 import numpy as np
 import torch
@@ -101,10 +100,6 @@ def oidn_methods(frame: Frame, qualities: tuple[str, ...]) -> list[Method]:
             sys.exit(f"oidn {quality} is wrong: its output is not finite. No times are reported.")
         methods.append(Method(f"oidn {quality}", oidn.execute))
     return methods
-
-
-def has_oidn() -> bool:
-    return find_spec("pyoidn") is not None
 
 
 def settled(model: torch.nn.Module, frame: Frame) -> History:

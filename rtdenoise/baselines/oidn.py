@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -16,6 +17,11 @@ from ..errors import InputError
 from ..frame import Frame, History
 from ..sanitise import sanitise
 from .accumulate import Accumulate
+
+
+def installed() -> bool:
+    """Whether `pyoidn` is there."""
+    return importlib.util.find_spec("pyoidn") is not None
 
 
 @dataclass(frozen=True)

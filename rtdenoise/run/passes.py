@@ -7,7 +7,6 @@ corrects the result.
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..baselines.oidn import Oidn
+from ..baselines.oidn import Oidn, installed
 from ..errors import InputError
 from ..frame import Frame, History
 from ..ops.even_sky import even_sky
@@ -39,7 +38,7 @@ class Passes:
         if "mean" not in self.backend.config.carries:
             raise InputError(f"--offline: model {model!r} does not average light over time; choose default, many, "
                              "fast or quality")  # fmt: skip
-        self.has_oidn = importlib.util.find_spec("pyoidn") is not None
+        self.has_oidn = installed()
         self._oidn = Oidn(clean=True)
 
     @property

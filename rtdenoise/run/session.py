@@ -65,7 +65,7 @@ class Denoiser:
         oidn: bool = False,
         samples: int = 0,
     ) -> None:
-        """`model` is the name of a model that ships ('default', 'fast', 'quality', 'paper') or a .safetensors file.
+        """`model` is the name of a model that ships ('default', 'fast', 'hybrid' ...) or a .safetensors file.
 
         `backend` is 'torch', 'glsl' (OpenGL shaders, without PyTorch; one picture at a time), or 'auto': torch where it
         is installed. `device` is torch's, 'cpu', 'cuda' or 'auto', and the network's `precision` 'fp32', 'bf16' (with

@@ -7,10 +7,13 @@ function chart(id, width, height, title, ...content) {
   byId(id).replaceChildren(shape("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": title }, ...content));
 }
 
-/** The width of a method's name in a chart, in pixels. The one that is ours is bold. */
+/** The weight of a method's name in a chart: ours is bold. */
+const nameWeight = (label) => (label === DATA.ours ? 700 : 400);
+
+/** Its width in pixels. */
 function nameWidth(label) {
   const pen = document.createElement("canvas").getContext("2d");
-  pen.font = `${label === DATA.ours ? 700 : 400} 12px ${getComputedStyle(document.body).fontFamily}`;
+  pen.font = `${nameWeight(label)} 12px ${getComputedStyle(document.body).fontFamily}`;
   return pen.measureText(label).width;
 }
 

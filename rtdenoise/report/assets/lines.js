@@ -47,5 +47,5 @@ function lineEnds(ends, box) {
   for (let i = at.length - 1, limit = box.bottom; over && i >= 0; i--, limit -= gap) at[i] = Math.min(at[i], limit);
   return sorted.flatMap(({ row, x, y }, i) => [
     shape("line", { class: "leader", x1: x + 6, y1: y, x2: box.right + 8, y2: at[i] }),
-    shape("text", { class: "label", x: box.right + 12, y: at[i] + 4, "font-weight": row.label === DATA.ours ? 700 : 400 }, row.label)]);
+    shape("text", { class: "label", x: box.right + 12, y: at[i] + 4, "font-weight": nameWeight(row.label) }, row.label)]);
 }

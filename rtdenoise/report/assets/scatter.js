@@ -76,21 +76,22 @@ function labels(named, points, box, lines) {
     && taken.every((b) => a.r < b.l || a.l > b.r || a.b < b.t || a.t > b.b);
   const text = (row, area, anchor) => shape("text", {
     class: "label", x: anchor === "end" ? area.r : area.l, y: area.t + 12, "text-anchor": anchor,
-    "font-weight": row.label === DATA.ours ? 700 : 400,
+    "font-weight": nameWeight(row.label),
   }, row.label);
-  const width = (row) => nameWidth(row.label);
   const found = [];
   for (const { row, y } of lines) {
+    const width = nameWidth(row.label);
     const areas = [...Array(24)].flatMap((_, i) => [-17, 2].map((dy) => {
       const right = box.right - 4 - (i * (box.right - box.left)) / 26;
-      return { l: right - width(row), r: right, t: y + dy, b: y + dy + 15 };
+      return { l: right - width, r: right, t: y + dy, b: y + dy + 15 };
     }));
     const area = areas.find(free);
     if (area) taken.push(area) && found.push(text(row, area, "end"));
   }
   for (const { row, x, y } of [...named].sort((a, b) => (b.row.label === DATA.ours) - (a.row.label === DATA.ours) || a.y - b.y)) {
+    const width = nameWidth(row.label);
     const place = (side, d) => {
-      const [l, r] = side > 0 ? [x + 14, x + 14 + width(row)] : [x - 14 - width(row), x - 14];
+      const [l, r] = side > 0 ? [x + 14, x + 14 + width] : [x - 14 - width, x - 14];
       return { l, r, t: y + d - 8, b: y + d + 8 };
     };
     const at = PLACES.find(([side, d]) => free(place(side, d)));
