@@ -50,8 +50,8 @@ def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
     """
     for module in list(network.modules()):
         if isinstance(module, nn.Sequential):
-            _fuse(module)
-        if type(module) is ConvRelu and _has_onednn():
+            _fuse(module, dtype)
+        if type(module) is ConvRelu and _fuses(dtype):
             module.__class__ = _FusedConvRelu
         if isinstance(module, Up):
             _FusedUp.take(module)
@@ -115,13 +115,17 @@ def enlarging(weight: Tensor) -> Tensor:
     return torch.einsum("ty,oiyx,sx->iots", sums, weight, sums)
 
 
-def _fuse(layers: nn.Sequential) -> None:
+def _fuse(layers: nn.Sequential, dtype: torch.dtype) -> None:
     for i in range(len(layers) - 1):
         convolution = layers[i]
-        if type(convolution) is nn.Conv2d and isinstance(layers[i + 1], nn.ReLU) and _has_onednn():
+        if type(convolution) is nn.Conv2d and isinstance(layers[i + 1], nn.ReLU) and _fuses(dtype):
             convolution.__class__ = _FusedConvRelu
             layers[i + 1] = nn.Identity()
 
 
-def _has_onednn() -> bool:
-    return torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
+def _fuses(dtype: torch.dtype) -> bool:
+    """Whether oneDNN is there and convolves `dtype` on this CPU. Older CPUs (AVX2) have no bfloat16: plain torch, which
+    is slow in it, has to do."""
+    if not (torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")):
+        return False
+    return dtype != torch.bfloat16 or torch.ops.mkldnn._is_mkldnn_bf16_supported()
