@@ -32,11 +32,21 @@ def test_a_sequence_comes_out_as_from_the_network_that_was_trained(assert_images
 
 
 def test_a_ready_network_is_channels_last_with_its_relus_fused():
-    model = load("paper", precision="bf16")
-    features = as_weights(torch.rand(1, 13, 32, 32), model)
-    assert features.dtype == torch.bfloat16 and features.is_contiguous(memory_format=torch.channels_last)
-    assert not any(isinstance(module, torch.nn.ReLU) for module in model.unet.modules())
-    assert model.state_dict().keys() == read("paper").state_dict().keys()
+    for precision, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16)):
+        model = load("paper", precision=precision)
+        features = as_weights(torch.rand(1, 13, 32, 32), model)
+        assert features.dtype == dtype and features.is_contiguous(memory_format=torch.channels_last)
+        if precision == "fp32" or torch.ops.mkldnn._is_mkldnn_bf16_supported():
+            assert not any(isinstance(module, torch.nn.ReLU) for module in model.unet.modules())
+        assert model.state_dict().keys() == read("paper").state_dict().keys()
+
+
+def test_a_cpu_without_bfloat16_computes_in_it_all_the_same(assert_images_close, monkeypatch):
+    monkeypatch.setattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported", lambda: False)
+    trained, ready, frame = read("paper"), load("paper", precision="bf16"), make_frames(1, H=16, W=24)[0]
+    assert any(isinstance(module, torch.nn.ReLU) for module in ready.unet.modules())
+    with torch.inference_mode():
+        assert_images_close(ready.step(frame)[0], trained.step(frame)[0], "bfloat16 network")
 
 
 @pytest.mark.parametrize("size", [(1, 1), (13, 22), (32, 16)], ids=str)
