@@ -3,13 +3,14 @@
 python bench/hybrid.py SEQ ...    # sequences with references that no network was trained on
 
 Measures OIDN, `hybrid` and the networks beside it on every sequence and both signals: over the frame and in uncovered
-regions, with history and without (single frames), and the time of each. Writes bench/results/hybrid.json and the table
-of docs/notes/hybrid.md. An interrupted run continues.
+regions, with history and without (single frames); then the time of a step. Writes bench/results/hybrid.json and the
+tables of docs/notes/hybrid.md. An interrupted run continues.
 """
 
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
@@ -17,9 +18,15 @@ from bench import DOCS, RESULTS, ROOT, harness
 
 # isort: split
 import numpy as np
+import torch
 import tyro
 
+from bench.latency.methods import settled, synthetic_frame
+from rtdenoise.baselines import Oidn
 from rtdenoise.evaluate.run import EvaluateOptions, run
+from rtdenoise.models import load
+from rtdenoise.models.inference import resolve
+from rtdenoise.run.opinion import RECENT, Opinion
 
 RESULT, PAGES = RESULTS / "hybrid.json", (DOCS / "notes" / "hybrid.md",)
 OUT = ROOT / "out" / "hybrid"
@@ -33,6 +40,7 @@ METHODS = {
     "default-oidn": "`default` with `--oidn`",
     "hybrid": "**`hybrid`**",
 }
+SIZES = {"720p": (720, 1280), "144p": (144, 256)}  # that steps are timed at
 METRICS = ("psnr", "psnr_corrected", "flip", "tpsnr")
 
 
@@ -48,18 +56,34 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
         for row in run(sequences, OUT / signal, options).results:
             errors = {region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")}
             facts = {key: row[key] for key in ("sequence", "method", "precision")}
-            rows.append({"signal": signal, **facts, "ms": row["ms"]["median"], **errors})
-    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+            rows.append({"signal": signal, **facts, **errors})
+    precisions = ("bf16", "fp32") if resolve("auto", "cpu") == torch.bfloat16 else ("fp32",)
+    with torch.inference_mode():
+        times = [times_of(size, precision) for size in SIZES for precision in precisions]
+    harness.publish(RESULT, {"rows": rows, "times": times}, digits=4, pages=PAGES, tables=tables)
+
+
+def times_of(size: str, precision: str) -> dict:
+    """Milliseconds of a step with history, by method; OIDN has one precision of its own."""
+    frame = synthetic_frame(*SIZES[size])
+    steps = {"oidn": partial(Oidn().step, frame)}
+    for name in ("default", "quality", "hybrid"):
+        model = load(name, precision=precision)
+        steps[name] = partial(model.step, frame, settled(model, frame))
+    model = load("default", precision=precision, recent=RECENT, footprint=True)
+    steps["default-oidn"] = partial(Opinion(model.config).step, model.step, frame, settled(model, frame))
+    timings = harness.measure(steps, calls=9, warmup=2)
+    return {"size": size, "precision": precision, **{name: timing.median_ms for name, timing in timings.items()}}
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Section `hybrid`: a line a method, against OIDN."""
+    """Sections `hybrid`, a line a method against OIDN, and `hybrid-times`."""
     lines = [
-        "| | corrected PSNR, beauty, indirect | least | uncovered | least | FLIP | tPSNR | OIDN's time |",
-        "|---" * 8 + "|",
+        "| | corrected PSNR, beauty, indirect | least | uncovered | least | FLIP | tPSNR |",
+        "|---" * 7 + "|",
     ]
     for method, shown in METHODS.items():
-        pairs = [(row, _oidn(document, row)) for row in document["rows"] if row["method"] == method]
+        pairs = [(row, harness.beside(document, row, "oidn")) for row in document["rows"] if row["method"] == method]
         each = [_lead(pairs, "frame", signal) for signal in SIGNALS]
         frame, uncovered = [_lead(pairs, region) for region in ("frame", "uncovered")]
         flip = np.mean([row["frame"]["flip"] / oidn["frame"]["flip"] for row, oidn in pairs])
@@ -67,15 +91,19 @@ def tables(document: dict) -> dict[str, str]:
         cells = [
             f"{np.mean(each[0]):+.2f}, {np.mean(each[1]):+.2f} dB", f"{min(frame):+.2f}", f"{np.mean(uncovered):+.2f}",
             f"{min(uncovered):+.2f}", f"{flip:.2f}×", f"{steady:+.2f}",
-            f"{np.median([row['ms'] / oidn['ms'] for row, oidn in pairs]):.2f}×",
         ]  # fmt: skip
         lines.append(f"| {shown} | {' | '.join(cells)} |")
-    return {"hybrid": "\n".join(lines)}
+    return {"hybrid": "\n".join(lines), "hybrid-times": _times(document)}
 
 
-def _oidn(document: dict, like: dict) -> dict:
-    same = ((row["sequence"], row["signal"]) == (like["sequence"], like["signal"]) for row in document["rows"])
-    return next(row for row, it in zip(document["rows"], same, strict=True) if it and row["method"] == "oidn")
+def _times(document: dict) -> str:
+    """Times as multiples of OIDN's."""
+    names = [name for name in METHODS if name in document["times"][0]]
+    lines = [f"| {' | '.join(['', *(METHODS[name] for name in names)])} |", "|---" * (len(names) + 1) + "|"]
+    for row in document["times"]:
+        cells = [f"{row[name] / row['oidn']:.2f}×" for name in names]
+        lines.append(f"| {row['size']}, {row['precision']} | {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def _lead(pairs: list[tuple[dict, dict]], region: str, signal: str = "") -> list[float]:

@@ -149,16 +149,28 @@ def test_recall(both, assert_images_close, size, count):
         normal = torch.randn(2, 3, *size) + torch.tensor([0, 0, 3.0])[:, None, None]
         return light, depth.clamp(min=0), normal, torch.rand(2, 1, *size), motion
 
-    for plain, fused in zip(*both(lambda *f: (keep(*f),), *frame()), strict=True):
-        nan = (plain & 0x7F800000 == 0x7F800000) | (plain & 0x7F80 == 0x7F80)
-        assert torch.equal(plain[~nan], fused[~nan])
-    recent = tuple(keep(*frame()) for _ in range(count))
+    def albedo():
+        return torch.rand(2, 3, *size)
+
+    for more in ((), (albedo(),)):
+        for plain, fused in zip(*both(lambda *f: (keep(*f),), *frame(), *more), strict=True):
+            nan = (plain & 0x7F800000 == 0x7F800000) | (plain & 0x7F80 == 0x7F80)
+            assert torch.equal(plain[~nan], fused[~nan])
+    recent = tuple(keep(*frame(), albedo()) for _ in range(count))
     light, depth, normal, _, motion = frame()
-    (mean, count), (fused_mean, fused_count) = both(recall, light, motion, (depth, normal), recent)
-    assert_images_close(fused_count, count, "float32")
-    sure = count > 1  # dividing by less magnifies rounding
-    assert_images_close(fused_mean * sure, mean * sure, "float32")
-    assert count.any() or min(size) < 4
+    for footprint in (False, True):
+        plain, fused = both(
+            lambda *now, wanted=footprint: [
+                t for t in vars(recall(*now[:2], now[2:], recent, wanted)).values() if t is not None
+            ],
+            light, motion, depth, normal,
+        )  # fmt: skip
+        pairs = list(zip(plain, fused, strict=True))
+        for (mean, fused_mean), (weight, fused_weight) in zip(pairs[::2], pairs[1::2], strict=True):
+            assert_images_close(fused_weight, weight, "float32")
+            sure = weight > 1  # dividing by less magnifies rounding
+            assert_images_close(fused_mean * sure, mean * sure, "float32")
+            assert weight.any() or min(size) < 4
 
 
 @pytest.mark.parametrize("op", [ops.warp, cubic])

@@ -9,16 +9,17 @@ from synthetic import TINY, Stop, make_frames, stop_after, write_sequence
 
 from rtdenoise import models, ops
 from rtdenoise.color import albedo_divisor
+from rtdenoise.constants import GLOSS
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, History
 from rtdenoise.history import load_history, resize, save_history
 from rtdenoise.models import AccumulatedKPNConfig
-from rtdenoise.ops.recall import keep, recall
+from rtdenoise.ops.recall import FOOTPRINT, keep, recall
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.tiles import Tiled, carried
 
 SIZE = 16, 24
-SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3)
+SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, footprint=True)
 
 
 def image(*values):
@@ -32,8 +33,8 @@ def noisy(mean=1.0):
     return mean * torch.empty(1, 3, *SIZE).exponential_()
 
 
-def kept(light, depth, normal, motion, reset=0.0):
-    return keep(light, depth, normal, image(reset), motion)
+def kept(light, depth, normal, motion, reset=0.0, albedo=None):
+    return keep(light, depth, normal, image(reset), motion, albedo)
 
 
 @pytest.fixture(params=["plain", "fused"])
@@ -53,7 +54,8 @@ def seed():
 def test_light_that_stays_is_averaged(choice):
     lights = [noisy().bfloat16().float() for _ in range(5)]
     still = image(0.0, 0.0)
-    mean, count = recall(noisy(), still, WALL, [kept(light, *WALL, still) for light in lights])
+    found = recall(noisy(), still, WALL, [kept(light, *WALL, still) for light in lights])
+    mean, count = found.light, found.count
     assert (count > 4.5).float().mean() > 0.7
     whole = (count == 5).expand_as(mean)
     assert whole.any()
@@ -63,7 +65,8 @@ def test_light_that_stays_is_averaged(choice):
 def test_light_that_has_changed_is_left_out(choice):
     still = image(0.0, 0.0)
     frames = [kept(noisy(mean), *WALL, still) for mean in (1.0, 20.0, 0.01, 1.0)]
-    mean, count = recall(noisy(), still, WALL, frames)
+    found = recall(noisy(), still, WALL, frames)
+    mean, count = found.light, found.count
     assert 1.5 < count.mean() <= 2.001
     assert 0.8 < mean.mean() < 1.2
 
@@ -71,7 +74,8 @@ def test_light_that_has_changed_is_left_out(choice):
 def test_a_reset_takes_weight_from_older_frames(choice):
     still, lights = image(0.0, 0.0), [noisy().bfloat16().float() for _ in range(4)]
     frames = [kept(light, *WALL, still, r) for light, r in zip(lights, (0.0, 0.5, 1.0, 0.0), strict=True)]
-    mean, count = recall(noisy(), still, WALL, frames)
+    found = recall(noisy(), still, WALL, frames)
+    mean, count = found.light, found.count
     whole = (count == 2.5).expand_as(mean)
     assert whole.float().mean() > 0.5
     expected = (lights[0] + lights[1] + 0.5 * lights[2]) / 2.5
@@ -81,7 +85,8 @@ def test_a_reset_takes_weight_from_older_frames(choice):
 def test_paths_add_up_before_they_are_rounded(choice):
     """0.3 pixels a frame: 0, 1, 1 after one, two and three frames."""
     motion, light = image(-0.3, 0.0), noisy().bfloat16().float()
-    mean, count = recall(noisy(), motion, WALL, [kept(light, *WALL, motion) for _ in range(3)])
+    found = recall(noisy(), motion, WALL, [kept(light, *WALL, motion) for _ in range(3)])
+    mean, count = found.light, found.count
     expected = (light + 2 * light.roll(1, dims=3)) / 3
     whole = (count == 3).expand_as(mean)
     assert whole.float().mean() > 0.5 and not whole[..., 0].any()
@@ -92,29 +97,91 @@ def test_paths_add_up_before_they_are_rounded(choice):
 def test_paths_end_off_the_screen(choice, bad):
     still, away = image(0.0, 0.0), image(bad, bad)
     frames = [kept(noisy(), *WALL, still), kept(noisy(), *WALL, away), kept(noisy(), *WALL, still)]
-    mean, count = recall(noisy(), away, WALL, frames)
+    found = recall(noisy(), away, WALL, frames)
+    mean, count = found.light, found.count
     assert not count.any() and not mean.any()
-    _, count = recall(noisy(), still, WALL, frames)
+    count = recall(noisy(), still, WALL, frames).count
     assert 1 < count.max() <= 2  # the second frame leads away from the third
 
 
 def test_without_motion_a_frame_is_the_last_of_a_path(choice):
     still = image(0.0, 0.0)
     frames = [kept(noisy(), *WALL, None), kept(noisy(), *WALL, still)]
-    assert recall(noisy(), still, WALL, frames)[1].max() <= 1
+    assert recall(noisy(), still, WALL, frames).count.max() <= 1
 
 
 def test_other_surfaces_are_left_out(choice):
     still, (depth, normal) = image(0.0, 0.0), WALL
     for other in ((depth * 2, normal), (depth, -normal), (depth * 0, normal)):
-        assert not recall(noisy(), still, WALL, [kept(noisy(), *other, still)])[1].any()
+        assert not recall(noisy(), still, WALL, [kept(noisy(), *other, still)]).count.any()
     miss = depth * 0, normal
-    assert recall(noisy(), still, miss, [kept(noisy(), *miss, still)])[1].any()  # the sky is one surface
+    assert recall(noisy(), still, miss, [kept(noisy(), *miss, still)]).count.any()  # the sky is one surface
 
 
 def test_without_frames_there_is_no_mean(choice):
-    mean, count = recall(noisy(), image(0.0, 0.0), WALL, [])
+    found = recall(noisy(), image(0.0, 0.0), WALL, [])
+    mean, count = found.light, found.count
     assert not mean.any() and not count.any()
+
+
+FLOOR = image(6.0), image(0.0, 1.0, 0.0)
+BEHIND = image(90.0), image(1.0, 0.0, 0.0)
+
+
+def edge(left=WALL, right=FLOOR):
+    """Depth and normal of a picture whose right half shows another surface."""
+    pairs = [(a.clone(), b) for a, b in zip(left, right, strict=True)]
+    for whole, other in pairs:
+        whole[..., 12:] = other[..., 12:]
+    return tuple(whole for whole, _ in pairs)
+
+
+def test_a_footprint_holds_all_surfaces_at_an_edge(choice):
+    """The column at the edge showed the wall, then the floor, then something that is seen nowhere near."""
+    still, light = image(0.0, 0.0), image(1.0, 1.0, 1.0)
+    frames = [
+        kept(light, *surface, still, albedo=image(*albedo))
+        for surface, albedo in ((WALL, (1.0, 0.0, 0.5)), (FLOOR, (0.0, 0.5, 1.0)), (BEHIND, (0.25, 0.25, 0.25)))
+    ]
+    found = recall(light, still, edge(), frames, footprint=True)
+    for column, walls, floors in ((10, 1, 0), (11, 1, 1), (12, 1, 1), (13, 0, 1)):
+        assert (found.footprint_count[..., column] == walls + floors).all()
+        albedo = torch.tensor([walls * 1.0, floors * 0.5, walls * 0.5 + floors * 1.0]) / (walls + floors)
+        normal = torch.tensor([0.0, floors, walls]) / (walls + floors)
+        expected = torch.cat([albedo + GLOSS, albedo, normal])
+        torch.testing.assert_close(found.footprint[0, :, 4, column], expected, rtol=1e-5, atol=1e-6)
+    assert (found.count == 1).all()  # the mean of light is of one surface
+
+
+def test_light_of_the_sky_is_its_radiance(choice):
+    still, light, miss = image(0.0, 0.0), image(2.0, 4.0, 8.0), (image(0.0), image(0.0, 0.0, 0.0))
+    found = recall(light, still, miss, [kept(light, *miss, still, albedo=image(0.5, 0.5, 0.5))], footprint=True)
+    torch.testing.assert_close(found.footprint[:, :3], light)
+
+
+def test_lookups_between_pixels_count_less_in_a_footprint(choice):
+    """0.25 pixels a frame in x, 0.5 in y: (0.25, 0.5 off), (0.5, 0)."""
+    motion, light = image(0.25, -0.5), image(1.0, 1.0, 1.0)
+    frames = [kept(light, *WALL, motion, albedo=light) for _ in range(2)]
+    found = recall(light, motion, WALL, frames, footprint=True)
+    inside = (..., slice(2, -2), slice(2, -2))
+    torch.testing.assert_close(found.footprint_count[inside], torch.full_like(light[:, :1], 0.375 + 0.5)[inside])
+    assert (found.count[inside] == 2).all()
+
+
+def test_changed_light_and_resets_leave_footprints(choice):
+    still = image(0.0, 0.0)
+    frames = [
+        kept(noisy(mean), *WALL, still, r, image(0.5, 0.5, 0.5)) for mean, r in ((1.0, 0.0), (50.0, 1.0), (1.0, 0.0))
+    ]
+    found = recall(noisy(), still, WALL, frames, footprint=True)
+    torch.testing.assert_close(found.footprint_count, found.count)
+    assert 0.5 < found.count.mean() <= 1.001
+
+
+def test_footprints_need_albedo():
+    with pytest.raises(ValueError, match=r"expected kept frames of \(1, 7, 16, 24\)"):
+        recall(noisy(), image(0.0, 0.0), WALL, [kept(noisy(), *WALL, None)], footprint=True)
 
 
 def test_shapes_are_checked():
@@ -152,9 +219,9 @@ def test_the_newest_frames_are_kept(network):
     assert [len(run(network, frames[:n])[1].recent) for n in (1, 2, 5)] == [1, 2, 3]
     _, history = run(network, frames[:5])
     alone = [run(network, [frame])[1].recent[0] for frame in frames[:5]]
-    everything = torch.tensor([-1, -1, -1, 0xFFFF, -1], dtype=torch.int32).reshape(1, 5, 1, 1)  # but for resets
+    but_for_resets = torch.tensor([-1, -1, -1, 0xFFFF, -1, -1, -1], dtype=torch.int32).reshape(1, -1, 1, 1)
     for kept, expected in zip(history.recent, alone[:1:-1], strict=True):
-        assert torch.equal(kept & everything, expected & everything)
+        assert torch.equal(kept & but_for_resets, expected & but_for_resets)
 
 
 def test_the_mean_is_of_recent_frames_and_this_one(network):
@@ -166,6 +233,19 @@ def test_the_mean_is_of_recent_frames_and_this_one(network):
     whole = (history.length > 3.5).expand_as(history.mean)  # a fresh network resets a little
     assert whole.float().mean() > 0.5
     assert (history.mean - expected)[whole].abs().mean() < 0.25 * expected.std()
+
+
+def test_footprints_are_of_recent_frames_and_this_one(network):
+    shot = [replace(f, motion=torch.zeros_like(f.motion)) for f in make_frames(1) * 3]
+    shot = [replace(f, radiance=torch.rand_like(f.radiance), albedo=torch.rand_like(f.albedo)) for f in shot]
+    _, first = run(network, shot[:1])
+    expected = torch.cat([shot[0].radiance, shot[0].albedo, shot[0].normal], dim=1)
+    torch.testing.assert_close(first.footprint, expected)
+    _, history = run(network, shot)
+    for part, name in zip(history.footprint.split(FOOTPRINT, dim=1), ("radiance", "albedo", "normal"), strict=True):
+        mean = torch.stack([getattr(f, name) for f in shot]).mean(0)
+        assert (part - mean).abs().mean() < 0.05  # resets and the test of noise; one frame: 0.2
+    assert run(models.create(replace(SMALL, footprint=False)).eval(), shot)[1].footprint is None
 
 
 def test_a_saved_history_goes_on_to_the_bit(network, tmp_path):
@@ -241,7 +321,8 @@ def test_an_interrupted_run_goes_on_to_the_bit(tmp_path, backend):
     with pytest.raises(Stop):
         denoise(str(shot), tmp_path / "parts", options, on_frame=stop_after(5))
     state = tmp_path / "parts" / ".rtdenoise-state.safetensors"
-    assert b"recent" not in state.read_bytes()  # they would be most of it; their resets are there
+    for name in (b"recent", b"footprint"):
+        assert name not in state.read_bytes()  # they would be most of it; resets of recent frames are there
     assert denoise(str(shot), tmp_path / "parts", options).skipped == 5
     for path in sorted((tmp_path / "whole").glob("*.exr")):
         assert path.read_bytes() == (tmp_path / "parts" / path.name).read_bytes()

@@ -36,7 +36,7 @@ def main(out: str, kernels: str = "default") -> None:
     network, theirs = read(kernels), archive(library())
     width = {key.removesuffix(".bias"): len(x) for key, x in theirs.items() if key.endswith(".bias")}
     config = HybridConfig(
-        **asdict(network.config),
+        **asdict(network.config) | {"footprint": True},
         down=tuple(width[name] for name in (*DOWN[1:5], DOWN[6])),
         up=tuple(width[f"{name}a"] for name in UP),
         out=tuple(width[f"{name}b"] for name in UP),

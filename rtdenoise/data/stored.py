@@ -10,14 +10,14 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from ..constants import RECALL_RESET, RECALL_WORDS
+from ..constants import RECALL_ALBEDO_WORDS, RECALL_RESET, RECALL_WORDS
 from ..errors import InputError
 from ..files import open_regular, write_atomically
 from ..frame import HIDDEN, RECENT
 
 CHANNELS = {  # field of `History` -> channels; hidden features have any number of them, at any size
     "radiance": 3, "motion_next": 2, "depth": 1, "normal": 3, "length": 1, "mean": 3, "mean_albedo": 3,
-    "residual": 3, "residual_length": 1,
+    "residual": 3, "residual_length": 1, "footprint": 9,
 }  # fmt: skip
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number
@@ -70,7 +70,9 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
     expected_type = np.int32 if recent else np.int16 if resets else np.float32
     if array.dtype != expected_type and (array.dtype, expected_type) != (np.float16, np.float32):
         raise InputError(f"{label} is {array.dtype}, expected {expected_type.__name__}")
-    channels = RECALL_WORDS if recent else CHANNELS.get(name)
+    channels = CHANNELS.get(name)
+    if recent:
+        channels = RECALL_ALBEDO_WORDS if array.ndim == 4 and array.shape[1] == RECALL_ALBEDO_WORDS else RECALL_WORDS
     if channels is not None:
         expected = (*like[:1], channels, *like[2:])
         fits = len(like) == 4 and array.shape == expected

@@ -4,7 +4,6 @@ A new baseline is a class with `step` in `baselines/`, its export there, and a r
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import torch
 from torch import Tensor
 
 from ..baselines import Accumulate, DeepCombiner, Oidn, Svgf, Trmv
+from ..baselines.oidn import installed
 from ..errors import InputError, did_you_mean
 from ..frame import Frame
 from ..models import STILLS, CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
@@ -113,7 +113,7 @@ def _plain(start: Callable[[], Step], device: str | torch.device, precision: str
 
 def _missing_oidn() -> str:
     """Why OIDN cannot run; empty if it can."""
-    return "" if importlib.util.find_spec("pyoidn") else "needs pyoidn: pip install 'rtdenoise[bench]'"
+    return "" if installed() else "needs pyoidn: pip install 'rtdenoise[bench]'"
 
 
 def _oidn() -> list[Method]:
@@ -161,7 +161,8 @@ def _with_oidn(name: str) -> list[Method]:
     reason = _missing_oidn()
 
     def start(device: str | torch.device, precision: str) -> Step:
-        return partial(Opinion(read_config(name)).step, stepper(load(name, device, precision, recent=RECENT)))
+        network = load(name, device, precision, recent=RECENT, footprint=True)
+        return partial(Opinion(read_config(name)).step, stepper(network))
 
     return [Method(f"{name}-oidn", f"denoise --oidn with {name}", "network", None if reason else start, reason,
                    PRECISIONS, (name,))]  # fmt: skip

@@ -34,7 +34,7 @@ from ..sanitise import admit
 from .config import AccumulatedKPNConfig
 from .inference import as_weights
 from .losses import frame_loss
-from .past import Past, kept, reprojected
+from .past import Past, footprint, kept, reprojected
 from .refinement import GuidedRefinement
 from .unet import ConvRelu, UNet, by_name
 
@@ -114,10 +114,10 @@ class AccumulatedKPN(nn.Module):
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance where the surface is diffuse
 
         past = reprojected(self.config, frame, noisy, history, known)
-        most, kept = self.config.longest - 1, torch.zeros_like(past.length)
+        most, never = self.config.longest - 1, torch.zeros_like(past.length)
         mean_albedo = frame.albedo
         if not known.first:
-            mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.albedo_length, kept, most)
+            mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.albedo_length, never, most)
 
         # Predict kernels.
         heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
@@ -136,8 +136,10 @@ class AccumulatedKPN(nn.Module):
         after = History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
         if self.config.recent:
             reset = torch.zeros_like(frame.depth) if history is None else heads.reset.detach()
-            recent = self.kept(frame, reset, noisy), *(history.recent if history else ())
+            recent = kept(self.config, frame, reset, noisy), *(history.recent if history else ())
             after = replace(after, recent=recent[: self.config.recent])
+        if self.config.footprint:
+            after = replace(after, footprint=footprint(frame, past))
         return output, after, Kernels(heads, past.length, past.on_screen)
 
     def over_space(self, mean: Tensor, heads: Heads) -> Tensor:
@@ -162,8 +164,6 @@ class AccumulatedKPN(nn.Module):
         if heads.edge is not None:
             output = apply_kernel(output, heads.edge)
         return blend_history(output, past, seen, heads.temporal, heads.alpha_temporal)
-
-    kept = staticmethod(kept)
 
     def features(
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN

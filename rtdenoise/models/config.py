@@ -190,6 +190,8 @@ class AccumulatedKPNConfig(NetworkConfig):
     """Frames after which the running mean forgets: a new frame weighs 1 / longest at least."""
     recent: int = 0
     """Frames whose noisy light is kept and looked up anew in each frame (`ops.recall`); 0: a running mean of light."""
+    footprint: bool = False
+    """Whether recent frames keep albedo, too, and the history has `footprint`, for those who filter it."""
     motion: str = "dual"
     """Motion vectors that fetch history: 'dual' or 'traditional'."""
 
@@ -197,7 +199,7 @@ class AccumulatedKPNConfig(NetworkConfig):
         self.check("kernel", "temporal_kernel", "edge_kernel", "pick_kernel")
         if not isinstance(self.scales, int) or not 2 <= self.scales <= len(self.widths):
             raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
-        for name in ("detail", "guided"):
+        for name in ("detail", "guided", "footprint"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name}: expected true or false, got {getattr(self, name)!r}")
         if self.guided and (self.scales < 3 or self.widths[1] % (2 * REFINED_HEADS)):

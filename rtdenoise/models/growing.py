@@ -51,7 +51,7 @@ def _fits(was: Config, wanted: Config) -> bool:
     wider = all(a <= b for a, b in zip(was.widths, wanted.widths, strict=True))
     new = {name: value for name, value in WITHOUT.items() if getattr(was, name) == value}
     wider &= not was.guided or was.widths[1] == wanted.widths[1]  # the attention's heads are not split anew
-    same = {"widths": was.widths, "recent": was.recent}  # recent frames have no weights
+    same = {"widths": was.widths, "recent": was.recent, "footprint": was.footprint}  # recent frames have no weights
     return wider and replace(wanted, **same, **new) == was
 
 

@@ -17,12 +17,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ..color import albedo_divisor, compress, expand
+from ..color import compress, expand
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.blend import blend
 from ..ops.even_sky import even_sky
 from ..ops.features import features
 from ..ops.pixels import nearness
+from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
@@ -53,18 +54,19 @@ class Hybrid(AccumulatedKPN):
             # Filter by kernels, and average.
             image, after, kernels = self.step_and_kernels(frame, history, replace(known, sanitised=True))
 
-            # Show the other network the averaged radiance, the noisy one and the kernels' image.
+            # Show the other network what pixels have been seen to show, the noisy radiance and the kernels' image.
             scale = CONTRAST * known.exposure
-            light = after.mean * albedo_divisor(frame.albedo, frame.depth), frame.radiance, image
-            geometry = frame.albedo, after.mean_albedo, frame.normal, nearness(frame.depth, known.distance)
+            radiance, albedo, normal = after.footprint.split(FOOTPRINT, dim=1)
+            light = radiance, frame.radiance, image
+            geometry = albedo, after.mean_albedo, normal, nearness(frame.depth, known.distance)
             time = kernels.length / self.config.longest, kernels.seen
             x = features(light, (*geometry, *time), scale, self.stem.weight)
-            least, most = surroundings(light[0], image)
+            averaged, filtered = (compress(x * scale) for x in (light[0], image))
+            least, most = surroundings(averaged, filtered)
         pixels, share = self.pixels(x)
 
         # Mix in the compressed domain, where edges of lamps do not spread.
-        pixels = (expand(pixels) / scale).clamp(least, most)
-        mixed = expand(blend(compress(pixels * scale), compress(image * scale), share)) / scale
+        mixed = expand(blend(pixels.clamp(least, most), filtered, share)) / scale
         return even_sky(mixed, frame.radiance, frame.depth), after
 
 

@@ -15,11 +15,8 @@ class HybridConfig(AccumulatedKPNConfig):
 
     architecture: ClassVar[str] = "hybrid"
 
-    widths: tuple[int, ...] = (32, 56, 72, 88, 104)
-    """Channels of the U-Net that predicts kernels, at 1/2, 1/4, 1/8 ... of the image size."""
-    edge_kernel: int = 3
-    detail: bool = True
     recent: int = 8
+    footprint: bool = True
     down: tuple[int, ...] = (32, 48, 64, 80, 96)
     """Channels of the network that writes pixels on its way down, at 1, 1/2, 1/4 ... of the image size."""
     up: tuple[int, ...] = (64, 64, 96, 112)
@@ -29,6 +26,8 @@ class HybridConfig(AccumulatedKPNConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.footprint:
+            raise ValueError("footprint: expected true, got false")
         for name in ("down", "up", "out"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
             self.check_widths(name)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import reproject, warp
-from ..ops.pixels import demodulate
+from ..ops.pixels import accumulate, demodulate
 from ..ops.recall import keep, recall
 from ..splat import history_motion
 
@@ -29,6 +29,8 @@ class Past:
     output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where it was off the screen
     on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
+    footprint: Tensor | None = None  # [B, 9, H, W] mean of `footprint` in recent frames, where the history keeps any
+    footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
 
 
 def reprojected(
@@ -47,8 +49,10 @@ def reprojected(
     kind = "traditional" if known.covered else config.motion
     motion, seen, uncovered = history_motion(frame, history, kind)
     here, before = (frame.depth, frame.normal), (history.depth, history.normal)
+    seen_there = None, None
     if config.recent:
-        light, length = recall(noisy, motion, here, history.recent)
+        recalled = recall(noisy, motion, here, history.recent, config.footprint)
+        light, length, seen_there = recalled.light, recalled.count, (recalled.footprint, recalled.footprint_count)
         albedo, found = reproject(history.mean_albedo, motion, here, before)
         albedo_length = length * found
     else:
@@ -56,11 +60,20 @@ def reprojected(
         light, albedo, length = reproject(means, motion, here, before)[0].split([3, 3, 1], dim=1)
         albedo_length = length
     output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
-    return Past(light, albedo, length, albedo_length, output, seen, uncovered)
+    return Past(light, albedo, length, albedo_length, output, seen, uncovered, *seen_there)
 
 
-def kept(frame: Frame, reset: Tensor, noisy: Tensor | None = None) -> Tensor:
+def kept(config: Config, frame: Frame, reset: Tensor, noisy: Tensor | None = None) -> Tensor:
     """A sanitised frame as `History.recent` has it. `noisy`: its demodulated light, where that is known."""
     if noisy is None:
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
-    return keep(noisy, frame.depth, frame.normal, reset, frame.motion)
+    return keep(noisy, frame.depth, frame.normal, reset, frame.motion, frame.albedo if config.footprint else None)
+
+
+def footprint(frame: Frame, past: Past) -> Tensor:
+    """`History.footprint` of a sanitised frame."""
+    seen = torch.cat([frame.radiance, frame.albedo, frame.normal], dim=1)
+    if past.footprint is None:
+        return seen
+    count = past.footprint_count
+    return accumulate(seen, past.footprint, count, torch.zeros_like(count), torch.inf)[0]

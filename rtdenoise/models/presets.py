@@ -20,13 +20,13 @@ CONFIGS: dict[str, type[Config]] = {
     )
 }  # fmt: skip
 
+DEFAULT = {"widths": (32, 56, 72, 88, 104), "edge_kernel": 3, "detail": True}  # also the kernels of `hybrid`
 PRESETS: dict[str, Config] = {
     "paper": TemporalKPNConfig(),
     "fast": AccumulatedKPNConfig(widths=(16, 24, 32, 48, 64), kernel=3, edge_kernel=3),
-    "default": AccumulatedKPNConfig(widths=(32, 56, 72, 88, 104), edge_kernel=3, detail=True),
+    "default": AccumulatedKPNConfig(**DEFAULT),
     "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
-    "hybrid": HybridConfig(),
-    "hybrid-small": HybridConfig(down=(32, 32, 32, 32, 32), up=(32, 64, 64, 64), out=(32, 32, 64, 64)),
+    "hybrid": HybridConfig(**DEFAULT),
     "mltd": MLTDConfig(),
     "mltd-small": MLTDConfig(width=16, blocks=(1,) * 8, kernel=7),
 }

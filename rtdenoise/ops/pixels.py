@@ -11,7 +11,7 @@ from .dispatch import Fused, Support, falls_back
 
 DEMODULATE = Fused("pixels.demodulate", native=Support(max_channels=8))
 MODULATE = Fused("pixels.modulate", native=Support(max_channels=8))
-ACCUMULATE = Fused("pixels.accumulate", native=Support(max_channels=8))
+ACCUMULATE = Fused("pixels.accumulate", native=Support(max_channels=9))
 NEARNESS = Fused("pixels.nearness", native=Support())
 WITHIN = Fused("pixels.within", native=Support())
 

@@ -8,18 +8,31 @@ pixel (docs/notes/recall.md).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..constants import FAR_AWAY, RECALL_ALIKE, RECALL_CELL, RECALL_CHANGED, RECALL_WORDS
+from ..color import albedo_divisor
+from ..constants import FAR_AWAY, RECALL_ALBEDO_WORDS, RECALL_ALIKE, RECALL_CELL, RECALL_CHANGED, RECALL_WORDS
 from .alike import alike
 from .dispatch import Fused, Support, falls_back
 
-CHANNELS = 3, 1, 3, 1, 2  # of a kept frame: light, depth, normal, reset, motion
+CHANNELS = 3, 1, 3, 1, 2, 3, 1  # of a kept frame: light, depth, normal, reset, motion; and albedo, nothing
+FOOTPRINT = 3, 3, 3  # channels of a footprint: radiance, albedo, normal
 FUSED = Fused("recall", native=Support())
 KEEP = Fused("recall.keep", native=Support())
+
+
+@dataclass(frozen=True)
+class Recalled:
+    """What `recall` found of each pixel in recent frames. Zero where there is nothing."""
+
+    light: Tensor  # [B, 3, H, W] weighted mean of the light on its surface
+    count: Tensor  # [B, 1, H, W] sum of the weights
+    footprint: Tensor | None = None  # [B, 9, H, W] weighted mean of `FOOTPRINT`, whatever surface of the pixel it was
+    footprint_count: Tensor | None = None  # [B, 1, H, W] sum of those weights
 
 
 @falls_back
@@ -27,39 +40,61 @@ def recall(
     light: Tensor,  # [B, 3, H, W] of the current frame
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels, to the frame before
     surface: tuple[Tensor, Tensor],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
-    recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`keep`), the frame before first
-) -> tuple[Tensor, Tensor]:  # [B, 3, H, W], [B, 1, H, W]
-    """The weighted mean of the frames' light, and the sum of their weights; 0 where there is none.
+    recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`keep`), the frame before first; 7 channels with albedo
+    footprint: bool = False,
+) -> Recalled:
+    """The weighted mean of the frames' light:
 
         p_1 = p + motion(p),    p_(j+1) = p_j + motion_j(p_j),    at the nearest pixel; a path ends off the screen
-        w_j = same surface · clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1) · Π_(i<j) (1 - reset_i(p_i)),
+        w_j = same surface · u_j,   u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1) · Π_(i<j) (1 - reset_i(p_i)),
         q_j = |Σ d|² / Σ |d|²
 
     with the differences d = light_j(p_j) - light(p), over cells of CELL × CELL pixels and the eight around them, of
     pixels that show the same surface (`alike`): q_j is 1 on average if they are noise alone. `constants` has the three
-    as RECALL_CELL ... Raises ValueError where the shapes do not fit. No gradients.
+    as RECALL_CELL ...
+
+    With `footprint`, which needs albedo in all kept frames, also the mean of everything that was seen in the pixel. At
+    an edge one sample a pixel shows one of two surfaces, a converged picture both: so the surface of a kept pixel need
+    only be that of p or of a pixel beside it. A lookup at the nearest pixel that is off by δ counts as much as the two
+    pixels cover each other:
+
+        w_j = surface at p or beside it · u_j · (1 - |δ_x|) (1 - |δ_y|)
+
+    Raises ValueError where the shapes do not fit. No gradients.
     """
     B, _, H, W = light.shape
+    words = RECALL_ALBEDO_WORDS if footprint else RECALL_WORDS
     for kept in recent:
-        if kept.shape != (B, RECALL_WORDS, H, W):
-            raise ValueError(f"expected kept frames of {(B, RECALL_WORDS, H, W)}, got {tuple(kept.shape)}")
+        if kept.shape != (B, max(words, kept.shape[1]), H, W):
+            raise ValueError(f"expected kept frames of {(B, words, H, W)}, got {tuple(kept.shape)}")
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
-        return run(light, motion, *surface, recent)
+        return Recalled(*run(light, motion, *surface, recent, footprint))
     x = torch.arange(W, device=motion.device, dtype=motion.dtype)
     y = torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]
     mean, count, left = torch.zeros_like(light), torch.zeros_like(light[:, :1]), torch.ones_like(light[:, :1])
+    seen, seen_count = light.new_zeros(B, sum(FOOTPRINT), H, W), torch.zeros_like(count)
     for kept in recent:
-        whole = torch.nan_to_num(motion, nan=FAR_AWAY).clamp(-FAR_AWAY, FAR_AWAY).round()
+        bounded = torch.nan_to_num(motion, nan=FAR_AWAY).clamp(-FAR_AWAY, FAR_AWAY)
+        whole = bounded.round()
         u, v = whole[:, :1] + x, whole[:, 1:] + y
         inside = (u >= 0) & (u < W) & (v >= 0) & (v < H)
         index = (v.clamp(0, H - 1) * W + u.clamp(0, W - 1)).long().reshape(B, 1, H * W)
-        there = _unpacked(kept.flatten(2).gather(2, index.expand(B, RECALL_WORDS, -1)).unflatten(2, (H, W)))
-        its_light, depth, normal, reset, onward = there.split(CHANNELS, dim=1)
+        there = _unpacked(kept.flatten(2).gather(2, index.expand(B, kept.shape[1], -1)).unflatten(2, (H, W)))
+        its_light, depth, normal, reset, onward = there[:, :10].split(CHANNELS[:5], dim=1)
         same = (alike(surface, (depth, normal)) & inside).to(light.dtype)
-        weight = left * same * unchanged(same * (its_light - light))
-        mean, count, left = mean + weight * its_light, count + weight, left * (1 - reset)
+        weight = left * unchanged(same * (its_light - light))
+        mean, count = mean + same * weight * its_light, count + same * weight
+        if footprint:
+            albedo = there[:, 10:13]
+            weight = weight * (1 - (bounded - whole).abs()).prod(1, keepdim=True) * inside
+            weight = weight * _beside(surface, (depth, normal))
+            its_radiance = its_light * albedo_divisor(albedo, depth)
+            seen = seen + weight * torch.cat([its_radiance, albedo, normal], dim=1)
+            seen_count = seen_count + weight
+        left = left * (1 - reset)
         motion = torch.where(inside, motion + onward, FAR_AWAY)
-    return mean / count.clamp(min=1e-6), count
+    found = mean / count.clamp(min=1e-6), count
+    return Recalled(*found, seen / seen_count.clamp(min=1e-6), seen_count) if footprint else Recalled(*found)
 
 
 @falls_back
@@ -69,19 +104,21 @@ def keep(
     normal: Tensor,  # [B, 3, H, W]
     reset: Tensor,  # [B, 1, H, W] in [0, 1]: how far light gave way to this frame's; older frames count so much less
     motion: Tensor | None,  # [B, 2, H, W] (x, y) in pixels; paths end at a frame without
-) -> Tensor:  # [B, 5, H, W] int32
+    albedo: Tensor | None = None,  # [B, 3, H, W] for footprints
+) -> Tensor:  # [B, 5, H, W] int32; 7 channels with albedo
     """A frame as `recall` takes it: two bfloat16 in each integer, the first in its lower half."""
     if motion is None:
         motion = torch.full_like(light[:, :2], FAR_AWAY)
-    if run := KEEP(light=light, depth=depth, normal=normal, reset=reset, motion=motion):
-        return run(light, depth, normal, reset, motion)
-    halves = torch.cat([light, depth, normal, reset, motion], dim=1).bfloat16()
+    if run := KEEP(light=light, depth=depth, normal=normal, reset=reset, motion=motion, albedo=albedo):
+        return run(light, depth, normal, reset, motion, albedo)
+    more = [] if albedo is None else [albedo, torch.zeros_like(depth)]
+    halves = torch.cat([light, depth, normal, reset, motion, *more], dim=1).bfloat16()
     return torch.stack([halves[:, 0::2], halves[:, 1::2]], dim=-1).view(torch.int32)[..., 0]
 
 
 def motion_of(kept: Tensor) -> Tensor:
     """The motion of a kept frame, `[B, 2, H, W]` (x, y) in pixels."""
-    return _unpacked(kept)[:, -2:]
+    return _unpacked(kept[:, RECALL_WORDS - 1 : RECALL_WORDS])
 
 
 def _unpacked(kept: Tensor) -> Tensor:
@@ -97,3 +134,13 @@ def unchanged(difference: Tensor) -> Tensor:
     q = sums[:, :3].square().sum(1, keepdim=True) / sums[:, 3:].clamp(min=1e-30)
     weight = ((RECALL_CHANGED - q) / (RECALL_CHANGED - RECALL_ALIKE)).clamp(0, 1)
     return F.interpolate(weight, scale_factor=RECALL_CELL, mode="nearest")[:, :, :H, :W]
+
+
+def _beside(surface: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> Tensor:
+    """Whether `other` may be the surface of a pixel or of the four beside it, `[B, 1, H, W]` bool."""
+    H, W = other[0].shape[2:]
+    padded = [F.pad(image, (1, 1, 1, 1), mode="replicate") for image in surface]
+    found = torch.zeros_like(other[0], dtype=torch.bool)
+    for y, x in ((1, 1), (0, 1), (1, 0), (1, 2), (2, 1)):
+        found |= alike(tuple(image[..., y : y + H, x : x + W] for image in padded), other)
+    return found

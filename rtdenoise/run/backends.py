@@ -118,9 +118,9 @@ class TorchBackend:
         if oidn and not averages:
             raise InputError(f"--oidn: model {model!r} does not average light; choose default, many, fast or quality")
         self._correct, self._opinion = correct, Opinion(self._denoiser.config) if oidn else None
-        recent = RECENT if oidn else recent
-        if recent is not None and averages:
-            self._denoiser.config = replace(self._denoiser.config, recent=recent)
+        wanted = {"recent": RECENT, "footprint": True} if oidn else {} if recent is None else {"recent": recent}
+        if averages:
+            self._denoiser.config = replace(self._denoiser.config, **wanted)
         self._step = self._whole = stepper(self._denoiser)
 
     @property
@@ -181,7 +181,7 @@ class TorchBackend:
             return mismatch(frame, history).max().item()
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
-        layers = replace(history, recent=()).layers()
+        layers = replace(history, recent=(), footprint=None).layers()
         fields = {name: tensor.cpu().contiguous().numpy() for name, tensor in layers.items()}
         resets = (kept[:, RECALL_RESET, None].cpu().contiguous().numpy() for kept in history.recent)
         return fields | of_resets(resets)
@@ -199,12 +199,15 @@ class TorchBackend:
     def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
         import torch
 
+        from ..models.past import kept
+
         if not frames:
             return history
         with torch.inference_mode():
-            recent = [self._denoiser.kept(frame, torch.zeros_like(frame.depth)) for frame in frames]
-            resets = history.recent or [torch.zeros_like(kept) for kept in recent]
-            return replace(history, recent=tuple(map(torch.bitwise_or, recent, resets)))
+            recent = tuple(kept(self.config, frame, torch.zeros_like(frame.depth)) for frame in frames)
+            for its, resets in zip(recent, history.recent, strict=False):  # none in a history of light in passes
+                its[:, RECALL_RESET] |= resets[:, RECALL_RESET]
+            return replace(history, recent=recent)
 
 
 class GlslBackend:

@@ -1,29 +1,28 @@
 """`denoise --oidn`: a second opinion in real time, mixed into the network's picture.
 
-OIDN sees one frame, and no network here filters a single frame as well. So it gets the light that the network has
-averaged over the last frames along tested motion, times the frame's albedo. With f(x) = log(1 + x), exposure s and the
+OIDN sees one frame, and no network here filters a single frame as well. So it gets what the last frames have seen in
+each pixel, radiance, albedo and normal (`History.footprint`). With f(x) = log(1 + x), exposure s and the
 network's share a
 
     image = f⁻¹(a · f(s · network) + (1 - a) · f(s · OIDN)) / s
 
-The average has to be one of recent frames (`ops.recall`): the lookups of a running mean between pixels leave blotches,
-which OIDN takes for light (docs/notes/offline.md). History stays the network's own.
+History stays the network's own.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib.util import find_spec
 
 from torch import Tensor
 
-from ..baselines.oidn import Oidn
-from ..color import albedo_divisor, compress, expand
+from ..baselines.oidn import Oidn, installed
+from ..color import compress, expand
 from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..models.presets import Config
 from ..ops.even_sky import even_sky
+from ..ops.recall import FOOTPRINT
 from ..sanitise import sanitise
 from .graphs import Step
 
@@ -38,21 +37,21 @@ class Opinion:
 
     def __init__(self, config: Config) -> None:
         """`config` of the network as it is stored. Raises InputError where `pyoidn` is not installed."""
-        if find_spec("pyoidn") is None:
+        if not installed():
             raise InputError("--oidn: OIDN is not installed: pip install pyoidn")
         self._oidn, self._share = Oidn(), SHARES[config.recent > 0]
 
     def step(
         self, step: Step, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """The step of a network that keeps recent frames, with OIDN's opinion mixed into its image. Raises InputError
-        for batches."""
+        """The step of a network whose history has `footprint`, with OIDN's opinion mixed into its image. Raises
+        InputError for batches."""
         if len(frame.radiance) != 1:
             raise InputError(f"OIDN takes one picture at a time, got {len(frame.radiance)}")
         frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
         image, onward = step(frame, history, known)
-        averaged = onward.mean * albedo_divisor(frame.albedo, frame.depth)
-        picture, _ = self._oidn.step(replace(frame, radiance=averaged))
+        radiance, albedo, normal = onward.footprint.split(FOOTPRINT, dim=1)
+        picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
         image = mixed(image, picture, self._share)
         return even_sky(image, frame.radiance, frame.depth), onward  # OIDN filters the sky, too
 

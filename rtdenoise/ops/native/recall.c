@@ -1,4 +1,5 @@
-// The mean light of recent frames along chained motion. The specification is ops/recall.py, whose CELL and FAR_AWAY these are.
+// The mean light of recent frames along chained motion. The specification is ops/recall.py, whose CELL and FAR_AWAY these are;
+// GLOSS is that of constants.py.
 //
 // One pass over the frame, a row of cells at a time: a row's weights need the rows above and below it, so each thread keeps
 // what it found in two rows and the sums of three, small enough for its cache.
@@ -10,16 +11,20 @@
 #define FOUND 2   // rows of cells of which a thread keeps what it found
 #define SUMS 3    // likewise the sums
 #define SAME 0x3f800000  // 1 as the high half of a word
+#define SUMMED 10 // channels of a footprint, and their weight
 
 typedef struct {
     const float *light, *motion, *depth, *normal;  // planes of the current frame
-    const uint32_t *const *kept;                   // K frames of 5 planes, two bfloat16 a pixel
-    float *mean, *count;
-    uint32_t *found;  // of a thread: [FOUND, K, 3 (red, green; blue, 1 or 0: same surface; s as float32), CELL, W]
+    const uint32_t *const *kept;                   // K frames of 5 planes, or 7, two bfloat16 a pixel
+    float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
+    // Of a thread: [FOUND, K, words, CELL, W]. Words: red, green; blue, 1 or 0: same surface; s as float32. With footprints:
+    // albedo's red, green; its blue, normal's x; y, z; s times the weight in footprints, and 1 or 0: something was hit, as
+    // float32 both.
+    uint32_t *found;
     float *cells;     // likewise: [SUMS, K, 4 (Σ d, Σ |d|²), columns]
     float depth_tolerance, normal_tolerance, alike, changed;
     int64_t plane;
-    int K, H, W, columns, rows;
+    int K, H, W, columns, rows, words;
 } Job;
 
 static inline float bounded(float motion) {
@@ -27,7 +32,7 @@ static inline float bounded(float motion) {
 }
 
 static inline uint32_t *found_of(Job j, int cell_row, int k) {
-    return j.found + ((int64_t)(cell_row % FOUND) * j.K + k) * 3 * CELL * j.W;
+    return j.found + ((int64_t)(cell_row % FOUND) * j.K + k) * j.words * CELL * j.W;
 }
 
 static inline float *cells_of(Job j, int cell_row, int k) {
@@ -65,6 +70,31 @@ static inline void read(Job j, const uint32_t *kept, int64_t first, int n, const
     }
 }
 
+// For footprints, likewise: what else was seen there, and how much it counts. Pixels of row y from column `from` on; `s` is
+// the paths' share and `cover` the share of two pixels that cover each other.
+static inline void see(Job j, const uint32_t *kept, int y, int from, int n, const int *at, const int *inside, const float *s,
+                       const float *cover, uint32_t *found) {
+    int64_t plane = j.plane, stride = (int64_t)CELL * j.W, first = (int64_t)y * j.W + from;
+    int up = y ? -j.W : 0, down = y + 1 < j.H ? j.W : 0;
+    const float *depth = j.depth + first, *normal = j.normal + first;
+#pragma omp simd
+    for (int x = 0; x < n; x++) {
+        uint32_t middle = kept[2 * plane + at[x]], last = kept[3 * plane + at[x]];
+        Surface its = {high(kept[plane + at[x]]), low(middle), high(middle), low(last)};
+        int left = x - (from + x > 0), right = x + (from + x + 1 < j.W), beside = 0;
+        beside |= alike(surface_at(depth, normal, plane, x), its, j.depth_tolerance, j.normal_tolerance);
+        beside |= alike(surface_at(depth, normal, plane, left), its, j.depth_tolerance, j.normal_tolerance);
+        beside |= alike(surface_at(depth, normal, plane, right), its, j.depth_tolerance, j.normal_tolerance);
+        beside |= alike(surface_at(depth, normal, plane, x + up), its, j.depth_tolerance, j.normal_tolerance);
+        beside |= alike(surface_at(depth, normal, plane, x + down), its, j.depth_tolerance, j.normal_tolerance);
+        found[3 * stride + x] = kept[5 * plane + at[x]];
+        found[4 * stride + x] = (kept[6 * plane + at[x]] & 0xffff) | middle << 16;
+        found[5 * stride + x] = middle >> 16 | last << 16;
+        found[6 * stride + x] = bits_of(inside[x] & beside ? s[x] * cover[x] : 0);
+        found[7 * stride + x] = bits_of(its.depth > 0 ? 1 : 0);
+    }
+}
+
 // Follow the paths of n pixels of row y through all kept frames.
 static inline void look(Job j, int y, int from, int n) {
     int64_t first = (int64_t)y * j.W + from;
@@ -74,13 +104,17 @@ static inline void look(Job j, int y, int from, int n) {
     for (int x = 0; x < n; x++) p.s[x] = 1;
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
+        float cover[BLOCK];
 #pragma omp simd
         for (int x = 0; x < n; x++) {
-            float u = nearbyintf(bounded(p.mx[x])) + (from + x), v = nearbyintf(bounded(p.my[x])) + y;
+            float mx = bounded(p.mx[x]), my = bounded(p.my[x]), whole_x = nearbyintf(mx), whole_y = nearbyintf(my);
+            float u = whole_x + (from + x), v = whole_y + y;
             inside[x] = (u >= 0) & (u < j.W) & (v >= 0) & (v < j.H);
             at[x] = inside[x] ? (int)v * j.W + (int)u : 0;
+            cover[x] = (1 - fabsf(mx - whole_x)) * (1 - fabsf(my - whole_y));
         }
         uint32_t *found = found_of(j, y / CELL, k) + y % CELL * j.W + from;
+        if (j.footprint) see(j, j.kept[k], y, from, n, at, inside, p.s, cover, found);
         for (int part = 0; part < n; part += PART) {
             int size = MIN(PART, n - part), apart = 0;
             const int *its = at + part, *in = inside + part;
@@ -131,6 +165,13 @@ static inline float unchanged(Job j, int cell_row, int k, int column) {
     return MIN(MAX((j.changed - q) / (j.changed - j.alike), 0), 1);
 }
 
+static inline void weights(Job j, int cell_row, int k, int from, int n, float *weight) {
+    for (int x = 0; x < n; x += CELL) {
+        float w = unchanged(j, cell_row, k, (from + x) / CELL);
+        for (int i = 0; i < CELL; i++) weight[x + i] = w;
+    }
+}
+
 // The mean over all kept frames, for n pixels of a row of cells.
 static inline void average(Job j, int cell_row, int from, int n) {
     int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
@@ -138,10 +179,7 @@ static inline void average(Job j, int cell_row, int from, int n) {
     int height = MIN(CELL, j.H - cell_row * CELL);
     for (int k = 0; k < j.K; k++) {
         float weight[BLOCK];
-        for (int x = 0; x < n; x += CELL) {
-            float w = unchanged(j, cell_row, k, (from + x) / CELL);
-            for (int i = 0; i < CELL; i++) weight[x + i] = w;
-        }
+        weights(j, cell_row, k, from, n, weight);
         for (int y = 0; y < height; y++) {
             const uint32_t *found = found_of(j, cell_row, k) + y * j.W + from;
 #pragma omp simd
@@ -167,6 +205,46 @@ static inline void average(Job j, int cell_row, int from, int n) {
     }
 }
 
+// Likewise of footprints.
+static inline void average_footprints(Job j, int cell_row, int from, int n) {
+    int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
+    float sum[CELL][SUMMED][BLOCK] = {{{0}}};
+    int height = MIN(CELL, j.H - cell_row * CELL);
+    for (int k = 0; k < j.K; k++) {
+        float weight[BLOCK];
+        weights(j, cell_row, k, from, n, weight);
+        for (int y = 0; y < height; y++) {
+            const uint32_t *found = found_of(j, cell_row, k) + y * j.W + from;
+#pragma omp simd
+            for (int x = 0; x < n; x++) {
+                uint32_t rg = found[x], b = found[stride + x], a = found[3 * stride + x], ax = found[4 * stride + x];
+                uint32_t yz = found[5 * stride + x];
+                float w = weight[x] * from_bits(found[6 * stride + x]), hit = from_bits(found[7 * stride + x]);
+                float albedo[3] = {low(a), high(a), low(ax)}, light[3] = {low(rg), high(rg), low(b)};
+#pragma GCC unroll 3
+                for (int c = 0; c < 3; c++) {
+                    sum[y][c][x] += w * light[c] * (hit > 0 ? albedo[c] + (float)GLOSS : 1);
+                    sum[y][3 + c][x] += w * albedo[c];
+                }
+                sum[y][6][x] += w * high(ax);
+                sum[y][7][x] += w * low(yz);
+                sum[y][8][x] += w * high(yz);
+                sum[y][9][x] += w;
+            }
+        }
+    }
+    for (int y = 0; y < height; y++) {
+        int64_t at = (int64_t)(cell_row * CELL + y) * j.W + from;
+#pragma omp simd
+        for (int x = 0; x < n; x++) {
+            j.footprint_count[at + x] = sum[y][9][x];
+            float scale = 1 / MAX(sum[y][9][x], 1e-6f);
+#pragma GCC unroll 9
+            for (int c = 0; c < 9; c++) j.footprint[c * plane + at + x] = sum[y][c][x] * scale;
+        }
+    }
+}
+
 // Rows of cells [top, bottom).
 static void band(Job j, int top, int bottom) {
     for (int row = MAX(top - 1, 0); row <= bottom; row++) {
@@ -177,15 +255,19 @@ static void band(Job j, int top, int bottom) {
                 for (int k = 0; k < j.K; k++) compare(j, row, k, from, n);
             }
         if (row > top)
-            for (int from = 0; from < j.W; from += BLOCK) average(j, row - 1, from, MIN(BLOCK, j.W - from));
+            for (int from = 0; from < j.W; from += BLOCK) {
+                average(j, row - 1, from, MIN(BLOCK, j.W - from));
+                if (j.footprint) average_footprints(j, row - 1, from, MIN(BLOCK, j.W - from));
+            }
     }
 }
 
-// light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], kept: B × K times [5, H, W],
-// mean like light, count like depth, all contiguous. found and cells hold the scratch of `threads` threads.
+// light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], kept: B × K times [5 or 7, H, W],
+// mean like light, count like depth, footprint [B, 9, H, W] and footprint_count like depth, or both NULL, all contiguous.
+// found and cells hold the scratch of `threads` threads.
 void recall(const float *light, const float *motion, const float *depth, const float *normal, const uint32_t *const *kept,
-            float *mean, float *count, uint32_t *found, float *cells, int K, int B, int H, int W, float depth_tolerance,
-            float normal_tolerance, float alike, float changed, int threads) {
+            float *mean, float *count, float *footprint, float *footprint_count, uint32_t *found, float *cells, int K, int B,
+            int H, int W, int words, float depth_tolerance, float normal_tolerance, float alike, float changed, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
 #pragma omp parallel for num_threads(threads) schedule(static)
@@ -193,8 +275,9 @@ void recall(const float *light, const float *motion, const float *depth, const f
         for (int b = 0; b < B; b++) {
             Job j = {light + 3 * b * plane, motion + 2 * b * plane, depth + b * plane, normal + 3 * b * plane,
                      kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
-                     found + (int64_t)t * FOUND * K * 3 * CELL * W, cells + (int64_t)t * SUMS * K * 4 * columns,
-                     depth_tolerance, normal_tolerance, alike, changed, plane, K, H, W, columns, rows};
+                     footprint ? footprint + 9 * b * plane : NULL, footprint ? footprint_count + b * plane : NULL,
+                     found + (int64_t)t * FOUND * K * words * CELL * W, cells + (int64_t)t * SUMS * K * 4 * columns,
+                     depth_tolerance, normal_tolerance, alike, changed, plane, K, H, W, columns, rows, words};
             band(j, (int64_t)rows * t / threads, (int64_t)rows * (t + 1) / threads);
         }
 }
@@ -204,17 +287,18 @@ static inline uint32_t half(float x) {  // bfloat16, the nearest, even in betwee
     return isnan(x) ? 0x7fc0 : (bits + 0x7fff + (bits >> 16 & 1)) >> 16;
 }
 
-// light [B, 3, H, W], depth [B, 1, H, W], normal [B, 3, H, W], reset [B, 1, H, W], motion [B, 2, H, W], kept [B, 5, H, W], all
-// contiguous.
+// light [B, 3, H, W], depth [B, 1, H, W], normal [B, 3, H, W], reset [B, 1, H, W], motion [B, 2, H, W], kept [B, 5, H, W]; or
+// with albedo [B, 3, H, W], which may be NULL, [B, 7, H, W]; all contiguous.
 void keep(const float *light, const float *depth, const float *normal, const float *reset, const float *motion,
-          uint32_t *kept, int B, int H, int W, int threads) {
+          const float *albedo, uint32_t *kept, int B, int H, int W, int threads) {
     int64_t plane = (int64_t)H * W;
+    int words = albedo ? 7 : 5;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int row = 0; row < B * H; row++) {
         int64_t b = row / H, first = row % H * (int64_t)W;
         const float *l = light + 3 * b * plane + first, *d = depth + b * plane + first, *r = reset + b * plane + first;
         const float *n = normal + 3 * b * plane + first, *m = motion + 2 * b * plane + first;
-        uint32_t *out = kept + 5 * b * plane + first;
+        uint32_t *out = kept + words * b * plane + first;
 #pragma omp simd
         for (int x = 0; x < W; x++) {
             out[x] = half(l[x]) | half(l[plane + x]) << 16;
@@ -222,6 +306,13 @@ void keep(const float *light, const float *depth, const float *normal, const flo
             out[2 * plane + x] = half(n[x]) | half(n[plane + x]) << 16;
             out[3 * plane + x] = half(n[2 * plane + x]) | half(r[x]) << 16;
             out[4 * plane + x] = half(m[x]) | half(m[plane + x]) << 16;
+        }
+        if (!albedo) continue;
+        const float *a = albedo + 3 * b * plane + first;
+#pragma omp simd
+        for (int x = 0; x < W; x++) {
+            out[5 * plane + x] = half(a[x]) | half(a[plane + x]) << 16;
+            out[6 * plane + x] = half(a[2 * plane + x]);
         }
     }
 }

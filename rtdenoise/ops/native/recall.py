@@ -11,7 +11,9 @@ from torch import Tensor
 from ...constants import (
     DEPTH_TOLERANCE,
     FAR_AWAY,
+    GLOSS,
     MIN_NORMAL_COSINE,
+    RECALL_ALBEDO_WORDS,
     RECALL_ALIKE,
     RECALL_CELL,
     RECALL_CHANGED,
@@ -20,33 +22,38 @@ from ...constants import (
 from .compiler import library, pointer
 
 FOUND, SUMS = 2, 3  # rows of cells, as in recall.c
+WORDS = {False: 3, True: 8}  # that are found of a pixel in each kept frame, without and with footprints
 
 
 def recall(
-    light: Tensor, motion: Tensor, depth: Tensor, normal: Tensor, recent: Sequence[Tensor]
-) -> tuple[Tensor, Tensor]:
+    light: Tensor, motion: Tensor, depth: Tensor, normal: Tensor, recent: Sequence[Tensor], footprint: bool
+) -> tuple[Tensor, ...]:
     now = [t.contiguous() for t in (light, motion, depth, normal)]
     recent = [t.contiguous() for t in recent]
     B, _, H, W = light.shape
-    threads, K = torch.get_num_threads(), len(recent)
-    mean, count = torch.empty_like(now[0]), torch.empty_like(now[2])
-    found = torch.empty(threads, FOUND, K, 3, RECALL_CELL, W, dtype=torch.int32)
+    threads, K, words = torch.get_num_threads(), len(recent), WORDS[footprint]
+    results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
+    found = torch.empty(threads, FOUND, K, words, RECALL_CELL, W, dtype=torch.int32)
     cells = torch.empty(threads, SUMS, K, 4, -(-W // RECALL_CELL))
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
+    outputs = [*map(pointer, results), *[None] * (4 - len(results))]
     tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, RECALL_ALIKE, RECALL_CHANGED))
     _compiled().recall(
-        *map(pointer, now), kept, *map(pointer, (mean, count, found, cells)), K, B, H, W, *tolerances, threads
+        *map(pointer, now), kept, *outputs, pointer(found), pointer(cells), K, B, H, W, words, *tolerances, threads
     )
-    return mean, count
+    return tuple(results)
 
 
-def keep(light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Tensor) -> Tensor:
-    images = [t.contiguous() for t in (light, depth, normal, reset, motion)]
+def keep(
+    light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Tensor, albedo: Tensor | None
+) -> Tensor:
+    images = [t.contiguous() for t in (light, depth, normal, reset, motion, albedo) if t is not None]
     B, _, H, W = light.shape
-    kept = torch.empty(B, RECALL_WORDS, H, W, dtype=torch.int32)
-    _compiled().keep(*map(pointer, images), pointer(kept), B, H, W, torch.get_num_threads())
+    kept = torch.empty(B, RECALL_WORDS if albedo is None else RECALL_ALBEDO_WORDS, H, W, dtype=torch.int32)
+    pointers = [*map(pointer, images), *[None] * (6 - len(images))]
+    _compiled().keep(*pointers, pointer(kept), B, H, W, torch.get_num_threads())
     return kept
 
 
 def _compiled() -> CDLL:
-    return library("recall", CELL=RECALL_CELL, FAR_AWAY=FAR_AWAY)
+    return library("recall", CELL=RECALL_CELL, FAR_AWAY=FAR_AWAY, GLOSS=GLOSS)
