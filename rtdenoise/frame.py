@@ -157,7 +157,7 @@ class History:
     residual: Tensor | None = None  # [B, 3, H, W] running mean of (noisy - denoised) / albedo, for its correction
     residual_length: Tensor | None = None  # [B, 1, H, W] frames in it
     hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features for the next step of the model, at any scale
-    recent: tuple[Tensor, ...] = ()  # [B, 5 or 7, H, W] int32 each: of `ops.recall.keep`, the last frame first
+    recent: tuple[Tensor, ...] = ()  # [B, 5 or 8, H, W] int32 each: of `ops.recall.keep`, the last frame first
     # [B, 9, H, W] radiance, albedo and normal of this and the recent frames, whatever surface of the pixel they saw
     # (`ops.recall`). No later step needs it: it is for those who filter what has been averaged.
     footprint: Tensor | None = None

@@ -180,7 +180,7 @@ def test_changed_light_and_resets_leave_footprints(choice):
 
 
 def test_footprints_need_albedo():
-    with pytest.raises(ValueError, match=r"expected kept frames of \(1, 7, 16, 24\)"):
+    with pytest.raises(ValueError, match=r"expected kept frames of \(1, 8, 16, 24\)"):
         recall(noisy(), image(0.0, 0.0), WALL, [kept(noisy(), *WALL, None)], footprint=True)
 
 
@@ -219,7 +219,7 @@ def test_the_newest_frames_are_kept(network):
     assert [len(run(network, frames[:n])[1].recent) for n in (1, 2, 5)] == [1, 2, 3]
     _, history = run(network, frames[:5])
     alone = [run(network, [frame])[1].recent[0] for frame in frames[:5]]
-    but_for_resets = torch.tensor([-1, -1, -1, 0xFFFF, -1, -1, -1], dtype=torch.int32).reshape(1, -1, 1, 1)
+    but_for_resets = torch.tensor([-1, -1, -1, 0xFFFF, -1, -1, -1, -1], dtype=torch.int32).reshape(1, -1, 1, 1)
     for kept, expected in zip(history.recent, alone[:1:-1], strict=True):
         assert torch.equal(kept & but_for_resets, expected & but_for_resets)
 

@@ -10,7 +10,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from ..constants import RECALL_ALBEDO_WORDS, RECALL_RESET, RECALL_WORDS
+from ..constants import RECALL_FOOTPRINT_WORDS, RECALL_RESET, RECALL_WORDS
 from ..errors import InputError
 from ..files import open_regular, write_atomically
 from ..frame import HIDDEN, RECENT
@@ -72,7 +72,8 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
         raise InputError(f"{label} is {array.dtype}, expected {expected_type.__name__}")
     channels = CHANNELS.get(name)
     if recent:
-        channels = RECALL_ALBEDO_WORDS if array.ndim == 4 and array.shape[1] == RECALL_ALBEDO_WORDS else RECALL_WORDS
+        words = array.shape[1] if array.ndim == 4 else 0
+        channels = words if words == RECALL_FOOTPRINT_WORDS else RECALL_WORDS
     if channels is not None:
         expected = (*like[:1], channels, *like[2:])
         fits = len(like) == 4 and array.shape == expected

@@ -15,12 +15,21 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..color import albedo_divisor
-from ..constants import FAR_AWAY, RECALL_ALBEDO_WORDS, RECALL_ALIKE, RECALL_CELL, RECALL_CHANGED, RECALL_WORDS
+from ..constants import (
+    DEPTH_TOLERANCE,
+    FAR_AWAY,
+    RECALL_ALIKE,
+    RECALL_CELL,
+    RECALL_CHANGED,
+    RECALL_FOOTPRINT_WORDS,
+    RECALL_WORDS,
+)
 from .alike import alike
 from .dispatch import Fused, Support, falls_back
 
-CHANNELS = 3, 1, 3, 1, 2, 3, 1  # of a kept frame: light, depth, normal, reset, motion; and albedo, nothing
+CHANNELS = 3, 1, 3, 1, 2, 3, 2, 1  # of a kept frame: those of `Kept`, and nothing
 FOOTPRINT = 3, 3, 3  # channels of a footprint: radiance, albedo, normal
+BESIDE = (0, 0), (-1, 0), (0, -1), (0, 1), (1, 0)  # (y, x): a pixel and the four beside it
 FUSED = Fused("recall", native=Support())
 KEEP = Fused("recall.keep", native=Support())
 
@@ -40,59 +49,53 @@ def recall(
     light: Tensor,  # [B, 3, H, W] of the current frame
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels, to the frame before
     surface: tuple[Tensor, Tensor],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
-    recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`keep`), the frame before first; 7 channels with albedo
+    recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`keep`), the frame before first; 8 channels for footprints
     footprint: bool = False,
 ) -> Recalled:
     """The weighted mean of the frames' light:
 
         p_1 = p + motion(p),    p_(j+1) = p_j + motion_j(p_j),    at the nearest pixel; a path ends off the screen
-        w_j = same surface · u_j,   u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1) · Π_(i<j) (1 - reset_i(p_i)),
-        q_j = |Σ d|² / Σ |d|²
+        w_j = same surface · u_j · Π_(i<j) (1 - reset_i(p_i)),
+        u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1),    q_j = |Σ d|² / Σ |d|²
 
     with the differences d = light_j(p_j) - light(p), over cells of CELL × CELL pixels and the eight around them, of
     pixels that show the same surface (`alike`): q_j is 1 on average if they are noise alone. `constants` has the three
     as RECALL_CELL ...
 
-    With `footprint`, which needs albedo in all kept frames, also the mean of everything that was seen in the pixel. At
-    an edge one sample a pixel shows one of two surfaces, a converged picture both: so the surface of a kept pixel need
-    only be that of p or of a pixel beside it. A lookup at the nearest pixel that is off by δ counts as much as the two
-    pixels cover each other:
+    With `footprint` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
+    converged picture both: so the surface there need only be that of p or of a pixel beside it. An edge moves with what
+    is in front, so these paths follow `motion_of_front`. A lookup at the nearest pixel that is off by δ counts as much
+    as the two pixels cover each other:
 
-        w_j = surface at p or beside it · u_j · (1 - |δ_x|) (1 - |δ_y|)
+        w_j = surface at p or beside it · u_j · Π_(i<j) (1 - reset_i(p_i)) · (1 - |δ_x|) (1 - |δ_y|)
 
     Raises ValueError where the shapes do not fit. No gradients.
     """
     B, _, H, W = light.shape
-    words = RECALL_ALBEDO_WORDS if footprint else RECALL_WORDS
+    words = RECALL_FOOTPRINT_WORDS if footprint else RECALL_WORDS
     for kept in recent:
         if kept.shape != (B, max(words, kept.shape[1]), H, W):
             raise ValueError(f"expected kept frames of {(B, words, H, W)}, got {tuple(kept.shape)}")
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
         return Recalled(*run(light, motion, *surface, recent, footprint))
-    x = torch.arange(W, device=motion.device, dtype=motion.dtype)
-    y = torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]
-    mean, count, left = torch.zeros_like(light), torch.zeros_like(light[:, :1]), torch.ones_like(light[:, :1])
+    mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
     seen, seen_count = light.new_zeros(B, sum(FOOTPRINT), H, W), torch.zeros_like(count)
+    path, front = _Path(motion), _Path(motion_of_front(motion, surface[0]))
     for kept in recent:
-        bounded = torch.nan_to_num(motion, nan=FAR_AWAY).clamp(-FAR_AWAY, FAR_AWAY)
-        whole = bounded.round()
-        u, v = whole[:, :1] + x, whole[:, 1:] + y
-        inside = (u >= 0) & (u < W) & (v >= 0) & (v < H)
-        index = (v.clamp(0, H - 1) * W + u.clamp(0, W - 1)).long().reshape(B, 1, H * W)
-        there = _unpacked(kept.flatten(2).gather(2, index.expand(B, kept.shape[1], -1)).unflatten(2, (H, W)))
-        its_light, depth, normal, reset, onward = there[:, :10].split(CHANNELS[:5], dim=1)
-        same = (alike(surface, (depth, normal)) & inside).to(light.dtype)
-        weight = left * unchanged(same * (its_light - light))
-        mean, count = mean + same * weight * its_light, count + same * weight
+        there = path.look(kept)
+        same = (alike(surface, (there.depth, there.normal)) & path.inside).to(light.dtype)
+        stays = unchanged(same * (there.light - light))
+        weight = same * stays * path.left
+        mean, count = mean + weight * there.light, count + weight
+        path.follow(there.motion, there.reset)
         if footprint:
-            albedo = there[:, 10:13]
-            weight = weight * (1 - (bounded - whole).abs()).prod(1, keepdim=True) * inside
-            weight = weight * _beside(surface, (depth, normal))
-            its_radiance = its_light * albedo_divisor(albedo, depth)
-            seen = seen + weight * torch.cat([its_radiance, albedo, normal], dim=1)
+            there = front.look(kept)
+            known = _beside(surface, (there.depth, there.normal)) & front.inside
+            weight = known * stays * front.left * front.cover
+            radiance = there.light * albedo_divisor(there.albedo, there.depth)
+            seen = seen + weight * torch.cat([radiance, there.albedo, there.normal], dim=1)
             seen_count = seen_count + weight
-        left = left * (1 - reset)
-        motion = torch.where(inside, motion + onward, FAR_AWAY)
+            front.follow(there.front, there.reset)
     found = mean / count.clamp(min=1e-6), count
     return Recalled(*found, seen / seen_count.clamp(min=1e-6), seen_count) if footprint else Recalled(*found)
 
@@ -105,15 +108,29 @@ def keep(
     reset: Tensor,  # [B, 1, H, W] in [0, 1]: how far light gave way to this frame's; older frames count so much less
     motion: Tensor | None,  # [B, 2, H, W] (x, y) in pixels; paths end at a frame without
     albedo: Tensor | None = None,  # [B, 3, H, W] for footprints
-) -> Tensor:  # [B, 5, H, W] int32; 7 channels with albedo
+) -> Tensor:  # [B, 5, H, W] int32; 8 channels with albedo
     """A frame as `recall` takes it: two bfloat16 in each integer, the first in its lower half."""
     if motion is None:
         motion = torch.full_like(light[:, :2], FAR_AWAY)
     if run := KEEP(light=light, depth=depth, normal=normal, reset=reset, motion=motion, albedo=albedo):
         return run(light, depth, normal, reset, motion, albedo)
-    more = [] if albedo is None else [albedo, torch.zeros_like(depth)]
+    more = [] if albedo is None else [albedo, motion_of_front(motion, depth), torch.zeros_like(depth)]
     halves = torch.cat([light, depth, normal, reset, motion, *more], dim=1).bfloat16()
     return torch.stack([halves[:, 0::2], halves[:, 1::2]], dim=-1).view(torch.int32)[..., 0]
+
+
+def motion_of_front(motion: Tensor, depth: Tensor) -> Tensor:
+    """The motion of what is nearest in each pixel and the four beside it, `[B, 2, H, W]`: a pixel's own, unless one
+    beside it is nearer by more than DEPTH_TOLERANCE, and each after that likewise against the nearest so far."""
+    H, W = depth.shape[2:]
+    distance = torch.where(depth > 0, depth, torch.inf)
+    around, nearest = F.pad(distance, (1, 1, 1, 1), mode="replicate"), distance
+    motions = F.pad(motion, (1, 1, 1, 1), mode="replicate")
+    for y, x in BESIDE[1:]:
+        window = (..., slice(1 + y, 1 + y + H), slice(1 + x, 1 + x + W))
+        nearer = around[window] < (1 - DEPTH_TOLERANCE) * nearest
+        nearest, motion = torch.where(nearer, around[window], nearest), torch.where(nearer, motions[window], motion)
+    return motion
 
 
 def motion_of(kept: Tensor) -> Tensor:
@@ -136,11 +153,51 @@ def unchanged(difference: Tensor) -> Tensor:
     return F.interpolate(weight, scale_factor=RECALL_CELL, mode="nearest")[:, :, :H, :W]
 
 
+@dataclass(frozen=True)
+class Kept:
+    """A kept frame, unpacked; the last two are None where it has none."""
+
+    light: Tensor  # [B, 3, H, W]
+    depth: Tensor  # [B, 1, H, W]
+    normal: Tensor  # [B, 3, H, W]
+    reset: Tensor  # [B, 1, H, W]
+    motion: Tensor  # [B, 2, H, W]
+    albedo: Tensor | None = None  # [B, 3, H, W]
+    front: Tensor | None = None  # [B, 2, H, W] `motion_of_front`
+
+
+class _Path:
+    """The path of each pixel back through kept frames."""
+
+    def __init__(self, motion: Tensor) -> None:
+        self.motion, self.left = motion, torch.ones_like(motion[:, :1])  # `left`: the share that resets have left
+
+    def look(self, kept: Tensor) -> Kept:
+        """What the path leads to, at the nearest pixel. Sets `inside`, whether it is on the screen, and `cover`, the
+        share of the pixel there that the path's pixel covers, `[B, 1, H, W]` each."""
+        B, words, H, W = kept.shape
+        x = torch.arange(W, device=kept.device, dtype=self.motion.dtype)
+        y = torch.arange(H, device=kept.device, dtype=self.motion.dtype)[:, None]
+        motion = torch.nan_to_num(self.motion, nan=FAR_AWAY).clamp(-FAR_AWAY, FAR_AWAY)
+        whole = motion.round()
+        u, v = whole[:, :1] + x, whole[:, 1:] + y
+        self.inside = (u >= 0) & (u < W) & (v >= 0) & (v < H)
+        self.cover = (1 - (motion - whole).abs()).prod(1, keepdim=True)
+        index = (v.clamp(0, H - 1) * W + u.clamp(0, W - 1)).long().reshape(B, 1, H * W)
+        there = _unpacked(kept.flatten(2).gather(2, index.expand(B, words, -1)).unflatten(2, (H, W)))
+        channels = CHANNELS[:5] if words == RECALL_WORDS else CHANNELS
+        return Kept(*there.split(channels, dim=1)[:7])
+
+    def follow(self, motion: Tensor, reset: Tensor) -> None:
+        """Go on by the motion that was found there."""
+        self.motion, self.left = torch.where(self.inside, self.motion + motion, FAR_AWAY), self.left * (1 - reset)
+
+
 def _beside(surface: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> Tensor:
     """Whether `other` may be the surface of a pixel or of the four beside it, `[B, 1, H, W]` bool."""
     H, W = other[0].shape[2:]
     padded = [F.pad(image, (1, 1, 1, 1), mode="replicate") for image in surface]
     found = torch.zeros_like(other[0], dtype=torch.bool)
-    for y, x in ((1, 1), (0, 1), (1, 0), (1, 2), (2, 1)):
-        found |= alike(tuple(image[..., y : y + H, x : x + W] for image in padded), other)
+    for y, x in BESIDE:
+        found |= alike(tuple(image[..., 1 + y : 1 + y + H, 1 + x : 1 + x + W] for image in padded), other)
     return found

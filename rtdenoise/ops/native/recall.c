@@ -15,11 +15,10 @@
 
 typedef struct {
     const float *light, *motion, *depth, *normal;  // planes of the current frame
-    const uint32_t *const *kept;                   // K frames of 5 planes, or 7, two bfloat16 a pixel
+    const uint32_t *const *kept;                   // K frames of 5 planes, or 8, two bfloat16 a pixel
     float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
-    // Of a thread: [FOUND, K, words, CELL, W]. Words: red, green; blue, 1 or 0: same surface; s as float32. With footprints:
-    // albedo's red, green; its blue, normal's x; y, z; s times the weight in footprints, and 1 or 0: something was hit, as
-    // float32 both.
+    // Of a thread: [FOUND, K, words, CELL, W]. Words: red, green; blue, 1 or 0: same surface; s as float32. In footprints:
+    // red, green; blue, 1 or 0: something was hit; albedo's red, green; its blue, normal's x; y, z; the weight as float32.
     uint32_t *found;
     float *cells;     // likewise: [SUMS, K, 4 (Σ d, Σ |d|²), columns]
     float depth_tolerance, normal_tolerance, alike, changed;
@@ -70,51 +69,82 @@ static inline void read(Job j, const uint32_t *kept, int64_t first, int n, const
     }
 }
 
-// For footprints, likewise: what else was seen there, and how much it counts. Pixels of row y from column `from` on; `s` is
-// the paths' share and `cover` the share of two pixels that cover each other.
-static inline void see(Job j, const uint32_t *kept, int y, int from, int n, const int *at, const int *inside, const float *s,
-                       const float *cover, uint32_t *found) {
+// The pixels that n paths of row y lead to, from column `from` on.
+static inline void places(Job j, int y, int from, int n, const Paths *paths, int *at, int *inside) {
+#pragma omp simd
+    for (int x = 0; x < n; x++) {
+        float u = nearbyintf(bounded(paths->mx[x])) + (from + x), v = nearbyintf(bounded(paths->my[x])) + y;
+        inside[x] = (u >= 0) & (u < j.W) & (v >= 0) & (v < j.H);
+        at[x] = inside[x] ? (int)v * j.W + (int)u : 0;
+    }
+}
+
+// 1 minus the distance to the nearest whole number.
+static inline float covered(float motion) { return 1 - fabsf(bounded(motion) - nearbyintf(bounded(motion))); }
+
+// Read what footprints of pixels of row y from column `from` on hold of a kept frame, and the path beyond.
+static inline void see(Job j, const uint32_t *kept, int y, int from, int n, const int *at, const int *inside, Paths *paths,
+                       uint32_t *found) {
     int64_t plane = j.plane, stride = (int64_t)CELL * j.W, first = (int64_t)y * j.W + from;
     int up = y ? -j.W : 0, down = y + 1 < j.H ? j.W : 0;
     const float *depth = j.depth + first, *normal = j.normal + first;
+    float *mx = paths->mx, *my = paths->my, *s = paths->s;
 #pragma omp simd
     for (int x = 0; x < n; x++) {
-        uint32_t middle = kept[2 * plane + at[x]], last = kept[3 * plane + at[x]];
-        Surface its = {high(kept[plane + at[x]]), low(middle), high(middle), low(last)};
+        uint32_t words[8];
+#pragma GCC unroll 8
+        for (int c = 0; c < 8; c++) words[c] = kept[c * plane + at[x]];
+        Surface its = {high(words[1]), low(words[2]), high(words[2]), low(words[3])};
         int left = x - (from + x > 0), right = x + (from + x + 1 < j.W), beside = 0;
         beside |= alike(surface_at(depth, normal, plane, x), its, j.depth_tolerance, j.normal_tolerance);
+        beside |= alike(surface_at(depth, normal, plane, x + up), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, left), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, right), its, j.depth_tolerance, j.normal_tolerance);
-        beside |= alike(surface_at(depth, normal, plane, x + up), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, x + down), its, j.depth_tolerance, j.normal_tolerance);
-        found[3 * stride + x] = kept[5 * plane + at[x]];
-        found[4 * stride + x] = (kept[6 * plane + at[x]] & 0xffff) | middle << 16;
-        found[5 * stride + x] = middle >> 16 | last << 16;
-        found[6 * stride + x] = bits_of(inside[x] & beside ? s[x] * cover[x] : 0);
-        found[7 * stride + x] = bits_of(its.depth > 0 ? 1 : 0);
+        found[3 * stride + x] = words[0];
+        found[4 * stride + x] = (words[1] & 0xffff) | (its.depth > 0 ? SAME : 0);
+        found[5 * stride + x] = words[5];
+        found[6 * stride + x] = (words[6] & 0xffff) | words[2] << 16;
+        found[7 * stride + x] = words[2] >> 16 | words[3] << 16;
+        found[8 * stride + x] = bits_of(inside[x] & beside ? s[x] * covered(mx[x]) * covered(my[x]) : 0);
+        s[x] *= 1 - high(words[3]);
+        mx[x] = inside[x] ? mx[x] + high(words[6]) : FAR_AWAY;
+        my[x] = inside[x] ? my[x] + low(words[7]) : FAR_AWAY;
     }
+}
+
+// Where is the motion of what is in front, in pixel (x, y) of a picture and the four beside it? See ops/recall.py.
+static inline int64_t front(const float *depth, int W, int H, int x, int y, float tolerance) {
+    int64_t at = (int64_t)y * W + x, nearest = at;
+    float distance = depth[at] > 0 ? depth[at] : INFINITY;
+    int64_t beside[4] = {y ? at - W : at, x ? at - 1 : at, x + 1 < W ? at + 1 : at, y + 1 < H ? at + W : at};
+#pragma GCC unroll 4
+    for (int i = 0; i < 4; i++) {
+        float its = depth[beside[i]] > 0 ? depth[beside[i]] : INFINITY;
+        int nearer = its < (1 - tolerance) * distance;
+        distance = nearer ? its : distance;
+        nearest = nearer ? beside[i] : nearest;
+    }
+    return nearest;
 }
 
 // Follow the paths of n pixels of row y through all kept frames.
 static inline void look(Job j, int y, int from, int n) {
     int64_t first = (int64_t)y * j.W + from;
-    Paths p;
+    Paths p, f;  // of the pixels, and of what is in front
     memcpy(p.mx, j.motion + first, n * sizeof *p.mx);
     memcpy(p.my, j.motion + j.plane + first, n * sizeof *p.my);
-    for (int x = 0; x < n; x++) p.s[x] = 1;
+    for (int x = 0; x < n; x++) p.s[x] = f.s[x] = 1;
+    if (j.footprint)
+        for (int x = 0; x < n; x++) {
+            int64_t its = front(j.depth, j.W, j.H, from + x, y, j.depth_tolerance);
+            f.mx[x] = j.motion[its];
+            f.my[x] = j.motion[j.plane + its];
+        }
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
-        float cover[BLOCK];
-#pragma omp simd
-        for (int x = 0; x < n; x++) {
-            float mx = bounded(p.mx[x]), my = bounded(p.my[x]), whole_x = nearbyintf(mx), whole_y = nearbyintf(my);
-            float u = whole_x + (from + x), v = whole_y + y;
-            inside[x] = (u >= 0) & (u < j.W) & (v >= 0) & (v < j.H);
-            at[x] = inside[x] ? (int)v * j.W + (int)u : 0;
-            cover[x] = (1 - fabsf(mx - whole_x)) * (1 - fabsf(my - whole_y));
-        }
         uint32_t *found = found_of(j, y / CELL, k) + y % CELL * j.W + from;
-        if (j.footprint) see(j, j.kept[k], y, from, n, at, inside, p.s, cover, found);
+        places(j, y, from, n, &p, at, inside);
         for (int part = 0; part < n; part += PART) {
             int size = MIN(PART, n - part), apart = 0;
             const int *its = at + part, *in = inside + part;
@@ -123,6 +153,9 @@ static inline void look(Job j, int y, int from, int n) {
             if (apart || size < PART) read(j, j.kept[k], first + part, size, its, in, &p, part, found + part, 0);
             else read(j, j.kept[k], first + part, PART, its, in, &p, part, found + part, 1);
         }
+        if (!j.footprint) continue;
+        places(j, y, from, n, &f, at, inside);
+        see(j, j.kept[k], y, from, n, at, inside, &f, found);
     }
 }
 
@@ -217,13 +250,13 @@ static inline void average_footprints(Job j, int cell_row, int from, int n) {
             const uint32_t *found = found_of(j, cell_row, k) + y * j.W + from;
 #pragma omp simd
             for (int x = 0; x < n; x++) {
-                uint32_t rg = found[x], b = found[stride + x], a = found[3 * stride + x], ax = found[4 * stride + x];
-                uint32_t yz = found[5 * stride + x];
-                float w = weight[x] * from_bits(found[6 * stride + x]), hit = from_bits(found[7 * stride + x]);
+                uint32_t rg = found[3 * stride + x], b = found[4 * stride + x], a = found[5 * stride + x];
+                uint32_t ax = found[6 * stride + x], yz = found[7 * stride + x];
+                float w = weight[x] * from_bits(found[8 * stride + x]);
                 float albedo[3] = {low(a), high(a), low(ax)}, light[3] = {low(rg), high(rg), low(b)};
 #pragma GCC unroll 3
                 for (int c = 0; c < 3; c++) {
-                    sum[y][c][x] += w * light[c] * (hit > 0 ? albedo[c] + (float)GLOSS : 1);
+                    sum[y][c][x] += w * light[c] * (high(b) > 0 ? albedo[c] + (float)GLOSS : 1);
                     sum[y][3 + c][x] += w * albedo[c];
                 }
                 sum[y][6][x] += w * high(ax);
@@ -262,7 +295,7 @@ static void band(Job j, int top, int bottom) {
     }
 }
 
-// light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], kept: B × K times [5 or 7, H, W],
+// light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], kept: B × K times [5 or 8, H, W],
 // mean like light, count like depth, footprint [B, 9, H, W] and footprint_count like depth, or both NULL, all contiguous.
 // found and cells hold the scratch of `threads` threads.
 void recall(const float *light, const float *motion, const float *depth, const float *normal, const uint32_t *const *kept,
@@ -288,16 +321,16 @@ static inline uint32_t half(float x) {  // bfloat16, the nearest, even in betwee
 }
 
 // light [B, 3, H, W], depth [B, 1, H, W], normal [B, 3, H, W], reset [B, 1, H, W], motion [B, 2, H, W], kept [B, 5, H, W]; or
-// with albedo [B, 3, H, W], which may be NULL, [B, 7, H, W]; all contiguous.
+// with albedo [B, 3, H, W], which may be NULL, [B, 8, H, W]; all contiguous.
 void keep(const float *light, const float *depth, const float *normal, const float *reset, const float *motion,
-          const float *albedo, uint32_t *kept, int B, int H, int W, int threads) {
+          const float *albedo, uint32_t *kept, int B, int H, int W, float depth_tolerance, int threads) {
     int64_t plane = (int64_t)H * W;
-    int words = albedo ? 7 : 5;
+    int words = albedo ? 8 : 5;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int row = 0; row < B * H; row++) {
-        int64_t b = row / H, first = row % H * (int64_t)W;
+        int64_t b = row / H, y = row % H, first = y * W;
         const float *l = light + 3 * b * plane + first, *d = depth + b * plane + first, *r = reset + b * plane + first;
-        const float *n = normal + 3 * b * plane + first, *m = motion + 2 * b * plane + first;
+        const float *n = normal + 3 * b * plane + first, *whole = motion + 2 * b * plane, *m = whole + first;
         uint32_t *out = kept + words * b * plane + first;
 #pragma omp simd
         for (int x = 0; x < W; x++) {
@@ -309,10 +342,11 @@ void keep(const float *light, const float *depth, const float *normal, const flo
         }
         if (!albedo) continue;
         const float *a = albedo + 3 * b * plane + first;
-#pragma omp simd
         for (int x = 0; x < W; x++) {
+            int64_t its = front(d - first, W, H, x, y, depth_tolerance);
             out[5 * plane + x] = half(a[x]) | half(a[plane + x]) << 16;
-            out[6 * plane + x] = half(a[2 * plane + x]);
+            out[6 * plane + x] = half(a[2 * plane + x]) | half(whole[its]) << 16;
+            out[7 * plane + x] = half(whole[plane + its]);
         }
     }
 }

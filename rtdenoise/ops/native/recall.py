@@ -13,16 +13,16 @@ from ...constants import (
     FAR_AWAY,
     GLOSS,
     MIN_NORMAL_COSINE,
-    RECALL_ALBEDO_WORDS,
     RECALL_ALIKE,
     RECALL_CELL,
     RECALL_CHANGED,
+    RECALL_FOOTPRINT_WORDS,
     RECALL_WORDS,
 )
 from .compiler import library, pointer
 
 FOUND, SUMS = 2, 3  # rows of cells, as in recall.c
-WORDS = {False: 3, True: 8}  # that are found of a pixel in each kept frame, without and with footprints
+WORDS = {False: 3, True: 9}  # that are found of a pixel in each kept frame, without and with footprints
 
 
 def recall(
@@ -44,14 +44,12 @@ def recall(
     return tuple(results)
 
 
-def keep(
-    light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Tensor, albedo: Tensor | None
-) -> Tensor:
+def keep(light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Tensor, albedo: Tensor | None) -> Tensor:
     images = [t.contiguous() for t in (light, depth, normal, reset, motion, albedo) if t is not None]
     B, _, H, W = light.shape
-    kept = torch.empty(B, RECALL_WORDS if albedo is None else RECALL_ALBEDO_WORDS, H, W, dtype=torch.int32)
+    kept = torch.empty(B, RECALL_WORDS if albedo is None else RECALL_FOOTPRINT_WORDS, H, W, dtype=torch.int32)
     pointers = [*map(pointer, images), *[None] * (6 - len(images))]
-    _compiled().keep(*pointers, pointer(kept), B, H, W, torch.get_num_threads())
+    _compiled().keep(*pointers, pointer(kept), B, H, W, c_float(DEPTH_TOLERANCE), torch.get_num_threads())
     return kept
 
 
