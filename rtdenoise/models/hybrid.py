@@ -96,8 +96,8 @@ class PixelNetwork(nn.Module):
         kernels' image, `[B, 1, H, W]` in [0, 1]; both float32: rounding compressed light to 8 bits would be seen."""
         H, W = x.shape[2:]
         cell = 2 ** len(self.decoder)
-        if H % cell or W % cell:
-            x = F.pad(x, (0, -W % cell, 0, -H % cell), mode="replicate")
+        if H % cell or W % cell:  # by nothing, as OIDN does: the last row, repeated, would look like stripes of light
+            x = F.pad(x, (0, -W % cell, 0, -H % cell))
         x = torch.cat([x[:, :LIGHT] * UNIT, x[:, LIGHT:]], dim=1)
         skips = [x]
         x = self.encoder[1](self.encoder[0](x))
