@@ -14,7 +14,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, History
 from rtdenoise.history import load_history, resize, save_history
 from rtdenoise.models import AccumulatedKPNConfig
-from rtdenoise.ops.recall import FOOTPRINT, keep, recall
+from rtdenoise.ops.recall import FOOTPRINT, edge_motion, keep, recall
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.tiles import Tiled, carried
 
@@ -136,6 +136,10 @@ def edge(left=WALL, right=FLOOR):
     return tuple(whole for whole, _ in pairs)
 
 
+def seen(light, motion, surface, recent, uncovered=False):
+    return recall(light, motion, surface, recent, (motion, torch.full_like(light[:, :1], uncovered, dtype=torch.bool)))
+
+
 def test_a_footprint_holds_all_surfaces_at_an_edge(choice):
     """The column at the edge showed the wall, then the floor, then something that is seen nowhere near."""
     still, light = image(0.0, 0.0), image(1.0, 1.0, 1.0)
@@ -143,7 +147,7 @@ def test_a_footprint_holds_all_surfaces_at_an_edge(choice):
         kept(light, *surface, still, albedo=image(*albedo))
         for surface, albedo in ((WALL, (1.0, 0.0, 0.5)), (FLOOR, (0.0, 0.5, 1.0)), (BEHIND, (0.25, 0.25, 0.25)))
     ]
-    found = recall(light, still, edge(), frames, footprint=True)
+    found = seen(light, still, edge(), frames)
     for column, walls, floors in ((10, 1, 0), (11, 1, 1), (12, 1, 1), (13, 0, 1)):
         assert (found.footprint_count[..., column] == walls + floors).all()
         albedo = torch.tensor([walls * 1.0, floors * 0.5, walls * 0.5 + floors * 1.0]) / (walls + floors)
@@ -153,9 +157,37 @@ def test_a_footprint_holds_all_surfaces_at_an_edge(choice):
     assert (found.count == 1).all()  # the mean of light is of one surface
 
 
+def test_where_it_was_just_uncovered_a_footprint_holds_one_surface(choice):
+    still, light = image(0.0, 0.0), image(1.0, 1.0, 1.0)
+    frames = [kept(light, *surface, still, albedo=light) for surface in (WALL, FLOOR)]
+    found = seen(light, still, edge(), frames, uncovered=True)
+    torch.testing.assert_close(found.footprint_count, found.count)
+
+
+@pytest.mark.parametrize("speed, columns", [(0.75, {11: 3, 12: 3}), (6.0, {11: 2, 12: 0})])
+def test_an_edge_moves_with_what_is_in_front(choice, speed, columns):
+    """The floor's part of the picture is in front and moves: a wall pixel beside it is followed as the floor moves,
+    unless that is fast; then nothing in front belongs to it."""
+    near = image(2.0), image(0.0, 1.0, 0.0)
+    depth, normal = edge(WALL, near)
+    motion = torch.cat([torch.where(depth == 2, -speed, 0.0), torch.zeros_like(depth)], dim=1)
+    along, distance = edge_motion(motion, depth)
+    slow = speed < 1
+    assert (along[:, 0, :, 11] == (-speed if slow else 0)).all() and (distance[..., 11] == (2 if slow else 4)).all()
+    assert (along[:, 0, :, 10] == 0).all() and (along[:, 0, :, 12] == -speed).all()
+    light = image(1.0, 1.0, 1.0)
+    frames = [kept(light, *surface, image(0.0, 0.0), albedo=light) for surface in (WALL, WALL, near)]
+    found = recall(light, motion, (depth, normal), frames, (motion, torch.zeros_like(depth, dtype=torch.bool)))
+    cover = {11: 0.75 if slow else 1, 12: 0.75 if slow else 1}
+    if slow:  # both see wall and floor
+        assert all((found.footprint_count[:, :, 3:-3, c] == 3 * cover[c]).all() for c in columns)
+    else:
+        assert (found.footprint_count[:, :, 3:-3, 11] == 2).all()
+
+
 def test_light_of_the_sky_is_its_radiance(choice):
     still, light, miss = image(0.0, 0.0), image(2.0, 4.0, 8.0), (image(0.0), image(0.0, 0.0, 0.0))
-    found = recall(light, still, miss, [kept(light, *miss, still, albedo=image(0.5, 0.5, 0.5))], footprint=True)
+    found = seen(light, still, miss, [kept(light, *miss, still, albedo=image(0.5, 0.5, 0.5))])
     torch.testing.assert_close(found.footprint[:, :3], light)
 
 
@@ -163,7 +195,7 @@ def test_lookups_between_pixels_count_less_in_a_footprint(choice):
     """0.25 pixels a frame in x, 0.5 in y: (0.25, 0.5 off), (0.5, 0)."""
     motion, light = image(0.25, -0.5), image(1.0, 1.0, 1.0)
     frames = [kept(light, *WALL, motion, albedo=light) for _ in range(2)]
-    found = recall(light, motion, WALL, frames, footprint=True)
+    found = seen(light, motion, WALL, frames)
     inside = (..., slice(2, -2), slice(2, -2))
     torch.testing.assert_close(found.footprint_count[inside], torch.full_like(light[:, :1], 0.375 + 0.5)[inside])
     assert (found.count[inside] == 2).all()
@@ -174,14 +206,14 @@ def test_changed_light_and_resets_leave_footprints(choice):
     frames = [
         kept(noisy(mean), *WALL, still, r, image(0.5, 0.5, 0.5)) for mean, r in ((1.0, 0.0), (50.0, 1.0), (1.0, 0.0))
     ]
-    found = recall(noisy(), still, WALL, frames, footprint=True)
+    found = seen(noisy(), still, WALL, frames)
     torch.testing.assert_close(found.footprint_count, found.count)
     assert 0.5 < found.count.mean() <= 1.001
 
 
 def test_footprints_need_albedo():
     with pytest.raises(ValueError, match=r"expected kept frames of \(1, 8, 16, 24\)"):
-        recall(noisy(), image(0.0, 0.0), WALL, [kept(noisy(), *WALL, None)], footprint=True)
+        seen(noisy(), image(0.0, 0.0), WALL, [kept(noisy(), *WALL, None)])
 
 
 def test_shapes_are_checked():

@@ -21,6 +21,7 @@ from ..constants import (
     RECALL_ALIKE,
     RECALL_CELL,
     RECALL_CHANGED,
+    RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
     RECALL_WORDS,
 )
@@ -50,7 +51,8 @@ def recall(
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels, to the frame before
     surface: tuple[Tensor, Tensor],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
     recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`keep`), the frame before first; 8 channels for footprints
-    footprint: bool = False,
+    footprint: tuple[Tensor, Tensor] | None = None,  # motion [B, 2, H, W] of the surfaces; what was just uncovered,
+    # [B, 1, H, W] bool
 ) -> Recalled:
     """The weighted mean of the frames' light:
 
@@ -64,23 +66,27 @@ def recall(
 
     With `footprint` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
     converged picture both: so the surface there need only be that of p or of a pixel beside it. An edge moves with what
-    is in front, so these paths follow `motion_of_front`. A lookup at the nearest pixel that is off by δ counts as much
-    as the two pixels cover each other:
+    is in front, so these paths begin with `edge_motion` and follow it, and what is in front of the surface that they
+    follow does not belong to the pixel. Where it was just uncovered only its own surface does. A lookup at the nearest
+    pixel that is off by δ counts as much as the two pixels cover each other:
 
-        w_j = surface at p or beside it · u_j · Π_(i<j) (1 - reset_i(p_i)) · (1 - |δ_x|) (1 - |δ_y|)
+        w_j = surface of the pixel · u_j · Π_(i<j) (1 - reset_i(p_i)) · (1 - |δ_x|) (1 - |δ_y|)
 
     Raises ValueError where the shapes do not fit. No gradients.
     """
     B, _, H, W = light.shape
-    words = RECALL_FOOTPRINT_WORDS if footprint else RECALL_WORDS
+    words = RECALL_WORDS if footprint is None else RECALL_FOOTPRINT_WORDS
     for kept in recent:
         if kept.shape != (B, max(words, kept.shape[1]), H, W):
             raise ValueError(f"expected kept frames of {(B, words, H, W)}, got {tuple(kept.shape)}")
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
-        return Recalled(*run(light, motion, *surface, recent, footprint))
+        return Recalled(*run(light, motion, *surface, recent, *(footprint or (None, None))))
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
     seen, seen_count = light.new_zeros(B, sum(FOOTPRINT), H, W), torch.zeros_like(count)
-    path, front = _Path(motion), _Path(motion_of_front(motion, surface[0]))
+    path, edge = _Path(motion), None
+    if footprint is not None:
+        along, nearest = edge_motion(footprint[0], surface[0])
+        edge = _Path(along)
     for kept in recent:
         there = path.look(kept)
         same = (alike(surface, (there.depth, there.normal)) & path.inside).to(light.dtype)
@@ -88,16 +94,18 @@ def recall(
         weight = same * stays * path.left
         mean, count = mean + weight * there.light, count + weight
         path.follow(there.motion, there.reset)
-        if footprint:
-            there = front.look(kept)
-            known = _beside(surface, (there.depth, there.normal)) & front.inside
-            weight = known * stays * front.left * front.cover
+        if edge is not None:
+            there = edge.look(kept)
+            other = there.depth, there.normal
+            beside = _beside(surface, other) & (_distance(there.depth) >= (1 - DEPTH_TOLERANCE) * nearest)
+            known = torch.where(footprint[1], alike(surface, other), beside) & edge.inside
+            weight = known * stays * edge.left * edge.cover
             radiance = there.light * albedo_divisor(there.albedo, there.depth)
             seen = seen + weight * torch.cat([radiance, there.albedo, there.normal], dim=1)
             seen_count = seen_count + weight
-            front.follow(there.front, there.reset)
+            edge.follow(there.edge, there.reset)
     found = mean / count.clamp(min=1e-6), count
-    return Recalled(*found, seen / seen_count.clamp(min=1e-6), seen_count) if footprint else Recalled(*found)
+    return Recalled(*found, *(() if edge is None else (seen / seen_count.clamp(min=1e-6), seen_count)))
 
 
 @falls_back
@@ -114,23 +122,31 @@ def keep(
         motion = torch.full_like(light[:, :2], FAR_AWAY)
     if run := KEEP(light=light, depth=depth, normal=normal, reset=reset, motion=motion, albedo=albedo):
         return run(light, depth, normal, reset, motion, albedo)
-    more = [] if albedo is None else [albedo, motion_of_front(motion, depth), torch.zeros_like(depth)]
+    more = [] if albedo is None else [albedo, edge_motion(motion, depth)[0], torch.zeros_like(depth)]
     halves = torch.cat([light, depth, normal, reset, motion, *more], dim=1).bfloat16()
     return torch.stack([halves[:, 0::2], halves[:, 1::2]], dim=-1).view(torch.int32)[..., 0]
 
 
-def motion_of_front(motion: Tensor, depth: Tensor) -> Tensor:
-    """The motion of what is nearest in each pixel and the four beside it, `[B, 2, H, W]`: a pixel's own, unless one
-    beside it is nearer by more than DEPTH_TOLERANCE, and each after that likewise against the nearest so far."""
+def edge_motion(motion: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
+    """The motion of the edge in each pixel, `[B, 2, H, W]`, and the distance of the surface that has it, `[B, 1, H,
+    W]`, infinite where nothing was hit.
+
+    It is that of the nearest of a pixel and the four beside it (each in turn is nearer by more than DEPTH_TOLERANCE or
+    does not count), unless that moves against the pixel by more than RECALL_EDGE_SPEED: then it is the pixel's own."""
     H, W = depth.shape[2:]
-    distance = torch.where(depth > 0, depth, torch.inf)
-    around, nearest = F.pad(distance, (1, 1, 1, 1), mode="replicate"), distance
+    distance = _distance(depth)
+    around, nearest, found = F.pad(distance, (1, 1, 1, 1), mode="replicate"), distance, motion
     motions = F.pad(motion, (1, 1, 1, 1), mode="replicate")
     for y, x in BESIDE[1:]:
         window = (..., slice(1 + y, 1 + y + H), slice(1 + x, 1 + x + W))
         nearer = around[window] < (1 - DEPTH_TOLERANCE) * nearest
-        nearest, motion = torch.where(nearer, around[window], nearest), torch.where(nearer, motions[window], motion)
-    return motion
+        nearest, found = torch.where(nearer, around[window], nearest), torch.where(nearer, motions[window], found)
+    slow = (found - motion).square().sum(1, keepdim=True) <= RECALL_EDGE_SPEED**2
+    return torch.where(slow, found, motion), torch.where(slow, nearest, distance)
+
+
+def _distance(depth: Tensor) -> Tensor:
+    return torch.where(depth > 0, depth, torch.inf)
 
 
 def motion_of(kept: Tensor) -> Tensor:
@@ -163,7 +179,7 @@ class Kept:
     reset: Tensor  # [B, 1, H, W]
     motion: Tensor  # [B, 2, H, W]
     albedo: Tensor | None = None  # [B, 3, H, W]
-    front: Tensor | None = None  # [B, 2, H, W] `motion_of_front`
+    edge: Tensor | None = None  # [B, 2, H, W] `edge_motion`
 
 
 class _Path:

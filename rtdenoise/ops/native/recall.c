@@ -15,13 +15,15 @@
 
 typedef struct {
     const float *light, *motion, *depth, *normal;  // planes of the current frame
+    const float *edges;                            // motion of its surfaces, for footprints, and
+    const uint8_t *uncovered;                      // whether a pixel was just uncovered
     const uint32_t *const *kept;                   // K frames of 5 planes, or 8, two bfloat16 a pixel
     float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
     // Of a thread: [FOUND, K, words, CELL, W]. Words: red, green; blue, 1 or 0: same surface; s as float32. In footprints:
     // red, green; blue, 1 or 0: something was hit; albedo's red, green; its blue, normal's x; y, z; the weight as float32.
     uint32_t *found;
     float *cells;     // likewise: [SUMS, K, 4 (Σ d, Σ |d|²), columns]
-    float depth_tolerance, normal_tolerance, alike, changed;
+    float depth_tolerance, normal_tolerance, alike, changed, speed;
     int64_t plane;
     int K, H, W, columns, rows, words;
 } Job;
@@ -69,6 +71,19 @@ static inline void read(Job j, const uint32_t *kept, int64_t first, int n, const
     }
 }
 
+static inline float distance(float depth) { return depth > 0 ? depth : INFINITY; }
+
+// The pixel whose motion the edge in pixel (x, y) of a picture has: ops/recall.py, edge_motion. `motion` has two planes.
+static inline int64_t edge(const float *motion, const float *depth, int64_t plane, int W, int H, int x, int y,
+                           float tolerance, float speed) {
+    int64_t at = (int64_t)y * W + x, nearest = at;
+    int64_t beside[4] = {y ? at - W : at, x ? at - 1 : at, x + 1 < W ? at + 1 : at, y + 1 < H ? at + W : at};
+    for (int i = 0; i < 4; i++)
+        if (distance(depth[beside[i]]) < (1 - tolerance) * distance(depth[nearest])) nearest = beside[i];
+    float dx = motion[nearest] - motion[at], dy = motion[plane + nearest] - motion[plane + at];
+    return dx * dx + dy * dy <= speed * speed ? nearest : at;
+}
+
 // The pixels that n paths of row y lead to, from column `from` on.
 static inline void places(Job j, int y, int from, int n, const Paths *paths, int *at, int *inside) {
 #pragma omp simd
@@ -83,8 +98,9 @@ static inline void places(Job j, int y, int from, int n, const Paths *paths, int
 static inline float covered(float motion) { return 1 - fabsf(bounded(motion) - nearbyintf(bounded(motion))); }
 
 // Read what footprints of pixels of row y from column `from` on hold of a kept frame, and the path beyond.
+// `nearest`: the least distance of what belongs to each pixel.
 static inline void see(Job j, const uint32_t *kept, int y, int from, int n, const int *at, const int *inside, Paths *paths,
-                       uint32_t *found) {
+                       const float *nearest, uint32_t *found) {
     int64_t plane = j.plane, stride = (int64_t)CELL * j.W, first = (int64_t)y * j.W + from;
     int up = y ? -j.W : 0, down = y + 1 < j.H ? j.W : 0;
     const float *depth = j.depth + first, *normal = j.normal + first;
@@ -96,11 +112,12 @@ static inline void see(Job j, const uint32_t *kept, int y, int from, int n, cons
         for (int c = 0; c < 8; c++) words[c] = kept[c * plane + at[x]];
         Surface its = {high(words[1]), low(words[2]), high(words[2]), low(words[3])};
         int left = x - (from + x > 0), right = x + (from + x + 1 < j.W), beside = 0;
-        beside |= alike(surface_at(depth, normal, plane, x), its, j.depth_tolerance, j.normal_tolerance);
+        int same = alike(surface_at(depth, normal, plane, x), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, x + up), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, left), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, right), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, x + down), its, j.depth_tolerance, j.normal_tolerance);
+        beside = j.uncovered[first + x] ? same : (same | beside) & (distance(its.depth) >= nearest[x]);
         found[3 * stride + x] = words[0];
         found[4 * stride + x] = (words[1] & 0xffff) | (its.depth > 0 ? SAME : 0);
         found[5 * stride + x] = words[5];
@@ -113,33 +130,20 @@ static inline void see(Job j, const uint32_t *kept, int y, int from, int n, cons
     }
 }
 
-// Where is the motion of what is in front, in pixel (x, y) of a picture and the four beside it? See ops/recall.py.
-static inline int64_t front(const float *depth, int W, int H, int x, int y, float tolerance) {
-    int64_t at = (int64_t)y * W + x, nearest = at;
-    float distance = depth[at] > 0 ? depth[at] : INFINITY;
-    int64_t beside[4] = {y ? at - W : at, x ? at - 1 : at, x + 1 < W ? at + 1 : at, y + 1 < H ? at + W : at};
-#pragma GCC unroll 4
-    for (int i = 0; i < 4; i++) {
-        float its = depth[beside[i]] > 0 ? depth[beside[i]] : INFINITY;
-        int nearer = its < (1 - tolerance) * distance;
-        distance = nearer ? its : distance;
-        nearest = nearer ? beside[i] : nearest;
-    }
-    return nearest;
-}
-
 // Follow the paths of n pixels of row y through all kept frames.
 static inline void look(Job j, int y, int from, int n) {
     int64_t first = (int64_t)y * j.W + from;
-    Paths p, f;  // of the pixels, and of what is in front
+    Paths p, e;  // of the pixels, and of the edges in them
+    float nearest[BLOCK];
     memcpy(p.mx, j.motion + first, n * sizeof *p.mx);
     memcpy(p.my, j.motion + j.plane + first, n * sizeof *p.my);
-    for (int x = 0; x < n; x++) p.s[x] = f.s[x] = 1;
+    for (int x = 0; x < n; x++) p.s[x] = e.s[x] = 1;
     if (j.footprint)
         for (int x = 0; x < n; x++) {
-            int64_t its = front(j.depth, j.W, j.H, from + x, y, j.depth_tolerance);
-            f.mx[x] = j.motion[its];
-            f.my[x] = j.motion[j.plane + its];
+            int64_t its = edge(j.edges, j.depth, j.plane, j.W, j.H, from + x, y, j.depth_tolerance, j.speed);
+            e.mx[x] = j.edges[its];
+            e.my[x] = j.edges[j.plane + its];
+            nearest[x] = (1 - j.depth_tolerance) * distance(j.depth[its]);
         }
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
@@ -154,8 +158,8 @@ static inline void look(Job j, int y, int from, int n) {
             else read(j, j.kept[k], first + part, PART, its, in, &p, part, found + part, 1);
         }
         if (!j.footprint) continue;
-        places(j, y, from, n, &f, at, inside);
-        see(j, j.kept[k], y, from, n, at, inside, &f, found);
+        places(j, y, from, n, &e, at, inside);
+        see(j, j.kept[k], y, from, n, at, inside, &e, nearest, found);
     }
 }
 
@@ -296,21 +300,22 @@ static void band(Job j, int top, int bottom) {
 }
 
 // light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], kept: B × K times [5 or 8, H, W],
-// mean like light, count like depth, footprint [B, 9, H, W] and footprint_count like depth, or both NULL, all contiguous.
-// found and cells hold the scratch of `threads` threads.
-void recall(const float *light, const float *motion, const float *depth, const float *normal, const uint32_t *const *kept,
-            float *mean, float *count, float *footprint, float *footprint_count, uint32_t *found, float *cells, int K, int B,
-            int H, int W, int words, float depth_tolerance, float normal_tolerance, float alike, float changed, int threads) {
+// mean like light, count like depth; edges like motion, uncovered like depth, footprint [B, 9, H, W] and footprint_count like
+// depth, or all four NULL; all contiguous. found and cells hold the scratch of `threads` threads.
+void recall(const float *light, const float *motion, const float *depth, const float *normal, const float *edges,
+            const uint8_t *uncovered, const uint32_t *const *kept, float *mean, float *count, float *footprint,
+            float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W, int words,
+            float depth_tolerance, float normal_tolerance, float alike, float changed, float speed, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int t = 0; t < threads; t++)
         for (int b = 0; b < B; b++) {
             Job j = {light + 3 * b * plane, motion + 2 * b * plane, depth + b * plane, normal + 3 * b * plane,
-                     kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
+                     footprint ? edges + 2 * b * plane : NULL, footprint ? uncovered + b * plane : NULL, kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
                      footprint ? footprint + 9 * b * plane : NULL, footprint ? footprint_count + b * plane : NULL,
                      found + (int64_t)t * FOUND * K * words * CELL * W, cells + (int64_t)t * SUMS * K * 4 * columns,
-                     depth_tolerance, normal_tolerance, alike, changed, plane, K, H, W, columns, rows, words};
+                     depth_tolerance, normal_tolerance, alike, changed, speed, plane, K, H, W, columns, rows, words};
             band(j, (int64_t)rows * t / threads, (int64_t)rows * (t + 1) / threads);
         }
 }
@@ -323,7 +328,7 @@ static inline uint32_t half(float x) {  // bfloat16, the nearest, even in betwee
 // light [B, 3, H, W], depth [B, 1, H, W], normal [B, 3, H, W], reset [B, 1, H, W], motion [B, 2, H, W], kept [B, 5, H, W]; or
 // with albedo [B, 3, H, W], which may be NULL, [B, 8, H, W]; all contiguous.
 void keep(const float *light, const float *depth, const float *normal, const float *reset, const float *motion,
-          const float *albedo, uint32_t *kept, int B, int H, int W, float depth_tolerance, int threads) {
+          const float *albedo, uint32_t *kept, int B, int H, int W, float depth_tolerance, float speed, int threads) {
     int64_t plane = (int64_t)H * W;
     int words = albedo ? 8 : 5;
 #pragma omp parallel for num_threads(threads) schedule(static)
@@ -343,7 +348,7 @@ void keep(const float *light, const float *depth, const float *normal, const flo
         if (!albedo) continue;
         const float *a = albedo + 3 * b * plane + first;
         for (int x = 0; x < W; x++) {
-            int64_t its = front(d - first, W, H, x, y, depth_tolerance);
+            int64_t its = edge(whole, d - first, plane, W, H, x, y, depth_tolerance, speed);
             out[5 * plane + x] = half(a[x]) | half(a[plane + x]) << 16;
             out[6 * plane + x] = half(a[2 * plane + x]) | half(whole[its]) << 16;
             out[7 * plane + x] = half(whole[plane + its]);

@@ -16,6 +16,7 @@ from ...constants import (
     RECALL_ALIKE,
     RECALL_CELL,
     RECALL_CHANGED,
+    RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
     RECALL_WORDS,
 )
@@ -26,20 +27,40 @@ WORDS = {False: 3, True: 9}  # that are found of a pixel in each kept frame, wit
 
 
 def recall(
-    light: Tensor, motion: Tensor, depth: Tensor, normal: Tensor, recent: Sequence[Tensor], footprint: bool
+    light: Tensor,
+    motion: Tensor,
+    depth: Tensor,
+    normal: Tensor,
+    recent: Sequence[Tensor],
+    edges: Tensor | None,
+    uncovered: Tensor | None,
 ) -> tuple[Tensor, ...]:
     now = [t.contiguous() for t in (light, motion, depth, normal)]
     recent = [t.contiguous() for t in recent]
     B, _, H, W = light.shape
+    footprint = edges is not None
     threads, K, words = torch.get_num_threads(), len(recent), WORDS[footprint]
+    more = [pointer(t.contiguous()) for t in (edges, uncovered)] if footprint else [None, None]
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
     found = torch.empty(threads, FOUND, K, words, RECALL_CELL, W, dtype=torch.int32)
     cells = torch.empty(threads, SUMS, K, 4, -(-W // RECALL_CELL))
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
     outputs = [*map(pointer, results), *[None] * (4 - len(results))]
-    tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, RECALL_ALIKE, RECALL_CHANGED))
+    tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, RECALL_ALIKE, RECALL_CHANGED, RECALL_EDGE_SPEED))
     _compiled().recall(
-        *map(pointer, now), kept, *outputs, pointer(found), pointer(cells), K, B, H, W, words, *tolerances, threads
+        *map(pointer, now),
+        *more,
+        kept,
+        *outputs,
+        pointer(found),
+        pointer(cells),
+        K,
+        B,
+        H,
+        W,
+        words,
+        *tolerances,
+        threads,
     )
     return tuple(results)
 
@@ -49,7 +70,8 @@ def keep(light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Te
     B, _, H, W = light.shape
     kept = torch.empty(B, RECALL_WORDS if albedo is None else RECALL_FOOTPRINT_WORDS, H, W, dtype=torch.int32)
     pointers = [*map(pointer, images), *[None] * (6 - len(images))]
-    _compiled().keep(*pointers, pointer(kept), B, H, W, c_float(DEPTH_TOLERANCE), torch.get_num_threads())
+    tolerances = map(c_float, (DEPTH_TOLERANCE, RECALL_EDGE_SPEED))
+    _compiled().keep(*pointers, pointer(kept), B, H, W, *tolerances, torch.get_num_threads())
     return kept
 
 
