@@ -158,12 +158,12 @@ def test_recall(both, assert_images_close, size, count):
             assert torch.equal(plain[~nan], fused[~nan])
     recent = tuple(keep(*frame(), albedo()) for _ in range(count))
     light, depth, normal, _, motion = frame()
-    for footprint in ((), (motion + torch.rand(2, 2, *size).round(), torch.rand(2, 1, *size) < 0.3)):
+    for uncovered in ((), (torch.rand(2, 1, *size) < 0.3,)):
         plain, fused = both(
             lambda *now: [
-                t for t in vars(recall(*now[:2], now[2:4], recent, now[4:] or None)).values() if t is not None
+                t for t in vars(recall(*now[:2], now[2:4], recent, *now[4:])).values() if t is not None
             ],
-            light, motion, depth, normal, *footprint,
+            light, motion, depth, normal, *uncovered,
         )  # fmt: skip
         pairs = list(zip(plain, fused, strict=True))
         for (mean, fused_mean), (weight, fused_weight) in zip(pairs[::2], pairs[1::2], strict=True):

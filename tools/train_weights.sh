@@ -60,7 +60,7 @@ if [ "$model" = hybrid ]; then # OIDN's network learns what averaged light is wo
         --huber 0.2 --loss-power 0.5 --no-occlusion-loss --batch 1 --warmup 50 --frames 2 --lead-in 9 --cuts 0.15 \
         --shade 0.15 --steps 3600 --lr 1e-4 \
         --data data/windows-clean data/repeated-clean data/small-clean data/more-small-clean
-    ship hybrid $begin=0.85 $last/weights.safetensors=0.15 set:recent=8
+    ship hybrid $begin=0.75 $last/weights.safetensors=0.25 set:recent=8
     exit
 fi
 run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128

@@ -51,8 +51,7 @@ def reprojected(
     here, before = (frame.depth, frame.normal), (history.depth, history.normal)
     seen_there = None, None
     if config.recent:
-        of_surfaces = (frame.motion, uncovered) if config.footprint else None
-        recalled = recall(noisy, motion, here, history.recent, of_surfaces)
+        recalled = recall(noisy, motion, here, history.recent, uncovered if config.footprint else None)
         light, length, seen_there = recalled.light, recalled.count, (recalled.footprint, recalled.footprint_count)
         albedo, found = reproject(history.mean_albedo, motion, here, before)
         albedo_length = length * found

@@ -51,8 +51,7 @@ def recall(
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels, to the frame before
     surface: tuple[Tensor, Tensor],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
     recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`keep`), the frame before first; 8 channels for footprints
-    footprint: tuple[Tensor, Tensor] | None = None,  # motion [B, 2, H, W] of the surfaces; what was just uncovered,
-    # [B, 1, H, W] bool
+    uncovered: Tensor | None = None,  # [B, 1, H, W] bool: for footprints, what a moving object has just uncovered
 ) -> Recalled:
     """The weighted mean of the frames' light:
 
@@ -64,28 +63,28 @@ def recall(
     pixels that show the same surface (`alike`): q_j is 1 on average if they are noise alone. `constants` has the three
     as RECALL_CELL ...
 
-    With `footprint` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
+    With `uncovered` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
     converged picture both: so the surface there need only be that of p or of a pixel beside it. An edge moves with what
     is in front, so these paths begin with `edge_motion` and follow it, and what is in front of the surface that they
-    follow does not belong to the pixel. Where it was just uncovered only its own surface does. A lookup at the nearest
-    pixel that is off by δ counts as much as the two pixels cover each other:
+    follow does not belong to the pixel. What was just uncovered has no footprint yet: its path would lead through what
+    covered it. A lookup at the nearest pixel that is off by δ counts as much as the two pixels cover each other:
 
-        w_j = surface of the pixel · u_j · Π_(i<j) (1 - reset_i(p_i)) · (1 - |δ_x|) (1 - |δ_y|)
+        w_j = not uncovered · surface of the pixel · u_j · Π_(i<j) (1 - reset_i(p_i)) · (1 - |δ_x|) (1 - |δ_y|)
 
     Raises ValueError where the shapes do not fit. No gradients.
     """
     B, _, H, W = light.shape
-    words = RECALL_WORDS if footprint is None else RECALL_FOOTPRINT_WORDS
+    words = RECALL_WORDS if uncovered is None else RECALL_FOOTPRINT_WORDS
     for kept in recent:
         if kept.shape != (B, max(words, kept.shape[1]), H, W):
             raise ValueError(f"expected kept frames of {(B, words, H, W)}, got {tuple(kept.shape)}")
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
-        return Recalled(*run(light, motion, *surface, recent, *(footprint or (None, None))))
+        return Recalled(*run(light, motion, *surface, recent, uncovered))
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
     seen, seen_count = light.new_zeros(B, sum(FOOTPRINT), H, W), torch.zeros_like(count)
     path, edge = _Path(motion), None
-    if footprint is not None:
-        along, nearest = edge_motion(footprint[0], surface[0])
+    if uncovered is not None:
+        along, nearest = edge_motion(motion, surface[0])
         edge = _Path(along)
     for kept in recent:
         there = path.look(kept)
@@ -98,8 +97,7 @@ def recall(
             there = edge.look(kept)
             other = there.depth, there.normal
             beside = _beside(surface, other) & (_distance(there.depth) >= (1 - DEPTH_TOLERANCE) * nearest)
-            known = torch.where(footprint[1], alike(surface, other), beside) & edge.inside
-            weight = known * stays * edge.left * edge.cover
+            weight = (beside & edge.inside & ~uncovered) * stays * edge.left * edge.cover
             radiance = there.light * albedo_divisor(there.albedo, there.depth)
             seen = seen + weight * torch.cat([radiance, there.albedo, there.normal], dim=1)
             seen_count = seen_count + weight

@@ -15,8 +15,7 @@
 
 typedef struct {
     const float *light, *motion, *depth, *normal;  // planes of the current frame
-    const float *edges;                            // motion of its surfaces, for footprints, and
-    const uint8_t *uncovered;                      // whether a pixel was just uncovered
+    const uint8_t *uncovered;                      // whether a pixel was just uncovered, for footprints
     const uint32_t *const *kept;                   // K frames of 5 planes, or 8, two bfloat16 a pixel
     float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
     // Of a thread: [FOUND, K, words, CELL, W]. Words: red, green; blue, 1 or 0: same surface; s as float32. In footprints:
@@ -112,12 +111,12 @@ static inline void see(Job j, const uint32_t *kept, int y, int from, int n, cons
         for (int c = 0; c < 8; c++) words[c] = kept[c * plane + at[x]];
         Surface its = {high(words[1]), low(words[2]), high(words[2]), low(words[3])};
         int left = x - (from + x > 0), right = x + (from + x + 1 < j.W), beside = 0;
-        int same = alike(surface_at(depth, normal, plane, x), its, j.depth_tolerance, j.normal_tolerance);
+        beside |= alike(surface_at(depth, normal, plane, x), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, x + up), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, left), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, right), its, j.depth_tolerance, j.normal_tolerance);
         beside |= alike(surface_at(depth, normal, plane, x + down), its, j.depth_tolerance, j.normal_tolerance);
-        beside = j.uncovered[first + x] ? same : (same | beside) & (distance(its.depth) >= nearest[x]);
+        beside &= (distance(its.depth) >= nearest[x]) & !j.uncovered[first + x];
         found[3 * stride + x] = words[0];
         found[4 * stride + x] = (words[1] & 0xffff) | (its.depth > 0 ? SAME : 0);
         found[5 * stride + x] = words[5];
@@ -140,9 +139,9 @@ static inline void look(Job j, int y, int from, int n) {
     for (int x = 0; x < n; x++) p.s[x] = e.s[x] = 1;
     if (j.footprint)
         for (int x = 0; x < n; x++) {
-            int64_t its = edge(j.edges, j.depth, j.plane, j.W, j.H, from + x, y, j.depth_tolerance, j.speed);
-            e.mx[x] = j.edges[its];
-            e.my[x] = j.edges[j.plane + its];
+            int64_t its = edge(j.motion, j.depth, j.plane, j.W, j.H, from + x, y, j.depth_tolerance, j.speed);
+            e.mx[x] = j.motion[its];
+            e.my[x] = j.motion[j.plane + its];
             nearest[x] = (1 - j.depth_tolerance) * distance(j.depth[its]);
         }
     for (int k = 0; k < j.K; k++) {
@@ -300,9 +299,9 @@ static void band(Job j, int top, int bottom) {
 }
 
 // light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], kept: B × K times [5 or 8, H, W],
-// mean like light, count like depth; edges like motion, uncovered like depth, footprint [B, 9, H, W] and footprint_count like
-// depth, or all four NULL; all contiguous. found and cells hold the scratch of `threads` threads.
-void recall(const float *light, const float *motion, const float *depth, const float *normal, const float *edges,
+// mean like light, count like depth; uncovered like depth, footprint [B, 9, H, W] and footprint_count like depth, or all
+// three NULL; all contiguous. found and cells hold the scratch of `threads` threads.
+void recall(const float *light, const float *motion, const float *depth, const float *normal,
             const uint8_t *uncovered, const uint32_t *const *kept, float *mean, float *count, float *footprint,
             float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W, int words,
             float depth_tolerance, float normal_tolerance, float alike, float changed, float speed, int threads) {
@@ -312,7 +311,7 @@ void recall(const float *light, const float *motion, const float *depth, const f
     for (int t = 0; t < threads; t++)
         for (int b = 0; b < B; b++) {
             Job j = {light + 3 * b * plane, motion + 2 * b * plane, depth + b * plane, normal + 3 * b * plane,
-                     footprint ? edges + 2 * b * plane : NULL, footprint ? uncovered + b * plane : NULL, kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
+                     footprint ? uncovered + b * plane : NULL, kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
                      footprint ? footprint + 9 * b * plane : NULL, footprint ? footprint_count + b * plane : NULL,
                      found + (int64_t)t * FOUND * K * words * CELL * W, cells + (int64_t)t * SUMS * K * 4 * columns,
                      depth_tolerance, normal_tolerance, alike, changed, speed, plane, K, H, W, columns, rows, words};

@@ -32,15 +32,14 @@ def recall(
     depth: Tensor,
     normal: Tensor,
     recent: Sequence[Tensor],
-    edges: Tensor | None,
     uncovered: Tensor | None,
 ) -> tuple[Tensor, ...]:
     now = [t.contiguous() for t in (light, motion, depth, normal)]
     recent = [t.contiguous() for t in recent]
     B, _, H, W = light.shape
-    footprint = edges is not None
+    footprint = uncovered is not None
     threads, K, words = torch.get_num_threads(), len(recent), WORDS[footprint]
-    more = [pointer(t.contiguous()) for t in (edges, uncovered)] if footprint else [None, None]
+    where = uncovered.contiguous() if footprint else None
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
     found = torch.empty(threads, FOUND, K, words, RECALL_CELL, W, dtype=torch.int32)
     cells = torch.empty(threads, SUMS, K, 4, -(-W // RECALL_CELL))
@@ -49,7 +48,7 @@ def recall(
     tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, RECALL_ALIKE, RECALL_CHANGED, RECALL_EDGE_SPEED))
     _compiled().recall(
         *map(pointer, now),
-        *more,
+        where if where is None else pointer(where),
         kept,
         *outputs,
         pointer(found),
