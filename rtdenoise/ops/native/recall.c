@@ -201,21 +201,30 @@ static inline float unchanged(Job j, int cell_row, int k, int column) {
     return MIN(MAX((j.changed - q) / (j.changed - j.alike), 0), 1);
 }
 
-static inline void weights(Job j, int cell_row, int k, int from, int n, float *weight) {
-    for (int x = 0; x < n; x += CELL) {
-        float w = unchanged(j, cell_row, k, (from + x) / CELL);
-        for (int i = 0; i < CELL; i++) weight[x + i] = w;
+// Divide n sums of `channels` channels by the last one, their weight: the mean [channels - 1, H, W] and the weight, from pixel
+// `at` on.
+static inline void divide(float sum[][BLOCK], int channels, float *mean, float *weight, int64_t plane, int64_t at, int n) {
+#pragma omp simd
+    for (int x = 0; x < n; x++) {
+        float total = sum[channels - 1][x], scale = 1 / MAX(total, 1e-6f);
+        weight[at + x] = total;
+#pragma GCC unroll 9
+        for (int c = 0; c < channels - 1; c++) mean[c * plane + at + x] = sum[c][x] * scale;
     }
 }
 
 // The mean over all kept frames, for n pixels of a row of cells.
 static inline void average(Job j, int cell_row, int from, int n) {
-    int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
-    float sum[CELL][4][BLOCK] = {{{0}}};
+    int64_t stride = (int64_t)CELL * j.W;
+    float sum[CELL][4][BLOCK] = {{{0}}}, seen[CELL][SUMMED][BLOCK];
     int height = MIN(CELL, j.H - cell_row * CELL);
+    if (j.footprint) memset(seen, 0, sizeof seen);
     for (int k = 0; k < j.K; k++) {
         float weight[BLOCK];
-        weights(j, cell_row, k, from, n, weight);
+        for (int x = 0; x < n; x += CELL) {
+            float w = unchanged(j, cell_row, k, (from + x) / CELL);
+            for (int i = 0; i < CELL; i++) weight[x + i] = w;
+        }
         for (int y = 0; y < height; y++) {
             const uint32_t *found = found_of(j, cell_row, k) + y * j.W + from;
 #pragma omp simd
@@ -227,30 +236,7 @@ static inline void average(Job j, int cell_row, int from, int n) {
                 sum[y][2][x] += w * low(other);
                 sum[y][3][x] += w;
             }
-        }
-    }
-    for (int y = 0; y < height; y++) {
-        int64_t at = (int64_t)(cell_row * CELL + y) * j.W + from;
-#pragma omp simd
-        for (int x = 0; x < n; x++) {
-            j.count[at + x] = sum[y][3][x];
-            float scale = 1 / MAX(sum[y][3][x], 1e-6f);
-#pragma GCC unroll 3
-            for (int c = 0; c < 3; c++) j.mean[c * plane + at + x] = sum[y][c][x] * scale;
-        }
-    }
-}
-
-// Likewise of footprints.
-static inline void average_footprints(Job j, int cell_row, int from, int n) {
-    int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
-    float sum[CELL][SUMMED][BLOCK] = {{{0}}};
-    int height = MIN(CELL, j.H - cell_row * CELL);
-    for (int k = 0; k < j.K; k++) {
-        float weight[BLOCK];
-        weights(j, cell_row, k, from, n, weight);
-        for (int y = 0; y < height; y++) {
-            const uint32_t *found = found_of(j, cell_row, k) + y * j.W + from;
+            if (!j.footprint) continue;
 #pragma omp simd
             for (int x = 0; x < n; x++) {
                 uint32_t rg = found[3 * stride + x], b = found[4 * stride + x], a = found[5 * stride + x];
@@ -259,25 +245,20 @@ static inline void average_footprints(Job j, int cell_row, int from, int n) {
                 float albedo[3] = {low(a), high(a), low(ax)}, light[3] = {low(rg), high(rg), low(b)};
 #pragma GCC unroll 3
                 for (int c = 0; c < 3; c++) {
-                    sum[y][c][x] += w * light[c] * (high(b) > 0 ? albedo[c] + (float)GLOSS : 1);
-                    sum[y][3 + c][x] += w * albedo[c];
+                    seen[y][c][x] += w * light[c] * (high(b) > 0 ? albedo[c] + (float)GLOSS : 1);
+                    seen[y][3 + c][x] += w * albedo[c];
                 }
-                sum[y][6][x] += w * high(ax);
-                sum[y][7][x] += w * low(yz);
-                sum[y][8][x] += w * high(yz);
-                sum[y][9][x] += w;
+                seen[y][6][x] += w * high(ax);
+                seen[y][7][x] += w * low(yz);
+                seen[y][8][x] += w * high(yz);
+                seen[y][9][x] += w;
             }
         }
     }
     for (int y = 0; y < height; y++) {
         int64_t at = (int64_t)(cell_row * CELL + y) * j.W + from;
-#pragma omp simd
-        for (int x = 0; x < n; x++) {
-            j.footprint_count[at + x] = sum[y][9][x];
-            float scale = 1 / MAX(sum[y][9][x], 1e-6f);
-#pragma GCC unroll 9
-            for (int c = 0; c < 9; c++) j.footprint[c * plane + at + x] = sum[y][c][x] * scale;
-        }
+        divide(sum[y], 4, j.mean, j.count, j.plane, at, n);
+        if (j.footprint) divide(seen[y], SUMMED, j.footprint, j.footprint_count, j.plane, at, n);
     }
 }
 
@@ -291,10 +272,7 @@ static void band(Job j, int top, int bottom) {
                 for (int k = 0; k < j.K; k++) compare(j, row, k, from, n);
             }
         if (row > top)
-            for (int from = 0; from < j.W; from += BLOCK) {
-                average(j, row - 1, from, MIN(BLOCK, j.W - from));
-                if (j.footprint) average_footprints(j, row - 1, from, MIN(BLOCK, j.W - from));
-            }
+            for (int from = 0; from < j.W; from += BLOCK) average(j, row - 1, from, MIN(BLOCK, j.W - from));
     }
 }
 
