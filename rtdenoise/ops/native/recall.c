@@ -18,13 +18,11 @@ typedef struct {
     const uint8_t *uncovered;                      // whether a pixel was just uncovered, for footprints
     const uint32_t *const *kept;                   // K frames of 5 planes, or 8, two bfloat16 a pixel
     float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
-    // Of a thread: [FOUND, K, words, CELL, W]. Words: red, green; blue, 1 or 0: same surface; s as float32. In footprints:
-    // red, green; blue, 1 or 0: something was hit; albedo's red, green; its blue, normal's x; y, z; the weight as float32.
-    uint32_t *found;
+    uint32_t *found;  // of a thread: [FOUND, K, 3 (red, green; blue, 1 or 0: same surface; s as float32), CELL, W]
     float *cells;     // likewise: [SUMS, K, 4 (Σ d, Σ |d|²), columns]
     float depth_tolerance, normal_tolerance, alike, changed, speed;
     int64_t plane;
-    int K, H, W, columns, rows, words;
+    int K, H, W, columns, rows;
 } Job;
 
 static inline float bounded(float motion) {
@@ -32,7 +30,7 @@ static inline float bounded(float motion) {
 }
 
 static inline uint32_t *found_of(Job j, int cell_row, int k) {
-    return j.found + ((int64_t)(cell_row % FOUND) * j.K + k) * j.words * CELL * j.W;
+    return j.found + ((int64_t)(cell_row % FOUND) * j.K + k) * 3 * CELL * j.W;
 }
 
 static inline float *cells_of(Job j, int cell_row, int k) {
@@ -93,72 +91,32 @@ static inline void places(Job j, int y, int from, int n, const Paths *paths, int
     }
 }
 
-// 1 minus the distance to the nearest whole number.
-static inline float covered(float motion) { return 1 - fabsf(bounded(motion) - nearbyintf(bounded(motion))); }
-
-// Read what footprints of pixels of row y from column `from` on hold of a kept frame, and the path beyond.
-// `nearest`: the least distance of what belongs to each pixel.
-static inline void see(Job j, const uint32_t *kept, int y, int from, int n, const int *at, const int *inside, Paths *paths,
-                       const float *nearest, uint32_t *found) {
-    int64_t plane = j.plane, stride = (int64_t)CELL * j.W, first = (int64_t)y * j.W + from;
-    int up = y ? -j.W : 0, down = y + 1 < j.H ? j.W : 0;
-    const float *depth = j.depth + first, *normal = j.normal + first;
-    float *mx = paths->mx, *my = paths->my, *s = paths->s;
-#pragma omp simd
-    for (int x = 0; x < n; x++) {
-        uint32_t words[8];
-#pragma GCC unroll 8
-        for (int c = 0; c < 8; c++) words[c] = kept[c * plane + at[x]];
-        Surface its = {high(words[1]), low(words[2]), high(words[2]), low(words[3])};
-        int left = x - (from + x > 0), right = x + (from + x + 1 < j.W), beside = 0;
-        beside |= alike(surface_at(depth, normal, plane, x), its, j.depth_tolerance, j.normal_tolerance);
-        beside |= alike(surface_at(depth, normal, plane, x + up), its, j.depth_tolerance, j.normal_tolerance);
-        beside |= alike(surface_at(depth, normal, plane, left), its, j.depth_tolerance, j.normal_tolerance);
-        beside |= alike(surface_at(depth, normal, plane, right), its, j.depth_tolerance, j.normal_tolerance);
-        beside |= alike(surface_at(depth, normal, plane, x + down), its, j.depth_tolerance, j.normal_tolerance);
-        beside &= (distance(its.depth) >= nearest[x]) & !j.uncovered[first + x];
-        found[3 * stride + x] = words[0];
-        found[4 * stride + x] = (words[1] & 0xffff) | (its.depth > 0 ? SAME : 0);
-        found[5 * stride + x] = words[5];
-        found[6 * stride + x] = (words[6] & 0xffff) | words[2] << 16;
-        found[7 * stride + x] = words[2] >> 16 | words[3] << 16;
-        found[8 * stride + x] = bits_of(inside[x] & beside ? s[x] * covered(mx[x]) * covered(my[x]) : 0);
-        s[x] *= 1 - high(words[3]);
-        mx[x] = inside[x] ? mx[x] + high(words[6]) : FAR_AWAY;
-        my[x] = inside[x] ? my[x] + low(words[7]) : FAR_AWAY;
-    }
+// Whether pixels at[0 ... n) do not lie in a row.
+static inline int scattered(const int *at, const int *inside, int n) {
+    int found = 0;
+    for (int x = 0; x < n; x++) found |= !inside[x] | (at[x] - x != at[0]);
+    return found;
 }
 
 // Follow the paths of n pixels of row y through all kept frames.
 static inline void look(Job j, int y, int from, int n) {
     int64_t first = (int64_t)y * j.W + from;
-    Paths p, e;  // of the pixels, and of the edges in them
-    float nearest[BLOCK];
+    Paths p;
     memcpy(p.mx, j.motion + first, n * sizeof *p.mx);
     memcpy(p.my, j.motion + j.plane + first, n * sizeof *p.my);
-    for (int x = 0; x < n; x++) p.s[x] = e.s[x] = 1;
-    if (j.footprint)
-        for (int x = 0; x < n; x++) {
-            int64_t its = edge(j.motion, j.depth, j.plane, j.W, j.H, from + x, y, j.depth_tolerance, j.speed);
-            e.mx[x] = j.motion[its];
-            e.my[x] = j.motion[j.plane + its];
-            nearest[x] = (1 - j.depth_tolerance) * distance(j.depth[its]);
-        }
+    for (int x = 0; x < n; x++) p.s[x] = 1;
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
         uint32_t *found = found_of(j, y / CELL, k) + y % CELL * j.W + from;
         places(j, y, from, n, &p, at, inside);
         for (int part = 0; part < n; part += PART) {
-            int size = MIN(PART, n - part), apart = 0;
+            int size = MIN(PART, n - part);
             const int *its = at + part, *in = inside + part;
-            for (int x = 0; x < size; x++) apart |= !in[x] | (its[x] - x != its[0]);
             for (int c = 0; c < 5; c++) __builtin_prefetch(j.kept[k] + c * j.plane + its[0] + 2 * j.W);  // for a row to come
-            if (apart || size < PART) read(j, j.kept[k], first + part, size, its, in, &p, part, found + part, 0);
+            if (size < PART || scattered(its, in, PART))
+                read(j, j.kept[k], first + part, size, its, in, &p, part, found + part, 0);
             else read(j, j.kept[k], first + part, PART, its, in, &p, part, found + part, 1);
         }
-        if (!j.footprint) continue;
-        places(j, y, from, n, &e, at, inside);
-        see(j, j.kept[k], y, from, n, at, inside, &e, nearest, found);
     }
 }
 
@@ -213,52 +171,119 @@ static inline void divide(float sum[][BLOCK], int channels, float *mean, float *
     }
 }
 
-// The mean over all kept frames, for n pixels of a row of cells.
+// The surfaces of a block of pixels of a row, of the row above and of that below, with a column on each side; the picture's
+// own edge stands for what is beyond it.
+typedef struct { float depth[3][BLOCK + 2], x[3][BLOCK + 2], y[3][BLOCK + 2], z[3][BLOCK + 2]; } Surroundings;
+
+static inline void surroundings(Job j, int y, int from, int n, Surroundings *s) {
+    for (int i = 0; i < 3; i++) {
+        int64_t row = (int64_t)MIN(MAX(y + i - 1, 0), j.H - 1) * j.W;
+        float *out[4] = {s->depth[i], s->x[i], s->y[i], s->z[i]};
+        for (int c = 0; c < 4; c++) {
+            const float *in = c ? j.normal + (c - 1) * j.plane + row : j.depth + row;
+            out[c][0] = in[MAX(from - 1, 0)];
+            memcpy(out[c] + 1, in + from, n * sizeof *in);
+            out[c][n + 1] = in[MIN(from + n, j.W - 1)];
+        }
+    }
+}
+
+// 1 minus the distance to the nearest whole number.
+static inline float covered(float motion) { return 1 - fabsf(bounded(motion) - nearbyintf(bounded(motion))); }
+
+// Add to n sums what pixels at[0 ... n) of a kept frame hold, for footprints of pixels from `p` on of a block, and go on along
+// their paths; `together` as in `read`. `nearest`: the least distance of what belongs to each pixel, NaN where nothing does.
+static inline void see(Job j, const uint32_t *kept, int n, const int *at, const int *inside, Paths *paths, int p,
+                       const Surroundings *around, const float *nearest, const float *weight, float sum[][BLOCK],
+                       int together) {
+    float *mx = paths->mx + p, *my = paths->my + p, *s = paths->s + p;
+    const uint32_t *planes[8];
+    for (int c = 0; c < 8; c++) planes[c] = kept + c * j.plane + (together ? at[0] : 0);
+#pragma omp simd
+    for (int x = 0; x < n; x++) {
+        int from = together ? x : at[x], in = together || inside[x], beside = 0;
+        uint32_t words[8];
+#pragma GCC unroll 8
+        for (int c = 0; c < 8; c++) words[c] = planes[c][from];
+        Surface its = {high(words[1]), low(words[2]), high(words[2]), low(words[3])};
+#pragma GCC unroll 5
+        for (int i = 0; i < 5; i++) {
+            int row = (int[]){1, 0, 1, 1, 2}[i], column = p + x + (int[]){1, 1, 0, 2, 1}[i];
+            Surface here = {around->depth[row][column], around->x[row][column], around->y[row][column], around->z[row][column]};
+            beside |= alike(here, its, j.depth_tolerance, j.normal_tolerance);
+        }
+        beside &= in & (distance(its.depth) >= nearest[p + x]);
+        float w = beside ? weight[p + x] * (s[x] * covered(mx[x]) * covered(my[x])) : 0;
+        float albedo[3] = {low(words[5]), high(words[5]), low(words[6])};
+        float light[3] = {low(words[0]), high(words[0]), low(words[1])};
+#pragma GCC unroll 3
+        for (int c = 0; c < 3; c++) {
+            sum[c][p + x] += w * light[c] * (its.depth > 0 ? albedo[c] + (float)GLOSS : 1);
+            sum[3 + c][p + x] += w * albedo[c];
+        }
+        sum[6][p + x] += w * its.x;
+        sum[7][p + x] += w * its.y;
+        sum[8][p + x] += w * its.z;
+        sum[9][p + x] += w;
+        s[x] *= 1 - high(words[3]);
+        mx[x] = in ? mx[x] + high(words[6]) : FAR_AWAY;
+        my[x] = in ? my[x] + low(words[7]) : FAR_AWAY;
+    }
+}
+
+// The footprints of n pixels of row y. `weight`: of unchanged light in each kept frame.
+static inline void footprints(Job j, int y, int from, int n, float weight[][BLOCK]) {
+    int64_t first = (int64_t)y * j.W + from;
+    Paths paths;
+    Surroundings around;
+    float nearest[BLOCK], sum[SUMMED][BLOCK] = {{0}};
+    surroundings(j, y, from, n, &around);
+    for (int x = 0; x < n; x++) {
+        int64_t its = edge(j.motion, j.depth, j.plane, j.W, j.H, from + x, y, j.depth_tolerance, j.speed);
+        paths.mx[x] = j.motion[its];
+        paths.my[x] = j.motion[j.plane + its];
+        paths.s[x] = 1;
+        nearest[x] = j.uncovered[first + x] ? NAN : (1 - j.depth_tolerance) * distance(j.depth[its]);
+    }
+    for (int k = 0; k < j.K; k++) {
+        int at[BLOCK], inside[BLOCK];
+        places(j, y, from, n, &paths, at, inside);
+        for (int part = 0; part < n; part += PART) {
+            int size = MIN(PART, n - part);
+            const int *its = at + part, *in = inside + part;
+            if (size < PART || scattered(its, in, PART))
+                see(j, j.kept[k], size, its, in, &paths, part, &around, nearest, weight[k], sum, 0);
+            else see(j, j.kept[k], PART, its, in, &paths, part, &around, nearest, weight[k], sum, 1);
+        }
+    }
+    divide(sum, SUMMED, j.footprint, j.footprint_count, j.plane, first, n);
+}
+
+// The means over all kept frames, for n pixels of a row of cells.
 static inline void average(Job j, int cell_row, int from, int n) {
     int64_t stride = (int64_t)CELL * j.W;
-    float sum[CELL][4][BLOCK] = {{{0}}}, seen[CELL][SUMMED][BLOCK];
-    int height = MIN(CELL, j.H - cell_row * CELL);
-    if (j.footprint) memset(seen, 0, sizeof seen);
-    for (int k = 0; k < j.K; k++) {
-        float weight[BLOCK];
+    float weight[j.K][BLOCK];  // of unchanged light
+    for (int k = 0; k < j.K; k++)
         for (int x = 0; x < n; x += CELL) {
             float w = unchanged(j, cell_row, k, (from + x) / CELL);
-            for (int i = 0; i < CELL; i++) weight[x + i] = w;
+            for (int i = 0; i < CELL; i++) weight[k][x + i] = w;
         }
-        for (int y = 0; y < height; y++) {
-            const uint32_t *found = found_of(j, cell_row, k) + y * j.W + from;
+    for (int y = cell_row * CELL; y < MIN((cell_row + 1) * CELL, j.H); y++) {
+        float sum[4][BLOCK] = {{0}};
+        for (int k = 0; k < j.K; k++) {
+            const uint32_t *found = found_of(j, cell_row, k) + y % CELL * j.W + from;
 #pragma omp simd
             for (int x = 0; x < n; x++) {
                 uint32_t other = found[stride + x];
-                float w = weight[x] * high(other) * from_bits(found[2 * stride + x]);
-                sum[y][0][x] += w * low(found[x]);
-                sum[y][1][x] += w * high(found[x]);
-                sum[y][2][x] += w * low(other);
-                sum[y][3][x] += w;
-            }
-            if (!j.footprint) continue;
-#pragma omp simd
-            for (int x = 0; x < n; x++) {
-                uint32_t rg = found[3 * stride + x], b = found[4 * stride + x], a = found[5 * stride + x];
-                uint32_t ax = found[6 * stride + x], yz = found[7 * stride + x];
-                float w = weight[x] * from_bits(found[8 * stride + x]);
-                float albedo[3] = {low(a), high(a), low(ax)}, light[3] = {low(rg), high(rg), low(b)};
-#pragma GCC unroll 3
-                for (int c = 0; c < 3; c++) {
-                    seen[y][c][x] += w * light[c] * (high(b) > 0 ? albedo[c] + (float)GLOSS : 1);
-                    seen[y][3 + c][x] += w * albedo[c];
-                }
-                seen[y][6][x] += w * high(ax);
-                seen[y][7][x] += w * low(yz);
-                seen[y][8][x] += w * high(yz);
-                seen[y][9][x] += w;
+                float w = weight[k][x] * high(other) * from_bits(found[2 * stride + x]);
+                sum[0][x] += w * low(found[x]);
+                sum[1][x] += w * high(found[x]);
+                sum[2][x] += w * low(other);
+                sum[3][x] += w;
             }
         }
-    }
-    for (int y = 0; y < height; y++) {
-        int64_t at = (int64_t)(cell_row * CELL + y) * j.W + from;
-        divide(sum[y], 4, j.mean, j.count, j.plane, at, n);
-        if (j.footprint) divide(seen[y], SUMMED, j.footprint, j.footprint_count, j.plane, at, n);
+        divide(sum, 4, j.mean, j.count, j.plane, (int64_t)y * j.W + from, n);
+        if (j.footprint) footprints(j, y, from, n, weight);
     }
 }
 
@@ -281,7 +306,7 @@ static void band(Job j, int top, int bottom) {
 // three NULL; all contiguous. found and cells hold the scratch of `threads` threads.
 void recall(const float *light, const float *motion, const float *depth, const float *normal,
             const uint8_t *uncovered, const uint32_t *const *kept, float *mean, float *count, float *footprint,
-            float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W, int words,
+            float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W,
             float depth_tolerance, float normal_tolerance, float alike, float changed, float speed, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
@@ -291,8 +316,8 @@ void recall(const float *light, const float *motion, const float *depth, const f
             Job j = {light + 3 * b * plane, motion + 2 * b * plane, depth + b * plane, normal + 3 * b * plane,
                      footprint ? uncovered + b * plane : NULL, kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
                      footprint ? footprint + 9 * b * plane : NULL, footprint ? footprint_count + b * plane : NULL,
-                     found + (int64_t)t * FOUND * K * words * CELL * W, cells + (int64_t)t * SUMS * K * 4 * columns,
-                     depth_tolerance, normal_tolerance, alike, changed, speed, plane, K, H, W, columns, rows, words};
+                     found + (int64_t)t * FOUND * K * 3 * CELL * W, cells + (int64_t)t * SUMS * K * 4 * columns,
+                     depth_tolerance, normal_tolerance, alike, changed, speed, plane, K, H, W, columns, rows};
             band(j, (int64_t)rows * t / threads, (int64_t)rows * (t + 1) / threads);
         }
 }

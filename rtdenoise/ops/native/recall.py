@@ -23,7 +23,7 @@ from ...constants import (
 from .compiler import library, pointer
 
 FOUND, SUMS = 2, 3  # rows of cells, as in recall.c
-WORDS = {False: 3, True: 9}  # that are found of a pixel in each kept frame, without and with footprints
+WORDS = 3  # likewise, found of a pixel in each kept frame
 
 
 def recall(
@@ -38,10 +38,10 @@ def recall(
     recent = [t.contiguous() for t in recent]
     B, _, H, W = light.shape
     footprint = uncovered is not None
-    threads, K, words = torch.get_num_threads(), len(recent), WORDS[footprint]
+    threads, K = torch.get_num_threads(), len(recent)
     where = uncovered.contiguous() if footprint else None
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
-    found = torch.empty(threads, FOUND, K, words, RECALL_CELL, W, dtype=torch.int32)
+    found = torch.empty(threads, FOUND, K, WORDS, RECALL_CELL, W, dtype=torch.int32)
     cells = torch.empty(threads, SUMS, K, 4, -(-W // RECALL_CELL))
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
     outputs = [*map(pointer, results), *[None] * (4 - len(results))]
@@ -57,7 +57,6 @@ def recall(
         B,
         H,
         W,
-        words,
         *tolerances,
         threads,
     )
