@@ -2,7 +2,8 @@
 // GLOSS is that of constants.py.
 //
 // One pass over the frame, a row of cells at a time: a row's weights need the rows above and below it, so each thread keeps
-// what it found in two rows and the sums of three, small enough for its cache.
+// what it found in two rows and the sums of three, small enough for its cache. Footprints need the weights alone, so their paths
+// are followed when these are known, and what they lead to is summed up at once.
 #include "common.h"
 #include "alike.h"
 
