@@ -32,8 +32,7 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.frame import Frame
 from rtdenoise.run import combination
-from rtdenoise.run.moved import Seen
-from rtdenoise.run.passes import Passes, around, reverse
+from rtdenoise.run.passes import Passes, completed, reverse
 from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "offline.json", (DOCS / "results" / "offline.md",)
@@ -162,7 +161,7 @@ def fit_weights(sequences: tuple[str, ...]) -> None:
             scale = display_exposure(torch.cat([frame.reference for frame in frames]))
             shown = [_shown(c, names, scale) for c in candidates(passes, frames)]
             inputs, truth = np.concatenate(shown), _values([frame.reference for frame in frames], scale)
-            weight = 1 / np.mean((inputs[:, names.index("second")] - truth) ** 2) / len(truth)
+            weight = 1 / np.mean((inputs[:, names.index("opinion")] - truth) ** 2) / len(truth)
             gram, vector = gram + weight * inputs.T @ inputs, vector + weight * inputs.T @ truth
     for kept in (names, list(combination.WEIGHTS_WITHOUT_OIDN)):
         print(dict(zip(kept, (round(w, 2) for w in solve(gram, vector, names, kept)), strict=True)))
@@ -176,12 +175,10 @@ def candidates(passes: Passes, frames: list[Frame]) -> list[combination.Candidat
         estimate, history = passes.step(frame, history)
         forward.append(estimate)
     found, history = [], None
-    seen: list[Seen] = []
-    for frame in reversed(frames):
-        seen.insert(0, passes.seen(frame, *seen[:1]))
-    for i in reversed(range(len(seen))):
-        backward, history = passes.step(reverse(seen[i].frame), history)
-        found.insert(0, passes.candidates(around(seen, i), forward[i], backward))
+    for i in reversed(range(len(frames))):
+        frame = completed(frames[i], *frames[i + 1 : i + 2])
+        backward, history = passes.step(reverse(frame), history)
+        found.insert(0, passes.candidates(frame, forward[i], backward))
     return found
 
 

@@ -161,6 +161,7 @@ class History:
     # [B, 9, H, W] radiance, albedo and normal of this and the recent frames, whatever surface of the pixel they saw
     # (`ops.recall`). No later step needs it: it is for those who filter what has been averaged.
     footprint: Tensor | None = None
+    footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
 
     def layers(self) -> dict[str, Tensor]:
         """name -> tensor of every field that is there; hidden features are `hidden.0`, `hidden.1` ..., recent frames

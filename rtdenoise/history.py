@@ -15,7 +15,8 @@ from .errors import InputError
 from .frame import RECENT, Frame, History
 from .motion import on_screen, same_surface
 
-NEAREST = ("depth", "normal", "motion_next", "length", "residual_length")  # must not be mixed across silhouettes
+# Must not be mixed across silhouettes.
+NEAREST = ("depth", "normal", "motion_next", "length", "residual_length", "footprint_count")
 CELLS = tuple(2**i for i in range(24))  # sides in pixels of what a pixel of a coarser layer stands for
 
 

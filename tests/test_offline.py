@@ -22,10 +22,9 @@ from rtdenoise.frame import Frame
 from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, save
 from rtdenoise.run.combination import WEIGHTS, WEIGHTS_WITHOUT_OIDN, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
-from rtdenoise.run.moved import REACH, Seen, moved_mean
 from rtdenoise.run.offline import ESTIMATES
 from rtdenoise.run.passes import InMemory, Passes, completed, reverse
-from rtdenoise.run.sides import Estimate, corrected, two_sided
+from rtdenoise.run.sides import Estimate, corrected, seen_on_both_sides
 from rtdenoise.run.stored_estimate import read_estimate, write_estimate
 
 TINY = AccumulatedKPNConfig(widths=(4, 4, 4), scales=2, kernel=3, recent=2)
@@ -104,6 +103,7 @@ def test_lost_estimates_start_the_run_anew(shot, tmp_path, options):
 DAMAGE = {  # what -> fields and metadata of a stored estimate, changed
     "another size": lambda fields, facts: ({name: a[..., :5] for name, a in fields.items()}, facts),
     "no mean": lambda fields, facts: ({name: a for name, a in fields.items() if name != "mean"}, facts),
+    "no footprint": lambda fields, facts: ({n: a for n, a in fields.items() if not n.startswith("footprint")}, facts),
     "nothing": lambda fields, facts: ({}, facts),
     "no scales": lambda fields, facts: (fields, {"first": "1"}),
     "scales that are no JSON": lambda fields, facts: (fields, facts | {"scales": "{"}),
@@ -206,7 +206,7 @@ def test_a_window_of_frames_is_in_memory_at_a_time(tmp_path, options, monkeypatc
         most.append(sum(array() is not None for array in alive))
 
     denoise(str(shot), tmp_path / "out", replace(options, plan=False), on_frame=count)
-    assert max(most) <= 2 * REACH + 2 and len(most) == 33
+    assert max(most) <= 2 and len(most) == 33
 
 
 def test_one_frame(tmp_path, options, model):
@@ -280,13 +280,13 @@ def test_weights_sum_to_one():
 
 def test_equal_candidates_come_out_to_the_bit():
     image = torch.rand(1, 3, 9, 11) * 50
-    for candidates in (Candidates(*[image] * 6), Candidates(*[image] * 3)):
+    for candidates in (Candidates(*[image] * 4), Candidates(*[image] * 3)):
         found = combine(candidates)
         assert torch.equal(found.image, image) and not found.spread.any()
 
 
 def test_it_scales_with_the_light_and_stays_near_the_candidates():
-    candidates = [torch.rand(1, 3, 16, 16) for _ in range(6)]
+    candidates = [torch.rand(1, 3, 16, 16) for _ in range(4)]
     plain = combine(Candidates(*candidates))
     for scale in (1e-4, 1e4):
         scaled = combine(Candidates(*(scale * c for c in candidates)))
@@ -294,100 +294,41 @@ def test_it_scales_with_the_light_and_stays_near_the_candidates():
     assert plain.image.min() >= 0 and plain.image.max() < 4
 
 
-def wall(light, motion=(0.0, 0.0), depth=1.0):
-    """A frame of a grey wall that moves by `motion` pixels a frame."""
-    grey, one = torch.full_like(light, 0.5), torch.ones_like(light[:, :1])
-    normal = torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1).expand_as(light)
-    step = torch.tensor(motion).reshape(1, 2, 1, 1) * torch.ones_like(light[:, :2])
-    return Frame(albedo_divisor(grey, depth * one) * light, grey, normal, depth * one, -step, step)
-
-
-def light_of(frame, radiance):
-    return radiance / albedo_divisor(frame.albedo, frame.depth)
-
-
-def light_as_radiance(light):
-    return light * albedo_divisor(torch.full_like(light, 0.5), torch.ones_like(light[:, :1]))
-
-
-@pytest.fixture
-def any_light(monkeypatch):
-    """Light counts however it differs: the pictures are too small to tell noise."""
-    monkeypatch.setattr("rtdenoise.run.moved.alike", lambda difference, valid: valid)
-
-
-def mean_of(frames, i, pictures=None):
-    """`moved_mean` of frame i and all others, with pictures of white light unless given."""
-    pictures = pictures or [light_as_radiance(torch.ones_like(frame.radiance)) for frame in frames]
-    seen = [Seen(frame, frame, picture) for frame, picture in zip(frames, pictures, strict=True)]
-    return moved_mean(seen[i], seen[:i][::-1], seen[i + 1 :])
-
-
-def test_neighbours_are_averaged_along_their_motion(any_light):
-    """The wall moves by 2.3 pixels a frame: 2 to the next one, 5 to the one after."""
-    lights = [torch.rand(1, 3, 6, 24) for _ in range(5)]
-    frames = [wall(light, (2.3, 0.0)) for light in lights]
-    found = light_of(frames[2], mean_of(frames, 2))
-    shifts = (-5, -2, 0, 2, 5)
-    expected = sum(light.roll(-shift, 3) for light, shift in zip(lights, shifts, strict=True)) / 5
-    torch.testing.assert_close(found[..., 6:-6], expected[..., 6:-6])
-
-
-def test_lookups_mix_no_pixels(any_light):
-    lights = [torch.rand(1, 3, 6, 8), torch.rand(1, 3, 6, 8)]
-    frames = [wall(light, (0.4, 0.3)) for light in lights]
-    found = light_of(frames[1], mean_of(frames, 1))
-    torch.testing.assert_close(found, (lights[0] + lights[1]) / 2)
-
-
-def test_light_that_has_changed_is_left_out():
-    """Half of the wall has got three times as bright; the noise is as large as the light."""
-    torch.manual_seed(2)
-    lights = [torch.rand(1, 3, 64, 64) * 2 for _ in range(5)]
-    brighter = torch.where(torch.arange(64) < 32, 1.0, 3.0)
-    frames = [wall(light * (brighter if i < 2 else 1.0)) for i, light in enumerate(lights)]
-    found = light_of(frames[2], mean_of(frames, 2))
-    assert found[..., :20].std() < 0.6 * lights[2].std()
-    assert found[..., 44:].mean() == pytest.approx(1, abs=0.1)
-    assert frames[1].radiance[..., 44:].mean() > 2.5 * frames[2].radiance[..., 44:].mean()
-
-
-def test_reflections_that_slide_over_a_surface_are_left_out():
-    """Stripes of a mirror image move by 3 pixels a frame on a wall that stands still. Over 13 pixels their mean hardly
-    changes, but denoised pictures show them."""
-    torch.manual_seed(2)
-    stripes = [(1 + torch.sin((torch.arange(64) + 3 * i) * 0.6)).expand(1, 3, 64, 64).contiguous() for i in range(3)]
-    frames = [wall(light * (0.5 + torch.rand(1, 3, 64, 64))) for light in stripes]
-    pictures = [light_as_radiance(light) for light in stripes]
-    found, blind = (light_of(frames[1], mean_of(frames, 1, p)).mean(2) for p in (pictures, None))
-    assert (found - stripes[1][0, 0, 0]).abs().mean() < 0.1 < 0.25 < (blind - stripes[1][0, 0, 0]).abs().mean()
-
-
-def test_frames_of_other_surfaces_and_beyond_missing_motion_are_left_out(any_light):
-    lights = [torch.rand(1, 3, 4, 4) for _ in range(4)]
-    frames = [wall(light) for light in lights]
-    far = wall(lights[1], depth=3.0)
-    torch.testing.assert_close(mean_of([far, frames[0]], 1), frames[0].radiance)
-    ends = replace(frames[1], motion_next=None)
-    found = light_of(frames[0], mean_of([frames[0], ends, *frames[2:]], 0))
-    torch.testing.assert_close(found, (lights[0] + lights[1]) / 2)
-
-
 def estimate(image, length, first=False):
     ones = torch.ones_like(image[:, :1])
-    return Estimate(image, image, torch.full_like(image, 0.5), length * ones, first)
+    seen = torch.cat([image, torch.full_like(image, 0.5), torch.full_like(image, -0.6)], dim=1)
+    return Estimate(image, image, length * ones, first, seen, length * ones)
 
 
-def test_the_frame_itself_counts_once_in_the_mean_of_both_sides():
+def grey(radiance):
+    """A frame of a grey wall."""
+    surface = torch.full_like(radiance, 0.5)
+    return Frame(radiance, surface, torch.zeros_like(radiance), torch.ones_like(radiance[:, :1]))
+
+
+def test_the_frame_itself_counts_once_in_what_both_sides_have_seen():
     """Forward mean of (1, y), backward mean of (y, 4): the mean of 1, y and 4."""
     y = torch.full((1, 3, 4, 4), 2.5)
-    grey, depth = torch.full_like(y, 0.5), torch.ones_like(y[:, :1])
-    divisor = albedo_divisor(grey, depth)
-    frame = Frame(divisor * y, grey, torch.zeros_like(y), depth)
-    light = two_sided(frame, estimate((1 + y) / 2, 2.0), estimate((y + 4) / 2, 2.0))
-    assert torch.allclose(light, divisor * (1 + y + 4) / 3)
-    light = two_sided(frame, estimate(y, 1.0), estimate(y, 1.0))
-    assert torch.allclose(light, frame.radiance)
+    frame = grey(y)
+    seen, count = seen_on_both_sides(frame, estimate((1 + y) / 2, 2.0), estimate((y + 4) / 2, 2.0))
+    torch.testing.assert_close(seen[:, :3], (1 + y + 4) / 3)
+    torch.testing.assert_close(seen[:, 3:6], frame.albedo)
+    assert (count == 3).all()
+
+
+def test_a_pixel_seen_once_is_filtered_among_pixels_seen_once(monkeypatch, model):
+    """On the left both passes have seen four frames, on the right none but this one."""
+    passes, frame = Passes(model, "cpu"), grey(torch.ones(1, 3, 4, 8))
+    monkeypatch.setattr("rtdenoise.baselines.oidn.Oidn.prefiltered", lambda self, frame: frame)
+    filtered = lambda self, frame: (frame.radiance + frame.radiance[..., :1], None)  # noqa: E731
+    monkeypatch.setattr("rtdenoise.baselines.oidn.Oidn.step", filtered)
+    length = torch.where(torch.arange(8) < 4, 4.0, 1.0)
+    light = torch.where(torch.arange(8) < 4, 3.0, 1.0).expand(1, 3, 4, 8)
+    side = estimate(light, length)
+    found = passes.candidates(frame, side, side).opinion
+    averaged = (2 * 4 * 3 - 1) / 7
+    expected = torch.where(torch.arange(8) < 4, 2 * averaged, 2.0).expand(1, 3, 4, 8)
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
 
 
 def sides(truth_before, truth_after, noise=0.2, frames=8.0):
@@ -439,14 +380,15 @@ def test_one_side_is_no_evidence():
 def test_estimates_survive_the_disk(tmp_path, scale):
     stored = estimate(scale * torch.rand(1, 3, 8, 8), 3.0, first=True)
     write_estimate(tmp_path / "e.safetensors", stored)
-    found = read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8))
+    found = read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8), footprints=True)
     assert found.first and torch.allclose(found.image, stored.image, rtol=1e-3)
+    assert torch.allclose(found.footprint, stored.footprint, rtol=1e-3)
     assert torch.equal(found.length, stored.length)
 
 
 def test_a_black_estimate_survives_too(tmp_path):
     write_estimate(tmp_path / "e.safetensors", estimate(torch.zeros(1, 3, 8, 8), 1.0))
-    assert not read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8)).image.any()
+    assert not read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8), footprints=False).image.any()
 
 
 # --- evaluate ---------------------------------------------------------------------------------------------------------

@@ -139,7 +139,8 @@ class AccumulatedKPN(nn.Module):
             recent = kept(self.config, frame, reset, noisy), *(history.recent if history else ())
             after = replace(after, recent=recent[: self.config.recent])
         if self.config.footprint:
-            after = replace(after, footprint=footprint(frame, past, heads.reset))
+            seen, count = footprint(frame, past, heads.reset)
+            after = replace(after, footprint=seen, footprint_count=count)
         return output, after, Kernels(heads, past.length, past.on_screen)
 
     def over_space(self, mean: Tensor, heads: Heads) -> Tensor:

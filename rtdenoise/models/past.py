@@ -70,9 +70,10 @@ def kept(config: Config, frame: Frame, reset: Tensor, noisy: Tensor | None = Non
     return keep(noisy, frame.depth, frame.normal, reset, frame.motion, frame.albedo if config.footprint else None)
 
 
-def footprint(frame: Frame, past: Past, reset: Tensor) -> Tensor:
-    """`History.footprint` of a sanitised frame. `reset`: how far what recent frames saw gives way to it."""
+def footprint(frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:
+    """`History.footprint` and `footprint_count` of a sanitised frame. `reset`: how far what recent frames saw gives
+    way to it."""
     seen = torch.cat([frame.radiance, frame.albedo, frame.normal], dim=1)
     if past.footprint is None:
-        return seen
-    return accumulate(seen, past.footprint, past.footprint_count, reset, torch.inf)[0]
+        return seen, torch.ones_like(frame.depth)
+    return accumulate(seen, past.footprint, past.footprint_count, reset, torch.inf)

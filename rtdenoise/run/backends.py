@@ -102,9 +102,11 @@ class TorchBackend:
         correct: bool = False,
         oidn: bool = False,
         recent: int | None = None,
+        footprint: bool = False,
     ) -> None:
         """`oidn` mixes OIDN's opinion into the images (`opinion`). `recent`: frames that a network which averages light
-        keeps, in place of its configuration's; 0 is a running mean, by the same weights."""
+        keeps, in place of its configuration's; 0 is a running mean, by the same weights. `footprint`:
+        its histories have one, of `opinion.RECENT` frames; `oidn` needs them, too."""
         from ..models import load
         from ..models.inference import choose_device
         from .graphs import stepper
@@ -118,7 +120,9 @@ class TorchBackend:
         if oidn and not averages:
             raise InputError(f"--oidn: model {model!r} does not average light; choose default, many, fast or quality")
         self._correct, self._opinion = correct, Opinion(self._denoiser.config) if oidn else None
-        wanted = {"recent": RECENT, "footprint": True} if oidn else {} if recent is None else {"recent": recent}
+        wanted = {} if recent is None else {"recent": recent}
+        if oidn or footprint:
+            wanted = {"recent": RECENT, "footprint": True}
         if averages:
             self._denoiser.config = replace(self._denoiser.config, **wanted)
         self._step = self._whole = stepper(self._denoiser)
@@ -181,7 +185,7 @@ class TorchBackend:
             return mismatch(frame, history).max().item()
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
-        layers = replace(history, recent=(), footprint=None).layers()
+        layers = replace(history, recent=(), footprint=None, footprint_count=None).layers()
         fields = {name: tensor.cpu().contiguous().numpy() for name, tensor in layers.items()}
         resets = (kept[:, RECALL_RESET, None].cpu().contiguous().numpy() for kept in history.recent)
         return fields | of_resets(resets)

@@ -1,17 +1,17 @@
 """One picture of a frame on disk from what several denoisers made of it.
 
-A frame on disk has a future. The real-time network runs over it forward in time, backward, and alone; OIDN filters the
-frame, the light that both passes have averaged over time, and that of nine frames moved to this one. These candidates
-err in different places, so a weighted sum of them is closer to the truth than each:
+A frame on disk has a future. The real-time network runs over it forward in time, backward, and alone; OIDN filters
+what both passes have seen in its pixels (`passes`). These candidates err in different places, so a weighted sum of them
+is closer to the truth than each:
 
     image = c_0 + Σ_i w_i (c_i - c_0),    Σ_i w_i = 1,    in log(1 + exposure · light)
 
 The weight of the single frame is negative: forward and backward pass share the noise of the frame itself, and the
 single frame shows it. Where all candidates are equal the image equals them to the bit.
 
-The weights are near those that least squares find on other sequences than those that are measured, on the display
-transform (`python bench/offline.py --fit SEQ ...`), with 0.32 for the network and 0.68 for OIDN: what suits a single
-frame, where pictures of each are equal.
+With OIDN's picture the network has 0.32 and OIDN 0.68: what suits a single frame, where there is a picture of each.
+Without it the weights are near those that least squares find on other sequences than those that are measured, on the
+display transform (`python bench/offline.py --fit SEQ ...`).
 Weights by pixel, from a network or by length of history, gained nothing on other scenes (docs/notes/offline.md).
 """
 
@@ -25,21 +25,19 @@ from torch import Tensor
 from ..color import compress, expand
 from ..exposure import exposure
 
-WEIGHTS = {"forward": 0.32, "backward": 0.32, "single": -0.32, "second": 0.18, "averaged": 0.1, "moved": 0.4}
+WEIGHTS = {"forward": 0.32, "backward": 0.32, "single": -0.32, "opinion": 0.68}
 WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """What is known of one frame, `[1, 3, H, W]` linear radiance each. Without OIDN the last three are None."""
+    """What is known of one frame, `[1, 3, H, W]` linear radiance each."""
 
     forward: Tensor  # the network with the frames before as history
     backward: Tensor  # the network with the frames after
     single: Tensor  # the network without history
-    second: Tensor | None = None  # OIDN's frame
-    averaged: Tensor | None = None  # OIDN of the light that both passes have averaged
-    moved: Tensor | None = None  # OIDN of the light of neighbouring frames, moved to this one
+    opinion: Tensor | None = None  # OIDN's picture; None where it is not installed
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ class Combination:
 
 def combine(candidates: Candidates) -> Combination:
     """The weighted sum of the candidates; the equation stands above."""
-    weights = WEIGHTS_WITHOUT_OIDN if candidates.second is None else WEIGHTS
+    weights = WEIGHTS_WITHOUT_OIDN if candidates.opinion is None else WEIGHTS
     scale, first = exposure(candidates.forward), candidates.forward
     light = {name: compress(scale * getattr(candidates, name)) for name in weights}
     base = light["forward"]

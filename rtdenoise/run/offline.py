@@ -2,9 +2,8 @@
 
 Two passes over the sequence. The first one runs forward in time and leaves its estimates in a hidden folder inside DIR.
 The second one runs backward, from the last frame to the first; it combines both estimates of each frame (`passes`),
-writes the frame and removes the stored estimate. Nine frames and two histories are in memory at a time. An interrupted
-run goes on where it stopped, in either pass, to the same result: the first pass's estimates are always read back from
-disk.
+writes the frame and removes the stored estimate. Two frames and a history are in memory at a time. An interrupted run
+goes on where it stopped, in either pass, to the same result: the first pass's estimates are always read back from disk.
 
 A shot begins at the first frame, after a gap, and at a cut, which the first pass finds. No pass looks beyond its shot.
 """
@@ -16,7 +15,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,12 +33,11 @@ from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
 
 if TYPE_CHECKING:
-    from .moved import Seen
-    from .passes import Around, Passes
+    from .passes import Passes
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
 OF_ESTIMATE = re.compile(r"\d{6,}\.safetensors")  # names in it
-BYTES_PER_PIXEL = 20  # of a stored estimate: ten halves
+BYTES_PER_PIXEL = 34  # of a stored estimate: 17 halves
 
 
 def denoise_offline(
@@ -84,7 +82,6 @@ class _Run:
     options: Options
     passes: Passes
     on_frame: Callable[[int, int], None]
-    _near: dict[int, Seen] = field(default_factory=dict)  # the frames around the one at work, by index
 
     def run(self, overwrite: bool) -> Summary:
         opinions = "with OIDN" if self.passes.has_oidn else "without OIDN"  # frames of both must not be mixed
@@ -148,10 +145,11 @@ class _Run:
 
         if history is not None and not self._linked(i + 1):
             history = None
-        around, raw = self._around(i), self.sequence.read(i)
-        backward, history = self.passes.step(reverse(around.now.frame), history)
-        forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.size)
-        combined = self.passes.combine(around, forward, backward)
+        raw, frame = self.sequence.read(i), self._completed(i)
+        backward, history = self.passes.step(reverse(frame), history)
+        device, footprints = self.passes.backend.device, self.passes.has_oidn
+        forward = read_estimate(self._path(i), device, self.sequence.size, footprints)
+        combined = self.passes.combine(frame, forward, backward)
         extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
         nans = write_frame(
             self.out, self.sequence, i, raw, combined.image.cpu().numpy(), layout=self.options.layout,
@@ -163,45 +161,31 @@ class _Run:
 
     def _recent(self, done: int) -> list[Frame]:
         """The last frames of the shot that the pass at work has finished, as it saw them, the newest first."""
-        from .passes import completed, reverse
-
-        def prepared(i: int) -> Frame:
-            return self.passes.backend.prepare(self.sequence.read(i))
+        from .passes import reverse
 
         count, most = len(self.sequence), self.passes.backend.config.recent
         if done < count:
-            return [prepared(i) for i in last_of_shot(self.sequence, done, self.summary.cuts, most)]
+            return [self._prepared(i) for i in last_of_shot(self.sequence, done, self.summary.cuts, most)]
         first = end = 2 * count - done
         while end < min(first + most, count) and (end == first or self._linked(end)):
             end += 1
-        following = prepared(end) if end < count and self._linked(end) else None
-        frames = []
-        for i in reversed(range(first, end)):  # the frame after completes the one before it
-            following = completed(prepared(i), following)
-            frames.insert(0, reverse(following))
-        return frames
+        return [reverse(self._completed(i)) for i in range(first, end)]
+
+    def _prepared(self, i: int) -> Frame:
+        return self.passes.backend.prepare(self.sequence.read(i))
+
+    def _completed(self, i: int) -> Frame:
+        """Frame i, prepared; where the files lack `motion_next`, with that of the next frame of the shot."""
+        from .passes import completed
+
+        frame = self._prepared(i)
+        if frame.motion_next is not None or i + 1 == len(self.sequence) or not self._linked(i + 1):
+            return frame
+        return completed(frame, self._prepared(i + 1))
 
     def _linked(self, i: int) -> bool:
         """Whether frame i goes on with the shot of the frame before."""
         return linked(self.sequence, i, self.summary.cuts)
-
-    def _around(self, i: int) -> Around:
-        """Frame i with its neighbours. They stay in memory while they are near."""
-        from .passes import around
-
-        first, last, reach = i, i, self.passes.reach
-        while first > max(0, i - reach) and self._linked(first):
-            first -= 1
-        while last < min(len(self.sequence) - 1, i + reach) and self._linked(last + 1):
-            last += 1
-        near = {}
-        for j in reversed(range(first, last + 1)):  # the frame after completes the one before it
-            following = [near[j + 1]] if j < last else []
-            near[j] = self._near.get(j) or self.passes.seen(
-                self.passes.backend.prepare(self.sequence.read(j)), *following
-            )
-        self._near = near
-        return around([near[j] for j in range(first, last + 1)], i - first)
 
     def _examined(self) -> list[Frame]:
         return [self.sequence.read(i) for i in range(min(EXAMINED, len(self.sequence)))]

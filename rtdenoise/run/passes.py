@@ -1,14 +1,19 @@
 """One frame of an animation on disk: what the passes over the sequence know of it, and their combination.
 
 The network runs over a sequence forward in time and backward. Read backward, a sequence is one whose `motion` and
-`motion_next` have changed places. `combination` joins both passes, the frame alone and OIDN's two opinions; `sides`
-corrects the result.
+`motion_next` have changed places. `combination` joins both passes, the frame alone and OIDN's opinion; `sides` corrects
+the result.
+
+OIDN filters what both passes have seen in each pixel. Where that is one frame, noise is uneven: much in what was just
+uncovered, little around it, and OIDN takes that for texture. There it filters the frame itself, which is as noisy
+everywhere:
+
+    opinion = a · OIDN(seen on both sides) + (1 - a) · OIDN(frame),    a = clamp(frames - 1, 0, 1)
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,12 +24,13 @@ from ..baselines.oidn import Oidn, installed
 from ..errors import InputError
 from ..frame import Frame, History
 from ..ops.even_sky import even_sky
+from ..ops.recall import FOOTPRINT
 from ..sanitise import sanitise
 from ..splat import splat_motion_next
 from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
-from .moved import REACH, Seen, moved_mean
-from .sides import Estimate, corrected, two_sided
+from .opinion import mixed
+from .sides import Estimate, corrected, seen_on_both_sides
 
 WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds 0.6 dB and more"
 
@@ -34,11 +40,11 @@ class Passes:
 
     def __init__(self, model: str = "default", device: str = "auto", precision: str = "auto") -> None:
         """Raises InputError for a model that keeps no running mean, and what loading it raises."""
-        self.backend = TorchBackend(model, device, precision)
+        self.has_oidn = installed()
+        self.backend = TorchBackend(model, device, precision, footprint=self.has_oidn)
         if "mean" not in self.backend.config.carries:
             raise InputError(f"--offline: model {model!r} does not average light over time; choose default, many, "
                              "fast or quality")  # fmt: skip
-        self.has_oidn = installed()
         self._oidn = Oidn(clean=True)
 
     @property
@@ -46,42 +52,32 @@ class Passes:
         """What the user should know, a line each."""
         return [] if self.has_oidn else [WITHOUT_OIDN]
 
-    @property
-    def reach(self) -> int:
-        """How many frames on each side `combine` looks at; without OIDN the next one alone, for `completed`."""
-        return REACH if self.has_oidn else 1
-
     def step(self, frame: Frame, history: History | None) -> tuple[Estimate, Any]:
         """One step of a pass over prepared frames."""
         image, after = self.backend.step(frame, history)
         image = torch.from_numpy(image).to(frame.radiance.device)
-        return Estimate(image, after.mean, after.mean_albedo, after.length, history is None), after
+        footprint = after.footprint, after.footprint_count
+        return Estimate(image, after.mean, after.length, history is None, *footprint), after
 
     @torch.inference_mode()
-    def seen(self, frame: Frame, following: Seen | None = None) -> Seen:
-        """A prepared frame, completed by the next one of its shot, with OIDN's picture of it."""
-        frame = completed(frame, following and following.frame)
-        if not self.has_oidn:
-            return Seen(frame)
-        clean = self._oidn.prefiltered(frame)
-        return Seen(frame, clean, self._oidn.step(clean)[0])
-
-    @torch.inference_mode()
-    def combine(self, around: Around, forward: Estimate, backward: Estimate) -> Combination:
+    def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
-        frame, found = around.now.frame, combine(self.candidates(around, forward, backward))
+        found = combine(self.candidates(frame, forward, backward))
         image = corrected(frame, found.image, forward, backward)
         return replace(found, image=even_sky(image, frame.radiance, frame.depth))  # OIDN filters the sky too
 
-    def candidates(self, around: Around, forward: Estimate, backward: Estimate) -> Candidates:
+    def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:
         """What is known of a prepared frame."""
-        frame, clean = around.now.frame, around.now.clean
         ours = forward.image, backward.image, self._single(frame, forward, backward)
-        if clean is None:
-            return Candidates(*ours)
-        lights = two_sided(frame, forward, backward), moved_mean(around.now, around.before, around.after)
-        opinions = (self._oidn.step(replace(clean, radiance=light))[0] for light in lights)
-        return Candidates(*ours, around.now.picture, *opinions)
+        return Candidates(*ours, self._opinion(frame, forward, backward) if self.has_oidn else None)
+
+    def _opinion(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
+        """OIDN's picture `[1, 3, H, W]`; the equation stands above."""
+        seen, count = seen_on_both_sides(frame, forward, backward)
+        radiance, albedo, normal = seen.split(FOOTPRINT, dim=1)
+        averaged = replace(frame, radiance=radiance, albedo=albedo, normal=normal)
+        alone, together = (self._oidn.step(self._oidn.prefiltered(x))[0] for x in (frame, averaged))
+        return mixed(together, alone, (count - 1).clamp(0, 1))
 
     def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """The network's image of the frame alone; a pass that begins here has it already."""
@@ -104,20 +100,6 @@ def reverse(frame: Frame) -> Frame:
     return replace(frame, motion=frame.motion_next, motion_next=frame.motion)
 
 
-def around(shot: Sequence[Seen], i: int) -> Around:
-    """Frame i of a shot, with its neighbours."""
-    return Around(shot[i], shot[max(0, i - REACH) : i][::-1], shot[i + 1 : i + 1 + REACH])
-
-
-@dataclass(frozen=True)
-class Around:
-    """A frame with its neighbours in the shot, at most `moved.REACH` on each side, the nearest first."""
-
-    now: Seen
-    before: Sequence[Seen]
-    after: Sequence[Seen]
-
-
 class InMemory:
     """Both passes as a step with a delay (`evaluate.sequence`), for short sequences: it keeps the frames of a shot, and
     returns all images at its end."""
@@ -138,13 +120,11 @@ class InMemory:
         return images[0], replace(shot, images=images[1:])
 
     def _backward(self, shot: Shot) -> list[Tensor]:
-        seen: list[Seen] = []
-        for frame in reversed(shot.frames):
-            seen.insert(0, self._passes.seen(frame, *seen[:1]))
+        frames = [completed(*pair) for pair in zip(shot.frames, [*shot.frames[1:], None], strict=True)]
         images, history = [], None
-        for i in reversed(range(len(seen))):
-            backward, history = self._passes.step(reverse(seen[i].frame), history)
-            images.insert(0, self._passes.combine(around(seen, i), shot.estimates[i], backward).image)
+        for frame, forward in zip(reversed(frames), reversed(shot.estimates), strict=True):
+            backward, history = self._passes.step(reverse(frame), history)
+            images.insert(0, self._passes.combine(frame, forward, backward).image)
         return images
 
 

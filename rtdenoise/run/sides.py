@@ -1,4 +1,4 @@
-"""Light averaged over the frames before and over those after: joined, and as two witnesses against a picture."""
+"""What was seen in the frames before and in those after: joined, and as two witnesses against a picture."""
 
 from __future__ import annotations
 
@@ -22,26 +22,23 @@ class Estimate:
 
     image: Tensor  # [1, 3, H, W] the denoised frame
     mean: Tensor  # [1, 3, H, W] irradiance averaged over time
-    mean_albedo: Tensor  # [1, 3, H, W] likewise
-    length: Tensor  # [1, 1, H, W] frames in these means
+    length: Tensor  # [1, 1, H, W] frames in this mean
     first: bool  # whether the pass begins a shot here: the image is that of the frame alone
+    footprint: Tensor | None = None  # [1, 9, H, W] `History.footprint`, where OIDN is to filter it
+    footprint_count: Tensor | None = None  # [1, 1, H, W] frames in it
 
 
-def two_sided(frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
-    """Radiance `[1, 3, H, W]`, averaged over the frames before and after.
+def seen_on_both_sides(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor]:
+    """Footprints of both passes as one, `[1, 9, H, W]`, and the number of frames in it, `[1, 1, H, W]` ≥ 1.
 
-    With n frames in the forward mean m and n' in the backward mean m', which share the frame itself, y:
-    (n m + n' m' - y) / (n + n' - 1), of light over albedo; then multiplied by the averaged albedo.
+    With n frames in the forward mean f and n' in the backward mean f', which share the frame itself, y:
+    (n f + n' f' - y) / (n + n' - 1).
     """
-    noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
-    count = forward.length + backward.length - 1
-
-    def joined(before: Tensor, after: Tensor, now: Tensor) -> Tensor:
-        return ((forward.length * before + backward.length * after - now) / count).clamp(min=0)
-
-    light = joined(forward.mean, backward.mean, noisy)
-    albedo = joined(forward.mean_albedo, backward.mean_albedo, frame.albedo)
-    return light * albedo_divisor(albedo, frame.depth)
+    now = torch.cat([frame.radiance, frame.albedo, frame.normal], dim=1)
+    count = forward.footprint_count + backward.footprint_count - 1
+    total = forward.footprint_count * forward.footprint + backward.footprint_count * backward.footprint - now
+    colours, normal = (total / count).split([6, 3], dim=1)
+    return torch.cat([colours.clamp(min=0), normal], dim=1), count
 
 
 def corrected(frame: Frame, image: Tensor, forward: Estimate, backward: Estimate) -> Tensor:

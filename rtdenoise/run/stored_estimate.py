@@ -15,25 +15,27 @@ if TYPE_CHECKING:
     from .sides import Estimate
 
 LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
-STORED = {"radiance": "image", "mean": "mean", "mean_albedo": "mean_albedo", "length": "length"}  # in a file -> field
-LIGHT = ("radiance", "mean")
+STORED = {"radiance": "image", "mean": "mean", "length": "length"}  # in a file -> field
+FOOTPRINTS = {"footprint": "footprint", "footprint_count": "footprint_count"}  # likewise, where there are any
+LIGHT = ("radiance", "mean", "footprint")  # the first three channels of each
 
 
 def write_estimate(path: Path, estimate: Estimate) -> None:
     """Store an estimate in half precision. Raises InputError where it cannot be written."""
     arrays, scales = {}, {}
-    for name, field in STORED.items():
+    for name, field in (STORED | FOOTPRINTS if estimate.footprint is not None else STORED).items():
         array = getattr(estimate, field).cpu().numpy()
         if name in LIGHT:
-            scales[name] = 2.0 ** np.floor(np.log2(max(float(array.max()), 1e-30) / LARGEST_HALF))
-            array = array / np.float32(scales[name])
+            light, rest = np.split(array, [3], axis=1)
+            scales[name] = 2.0 ** np.floor(np.log2(max(float(light.max()), 1e-30) / LARGEST_HALF))
+            array = np.concatenate([light / np.float32(scales[name]), rest], axis=1)
         arrays[name] = array.astype(np.float16)
     write_history(path, arrays, {"scales": json.dumps(scales), "first": str(int(estimate.first))})
 
 
-def read_estimate(path: Path, device: str, size: tuple[int, int]) -> Estimate:
-    """The inverse of `write_estimate`, for a frame of this size (height, width). Raises InputError where the file
-    cannot be read, or is not of this frame."""
+def read_estimate(path: Path, device: str, size: tuple[int, int], footprints: bool) -> Estimate:
+    """The inverse of `write_estimate`, for a frame of this size (height, width), with or without footprints. Raises
+    InputError where the file cannot be read, or is not of this frame."""
     import torch
 
     from .sides import Estimate
@@ -43,10 +45,10 @@ def read_estimate(path: Path, device: str, size: tuple[int, int]) -> Estimate:
         if found := [array.shape for array in arrays.values() if array.shape[2:] != size]:
             raise ValueError(f"{found[0]}, expected {size[1]}×{size[0]} pixels")
         scales = {name: float(value) for name, value in json.loads(metadata["scales"]).items()}
-        tensors = {
-            field: torch.from_numpy(arrays[name].astype(np.float32)).to(device) * scales.get(name, 1.0)
-            for name, field in STORED.items()
-        }
+        tensors = {}
+        for name, field in (STORED | FOOTPRINTS if footprints else STORED).items():
+            tensors[field] = torch.from_numpy(arrays[name].astype(np.float32)).to(device)
+            tensors[field][:, :3] *= scales.get(name, 1.0)
         return Estimate(**tensors, first=metadata["first"] == "1")
     except (KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: damaged, not as the first pass wrote it ({error}); pass --overwrite to start "
