@@ -316,19 +316,27 @@ def test_the_frame_itself_counts_once_in_what_both_sides_have_seen():
     assert (count == 3).all()
 
 
-def test_a_pixel_seen_once_is_filtered_among_pixels_seen_once(monkeypatch, model):
-    """On the left both passes have seen four frames, on the right none but this one."""
-    passes, frame = Passes(model, "cpu"), grey(torch.ones(1, 3, 4, 8))
+def test_where_one_frame_was_seen_oidn_filters_its_own_picture_of_that_frame(monkeypatch, model):
+    """On the left both passes have seen four frames, on the right none but this one. OIDN adds 10 here."""
+    passes, frame, inputs = Passes(model, "cpu"), grey(torch.ones(1, 3, 4, 8)), []
+
+    def filtered(self, frame):
+        inputs.append(frame)
+        return frame.radiance + 10, None
+
     monkeypatch.setattr("rtdenoise.baselines.oidn.Oidn.prefiltered", lambda self, frame: frame)
-    filtered = lambda self, frame: (frame.radiance + frame.radiance[..., :1], None)  # noqa: E731
     monkeypatch.setattr("rtdenoise.baselines.oidn.Oidn.step", filtered)
-    length = torch.where(torch.arange(8) < 4, 4.0, 1.0)
-    light = torch.where(torch.arange(8) < 4, 3.0, 1.0).expand(1, 3, 4, 8)
-    side = estimate(light, length)
+    left = torch.arange(8) < 4
+    side = estimate(torch.where(left, 3.0, 1.0).expand(1, 3, 4, 8), torch.where(left, 4.0, 1.0))
     found = passes.candidates(frame, side, side).opinion
-    averaged = (2 * 4 * 3 - 1) / 7
-    expected = torch.where(torch.arange(8) < 4, 2 * averaged, 2.0).expand(1, 3, 4, 8)
-    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+    alone, even = inputs
+    radiance, normal = (2 * 4 * 3 - 1) / 7, 2 * 4 * -0.6 / 7
+    assert torch.equal(alone.radiance, frame.radiance)
+    assert torch.equal(alone.normal, frame.normal)
+    torch.testing.assert_close(even.radiance, torch.where(left, radiance, 11.0).expand(1, 3, 4, 8))
+    torch.testing.assert_close(even.normal, torch.where(left, normal, 0.0).expand(1, 3, 4, 8))
+    assert torch.equal(found, even.radiance + 10)
 
 
 def sides(truth_before, truth_after, noise=0.2, frames=8.0):

@@ -56,7 +56,7 @@ class Opinion:
         return even_sky(image, frame.radiance, frame.depth), onward  # OIDN filters the sky, too
 
 
-def mixed(image: Tensor, picture: Tensor, share: float | Tensor) -> Tensor:
+def mixed(image: Tensor, picture: Tensor, share: float) -> Tensor:
     """`share` of the network's image and the rest of OIDN's picture, `[1, 3, H, W]`; the equation stands above."""
     scale = exposure(image)
     ours, theirs = (compress(scale * x) for x in (image, picture.clamp(min=0)))

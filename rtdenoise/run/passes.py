@@ -5,10 +5,10 @@ The network runs over a sequence forward in time and backward. Read backward, a 
 the result.
 
 OIDN filters what both passes have seen in each pixel. Where that is one frame, noise is uneven: much in what was just
-uncovered, little around it, and OIDN takes that for texture. There it filters the frame itself, which is as noisy
-everywhere:
+uncovered, little around it, and OIDN takes that for texture. So it first filters the frame by itself, which is as noisy
+everywhere, and that picture stands in for such pixels:
 
-    opinion = a · OIDN(seen on both sides) + (1 - a) · OIDN(frame),    a = clamp(frames - 1, 0, 1)
+    opinion = OIDN(a · seen on both sides + (1 - a) · OIDN(frame)),    a = clamp(frames - 1, 0, 1)
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from ..sanitise import sanitise
 from ..splat import splat_motion_next
 from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
-from .opinion import mixed
 from .sides import Estimate, corrected, seen_on_both_sides
 
 WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds 0.6 dB and more"
@@ -72,12 +71,15 @@ class Passes:
         return Candidates(*ours, self._opinion(frame, forward, backward) if self.has_oidn else None)
 
     def _opinion(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
-        """OIDN's picture `[1, 3, H, W]`; the equation stands above."""
+        """OIDN's picture `[1, 3, H, W]`; the equation stands above. Albedo and normal are filtered beforehand."""
         seen, count = seen_on_both_sides(frame, forward, backward)
         radiance, albedo, normal = seen.split(FOOTPRINT, dim=1)
-        averaged = replace(frame, radiance=radiance, albedo=albedo, normal=normal)
-        alone, together = (self._oidn.step(self._oidn.prefiltered(x))[0] for x in (frame, averaged))
-        return mixed(together, alone, (count - 1).clamp(0, 1))
+        seen = self._oidn.prefiltered(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
+        alone = self._oidn.prefiltered(frame)
+        alone = replace(alone, radiance=self._oidn.step(alone)[0])
+        share = (count - 1).clamp(0, 1)
+        even = {n: torch.lerp(getattr(alone, n), getattr(seen, n), share) for n in ("radiance", "albedo", "normal")}
+        return self._oidn.step(replace(frame, **even))[0]
 
     def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """The network's image of the frame alone; a pass that begins here has it already."""
