@@ -31,7 +31,7 @@ from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
 from .sides import Estimate, corrected, seen_on_both_sides
 
-WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds 0.6 dB and more"
+WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds about 1 dB"
 
 
 class Passes:
