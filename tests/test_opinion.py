@@ -61,6 +61,24 @@ def test_oidn_gets_the_average_and_history_stays_the_networks(weights, monkeypat
     assert len(history.recent) == 4
 
 
+def test_light_that_one_frame_has_seen_is_evened_with_the_networks_image(weights, monkeypatch, tmp_path):
+    """Not in the first frame, where all of it is as noisy; in the second, everything has come much nearer."""
+    seen = []
+    monkeypatch.setattr(Oidn, "step", lambda self, frame, history=None: (seen.append(frame) or frame.radiance, None))
+    torch.manual_seed(0)
+    models.save(models.create(replace(SMALL, recent=opinion.RECENT)), tmp_path / "recent.safetensors")
+    asked, plain = (TorchBackend(str(tmp_path / "recent.safetensors"), "cpu", "fp32", oidn=x) for x in (True, False))
+    first, second = make_frames(2)
+    second = replace(second, depth=second.depth / 9)
+    history = before = None
+    for frame in (first, second):
+        image, before = plain.step(plain.prepare(frame), before)
+        history = asked.step(asked.prepare(frame), history)[1]
+    assert torch.equal(seen[0].radiance, first.radiance)
+    expected = 0.8 * second.radiance + 0.2 * torch.from_numpy(image)
+    assert torch.allclose(seen[1].radiance, expected, rtol=1e-4, atol=1e-5)
+
+
 def test_an_interrupted_run_goes_on_to_the_bit(weights, tmp_path):
     shot = write_sequence(tmp_path / "shot", make_frames(6))
     options = Options(model=weights, precision="fp32", float32=True, oidn=True)

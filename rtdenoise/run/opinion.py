@@ -6,13 +6,15 @@ network's share a
 
     image = f⁻¹(a · f(s · network) + (1 - a) · f(s · OIDN)) / s
 
-History stays the network's own.
+A pixel that one frame has seen, among others that many have, is noisier than these, and OIDN takes that for texture. So
+a little of the network's image stands in for its light (`evened`). History stays the network's own.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import torch
 from torch import Tensor
 
 from ..baselines.oidn import Oidn, installed
@@ -30,6 +32,7 @@ RECENT = 8  # frames that the network keeps here, whatever its configuration say
 # The network's share: of those that keep recent frames by themselves, and of the others, `many` above all, which loses
 # more of what many samples show (docs/notes/opinion.md).
 SHARES = {True: 0.5, False: 0.3}
+SEEN_ONCE = 0.8  # the noisy light's share of OIDN's input where one frame has seen a pixel, and others have a history
 
 
 class Opinion:
@@ -39,7 +42,8 @@ class Opinion:
         """`config` of the network as it is stored. Raises InputError where `pyoidn` is not installed."""
         if not installed():
             raise InputError("--oidn: OIDN is not installed: pip install pyoidn")
-        self._oidn, self._share = Oidn(), SHARES[config.recent > 0]
+        self._evens = config.recent > 0
+        self._oidn, self._share = Oidn(), SHARES[self._evens]
 
     def step(
         self, step: Step, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -51,9 +55,16 @@ class Opinion:
         frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
         image, onward = step(frame, history, known)
         radiance, albedo, normal = onward.footprint.split(FOOTPRINT, dim=1)
+        if history is not None and self._evens:
+            radiance = evened(radiance, onward.footprint_count, image)
         picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
         image = mixed(image, picture, self._share)
         return even_sky(image, frame.radiance, frame.depth), onward  # OIDN filters the sky, too
+
+
+def evened(light: Tensor, count: Tensor, image: Tensor) -> Tensor:
+    """Averaged light `[1, 3, H, W]` with some of `image` where `count` `[1, 1, H, W]` frames, one to two, are in it."""
+    return torch.lerp(image, light, SEEN_ONCE + (1 - SEEN_ONCE) * (count - 1).clamp(0, 1))
 
 
 def mixed(image: Tensor, picture: Tensor, share: float) -> Tensor:
