@@ -1,12 +1,14 @@
 """Do combiners improve denoised frames at every sample count, and never make them worse?
 
-python bench/combine.py CLIPS ... [--combiners FILE]
+python bench/combine.py CLIPS ... [--combiners combiner drc=FILE dc=FILE]
 
 CLIPS/spp01, CLIPS/spp04 ... hold the same frames at several sample counts (`combine_clips.py --held-out`), with
 denoised frames beside them (`rtdenoise estimates CLIPS/spp* --methods oidn default svgf`). Corrected MSE
 (`metrics.image.mse_corrected`) of the noisy frames y, of each denoiser's z, and of every combiner's frames, for both
 signals. A *failure* is a combiner's error above 1.02 of z's. The slope is that of log MSE over log spp from 16 on:
-noise alone has -1. `svgf` made no frame that the combiner was trained on. Writes bench/results/combine.json and the
+noise alone has -1. `svgf` made no frame that the combiners were trained on. Errors of differences between consecutive
+frames (`metrics.video.tmse_corrected`) tell flicker. `drc` is trained by `rtdenoise train --model drc`, `dc` by
+`bench/deep_combiner.py`. Writes bench/results/combine.json and the
 tables of docs/results/combine.md.
 """
 
@@ -24,11 +26,13 @@ import numpy as np
 import torch
 import tyro
 
+from rtdenoise.baselines import DeepCombiner
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, History
 from rtdenoise.metrics.image import mse_corrected
+from rtdenoise.metrics.video import tmse_corrected
 from rtdenoise.models import Combiner, Shrinkage, Window, load_combiner
 from rtdenoise.models.shrinkage import correct
 from rtdenoise.sanitise import sanitise
@@ -51,18 +55,24 @@ def main(
     Args:
         clips: Folders, each with a folder of clips for each sample count.
         methods: Denoisers to correct.
-        combiners: Networks that ship, or weights files.
+        combiners: Networks that ship, or NAME=FILE for weights; the name `dc` is that of deep combiners.
         levels: Sample counts; those that a folder lacks are left out.
     """
-    networks = {Path(name).stem: load_combiner(name, precision="fp32") for name in combiners}
+    networks = dict(map(loaded, combiners))
     rows = [row for folder in clips for row in measure(folder, methods, networks, levels)]
     sets = {name: summary(some) for name, some in _by(rows, "set").items()}
     document = {"max_ratio": MAX_RATIO, "rows": rows, "summary": summary(rows), "sets": sets}
     harness.publish(RESULT, document, digits=4, pages=PAGES, tables=tables)
 
 
+def loaded(combiner: str) -> tuple[str, Combiner | DeepCombiner]:
+    """Name and network of one of --combiners."""
+    name, _, file = combiner.partition("=")
+    return name, DeepCombiner.load(file) if name == "dc" else load_combiner(file or name, precision="fp32")
+
+
 def measure(
-    clips: Path, methods: tuple[str, ...], networks: dict[str, Combiner], levels: tuple[int, ...]
+    clips: Path, methods: tuple[str, ...], networks: dict[str, Combiner | DeepCombiner], levels: tuple[int, ...]
 ) -> list[dict]:
     """A row for each clip of a folder, signal, sample count and denoiser."""
     found = {spp: clips / f"spp{spp:02d}" for spp in levels}
@@ -86,11 +96,13 @@ def errors(
     frames: list[Frame],
     estimates: list[torch.Tensor],
     halves: list[torch.Tensor] | None,  # means of one half of the noisy samples
-    networks: dict[str, Combiner],
-) -> dict[str, float]:
-    """Mean corrected MSE of the frames: of `noisy`, of z (`estimate`) and of each combiner."""
+    networks: dict[str, Combiner | DeepCombiner],
+) -> dict[str, float | dict[str, float]]:
+    """Mean corrected MSE of the frames: of `noisy`, of z (`estimate`) and of each combiner; under `temporal` those of
+    differences between consecutive frames."""
     scale = display_exposure(torch.cat([frame.reference for frame in frames]))
-    found, recurrent = defaultdict(list), _recurrent(frames, estimates)
+    found, changes, before = defaultdict(list), defaultdict(list), {}
+    recurrent = _recurrent(frames, estimates)
     for i in range(FIRST, len(frames)):
         frame = frames[i]
         images = {"noisy": frame.radiance, "estimate": estimates[i]}
@@ -100,12 +112,20 @@ def errors(
             images["shrinkage-halves"] = Shrinkage().combine(window_at(i, Shrinkage(), frames, estimates, halves)).image
         for name, network in networks.items():
             images[name] = network.combine(window_at(i, network, frames, estimates)).image
-            if halves is not None and network.config.evidence:
+            if halves is not None and isinstance(network, Combiner) and network.config.evidence:
                 with_halves = window_at(i, network, frames, estimates, halves)
                 images[f"{name}-halves"] = network.combine(with_halves).image
         for name, image in images.items():
             found[name].append(mse_corrected(image, frame.reference, scale, reference_half=frame.reference_half))
-    return {name: float(np.mean(values)) for name, values in found.items()}
+            if name in before:
+                pair = [frames[i - 1], frame]
+                changes[name].append(
+                    tmse_corrected((before[name], image), [f.reference for f in pair], scale,
+                                   reference_halves=[f.reference_half for f in pair])
+                )  # fmt: skip
+        before = images
+    means = lambda some: {name: float(np.mean(values)) for name, values in some.items()}  # noqa: E731
+    return means(found) | {"temporal": means(changes)}
 
 
 def _recurrent(frames: list[Frame], estimates: list[torch.Tensor]) -> list[torch.Tensor]:
@@ -119,25 +139,27 @@ def _recurrent(frames: list[Frame], estimates: list[torch.Tensor]) -> list[torch
     return images
 
 
-def window_at(i: int, combiner: Combiner | Shrinkage, *parts: list) -> Window:
+def window_at(i: int, combiner: Combiner | DeepCombiner | Shrinkage, *parts: list) -> Window:
     """The window of a combiner around frame i."""
     places = [p if 0 <= (p := i + offset) < len(parts[0]) else None for offset in combiner.offsets]
     return Window(*(tuple(None if p is None else part[p] for p in places) for part in parts))
 
 
 def summary(rows: list[dict]) -> dict[str, dict]:
-    """Combiner -> over all cells: their count, the failures, the geometric mean of its error over z's by spp and by
-    denoiser, the worst cell, and the mean slopes, z's too."""
+    """Combiner -> over all cells: their count, the failures, the geometric mean of its error over z's, also by spp, by
+    denoiser and of differences between frames (`temporal`), the worst cell, and the mean slopes, z's too."""
     found = {}
     for name in (*PLAIN, *_networks(rows)):
         cells = [row for row in rows if name in row and row["estimate"] > 0 and row[name] > 0]
         ratio = lambda some, name=name: float(np.exp(np.mean([np.log(r[name] / r["estimate"]) for r in some])))  # noqa: E731
+        changes = [row["temporal"] for row in cells if min(row["temporal"][x] for x in (name, "estimate")) > 0]
         worst = max(cells, key=lambda row: row[name] / row["estimate"])
         found[name] = {
             "cells": len(cells),
             "failures": sum(row[name] > MAX_RATIO * row["estimate"] for row in cells),
             "above_both": sum(row[name] > 1.05 * min(row["estimate"], row["noisy"]) for row in cells),
             "ratio": ratio(cells),
+            "temporal": ratio(changes),
             "by_spp": {str(spp): ratio(some) for spp, some in _by(cells, "spp").items()},
             "by_method": {method: ratio(some) for method, some in _by(cells, "method").items()},
             "worst": {k: worst[k] for k in ("sequence", "signal", "spp", "method")} | {"ratio": ratio([worst])},
@@ -198,7 +220,7 @@ def _name(clips: ClipDataset, index: int) -> str:
 
 
 def _networks(rows: list[dict]) -> list[str]:
-    known = {"set", "sequence", "signal", "spp", "method", "noisy", "estimate", *PLAIN}
+    known = {"set", "sequence", "signal", "spp", "method", "noisy", "estimate", "temporal", *PLAIN}
     return list(dict.fromkeys(name for row in rows for name in row if name not in known))
 
 

@@ -29,7 +29,9 @@ STRIP = 64  # rows at a time: each pixel has 225 weights
 
 
 class DeepCombiner(nn.Module):
-    """The network, with `combine` as in `models.Combiner`."""
+    """The network, with `combine` and `offsets` as in `models.Combiner`."""
+
+    offsets = (0,)  # frames that it looks at: the current one
 
     def __init__(self, softmax: bool = False) -> None:
         super().__init__()

@@ -170,7 +170,7 @@ def _with_oidn(name: str) -> list[Method]:
 
 def _corrected(base: Method, combiner: str) -> Method:
     """A method whose frames a combiner corrects. Raises InputError if `combiner` names none."""
-    weights, offsets, family, name = combiner.removeprefix("dc:"), (0,), "filter", combiner
+    weights, offsets, family, name = combiner.removeprefix("dc:"), DeepCombiner.offsets, "filter", combiner
     if combiner == SHRINKAGE:
         weights, make, what, offsets = "", partial(load_combiner, combiner), "shrunk residuals", Shrinkage().offsets
     elif combiner.startswith("dc:"):

@@ -1,0 +1,90 @@
+"""Train the baseline `dc`, the Deep Combiner (Back et al. 2020): python bench/deep_combiner.py --data CLIPS ...
+
+CLIPS are those of `combine_clips.py`, with denoised frames beside them (`rtdenoise estimates`). Loss as in the authors'
+code: squared error over the squared mean of the reference's channels + 0.01. They train 50 epochs of Adam at 1e-4; the
+rate here is higher for fewer steps, with a cosine to zero. Writes OUT/weights.safetensors, which `evaluate --combiner
+dc:FILE` and `bench/combine.py --combiners dc:FILE` take. Run again, it goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import ROOT, harness
+
+# isort: split
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from rtdenoise.baselines.deep_combiner import DeepCombiner
+from rtdenoise.training.batches import TrainingSet, windows
+from rtdenoise.training.config import TrainConfig
+
+EPSILON = 1e-2
+WARMUP, KEEP = 50, 25  # steps: of the warm-up, between checkpoints
+
+
+def main(
+    data: tuple[Path, ...],
+    out: Path = ROOT / "runs" / "dc",
+    steps: int = 1500,
+    batch: int = 4,
+    size: int = 64,
+    lr: float = 3e-4,
+    softmax: bool = False,
+    seed: int = 0,
+) -> None:
+    """Train.
+
+    Args:
+        data: Folders of training clips.
+        out: Folder of the run.
+        steps: Of the whole run.
+        batch: Crops a step.
+        size: Side of a crop in pixels.
+        lr: Peak learning rate.
+        softmax: Weights by softmax instead of ReLU over their sum.
+        seed: Of weights and batches.
+    """
+    torch.manual_seed(seed)
+    network = DeepCombiner(softmax)
+    optimiser = torch.optim.Adam(network.parameters(), lr)
+    options = TrainConfig(data, out, model="combiner", set=("evidence=false", "frames=1"), signal="both", frames=1,
+                          batch=batch, size=size, steps=steps, seed=seed)  # fmt: skip
+    clips, kept, first = TrainingSet.open(options), out / "checkpoint.pt", 0
+    out.mkdir(parents=True, exist_ok=True)
+    if kept.exists():
+        first, weights, state = torch.load(kept, weights_only=True)
+        network.load_state_dict(weights)
+        optimiser.load_state_dict(state)
+    mean = None
+    for step in range(first, steps):
+        for group in optimiser.param_groups:
+            group["lr"] = lr * min(1, (step + 1) / WARMUP) * (1 + math.cos(math.pi * step / steps)) / 2
+        window = clips.batch(windows, options, step)
+        frame, z = window.frames[0], window.estimates[0]
+        error = relative_error(network.combine(window).image, frame.reference)
+        optimiser.zero_grad()
+        error.mean().backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        ratio = (error / relative_error(z, frame.reference)).detach().log().mean().item()
+        mean = ratio if mean is None else 0.95 * mean + 0.05 * ratio
+        if (step + 1) % KEEP == 0 or step + 1 == steps:
+            torch.save((step + 1, network.state_dict(), optimiser.state_dict()), kept)
+            print(f"step {step + 1}: error over z's {math.exp(mean):.3f}", flush=True)
+    save_file(network.state_dict(), out / "weights.safetensors")
+
+
+def relative_error(image: Tensor, reference: Tensor) -> Tensor:
+    """relMSE of each image of a batch, `[B]`."""
+    mean = reference.mean(1, keepdim=True)
+    return ((image - reference).square() / (mean.square() + EPSILON)).mean((1, 2, 3))
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)
