@@ -67,7 +67,7 @@ def main(o: Options) -> None:
     presets = o.presets or tuple(name for name, config in models.PRESETS.items() if not config.reads)
     with_shaders, gl = measurable(o.quick)
     with torch.inference_mode():
-        peaks = measured_peaks(device)
+        peaks = measured_peaks(device, calls)
         rows = [row for size in sizes for row in run(size, presets, device, calls, with_shaders)]
         for size in () if o.quick else (size for size in o.scaling if size not in sizes):
             rows += run(size, ("default",), device, calls, False, methods.SCALED, ("high",))
@@ -156,7 +156,7 @@ def synchronise(device: str) -> None:
         torch.cuda.synchronize()
 
 
-def measured_peaks(device: str) -> dict[str, float]:
+def measured_peaks(device: str, calls: int) -> dict[str, float]:
     """GB/s of a copy far larger than the caches of a core (read and written), and GFLOP/s of matrix products."""
     source = torch.rand(32, 720, 1280, device=device)
     target = torch.empty_like(source)
@@ -170,10 +170,8 @@ def measured_peaks(device: str) -> dict[str, float]:
         call()
         synchronise(device)
 
-    milliseconds = {
-        name: harness.measure({name: partial(done, call)}, 10)[name].median_ms for name, (call, _) in work.items()
-    }
-    return {name: round(amount / milliseconds[name] / 1e6, 1) for name, (_, amount) in work.items()}
+    timing = lambda name: harness.measure({name: partial(done, work[name][0])}, min(calls, 10), warmup=1)[name]  # noqa: E731
+    return {name: round(amount / timing(name).median_ms / 1e6, 1) for name, (_, amount) in work.items()}
 
 
 if __name__ == "__main__":
