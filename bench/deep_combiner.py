@@ -72,7 +72,7 @@ def main(
         error.mean().backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimiser.step()
-        ratio = (error / relative_error(z, frame.reference)).detach().log().mean().item()
+        ratio = (error.detach().mean() / relative_error(z, frame.reference).mean().clamp(min=1e-9)).log().item()
         mean = ratio if mean is None else 0.95 * mean + 0.05 * ratio
         if (step + 1) % KEEP == 0 or step + 1 == steps:
             torch.save((step + 1, network.state_dict(), optimiser.state_dict()), kept)
