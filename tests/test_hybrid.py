@@ -16,6 +16,7 @@ from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.glsl import Pipeline
 from rtdenoise.models import HybridConfig, create, grow, load, read, save
 from rtdenoise.models.hybrid import surroundings
+from rtdenoise.models.past import reprojected
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.light import LightBackend
 
@@ -31,10 +32,17 @@ def model():
     return create(SMALL).eval().requires_grad_(False)
 
 
-def told(model, share):
-    """The model with the share of the written pixels set by hand: a logit."""
-    model.pixels.last.weight[3] = 0
-    model.pixels.last.bias[3] = share
+def told(model, written, kept=-100.0):
+    """The model with the weights of its pixels and of the previous picture set by hand: logits."""
+    model.pixels.last.weight[3:] = 0
+    model.pixels.last.bias[3:] = torch.tensor([written, kept])
+    return model
+
+
+def trusting(model, reset=-100.0):
+    """The model with the reset of its kernels set by hand: a logit."""
+    model.full_head.weight[:, -2] = 0
+    model.full_head.bias[-2] = reset
     return model
 
 
@@ -53,16 +61,33 @@ def test_any_size_goes_in_and_comes_out(model, size):
     assert all(image.shape == (1, 3, *size) and image.isfinite().all() and image.min() >= 0 for image in images)
 
 
-def test_without_a_share_the_image_is_the_kernels_and_so_is_the_history(model):
+def test_without_a_share_the_image_is_the_kernels(model):
     history = alone = None
     for frame in make_frames(4):
-        image, history = told(model, -100.0).step(frame, history)
+        image, history = told(trusting(model), -100.0).step(frame, history)
         kernels, alone, _ = model.step_and_kernels(frame, alone)
         torch.testing.assert_close(image, kernels, rtol=1e-4, atol=1e-5)
         other, _ = told(model, 0.0).step(frame, history)
         assert not torch.allclose(other, image, rtol=1e-2)
         for name, layer in alone.layers().items():
-            torch.testing.assert_close(history.layers()[name], layer)
+            torch.testing.assert_close(history.layers()[name], layer, rtol=1e-4, atol=1e-5)
+
+
+def test_the_picture_is_history_and_is_kept(model):
+    """All of it, with such weights, where motion leads to it and nothing was just uncovered; not where the kernels
+    give their history up."""
+    history = None
+    for frame in make_frames(3):
+        before, (image, history) = history, told(trusting(model), 0.0, kept=100.0).step(frame, history)
+        assert torch.equal(history.radiance, image)
+    past = reprojected(model.config, frame, frame.radiance, before)
+    held = past.on_screen & ~past.uncovered
+    assert held.any() and not held.all()
+    same = (image - past.output).abs().amax(1, keepdim=True) < 1e-4
+    assert same[held].all() and not same[~held].all()
+    image, _ = told(trusting(model, 100.0), -100.0, kept=100.0).step(frame, before)
+    written, _ = told(model, 100.0).step(frame, before)
+    torch.testing.assert_close(image, written, rtol=1e-4, atol=1e-5)
 
 
 def test_it_sees_the_light_that_the_kernels_have_averaged(model):

@@ -13,9 +13,12 @@ from rtdenoise.cli.main import main
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.models import AccumulatedKPNConfig
+from rtdenoise.ops import warp
+from rtdenoise.ops.recall import reset_of
 from rtdenoise.run import opinion
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.splat import history_motion
 
 SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3)
 
@@ -36,46 +39,76 @@ def test_it_is_between_both_pictures(weights):
     assert torch.allclose(opinion.mixed(8 * image, 8 * picture, 0.5), 8 * found, rtol=1e-5)  # at any exposure
 
 
-def test_oidn_gets_the_average_and_history_stays_the_networks(weights, monkeypatch):
-    seen = []
+def recorder(seen):
+    """OIDN, which notes the frames that it gets."""
 
     class Recorder(Oidn):
         def step(self, frame, history=None):
             seen.append(frame)
             return super().step(frame, history)
 
-    monkeypatch.setattr(opinion, "Oidn", Recorder)
-    alone = TorchBackend(weights, "cpu", "fp32", recent=opinion.RECENT)
-    asked, history, before = TorchBackend(weights, "cpu", "fp32", oidn=True), None, None
+    return Recorder
+
+
+def kept_weights(tmp_path):
+    """Weights of a network that keeps recent frames by itself."""
+    torch.manual_seed(0)
+    models.save(models.create(replace(SMALL, recent=opinion.RECENT)), tmp_path / "recent.safetensors")
+    return str(tmp_path / "recent.safetensors")
+
+
+@pytest.mark.parametrize("few", [False, True])
+def test_oidn_gets_the_average_and_the_picture_is_history(weights, few, monkeypatch, tmp_path):
+    seen = []
+    monkeypatch.setattr(opinion, "Oidn", recorder(seen))
+    weights = kept_weights(tmp_path) if few else weights
+    network = TorchBackend(weights, "cpu", "fp32", footprint=True)
+    asked, history = TorchBackend(weights, "cpu", "fp32", oidn=True), None
     for frame in make_frames(4):
-        plain, before = alone.step(alone.prepare(frame), before)
-        image, history = asked.step(asked.prepare(frame), history)
-        assert not np.allclose(image, plain, rtol=1e-3)
-        for name, tensor in before.layers().items():
-            words = tensor.shape[1]  # kept frames have albedo besides
-            assert torch.equal(tensor, history.layers()[name][:, :words])
-        expected = opinion.mixed(torch.from_numpy(plain), Oidn().step(seen[-1])[0], 0.3)
+        plain, after = network.step(network.prepare(frame), history)
+        image, onward = asked.step(asked.prepare(frame), history)
+        for name, tensor in after.layers().items():
+            assert torch.equal(tensor, onward.layers()[name]) is (name != "radiance"), name
+        assert torch.equal(onward.radiance, torch.from_numpy(image))
+
+        trust = 1 - reset_of(after.recent[0])
+        assert history is None or (0 < trust).all() and (trust < 1).any()
+        expected = opinion.mixed(torch.from_numpy(plain), Oidn().step(seen[-1])[0], opinion.SHARE * trust)
+        if few and history is not None:
+            motion, on_screen, uncovered = history_motion(frame, history, "dual")
+            before = warp(history.radiance, motion, on_screen, expected, cubic=True)
+            expected = opinion.mixed(before, expected, opinion.KEPT * trust * ~uncovered)
         assert np.allclose(image, expected.numpy(), rtol=1e-4, atol=1e-5)
+        history = onward
     noise, averaged = (x - frame.reference for x in (frame.radiance, seen[-1].radiance))
     assert averaged.square().mean() < 0.6 * noise.square().mean()
     assert len(history.recent) == 4
 
 
-def test_light_that_one_frame_has_seen_is_evened_with_the_networks_image(weights, monkeypatch, tmp_path):
+def test_where_light_has_changed_the_picture_is_oidns(weights, monkeypatch, tmp_path):
+    """A network that gives its history up entirely has no say, and the previous picture none either."""
+    picture = torch.full((1, 3, 24, 32), 0.25)
+    monkeypatch.setattr(Oidn, "step", lambda self, frame, history=None: (picture, None))
+    monkeypatch.setattr(opinion, "reset_of", lambda kept: torch.ones_like(kept[:, :1], dtype=torch.float32))
+    asked, history = TorchBackend(kept_weights(tmp_path), "cpu", "fp32", oidn=True), None
+    for frame in make_frames(2, H=24, W=32):
+        image, history = asked.step(asked.prepare(frame), history)
+    assert np.allclose(image, 0.25, rtol=1e-5)
+
+
+def test_light_that_one_frame_has_seen_is_evened_with_the_networks_image(monkeypatch, tmp_path):
     """Not in the first frame, where all of it is as noisy; in the second, everything has come much nearer."""
     seen = []
     monkeypatch.setattr(Oidn, "step", lambda self, frame, history=None: (seen.append(frame) or frame.radiance, None))
-    torch.manual_seed(0)
-    models.save(models.create(replace(SMALL, recent=opinion.RECENT)), tmp_path / "recent.safetensors")
-    asked, plain = (TorchBackend(str(tmp_path / "recent.safetensors"), "cpu", "fp32", oidn=x) for x in (True, False))
+    weights = kept_weights(tmp_path)
+    asked, network = TorchBackend(weights, "cpu", "fp32", oidn=True), TorchBackend(weights, "cpu", "fp32")
     first, second = make_frames(2)
     second = replace(second, depth=second.depth / 9)
-    history = before = None
-    for frame in (first, second):
-        image, before = plain.step(plain.prepare(frame), before)
-        history = asked.step(asked.prepare(frame), history)[1]
+    _, history = asked.step(asked.prepare(first), None)
+    plain, _ = network.step(network.prepare(second), history)
+    asked.step(asked.prepare(second), history)
     assert torch.equal(seen[0].radiance, first.radiance)
-    expected = 0.8 * second.radiance + 0.2 * torch.from_numpy(image)
+    expected = 0.8 * second.radiance + 0.2 * torch.from_numpy(plain)
     assert torch.allclose(seen[1].radiance, expected, rtol=1e-4, atol=1e-5)
 
 

@@ -4,7 +4,7 @@ python tools/begin_hybrid.py OUT [KERNELS]
 
 OIDN's library holds the weights of its filters, as TZA archives, under the Apache License 2.0; `pyoidn` brings it.
 Taken is the filter of HDR colour, albedo and normal. Its transfer function is log(1 + 178 · x) · 0.0615 but for the
-darkest parts. What our network sees besides begins with weights of 0, and each pixel is half of either network's.
+darkest parts. What our network sees besides begins with weights of 0, and each pixel with `WRITTEN` and `KEPT`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ UP = ("dec_conv1", "dec_conv2", "dec_conv3", "dec_conv4")
 INPUTS = 9  # colour, albedo, normal
 WEIGHTS = 919_811  # of the filter that is wanted; the first of this size takes noisy albedo and normal
 # Where these stand among our channels (`Hybrid.step`), and what they are multiplied by: OIDN's normals are in [0, 1].
-PLACES, NORMAL = (0, 1, 2, 9, 10, 11, 15, 16, 17), slice(6, 9)
+PLACES, NORMAL = (0, 1, 2, 12, 13, 14, 18, 19, 20), slice(6, 9)
+WRITTEN, KEPT = 0.7, 0.2  # weight of its pixels against the kernels' image, and of the previous picture against both
 
 
 def main(out: str, kernels: str = "default") -> None:
@@ -49,9 +50,10 @@ def main(out: str, kernels: str = "default") -> None:
     for ours, name in layers.items():
         weight, bias = theirs[f"{name}.weight"], theirs[f"{name}.bias"]
         if name in ("enc_conv0", "dec_conv1a"):  # which see the input
-            weight, bias = among_ours(weight, bias, config.features)
+            weight, bias = among_ours(weight, bias, config.inputs)
         state |= {f"pixels.{ours}.weight": weight, f"pixels.{ours}.bias": bias}
-    last = {"weight": torch.zeros(4, config.out[0], 3, 3), "bias": torch.zeros(4)}  # the share begins at ½
+    weights = torch.tensor([0.0, 0.0, 0.0, WRITTEN, KEPT])
+    last = {"weight": torch.zeros(5, config.out[0], 3, 3), "bias": torch.logit(weights, 1e-6)}
     for key, value in last.items():
         value[:3] = theirs[f"dec_conv0.{key}"]
         state[f"pixels.last.{key}"] = value
@@ -101,13 +103,13 @@ def parsed(content: bytes, start: int) -> dict[str, Tensor]:
     return tensors
 
 
-def among_ours(weight: Tensor, bias: Tensor, features: int) -> tuple[Tensor, Tensor]:
+def among_ours(weight: Tensor, bias: Tensor, inputs: int) -> tuple[Tensor, Tensor]:
     """A layer whose last inputs are OIDN's, with ours in their place."""
     before = weight.shape[1] - INPUTS
     theirs = weight[:, before:].clone()
     bias = bias + 0.5 * theirs[:, NORMAL].sum((1, 2, 3))
     theirs[:, NORMAL] *= 0.5
-    wide = weight.new_zeros(len(weight), before + features, *weight.shape[2:])
+    wide = weight.new_zeros(len(weight), before + inputs, *weight.shape[2:])
     wide[:, :before] = weight[:, :before]
     wide[:, [before + place for place in PLACES]] = theirs
     return wide, bias

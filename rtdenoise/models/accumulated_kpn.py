@@ -65,8 +65,7 @@ class Kernels:
     """What filtered the light of one frame."""
 
     heads: Heads
-    length: Tensor  # [B, 1, H, W] frames in the reprojected means
-    seen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
+    past: Past
 
 
 class AccumulatedKPN(nn.Module):
@@ -141,7 +140,7 @@ class AccumulatedKPN(nn.Module):
         if self.config.footprint:
             seen, count = footprint(frame, past, heads.reset)
             after = replace(after, footprint=seen, footprint_count=count)
-        return output, after, Kernels(heads, past.length, past.on_screen)
+        return output, after, Kernels(heads, past)
 
     def over_space(self, mean: Tensor, heads: Heads) -> Tensor:
         """Light `[B, C, H, W]` filtered by the spatial kernels: linear in it."""

@@ -1,8 +1,8 @@
 """Kernel prediction, and a network that writes pixels, mixed: the best picture in real time.
 
-A kernel mixes the light that is there; a network that writes pixels also knows pictures, and errs elsewhere. So the
-light that `accumulated_kpn` has averaged goes through a U-Net that writes pixels, which also sees the kernels' image
-and says for every pixel how much of each to show. History is the kernels' own.
+A kernel mixes the light that is there; a network that writes pixels also knows pictures, and errs elsewhere. So what
+recent frames have seen in each pixel goes through a U-Net that writes pixels. It says for every pixel how much of
+these, of the kernels' image and of the previous picture to show. The kernels take the result as their own history.
 
 The U-Net has the form of Open Image Denoise's (Áfra 2019-2025, Apache License 2.0), whose weights its training begins
 with: it learns what averaged light is worth, not what pictures are.
@@ -27,11 +27,12 @@ from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
+from .past import evened
 from .unet import ConvRelu, Up, pool
 
 CELL = 16  # pixels, of `surroundings`
 CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + CONTRAST): dark parts matter, too
-LIGHT = 9  # first channels of the input, of compressed light, which `UNIT` brings to the size of the others
+LIGHT = 12  # first channels of the input, of compressed light, which `UNIT` brings to the size of the others
 UNIT = 0.06145
 
 
@@ -54,20 +55,26 @@ class Hybrid(AccumulatedKPN):
             # Filter by kernels, and average.
             image, after, kernels = self.step_and_kernels(frame, history, replace(known, sanitised=True))
 
-            # Show the other network what pixels have been seen to show, the noisy radiance and the kernels' image.
-            scale = CONTRAST * known.exposure
+            # Show the other network what pixels have been seen to show, the noisy radiance and both pictures.
+            scale, past, heads = CONTRAST * known.exposure, kernels.past, kernels.heads
             radiance, albedo, normal = after.footprint.split(FOOTPRINT, dim=1)
-            light = radiance, frame.radiance, image
+            if history is not None:
+                radiance = evened(radiance, after.footprint_count, image)
+            trust = 1 - past.on_screen * heads.reset  # in the kernels' image, which lags where light has changed
+            light = radiance, frame.radiance, image, past.output
             geometry = albedo, after.mean_albedo, normal, nearness(frame.depth, known.distance)
-            time = kernels.length / self.config.longest, kernels.seen
+            time = past.length / self.config.longest, past.on_screen * trust, heads.alpha_temporal
             x = features(light, (*geometry, *time), scale, self.stem.weight)
-            averaged, filtered = (compress(x * scale) for x in (light[0], image))
+            averaged, filtered, before = (compress(x * scale) for x in (radiance, image, past.output.clamp(min=0)))
             least, most = surroundings(averaged, filtered)
-        pixels, share = self.pixels(x)
+        pixels, written, kept = self.pixels(x)
 
-        # Mix in the compressed domain, where edges of lamps do not spread.
-        mixed = expand(blend(pixels.clamp(least, most), filtered, share)) / scale
-        return even_sky(mixed, frame.radiance, frame.depth), after
+        # Mix in the compressed domain, where edges of lamps do not spread. No history where it is not trusted, or where
+        # something was just uncovered.
+        mixed = blend(pixels.clamp(least, most), filtered, 1 - trust * (1 - written))
+        mixed = blend(before, mixed, past.on_screen * ~past.uncovered * trust * kept)
+        shown = even_sky(expand(mixed) / scale, frame.radiance, frame.depth)
+        return shown, replace(after, radiance=shown.detach())
 
 
 def surroundings(light: Tensor, image: Tensor) -> tuple[Tensor, Tensor]:
@@ -89,11 +96,12 @@ class PixelNetwork(nn.Module):
         super().__init__()
         self.encoder = nn.ModuleList(ConvRelu(a, b, 3, padding=1) for a, b in config.convolutions)
         self.decoder = nn.ModuleList(Up(*level) for level in config.levels)
-        self.last = nn.Conv2d(config.out[0], 4, 3, padding=1)
+        self.last = nn.Conv2d(config.out[0], 5, 3, padding=1)
 
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """`features`, `[B, C, H, W]`, to light compressed alike, `[B, 3, H, W]` ≥ 0, and its weight against the
-        kernels' image, `[B, 1, H, W]` in [0, 1]; both float32: rounding compressed light to 8 bits would be seen."""
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """`features`, `[B, C, H, W]`, to light compressed alike, `[B, 3, H, W]` ≥ 0, its weight against the kernels'
+        image, and that of the previous picture against both, `[B, 1, H, W]` in [0, 1] each; all float32: rounding
+        compressed light to 8 bits would be seen."""
         H, W = x.shape[2:]
         cell = 2 ** len(self.decoder)
         if H % cell or W % cell:  # by nothing, as OIDN does: the last row, repeated, would look like stripes of light
@@ -110,5 +118,5 @@ class PixelNetwork(nn.Module):
             x = self.decoder[level](x, skips[level])
         with nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False):
             y = F.conv2d(x.float(), self.last.weight.float(), self.last.bias.float(), padding=1)[..., :H, :W]
-        pixels, share = y.split([3, 1], dim=1)
-        return F.relu(pixels) / UNIT, share.sigmoid()
+        pixels, *weights = y.split([3, 1, 1], dim=1)
+        return F.relu(pixels) / UNIT, *(logits.sigmoid() for logits in weights)

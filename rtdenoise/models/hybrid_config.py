@@ -14,6 +14,10 @@ class HybridConfig(AccumulatedKPNConfig):
     those of its kernel prediction."""
 
     architecture: ClassVar[str] = "hybrid"
+    # Of the network that writes pixels: the footprint's radiance 3, noisy radiance 3, the kernels' image 3, previous
+    # output 3, the footprint's albedo 3, mean albedo 3, the footprint's normal 3, nearness 1, history length 1, trust
+    # in history 1, temporal α of the kernels 1.
+    inputs: ClassVar[int] = 25
 
     recent: int = 8
     footprint: bool = True
@@ -39,13 +43,13 @@ class HybridConfig(AccumulatedKPNConfig):
         """(inputs, outputs) of each convolution on the way down: two at the finest and at the coarsest size, one at
         each between."""
         first, *rest = self.down
-        return [(self.features, first), (first, first), *zip(self.down, rest, strict=False), (rest[-1], rest[-1])]
+        return [(self.inputs, first), (first, first), *zip(self.down, rest, strict=False), (rest[-1], rest[-1])]
 
     @property
     def levels(self) -> list[tuple[int, int, int, int]]:
         """Channels of each level on the way up, finest first: from the coarser level, of the first convolution, of the
         skip connection (the input itself at full size, pooled features at others), and of the second convolution."""
-        skips = self.features, *self.down[: len(self.up) - 1]
+        skips = self.inputs, *self.down[: len(self.up) - 1]
         return list(zip((*self.out[1:], self.down[-1]), self.up, skips, self.out, strict=True))
 
     @property
@@ -55,7 +59,7 @@ class HybridConfig(AccumulatedKPNConfig):
         for i, (below, first, skip, second) in enumerate(self.levels):
             shapes[f"pixels.decoder.{i}.0.weight"] = first, below + skip, 3, 3
             shapes[f"pixels.decoder.{i}.2.weight"] = second, first, 3, 3
-        return super().shapes | with_biases(shapes | {"pixels.last.weight": (4, self.out[0], 3, 3)})
+        return super().shapes | with_biases(shapes | {"pixels.last.weight": (5, self.out[0], 3, 3)})
 
     @property
     def network_reach(self) -> int:

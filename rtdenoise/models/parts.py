@@ -60,9 +60,9 @@ def step(
     image, after, kernels = network.step_and_kernels(frame, history, known)
     lights = _divided(parts, frame)
     past = _past(network, frame, parts, history, kernels, known)
-    most, kept = network.config.longest - 1, torch.zeros_like(kernels.length)
+    most, kept = network.config.longest - 1, torch.zeros_like(kernels.past.length)
     means, passed = (
-        _joined((accumulate(new, old, kernels.length, reset, most)[0] for new, old in _pairs(now, before)), now)
+        _joined((accumulate(new, old, kernels.past.length, reset, most)[0] for new, old in _pairs(now, before)), now)
         for now, before, reset in ((lights, past[0], kernels.heads.reset), (parts.passed, past[1], kept))
     )
 
@@ -76,7 +76,7 @@ def step(
         if not (_any(new) or _any(old)):
             outputs.append(new)
             continue
-        edged = network.over_edges_and_time(new, old, kernels.seen, kernels.heads).clamp(min=0)
+        edged = network.over_edges_and_time(new, old, kernels.past.on_screen, kernels.heads).clamp(min=0)
         outputs += [even_sky(a, b, frame.depth) for a, b in zip(edged.split(3, 1), unfiltered.split(3, 1), strict=True)]
     outputs = torch.cat(outputs, dim=1)
     return image, outputs, replace(after, hidden=(means, outputs, passed) if passed.shape[1] else (means, outputs))
@@ -113,7 +113,7 @@ def _past(
         for mean in (lights, passed)
     )
     if not known.still:
-        moved = (warp(x, motion, kernels.seen, x, cubic=True) if _any(x) else x for x in _groups(outputs))
+        moved = (warp(x, motion, kernels.past.on_screen, x, cubic=True) if _any(x) else x for x in _groups(outputs))
         outputs = _joined(moved, outputs)
     return lights, passed, outputs
 

@@ -23,6 +23,7 @@ from ..constants import (
     RECALL_CHANGED,
     RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
+    RECALL_RESET,
     RECALL_WORDS,
 )
 from .alike import alike
@@ -150,6 +151,11 @@ def _distance(depth: Tensor) -> Tensor:
 def motion_of(kept: Tensor) -> Tensor:
     """The motion of a kept frame, `[B, 2, H, W]` (x, y) in pixels."""
     return _unpacked(kept[:, RECALL_WORDS - 1 : RECALL_WORDS])
+
+
+def reset_of(kept: Tensor) -> Tensor:
+    """The reset of a kept frame, `[B, 1, H, W]` in [0, 1]."""
+    return _unpacked(kept[:, RECALL_RESET : RECALL_RESET + 1])[:, 1:]
 
 
 def _unpacked(kept: Tensor) -> Tensor:

@@ -1,20 +1,22 @@
 """`denoise --oidn`: a second opinion in real time, mixed into the network's picture.
 
 OIDN sees one frame, and no network here filters a single frame as well. So it gets what the last frames have seen in
-each pixel, radiance, albedo and normal (`History.footprint`). With f(x) = log(1 + x), exposure s and the
-network's share a
+each pixel, radiance, albedo and normal (`History.footprint`). With f(x) = log(1 + x), exposure s, the previous picture
+where this pixel was (`before`) and the trust t in the network's history, 1 - its reset,
 
-    image = f⁻¹(a · f(s · network) + (1 - a) · f(s · OIDN)) / s
+    mixed = t a · f(s · network) + (1 - t a) · f(s · OIDN)
+    image = f⁻¹(t b · f(s · before) + (1 - t b) · mixed) / s
+
+with a = SHARE and b = KEPT. The image is the history of the next frame: the network averages it as it does its own.
 
 A pixel that one frame has seen, among others that many have, is noisier than these, and OIDN takes that for texture. So
-a little of the network's image stands in for its light (`evened`). History stays the network's own.
+a little of the network's image stands in for its light (`models.past.evened`).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
 from torch import Tensor
 
 from ..baselines.oidn import Oidn, installed
@@ -22,17 +24,18 @@ from ..color import compress, expand
 from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..models.past import evened
 from ..models.presets import Config
+from ..ops import warp
 from ..ops.even_sky import even_sky
-from ..ops.recall import FOOTPRINT
+from ..ops.recall import FOOTPRINT, reset_of
 from ..sanitise import sanitise
+from ..splat import history_motion
 from .graphs import Step
 
 RECENT = 8  # frames that the network keeps here, whatever its configuration says
-# The network's share: of those that keep recent frames by themselves, and of the others, `many` above all, which loses
-# more of what many samples show (docs/notes/opinion.md).
-SHARES = {True: 0.5, False: 0.3}
-SEEN_ONCE = 0.8  # the noisy light's share of OIDN's input where one frame has seen a pixel, and others have a history
+SHARE = 0.4  # of the network against OIDN
+KEPT = 0.2  # of the previous picture against both, but for networks that see many samples a pixel
 
 
 class Opinion:
@@ -42,8 +45,8 @@ class Opinion:
         """`config` of the network as it is stored. Raises InputError where `pyoidn` is not installed."""
         if not installed():
             raise InputError("--oidn: OIDN is not installed: pip install pyoidn")
-        self._evens = config.recent > 0
-        self._oidn, self._share = Oidn(), SHARES[self._evens]
+        self._few = config.recent > 0  # `many`, for frames of many samples, keeps no recent frames by itself
+        self._oidn, self._motion = Oidn(), config.motion
 
     def step(
         self, step: Step, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -55,20 +58,24 @@ class Opinion:
         frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
         image, onward = step(frame, history, known)
         radiance, albedo, normal = onward.footprint.split(FOOTPRINT, dim=1)
-        if history is not None and self._evens:
+        if history is not None and self._few:
             radiance = evened(radiance, onward.footprint_count, image)
         picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
-        image = mixed(image, picture, self._share)
-        return even_sky(image, frame.radiance, frame.depth), onward  # OIDN filters the sky, too
+        if history is None:
+            image = mixed(image, picture, SHARE)
+        else:
+            trust = 1 - reset_of(onward.recent[0])
+            image = mixed(image, picture, SHARE * trust)
+            if self._few:
+                motion, seen, uncovered = history_motion(frame, history, self._motion)
+                before = warp(history.radiance, motion, seen, image, cubic=True)
+                image = mixed(before, image, KEPT * trust * ~uncovered)
+        image = even_sky(image, frame.radiance, frame.depth)  # OIDN filters the sky, too
+        return image, replace(onward, radiance=image)
 
 
-def evened(light: Tensor, count: Tensor, image: Tensor) -> Tensor:
-    """Averaged light `[1, 3, H, W]` with some of `image` where `count` `[1, 1, H, W]` frames, one to two, are in it."""
-    return torch.lerp(image, light, SEEN_ONCE + (1 - SEEN_ONCE) * (count - 1).clamp(0, 1))
-
-
-def mixed(image: Tensor, picture: Tensor, share: float) -> Tensor:
-    """`share` of the network's image and the rest of OIDN's picture, `[1, 3, H, W]`; the equation stands above."""
+def mixed(image: Tensor, picture: Tensor, share: Tensor | float) -> Tensor:
+    """`share` of an image and the rest of a picture, `[1, 3, H, W]`, in the domain of f."""
     scale = exposure(image)
-    ours, theirs = (compress(scale * x) for x in (image, picture.clamp(min=0)))
+    ours, theirs = (compress(scale * x.clamp(min=0)) for x in (image, picture))
     return expand(share * ours + (1 - share) * theirs) / scale

@@ -49,9 +49,8 @@ def denoiser_loss(model: Denoiser, clip: list[Frame], config: TrainConfig, step:
         if cut and i == cut:
             history, previous, masks = None, None, []
         masks = [uncovered(frame, history and history.motion_next), *masks][:3]
-        denoise = model.step if i >= 0 else getattr(model, "step_and_kernels", model.step)  # a lead-in needs no image
         with torch.set_grad_enabled(i >= 0), torch.autocast(config.device, torch.bfloat16, enabled=config.amp):
-            image, history = denoise(frame, history)[:2]
+            image, history = model.step(frame, history)
         if i < 0:
             continue
         weights = occlusion_weights(masks) if with_occlusion else None
