@@ -294,10 +294,23 @@ def test_it_scales_with_the_light_and_stays_near_the_candidates():
     assert plain.image.min() >= 0 and plain.image.max() < 4
 
 
+def test_what_a_pass_does_not_trust_is_left_to_the_opinion():
+    """On the left the forward pass has given its history up, on the right the backward pass, in the middle both."""
+    light = dict(zip(("forward", "backward", "single", "opinion"), (1.0, 2.0, 3.0, 4.0), strict=True))
+    candidates = Candidates(**{name: torch.full((1, 3, 1, 4), x) for name, x in light.items()})
+    trust = torch.tensor([[0.0, 1.0, 0.0, 1.0], [1.0, 0.0, 0.0, 1.0]]).reshape(2, 1, 1, 1, 4)
+    found = combine(replace(candidates, trust_forward=trust[0], trust_backward=trust[1])).image
+    assert (found[..., 2] == 4).all()
+    torch.testing.assert_close(found[..., 3:], combine(candidates).image[..., 3:])
+    left = combine(replace(candidates, forward=torch.full((1, 3, 1, 4), 9.0), trust_forward=trust[0],
+                           trust_backward=trust[1])).image  # fmt: skip
+    assert torch.allclose(left[..., 0], found[..., 0], rtol=0.02) and not torch.allclose(left[..., 1], found[..., 1])
+
+
 def estimate(image, length, first=False):
     ones = torch.ones_like(image[:, :1])
     seen = torch.cat([image, torch.full_like(image, 0.5), torch.full_like(image, -0.6)], dim=1)
-    return Estimate(image, image, length * ones, first, seen, length * ones)
+    return Estimate(image, image, length * ones, first, seen, length * ones, ones)
 
 
 def grey(radiance):

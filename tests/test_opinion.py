@@ -72,7 +72,7 @@ def test_oidn_gets_the_average_and_the_picture_is_history(weights, few, monkeypa
         assert torch.equal(onward.radiance, torch.from_numpy(image))
 
         trust = 1 - reset_of(after.recent[0])
-        assert history is None or (0 < trust).all() and (trust < 1).any()
+        assert history is None or ((trust > 0).all() and (trust < 1).any())
         expected = opinion.mixed(torch.from_numpy(plain), Oidn().step(seen[-1])[0], opinion.SHARE * trust)
         if few and history is not None:
             motion, on_screen, uncovered = history_motion(frame, history, "dual")

@@ -15,9 +15,10 @@ from ..errors import InputError
 from ..files import open_regular, write_atomically
 from ..frame import HIDDEN, RECENT
 
-CHANNELS = {  # field of `History` -> channels; hidden features have any number of them, at any size
+CHANNELS = {  # of fields of `History`, and of `trust` in estimates; hidden features have any number, at any size
     "radiance": 3, "motion_next": 2, "depth": 1, "normal": 3, "length": 1, "mean": 3, "mean_albedo": 3,
     "residual": 3, "residual_length": 1, "footprint": 9, "footprint_count": 1,
+    "trust": 1,
 }  # fmt: skip
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number

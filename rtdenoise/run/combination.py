@@ -9,10 +9,11 @@ is closer to the truth than each:
 The weight of the single frame is negative: forward and backward pass share the noise of the frame itself, and the
 single frame shows it. Where all candidates are equal the image equals them to the bit.
 
-With OIDN's picture the network has 0.32 and OIDN 0.68: what suits a single frame, where there is a picture of each.
-Without it the weights are near those that least squares find on other sequences than those that are measured, on the
-display transform (`python bench/offline.py --fit SEQ ...`).
-Weights by pixel, from a network or by length of history, gained nothing on other scenes (docs/notes/offline.md).
+With OIDN's picture a pass counts as far as the network trusts its history there: light that moves on a surface which
+stands still lags behind in it. OIDN's picture takes what is left. Without it the weights are near those that least
+squares find on other sequences than those that are measured, on the display transform
+(`python bench/offline.py --fit SEQ ...`). Weights by length of history, or from a network, gained nothing on other
+scenes (docs/notes/offline.md).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from torch import Tensor
 from ..color import compress, expand
 from ..exposure import exposure
 
-WEIGHTS = {"forward": 0.32, "backward": 0.32, "single": -0.32, "opinion": 0.68}
+WEIGHTS = {"forward": 0.2, "backward": 0.2, "single": -0.2, "opinion": 0.8}  # where history is trusted
 WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 
@@ -38,6 +39,8 @@ class Candidates:
     backward: Tensor  # the network with the frames after
     single: Tensor  # the network without history
     opinion: Tensor | None = None  # OIDN's picture; None where it is not installed
+    trust_forward: Tensor | float = 1.0  # [1, 1, H, W] in [0, 1]: of each pass in its history
+    trust_backward: Tensor | float = 1.0
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Combination:
 
 def combine(candidates: Candidates) -> Combination:
     """The weighted sum of the candidates; the equation stands above."""
-    weights = WEIGHTS_WITHOUT_OIDN if candidates.opinion is None else WEIGHTS
+    weights = WEIGHTS_WITHOUT_OIDN if candidates.opinion is None else _trusted(candidates)
     scale, first = exposure(candidates.forward), candidates.forward
     light = {name: compress(scale * getattr(candidates, name)) for name in weights}
     base = light["forward"]
@@ -63,3 +66,11 @@ def combine(candidates: Candidates) -> Combination:
     image = torch.where(change == 0, first, expand(mixed) / scale)
     apart = sum(abs(weight) * (getattr(candidates, name) - image).abs() for name, weight in weights.items())
     return Combination(image, apart.mean(1, keepdim=True))
+
+
+def _trusted(candidates: Candidates) -> dict[str, Tensor | float]:
+    """`WEIGHTS` of the network's candidates times the trust in each, the rest for the opinion."""
+    forward, backward = candidates.trust_forward, candidates.trust_backward
+    trust = {"forward": forward, "backward": backward, "single": (forward + backward) / 2}
+    weights = {name: WEIGHTS[name] * share for name, share in trust.items()}
+    return weights | {"opinion": 1 - sum(weights.values())}

@@ -24,7 +24,7 @@ from ..baselines.oidn import Oidn, installed
 from ..errors import InputError
 from ..frame import Frame, History
 from ..ops.even_sky import even_sky
-from ..ops.recall import FOOTPRINT
+from ..ops.recall import FOOTPRINT, reset_of
 from ..sanitise import sanitise
 from ..splat import splat_motion_next
 from .backends import TorchBackend
@@ -55,8 +55,8 @@ class Passes:
         """One step of a pass over prepared frames."""
         image, after = self.backend.step(frame, history)
         image = torch.from_numpy(image).to(frame.radiance.device)
-        footprint = after.footprint, after.footprint_count
-        return Estimate(image, after.mean, after.length, history is None, *footprint), after
+        seen = (after.footprint, after.footprint_count, 1 - reset_of(after.recent[0])) if self.has_oidn else ()
+        return Estimate(image, after.mean, after.length, history is None, *seen), after
 
     @torch.inference_mode()
     def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
@@ -67,8 +67,11 @@ class Passes:
 
     def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:
         """What is known of a prepared frame."""
-        ours = forward.image, backward.image, self._single(frame, forward, backward)
-        return Candidates(*ours, self._opinion(frame, forward, backward) if self.has_oidn else None)
+        found = Candidates(forward.image, backward.image, self._single(frame, forward, backward))
+        if not self.has_oidn:
+            return found
+        opinion = self._opinion(frame, forward, backward)
+        return replace(found, opinion=opinion, trust_forward=forward.trust, trust_backward=backward.trust)
 
     def _opinion(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """OIDN's picture `[1, 3, H, W]`; the equation stands above. Albedo and normal are filtered beforehand."""

@@ -26,6 +26,7 @@ class Estimate:
     first: bool  # whether the pass begins a shot here: the image is that of the frame alone
     footprint: Tensor | None = None  # [1, 9, H, W] `History.footprint`, where OIDN is to filter it
     footprint_count: Tensor | None = None  # [1, 1, H, W] frames in it
+    trust: Tensor | None = None  # [1, 1, H, W] in [0, 1]: 1 - how far light gave way; beside footprints
 
 
 def seen_on_both_sides(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor]:
