@@ -73,11 +73,11 @@ def test_oidn_gets_the_average_and_the_picture_is_history(weights, few, monkeypa
 
         trust = 1 - reset_of(after.recent[0])
         assert history is None or ((trust > 0).all() and (trust < 1).any())
-        expected = opinion.mixed(torch.from_numpy(plain), Oidn().step(seen[-1])[0], opinion.SHARE * trust)
+        expected = opinion.mixed(torch.from_numpy(plain), Oidn().step(seen[-1])[0], opinion.SHARE[few] * trust)
         if few and history is not None:
             motion, on_screen, uncovered = history_motion(frame, history, "dual")
             before = warp(history.radiance, motion, on_screen, expected, cubic=True)
-            expected = opinion.mixed(before, expected, opinion.KEPT * trust * ~uncovered)
+            expected = opinion.mixed(before, expected, opinion.KEPT[few] * trust * ~uncovered)
         assert np.allclose(image, expected.numpy(), rtol=1e-4, atol=1e-5)
         history = onward
     noise, averaged = (x - frame.reference for x in (frame.radiance, seen[-1].radiance))

@@ -7,7 +7,7 @@ where this pixel was (`before`) and the trust t in the network's history, 1 - it
     mixed = t a · f(s · network) + (1 - t a) · f(s · OIDN)
     image = f⁻¹(t b · f(s · before) + (1 - t b) · mixed) / s
 
-with a = SHARE and b = KEPT. The image is the history of the next frame: the network averages it as it does its own.
+with a and b from SHARE and KEPT. The image is the history of the next frame: the network averages it as it does its own.
 
 A pixel that one frame has seen, among others that many have, is noisier than these, and OIDN takes that for texture. So
 a little of the network's image stands in for its light (`models.past.evened`).
@@ -34,8 +34,9 @@ from ..splat import history_motion
 from .graphs import Step
 
 RECENT = 8  # frames that the network keeps here, whatever its configuration says
-SHARE = 0.4  # of the network against OIDN
-KEPT = 0.2  # of the previous picture against both, but for networks that see many samples a pixel
+# Shares of the network against OIDN, and of the previous picture against both: of networks that keep recent frames by
+# themselves, and of the others, `many` above all, for many samples a pixel, where a lookup costs more than noise does.
+SHARE, KEPT = {True: 0.4, False: 0.3}, {True: 0.2, False: 0.0}
 
 
 class Opinion:
@@ -45,8 +46,9 @@ class Opinion:
         """`config` of the network as it is stored. Raises InputError where `pyoidn` is not installed."""
         if not installed():
             raise InputError("--oidn: OIDN is not installed: pip install pyoidn")
-        self._few = config.recent > 0  # `many`, for frames of many samples, keeps no recent frames by itself
-        self._oidn, self._motion = Oidn(), config.motion
+        self._few, self._motion = config.recent > 0, config.motion
+        self._share, self._kept = SHARE[self._few], KEPT[self._few]
+        self._oidn = Oidn()
 
     def step(
         self, step: Step, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -62,14 +64,14 @@ class Opinion:
             radiance = evened(radiance, onward.footprint_count, image)
         picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
         if history is None:
-            image = mixed(image, picture, SHARE)
+            image = mixed(image, picture, self._share)
         else:
             trust = 1 - reset_of(onward.recent[0])
-            image = mixed(image, picture, SHARE * trust)
-            if self._few:
+            image = mixed(image, picture, self._share * trust)
+            if self._kept:
                 motion, seen, uncovered = history_motion(frame, history, self._motion)
                 before = warp(history.radiance, motion, seen, image, cubic=True)
-                image = mixed(before, image, KEPT * trust * ~uncovered)
+                image = mixed(before, image, self._kept * trust * ~uncovered)
         image = even_sky(image, frame.radiance, frame.depth)  # OIDN filters the sky, too
         return image, replace(onward, radiance=image)
 
