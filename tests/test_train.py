@@ -293,6 +293,16 @@ def test_a_lead_in_gives_history_and_counts_for_nothing(tmp_path, config):
         train(replace(config, lead_in=-1))
 
 
+def test_light_moves_through_a_lead_in_too(tmp_path, config):
+    write_clips(tmp_path, range(1), lead_in=3)
+    config = replace(config, data=(tmp_path,), val=None, batch=1, size=24, frames=4, lead_in=3)
+    moved = []
+    for step in range(4):
+        lit, plain = (batch(ClipDataset(tmp_path), replace(config, relight=share), step) for share in (1.0, 0.0))
+        moved.append([not torch.equal(a.radiance, b.radiance) for a, b in zip(lit, plain, strict=True)])
+    assert all(any(frames) for frames in moved) and any(any(frames[:3]) for frames in moved)
+
+
 def test_clips_of_too_few_or_too_many_samples_are_left_out(tmp_path, config):
     layers = {n: layer[0].transpose(1, 2, 0) for n, layer in read_layers(ClipDataset(*config.data).paths[0]).items()}
     for index, spp in enumerate((1, 4, 16)):

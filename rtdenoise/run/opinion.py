@@ -7,7 +7,7 @@ where this pixel was (`before`) and the trust t in the network's history, 1 - it
     mixed = t a · f(s · network) + (1 - t a) · f(s · OIDN)
     image = f⁻¹(t b · f(s · before) + (1 - t b) · mixed) / s
 
-with a and b from SHARE and KEPT. The image is the history of the next frame: the network averages it as it does its own.
+with a and b from SHARE and KEPT. The image is the history of the next frame: the network averages it as its own.
 
 A pixel that one frame has seen, among others that many have, is noisier than these, and OIDN takes that for texture. So
 a little of the network's image stands in for its light (`models.past.evened`).

@@ -114,8 +114,7 @@ def _clip(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place:
     frames = augment(frames, rng, reversible=len(frames) == config.frames)
     if len(frames) == 1 and rng.random() < config.shade:
         return shade(frames, rng)
-    before, frames = frames[: -config.frames], frames[-config.frames :]
-    return before + (relight(frames, rng) if rng.random() < config.relight else frames)
+    return relight(frames, rng) if rng.random() < config.relight else frames
 
 
 def _window(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place: int) -> tuple[list[Frame], ...]:

@@ -1,0 +1,166 @@
+"""How much should the network's history count beside OIDN's picture?
+
+python bench/diagnosis/trust.py SEQ ...    # sequences with references that no network was trained on
+
+In real time (`denoise --oidn`) and of frames on disk (`--offline`, every third frame): corrected PSNR over
+OIDN's with other shares, with and without trust, with the network's own history and with the picture as history.
+Writes bench/results/trust.json and the tables of docs/notes/trust.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
+import numpy as np
+import torch
+import tyro
+from torch import Tensor
+
+from rtdenoise.baselines import Oidn
+from rtdenoise.color import display_exposure
+from rtdenoise.evaluate.inputs import Source
+from rtdenoise.evaluate.sequence import uncovered
+from rtdenoise.frame import Frame
+from rtdenoise.metrics.image import decibels, mse_corrected
+from rtdenoise.models import load
+from rtdenoise.run import combination, opinion
+from rtdenoise.run.passes import Passes, completed, reverse
+from rtdenoise.run.sides import corrected
+from rtdenoise.sanitise import sanitise
+
+RESULT, PAGES = RESULTS / "trust.json", (DOCS / "notes" / "trust.md",)
+FRAMES, EVERY = 16, 3  # of a sequence; of those on disk, which take long
+FEWEST = 500  # pixels uncovered in all frames together: fewer say nothing
+REAL_TIME = {  # the network's share, the previous picture's, whether trust counts, whether the picture is history
+    "half of each, the network's own history": (0.5, 0.0, False, False),
+    "the picture is history": (0.5, 0.0, False, True),
+    "and the network counts as far as it trusts its history": (0.5, 0.0, True, True),
+    "0.4 of it": (0.4, 0.0, True, True),
+    "**and a fifth of the previous picture**": (0.4, 0.2, True, True),
+}
+OFFLINE = {  # the network's share, whether trust counts
+    "0.32 of the network, 0.68 of OIDN": (0.32, False),
+    "as far as each pass trusts its history": (0.32, True),
+    "0.2 of the network": (0.2, False),
+    "**0.2 as far as each pass trusts its history**": (0.2, True),
+    "OIDN alone": (0.0, False),
+}
+Pictures = dict[int, Tensor]  # number of a frame -> denoised
+
+
+def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
+    rows = []
+    for folder in sequences:
+        for signal in ("color", "indirect"):
+            source = Source.open(folder, signal, "auto", FRAMES)
+            frames = source.frames(source.spp)
+            if frames[0].reference_half is None:
+                continue
+            told = {"sequence": source.name, "signal": signal}
+            for kind, measured in (("real time", real_time), ("offline", offline)):
+                rows += [told | {"kind": kind} | row for row in measured(frames)]
+                print(rows[-1], flush=True)
+    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+
+
+@torch.inference_mode()
+def real_time(frames: list[Frame]) -> list[dict]:
+    """A row for each of `REAL_TIME`, and OIDN."""
+    network = load("default", precision="fp32", recent=opinion.RECENT, footprint=True)
+    alone = Oidn()
+    rows = [{"variant": "oidn"} | errors(frames, {i: alone.step(frame)[0] for i, frame in enumerate(frames)})]
+    trusted = opinion.reset_of
+    for name, (share, kept, trusts, fed) in REAL_TIME.items():
+        opinion.SHARE[True], opinion.KEPT[True] = share, kept
+        opinion.reset_of = trusted if trusts else lambda kept: torch.zeros_like(kept[:, :1], dtype=torch.float32)
+        asked, history, images = opinion.Opinion(network.config), None, {}
+        for i, frame in enumerate(frames):
+            images[i], onward = asked.step(network.step, frame, history)
+            history = onward if fed else replace(onward, radiance=network.step(frame, history)[0])
+        rows.append({"variant": name} | errors(frames, images))
+    opinion.reset_of = trusted
+    return rows
+
+
+@torch.inference_mode()
+def offline(frames: list[Frame]) -> list[dict]:
+    """A row for each of `OFFLINE`, and OIDN, of some of the frames."""
+    passes, alone = Passes("default", "cpu", "fp32"), Oidn()
+    prepared = [sanitise(frame) for frame in frames]
+    prepared = [completed(*pair) for pair in zip(prepared, [*prepared[1:], None], strict=True)]
+    forward, history = [], None
+    for frame in prepared:
+        estimate, history = passes.step(frame, history)
+        forward.append(estimate)
+    images: dict[str, Pictures] = {name: {} for name in ("oidn", *OFFLINE)}
+    history = None
+    for i in reversed(range(len(frames))):
+        frame = prepared[i]
+        backward, history = passes.step(reverse(frame), history)
+        if i % EVERY == 1:
+            images["oidn"][i] = alone.step(frame)[0]
+            found = passes.candidates(frame, forward[i], backward)
+            for name, (share, trusts) in OFFLINE.items():
+                weights = (share, share, -share, 1 - share)
+                combination.WEIGHTS = dict(zip(combination.WEIGHTS, weights, strict=True))
+                image = combination.combine(found if trusts else replace(found, trust_forward=1.0, trust_backward=1.0))
+                images[name][i] = corrected(frame, image.image, forward[i], backward)
+    return [{"variant": name} | errors(frames, some) for name, some in images.items()]
+
+
+def errors(frames: list[Frame], images: Pictures) -> dict[str, float | None]:
+    """Corrected PSNR over the frame and in uncovered regions."""
+    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
+    masks = uncovered(frames)
+
+    def mean(of: Callable[[int], Tensor | None]) -> float | None:
+        found = []
+        for i, image in images.items():
+            mask, frame = of(i), frames[i]
+            count = frame.depth.numel() if mask is None else int(mask.sum())
+            if count:
+                half = {"reference_half": frame.reference_half}
+                found.append((count, mse_corrected(image, frame.reference, scale, mask, **half)))
+        pixels = sum(count for count, _ in found)
+        return decibels(sum(count * error for count, error in found) / pixels) if pixels >= FEWEST else None
+
+    return {"frame": mean(lambda _: None), "uncovered": mean(lambda i: masks[i])}
+
+
+def tables(document: dict) -> dict[str, str]:
+    """Sections `trust-real-time` and `trust-offline`: a line a variant, the mean and the least lead over OIDN."""
+    return {
+        "trust-real-time": _table(document, "real time", REAL_TIME),
+        "trust-offline": _table(document, "offline", OFFLINE),
+    }
+
+
+def _table(document: dict, kind: str, variants: dict[str, tuple]) -> str:
+    names = list(dict.fromkeys(row["sequence"] for row in document["rows"]))
+    lines = [f"| | mean | least | uncovered | least | {' | '.join(names)} |", "|---" * (len(names) + 5) + "|"]
+    rows = {(r["sequence"], r["signal"], r["variant"]): r for r in document["rows"] if r["kind"] == kind}
+    for variant in variants:
+        leads: dict[str, list[tuple[str, float]]] = {"frame": [], "uncovered": []}
+        for (sequence, signal, name), row in rows.items():
+            peer = rows[sequence, signal, "oidn"]
+            for region, found in leads.items():
+                if name == variant and None not in (row[region], peer[region]):
+                    found.append((sequence, row[region] - peer[region]))
+        cells = []
+        for found in leads.values():
+            values = [lead for _, lead in found]
+            cells += [f"{np.mean(values):+.2f}", f"{min(values):+.2f}"]
+        cells += [", ".join(f"{lead:+.2f}" for sequence, lead in leads["frame"] if sequence == name) for name in names]
+        lines.append(f"| {variant} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)
