@@ -21,7 +21,7 @@ MODULES = (
     "held", "hybrid", "latency_720p", "metropolis", "missing_layers", "mltd", "mltd_memory", "offline", "plan",
     "quality", "sample", "stability", "tiles", "calibration.cuts", "diagnosis.activity", "diagnosis.bias",
     "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.generalisation",
-    "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.where",
+    "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.trust", "diagnosis.where",
 )  # fmt: skip
 
 

@@ -10,19 +10,28 @@ import torch
 from synthetic import make_frames
 
 from rtdenoise.baselines import Oidn
+from rtdenoise.color import compress
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.glsl import Pipeline
 from rtdenoise.models import HybridConfig, create, grow, load, read, save
-from rtdenoise.models.hybrid import surroundings
+from rtdenoise.models.hybrid import CONTRAST, surroundings
 from rtdenoise.models.past import reprojected
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.light import LightBackend
 
 ROOT = Path(__file__).parent.parent
 SMALL = HybridConfig(
-    widths=(8, 8, 8, 8), scales=4, edge_kernel=3, detail=True, recent=3, down=(8, 12, 4), up=(12, 8), out=(8, 4)
+    widths=(8, 8, 8, 8),
+    scales=4,
+    edge_kernel=3,
+    detail=True,
+    recent=3,
+    down=(8, 12, 4),
+    up=(12, 8),
+    out=(8, 4),
+    mixer=(8, 12),
 )
 
 
@@ -34,8 +43,8 @@ def model():
 
 def told(model, written, kept=-100.0):
     """The model with the weights of its pixels and of the previous picture set by hand: logits."""
-    model.pixels.last.weight[3:] = 0
-    model.pixels.last.bias[3:] = torch.tensor([written, kept])
+    model.mixer.head.weight[:] = 0
+    model.mixer.head.bias[:] = torch.tensor([written, kept])
     return model
 
 
@@ -102,7 +111,8 @@ def test_it_sees_the_light_that_the_kernels_have_averaged(model):
         hook = model.pixels.register_forward_pre_hook(lambda _, inputs, seen=seen: seen.append(inputs[0]))
         images.append(told(model, 100.0).step(frame, history)[0])
         hook.remove()
-        assert not torch.allclose(seen[0][:, :3], seen[0][:, 3:6])  # the mean, and the noisy frame
+        averaged, light = seen[0][:, :3], compress(CONTRAST * model.statistics(frame)[0] * frame.radiance)
+        assert not torch.allclose(averaged, light, rtol=0.05)
     assert not torch.allclose(*images)
 
 
@@ -119,19 +129,19 @@ def test_written_pixels_stay_within_the_light_around_them(model):
     assert (most[..., 16:, 48:] == 9).all() and most[..., :16, :].max() < 1 and most[..., :48].max() < 1
 
 
-def test_training_leaves_the_kernels_alone():
+def test_training_leaves_both_pictures_alone():
     torch.manual_seed(0)
     model, history = create(SMALL), None
     for frame in make_frames(2):
         image, history = model.step(frame, history)
     image.square().mean().backward()
     trained = {name for name, weight in model.named_parameters() if weight.grad is not None}
-    assert trained == {name for name, _ in model.named_parameters() if name.startswith("pixels.")}
-    assert all(weight.grad.isfinite().all() for weight in model.pixels.parameters())
+    assert trained == {name for name, _ in model.named_parameters() if name.startswith("mixer.")}
+    assert all(weight.grad.isfinite().all() for weight in model.mixer.parameters())
 
 
 def test_its_training_begins_with_oidns_network(tmp_path):
-    """OIDN's weights in our network, on its inputs, give its picture; and the kernels are those of `default`."""
+    """OIDN's weights in our network give its picture, and stay as they are; and the kernels are those of `default`."""
     out = tmp_path / "begin.safetensors"
     subprocess.run([sys.executable, ROOT / "tools" / "begin_hybrid.py", out], check=True)
     hybrid, kernels = read(out), read("default")
@@ -146,9 +156,13 @@ def test_its_training_begins_with_oidns_network(tmp_path):
     assert error["pixels"] < 0.015 and error["pixels"] < 0.3 * error["kernels"], error
 
 
-def test_the_shipped_weights_keep_the_kernels_of_default():
-    hybrid, kernels = read("hybrid").state_dict(), read("default").state_dict()
+def test_the_shipped_weights_keep_the_kernels_of_default_and_oidns_network(tmp_path):
+    out = tmp_path / "begin.safetensors"
+    subprocess.run([sys.executable, ROOT / "tools" / "begin_hybrid.py", out], check=True)
+    hybrid, kernels, begin = (read(name).state_dict() for name in ("hybrid", "default", out))
     assert all(torch.equal(hybrid[name], weight) for name, weight in kernels.items())
+    oidns = {name: weight for name, weight in begin.items() if name.startswith("pixels.")}
+    assert oidns and all(torch.equal(hybrid[name], weight.half().float()) for name, weight in oidns.items())
 
 
 def test_what_it_cannot_do_is_refused():

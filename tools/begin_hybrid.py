@@ -4,7 +4,7 @@ python tools/begin_hybrid.py OUT [KERNELS]
 
 OIDN's library holds the weights of its filters, as TZA archives, under the Apache License 2.0; `pyoidn` brings it.
 Taken is the filter of HDR colour, albedo and normal. Its transfer function is log(1 + 178 · x) · 0.0615 but for the
-darkest parts. What our network sees besides begins with weights of 0, and each pixel with `WRITTEN` and `KEPT`.
+darkest parts.
 """
 
 from __future__ import annotations
@@ -28,9 +28,7 @@ DOWN = ("enc_conv0", "enc_conv1", "enc_conv2", "enc_conv3", "enc_conv4", "enc_co
 UP = ("dec_conv1", "dec_conv2", "dec_conv3", "dec_conv4")
 INPUTS = 9  # colour, albedo, normal
 WEIGHTS = 919_811  # of the filter that is wanted; the first of this size takes noisy albedo and normal
-# Where these stand among our channels (`Hybrid.step`), and what they are multiplied by: OIDN's normals are in [0, 1].
-PLACES, NORMAL = (0, 1, 2, 12, 13, 14, 18, 19, 20), slice(6, 9)
-WRITTEN, KEPT = 0.7, 0.2  # weight of its pixels against the kernels' image, and of the previous picture against both
+NORMAL = slice(6, 9)  # of its inputs; OIDN has normals in [0, 1]
 
 
 def main(out: str, kernels: str = "default") -> None:
@@ -50,13 +48,9 @@ def main(out: str, kernels: str = "default") -> None:
     for ours, name in layers.items():
         weight, bias = theirs[f"{name}.weight"], theirs[f"{name}.bias"]
         if name in ("enc_conv0", "dec_conv1a"):  # which see the input
-            weight, bias = among_ours(weight, bias, config.inputs)
+            weight, bias = with_our_normals(weight, bias)
         state |= {f"pixels.{ours}.weight": weight, f"pixels.{ours}.bias": bias}
-    weights = torch.tensor([0.0, 0.0, 0.0, WRITTEN, KEPT])
-    last = {"weight": torch.zeros(5, config.out[0], 3, 3), "bias": torch.logit(weights, 1e-6)}
-    for key, value in last.items():
-        value[:3] = theirs[f"dec_conv0.{key}"]
-        state[f"pixels.last.{key}"] = value
+    state |= {f"pixels.last.{key}": theirs[f"dec_conv0.{key}"] for key in ("weight", "bias")}
     hybrid.load_state_dict(state)
     save(hybrid, out)
 
@@ -103,16 +97,13 @@ def parsed(content: bytes, start: int) -> dict[str, Tensor]:
     return tensors
 
 
-def among_ours(weight: Tensor, bias: Tensor, inputs: int) -> tuple[Tensor, Tensor]:
-    """A layer whose last inputs are OIDN's, with ours in their place."""
-    before = weight.shape[1] - INPUTS
-    theirs = weight[:, before:].clone()
-    bias = bias + 0.5 * theirs[:, NORMAL].sum((1, 2, 3))
-    theirs[:, NORMAL] *= 0.5
-    wide = weight.new_zeros(len(weight), before + inputs, *weight.shape[2:])
-    wide[:, :before] = weight[:, :before]
-    wide[:, [before + place for place in PLACES]] = theirs
-    return wide, bias
+def with_our_normals(weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor]:
+    """A layer whose last inputs are OIDN's, for normals in [-1, 1]."""
+    weight, before = weight.clone(), weight.shape[1] - INPUTS
+    normal = weight[:, before:][:, NORMAL]
+    bias = bias + 0.5 * normal.sum((1, 2, 3))
+    normal *= 0.5
+    return weight, bias
 
 
 if __name__ == "__main__":

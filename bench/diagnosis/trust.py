@@ -43,7 +43,8 @@ REAL_TIME = {  # the network's share, the previous picture's, whether trust coun
     "the picture is history": (0.5, 0.0, False, True),
     "and the network counts as far as it trusts its history": (0.5, 0.0, True, True),
     "0.4 of it": (0.4, 0.0, True, True),
-    "**and a fifth of the previous picture**": (0.4, 0.2, True, True),
+    "**and a tenth of the previous picture**": (0.4, 0.1, True, True),
+    "instead a fifth": (0.4, 0.2, True, True),
 }
 OFFLINE = {  # the network's share, whether trust counts
     "0.32 of the network, 0.68 of OIDN": (0.32, False),

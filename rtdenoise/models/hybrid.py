@@ -1,11 +1,11 @@
 """Kernel prediction, and a network that writes pixels, mixed: the best picture in real time.
 
 A kernel mixes the light that is there; a network that writes pixels also knows pictures, and errs elsewhere. So what
-recent frames have seen in each pixel goes through a U-Net that writes pixels. It says for every pixel how much of
-these, of the kernels' image and of the previous picture to show. The kernels take the result as their own history.
+recent frames have seen in each pixel goes through a U-Net that writes pixels, and a small network says for every pixel
+how much of these, of the kernels' image and of the previous picture to show. The kernels take the result as their own
+history.
 
-The U-Net has the form of Open Image Denoise's (Áfra 2019-2025, Apache License 2.0), whose weights its training begins
-with: it learns what averaged light is worth, not what pictures are.
+The network that writes pixels is that of Open Image Denoise (Áfra 2019-2025, Apache License 2.0), with its weights.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
 from .past import evened
-from .unet import ConvRelu, Up, pool
+from .unet import ConvRelu, UNet, Up, pool
 
 CELL = 16  # pixels, of `surroundings`
 CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + CONTRAST): dark parts matter, too
-LIGHT = 12  # first channels of the input, of compressed light, which `UNIT` brings to the size of the others
-UNIT = 0.06145
+UNIT = 0.06145  # of compressed light, as OIDN has it
+WRITTEN, KEPT = 0.6, 0.1  # where training begins: pixels against the kernels' image, and the previous picture
 
 
 class Hybrid(AccumulatedKPN):
@@ -42,11 +42,12 @@ class Hybrid(AccumulatedKPN):
     def __init__(self, config: HybridConfig) -> None:
         super().__init__(config)
         self.pixels = PixelNetwork(config)
+        self.mixer = Mixer(config)
 
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """As `Denoiser.step`. Training leaves the kernels as they are: no gradient reaches them."""
+        """As `Denoiser.step`. Training leaves both pictures as they are: a gradient reaches the mixer alone."""
         frame = admit(frame, history and history.radiance, known)
         if known.exposure is None:
             exposure, distance = self.statistics(frame)
@@ -54,24 +55,28 @@ class Hybrid(AccumulatedKPN):
         with torch.no_grad():
             # Filter by kernels, and average.
             image, after, kernels = self.step_and_kernels(frame, history, replace(known, sanitised=True))
+            past, heads = kernels.past, kernels.heads
 
-            # Show the other network what pixels have been seen to show, the noisy radiance and both pictures.
-            scale, past, heads = CONTRAST * known.exposure, kernels.past, kernels.heads
-            radiance, albedo, normal = after.footprint.split(FOOTPRINT, dim=1)
+            # Write the pixels of what has been seen.
+            scale = CONTRAST * known.exposure
+            radiance, *guides = after.footprint.split(FOOTPRINT, dim=1)
             if history is not None:
                 radiance = evened(radiance, after.footprint_count, image)
-            trust = 1 - past.on_screen * heads.reset  # in the kernels' image, which lags where light has changed
-            light = radiance, frame.radiance, image, past.output
-            geometry = albedo, after.mean_albedo, normal, nearness(frame.depth, known.distance)
-            time = past.length / self.config.longest, past.on_screen * trust, heads.alpha_temporal
-            x = features(light, (*geometry, *time), scale, self.stem.weight)
-            averaged, filtered, before = (compress(x * scale) for x in (radiance, image, past.output.clamp(min=0)))
-            least, most = surroundings(averaged, filtered)
-        pixels, written, kept = self.pixels(x)
+            least, most = surroundings(radiance, image)
+            written = self.pixels(features((radiance,), guides, scale, self.stem.weight))
+            written = (expand(written) / scale).clamp(least, most)
 
-        # Mix in the compressed domain, where edges of lamps do not spread. No history where it is not trusted, or where
-        # something was just uncovered.
-        mixed = blend(pixels.clamp(least, most), filtered, 1 - trust * (1 - written))
+            # Say how to mix. History is not trusted where light has changed: the kernels' image lags there.
+            trust = 1 - past.on_screen * heads.reset
+            light = written, image, past.output.clamp(min=0), radiance, frame.radiance
+            geometry = *guides, nearness(frame.depth, known.distance)
+            time = after.footprint_count / (1 + self.config.recent), past.length / self.config.longest, past.uncovered
+            x = features(light, (*geometry, *time, trust, heads.alpha_temporal), scale, self.stem.weight)
+            written, filtered, before = (compress(x * scale) for x in light[:3])
+        share, kept = self.mixer(x)
+
+        # Mix in the compressed domain, where edges of lamps do not spread.
+        mixed = blend(filtered, written, trust * (1 - share))
         mixed = blend(before, mixed, past.on_screen * ~past.uncovered * trust * kept)
         shown = even_sky(expand(mixed) / scale, frame.radiance, frame.depth)
         return shown, replace(after, radiance=shown.detach())
@@ -90,23 +95,22 @@ def surroundings(light: Tensor, image: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class PixelNetwork(nn.Module):
-    """A U-Net from a frame's light and surfaces to its pixels."""
+    """A U-Net from a picture's light and surfaces to its pixels."""
 
     def __init__(self, config: HybridConfig) -> None:
         super().__init__()
         self.encoder = nn.ModuleList(ConvRelu(a, b, 3, padding=1) for a, b in config.convolutions)
         self.decoder = nn.ModuleList(Up(*level) for level in config.levels)
-        self.last = nn.Conv2d(config.out[0], 5, 3, padding=1)
+        self.last = nn.Conv2d(config.out[0], 3, 3, padding=1)
 
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """`features`, `[B, C, H, W]`, to light compressed alike, `[B, 3, H, W]` ≥ 0, its weight against the kernels'
-        image, and that of the previous picture against both, `[B, 1, H, W]` in [0, 1] each; all float32: rounding
-        compressed light to 8 bits would be seen."""
+    def forward(self, x: Tensor) -> Tensor:
+        """`features`, `[B, 9, H, W]`, to light compressed alike, `[B, 3, H, W]` ≥ 0 in float32: rounding it to 8 bits
+        would be seen."""
         H, W = x.shape[2:]
         cell = 2 ** len(self.decoder)
         if H % cell or W % cell:  # by nothing, as OIDN does: the last row, repeated, would look like stripes of light
             x = F.pad(x, (0, -W % cell, 0, -H % cell))
-        x = torch.cat([x[:, :LIGHT] * UNIT, x[:, LIGHT:]], dim=1)
+        x = torch.cat([x[:, :3] * UNIT, x[:, 3:]], dim=1)
         skips = [x]
         x = self.encoder[1](self.encoder[0](x))
         for convolve in self.encoder[2:-1]:
@@ -117,6 +121,29 @@ class PixelNetwork(nn.Module):
         for level in reversed(range(len(self.decoder))):
             x = self.decoder[level](x, skips[level])
         with nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False):
-            y = F.conv2d(x.float(), self.last.weight.float(), self.last.bias.float(), padding=1)[..., :H, :W]
-        pixels, *weights = y.split([3, 1, 1], dim=1)
-        return F.relu(pixels) / UNIT, *(logits.sigmoid() for logits in weights)
+            y = F.conv2d(x.float(), self.last.weight.float(), self.last.bias.float(), padding=1)
+        return F.relu(y[..., :H, :W]) / UNIT
+
+
+class Mixer(nn.Module):
+    """A small U-Net at half size that says how to mix pictures."""
+
+    def __init__(self, config: HybridConfig) -> None:
+        super().__init__()
+        width = config.mixer[0]
+        self.stem = ConvRelu(config.mixes, width, 4, stride=2, padding=1)
+        self.unet = UNet(width, config.mixer)
+        self.head = nn.ConvTranspose2d(width, 2, 2, stride=2)
+        nn.init.zeros_(self.head.weight)
+        with torch.no_grad():
+            self.head.bias.copy_(torch.logit(torch.tensor([WRITTEN, KEPT])))
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """`features`, `[B, 27, H, W]`, to the weight of written pixels against the kernels' image, and that of the
+        previous picture against both, `[B, 1, H, W]` in [0, 1] each, float32."""
+        H, W = x.shape[2:]
+        more = max(W % 2, 4 - W), max(H % 2, 4 - H)  # as for the stem of `AccumulatedKPN`
+        if any(more):
+            x = F.pad(x, (0, more[0], 0, more[1]), mode="replicate")
+        y = self.head(self.unet(self.stem(x), 1)[0])[..., :H, :W]
+        return y.float().sigmoid().split(1, dim=1)

@@ -36,7 +36,7 @@ from .graphs import Step
 RECENT = 8  # frames that the network keeps here, whatever its configuration says
 # Shares of the network against OIDN, and of the previous picture against both: of networks that keep recent frames by
 # themselves, and of the others, `many` above all, for many samples a pixel, where a lookup costs more than noise does.
-SHARE, KEPT = {True: 0.4, False: 0.3}, {True: 0.2, False: 0.0}
+SHARE, KEPT = {True: 0.4, False: 0.3}, {True: 0.1, False: 0.0}
 
 
 class Opinion:
