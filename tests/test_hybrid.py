@@ -15,7 +15,7 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.glsl import Pipeline
-from rtdenoise.models import HybridConfig, create, grow, load, read, save
+from rtdenoise.models import HybridConfig, create, grow, load, mixing, read, save
 from rtdenoise.models.hybrid import CONTRAST, surroundings
 from rtdenoise.models.past import reprojected
 from rtdenoise.run.backends import TorchBackend
@@ -23,15 +23,7 @@ from rtdenoise.run.light import LightBackend
 
 ROOT = Path(__file__).parent.parent
 SMALL = HybridConfig(
-    widths=(8, 8, 8, 8),
-    scales=4,
-    edge_kernel=3,
-    detail=True,
-    recent=3,
-    down=(8, 12, 4),
-    up=(12, 8),
-    out=(8, 4),
-    mixer=(8, 12),
+    widths=(8, 8, 8, 8), scales=4, edge_kernel=3, detail=True, recent=3, down=(8, 12, 4), up=(12, 8), out=(8, 4)
 )
 
 
@@ -41,11 +33,9 @@ def model():
     return create(SMALL).eval().requires_grad_(False)
 
 
-def told(model, written, kept=-100.0):
-    """The model with the weights of its pixels and of the previous picture set by hand: logits."""
-    model.mixer.head.weight[:] = 0
-    model.mixer.head.bias[:] = torch.tensor([written, kept])
-    return model
+def shares(monkeypatch, kernels, before=0.0):
+    """Set the shares of the kernels' image and of the previous picture."""
+    monkeypatch.setattr(mixing.mix, "__defaults__", (*mixing.mix.__defaults__[:-1], (kernels, before)))
 
 
 def trusting(model, reset=-100.0):
@@ -70,37 +60,43 @@ def test_any_size_goes_in_and_comes_out(model, size):
     assert all(image.shape == (1, 3, *size) and image.isfinite().all() and image.min() >= 0 for image in images)
 
 
-def test_without_a_share_the_image_is_the_kernels(model):
+def test_without_a_share_the_image_is_the_kernels(model, monkeypatch):
     history = alone = None
     for frame in make_frames(4):
-        image, history = told(trusting(model), -100.0).step(frame, history)
+        shares(monkeypatch, 1.0)
+        image, after = trusting(model).step(frame, history)
         kernels, alone, _ = model.step_and_kernels(frame, alone)
         torch.testing.assert_close(image, kernels, rtol=1e-4, atol=1e-5)
-        other, _ = told(model, 0.0).step(frame, history)
-        assert not torch.allclose(other, image, rtol=1e-2)
         for name, layer in alone.layers().items():
-            torch.testing.assert_close(history.layers()[name], layer, rtol=1e-4, atol=1e-5)
+            torch.testing.assert_close(after.layers()[name], layer, rtol=1e-4, atol=1e-5)
+        shares(monkeypatch, 0.5)
+        assert not torch.allclose(model.step(frame, history)[0], image, rtol=1e-2)
+        history = after
 
 
-def test_the_picture_is_history_and_is_kept(model):
-    """All of it, with such weights, where motion leads to it and nothing was just uncovered; not where the kernels
-    give their history up."""
+def test_the_picture_is_history_and_is_kept(model, monkeypatch):
+    """All of it, with such a share, where motion leads to it and nothing was just uncovered; not where the kernels give
+    their history up."""
+    shares(monkeypatch, 0.5, before=1.0)
     history = None
     for frame in make_frames(3):
-        before, (image, history) = history, told(trusting(model), 0.0, kept=100.0).step(frame, history)
+        before, (image, history) = history, trusting(model).step(frame, history)
         assert torch.equal(history.radiance, image)
     past = reprojected(model.config, frame, frame.radiance, before)
     held = past.on_screen & ~past.uncovered
     assert held.any() and not held.all()
     same = (image - past.output).abs().amax(1, keepdim=True) < 1e-4
     assert same[held].all() and not same[~held].all()
-    image, _ = told(trusting(model, 100.0), -100.0, kept=100.0).step(frame, before)
-    written, _ = told(model, 100.0).step(frame, before)
-    torch.testing.assert_close(image, written, rtol=1e-4, atol=1e-5)
+    image, _ = trusting(model, 100.0).step(frame, before)
+    shares(monkeypatch, 0.0)
+    written, _ = model.step(frame, before)
+    seen = past.on_screen.expand_as(image)
+    torch.testing.assert_close(image[seen], written[seen], rtol=1e-4, atol=1e-5)
 
 
-def test_it_sees_the_light_that_the_kernels_have_averaged(model):
+def test_it_sees_the_light_that_the_kernels_have_averaged(model, monkeypatch):
     """Not the frame alone: another past is another picture."""
+    shares(monkeypatch, 0.0)
     *before, frame = make_frames(3)
     images = []
     for scale in (1.0, 1.2):
@@ -109,15 +105,15 @@ def test_it_sees_the_light_that_the_kernels_have_averaged(model):
             _, history = model.step(replace(past, radiance=past.radiance * scale), history)
         seen = []
         hook = model.pixels.register_forward_pre_hook(lambda _, inputs, seen=seen: seen.append(inputs[0]))
-        images.append(told(model, 100.0).step(frame, history)[0])
+        images.append(model.step(frame, history)[0])
         hook.remove()
         averaged, light = seen[0][:, :3], compress(CONTRAST * model.statistics(frame)[0] * frame.radiance)
         assert not torch.allclose(averaged, light, rtol=0.05)
     assert not torch.allclose(*images)
 
 
-def test_written_pixels_stay_within_the_light_around_them(model):
-    told(model, 100.0)
+def test_written_pixels_stay_within_the_light_around_them(model, monkeypatch):
+    shares(monkeypatch, 0.0)
     for frame in make_frames(2, H=40, W=70):
         even = replace(frame, radiance=torch.full_like(frame.radiance, 0.3), albedo=torch.full_like(frame.albedo, 0.6))
         torch.testing.assert_close(model.step(even)[0], even.radiance, rtol=1e-5, atol=0)
@@ -129,19 +125,20 @@ def test_written_pixels_stay_within_the_light_around_them(model):
     assert (most[..., 16:, 48:] == 9).all() and most[..., :16, :].max() < 1 and most[..., :48].max() < 1
 
 
-def test_training_leaves_both_pictures_alone():
+def test_training_leaves_the_kernels_alone():
     torch.manual_seed(0)
     model, history = create(SMALL), None
     for frame in make_frames(2):
         image, history = model.step(frame, history)
     image.square().mean().backward()
     trained = {name for name, weight in model.named_parameters() if weight.grad is not None}
-    assert trained == {name for name, _ in model.named_parameters() if name.startswith("mixer.")}
-    assert all(weight.grad.isfinite().all() for weight in model.mixer.parameters())
+    assert trained == {name for name, _ in model.named_parameters() if name.startswith("pixels.")}
+    assert all(weight.grad.isfinite().all() for weight in model.pixels.parameters())
 
 
-def test_its_training_begins_with_oidns_network(tmp_path):
-    """OIDN's weights in our network give its picture, and stay as they are; and the kernels are those of `default`."""
+def test_its_pixels_are_those_of_oidns_network(tmp_path, monkeypatch):
+    """OIDN's weights in our network give its picture; and the kernels are those of `default`."""
+    shares(monkeypatch, 0.0)
     out = tmp_path / "begin.safetensors"
     subprocess.run([sys.executable, ROOT / "tools" / "begin_hybrid.py", out], check=True)
     hybrid, kernels = read(out), read("default")
@@ -150,7 +147,7 @@ def test_its_training_begins_with_oidns_network(tmp_path):
     theirs = Oidn().step(frame)[0]
     brightness = theirs.mean()
     error = {}
-    for name, image in {"pixels": told(hybrid, 100.0).step(frame)[0], "kernels": kernels.step(frame)[0]}.items():
+    for name, image in {"pixels": hybrid.step(frame)[0], "kernels": kernels.step(frame)[0]}.items():
         difference = (image - theirs).abs() / (theirs + brightness)
         error[name] = difference.mean().item()
     assert error["pixels"] < 0.015 and error["pixels"] < 0.3 * error["kernels"], error

@@ -12,7 +12,9 @@ from rtdenoise.baselines import Oidn
 from rtdenoise.cli.main import main
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose
+from rtdenoise.exposure import exposure
 from rtdenoise.models import AccumulatedKPNConfig
+from rtdenoise.models.mixing import BEFORE, KERNELS, mix
 from rtdenoise.ops import warp
 from rtdenoise.ops.recall import reset_of
 from rtdenoise.run import opinion
@@ -30,13 +32,18 @@ def weights(tmp_path):
     return str(tmp_path / "w.safetensors")
 
 
-def test_it_is_between_both_pictures(weights):
-    """Of light that is constant both know it."""
-    image, picture = torch.full((1, 3, 8, 8), 2.0), torch.full((1, 3, 8, 8), 8.0)
-    found = opinion.mixed(image, picture, 0.5)
+def test_it_is_between_all_pictures():
+    """Of light that is constant all know it."""
+    one = torch.ones(1, 1, 1, 1)
+    image, picture, before = (torch.full((1, 3, 8, 8), x) for x in (2.0, 8.0, 4.0))
+    found = mix(image, picture, one)
     assert ((found > 2) & (found < 8)).all()
-    assert torch.allclose(opinion.mixed(image, image, 0.3), image, rtol=1e-5)
-    assert torch.allclose(opinion.mixed(8 * image, 8 * picture, 0.5), 8 * found, rtol=1e-5)  # at any exposure
+    nearer = mix(image, picture, one, before=before)
+    assert ((nearer > 4) & (nearer < found)).all()
+    assert torch.allclose(mix(image, image, one, 0.3, image), image, rtol=1e-5)
+    assert torch.allclose(mix(8 * image, 8 * picture, one / 8, 1.0, 8 * before), 8 * nearer, rtol=1e-5)
+    assert torch.allclose(mix(image, picture, one, 0.0, before), picture, rtol=1e-5)
+    assert torch.allclose(mix(image, picture, one, 1.0, before, held=0.0), found, rtol=1e-5)
 
 
 def recorder(seen):
@@ -73,11 +80,12 @@ def test_oidn_gets_the_average_and_the_picture_is_history(weights, few, monkeypa
 
         trust = 1 - reset_of(after.recent[0])
         assert history is None or ((trust > 0).all() and (trust < 1).any())
-        expected = opinion.mixed(torch.from_numpy(plain), Oidn().step(seen[-1])[0], opinion.SHARE[few] * trust)
+        plain, before, held = torch.from_numpy(plain), None, 1.0
         if few and history is not None:
             motion, on_screen, uncovered = history_motion(frame, history, "dual")
-            before = warp(history.radiance, motion, on_screen, expected, cubic=True)
-            expected = opinion.mixed(before, expected, opinion.KEPT[few] * trust * ~uncovered)
+            before, held = warp(history.radiance, motion, on_screen, plain, cubic=True), on_screen & ~uncovered
+        shares = (KERNELS, BEFORE) if few else opinion.FOR_MANY
+        expected = mix(plain, Oidn().step(seen[-1])[0], exposure(plain), trust, before, held, shares)
         assert np.allclose(image, expected.numpy(), rtol=1e-4, atol=1e-5)
         history = onward
     noise, averaged = (x - frame.reference for x in (frame.radiance, seen[-1].radiance))

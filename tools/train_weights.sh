@@ -24,7 +24,7 @@ case $model in
     default | fast | quality | many | hybrid | combiner | settings) ;;
     *) echo "expected default, fast, quality, many, hybrid, combiner or settings, got '$model'" >&2; exit 2 ;;
 esac
-case $model in default | many | quality | hybrid | combiner)
+case $model in default | many | quality | combiner)
     [ -n "${ASSETS:-}" ] || { echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2; };;
 esac
 
@@ -46,21 +46,9 @@ noisy="--reference-error 0.2"
 files=${SCENES:+--scenes $SCENES --motions examples/motions}
 two=${SCENES:+--exclude street dining-room} # of the other scenes this set shows three, none of the measured ones
 ship() { run python tools/ship_weights.py "$@"; } # NAME FILE, or a mean: NAME FILE=SHARE...
-if [ "$model" = hybrid ]; then # OIDN's network learns what averaged light is worth; the kernels are those of `default`
-    begin=runs/hybrid-begin.safetensors last=runs/hybrid-last
-    history="--size 160 --frames 2 --sun 0.5"
-    clips windows --assets "$ASSETS" $files --count 157 --seed 771 --size 192 --frames 2 --lead-in 9 \
-        --reference-error 0.05 --most-spp 8
-    clips repeated --assets "$ASSETS" $files --count 54 --seed 4242 --size 192 --frames 1 --repeats 8 \
-        --reference-error 0.3 --most-spp 4
-    clips small $wide $files --count 20 --seed 95500 $history --lead-in 12 --calm 0.3 --reference-error 0.02
-    clips more-small $wide $files --count 126 --seed 96500 $history --lead-in 9 --calm 0.2 $noisy
-    run python tools/begin_hybrid.py $begin
-    run rtdenoise train --out $last --model hybrid --device "$device" --init $begin --signal both --loss-exposure 4 \
-        --huber 0.2 --loss-power 0.5 --no-occlusion-loss --batch 1 --warmup 50 --frames 2 --lead-in 9 --cuts 0.15 \
-        --shade 0.15 --steps 3600 --lr 1e-4 \
-        --data data/windows-clean data/repeated-clean data/small-clean data/more-small-clean
-    ship hybrid $begin=0.75 $last/weights.safetensors=0.25 set:recent=8
+if [ "$model" = hybrid ]; then # the kernels of `default` and OIDN's network, both as they are: nothing to train
+    run python tools/begin_hybrid.py runs/hybrid.safetensors
+    ship hybrid runs/hybrid.safetensors set:recent=8
     exit
 fi
 run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128

@@ -79,9 +79,9 @@ def real_time(frames: list[Frame]) -> list[dict]:
     rows = [{"variant": "oidn"} | errors(frames, {i: alone.step(frame)[0] for i, frame in enumerate(frames)})]
     trusted = opinion.reset_of
     for name, (share, kept, trusts, fed) in REAL_TIME.items():
-        opinion.SHARE[True], opinion.KEPT[True] = share, kept
         opinion.reset_of = trusted if trusts else lambda kept: torch.zeros_like(kept[:, :1], dtype=torch.float32)
         asked, history, images = opinion.Opinion(network.config), None, {}
+        asked.shares = share, kept
         for i, frame in enumerate(frames):
             images[i], onward = asked.step(network.step, frame, history)
             history = onward if fed else replace(onward, radiance=network.step(frame, history)[0])

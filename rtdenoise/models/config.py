@@ -87,17 +87,13 @@ class NetworkConfig:
         return [head.channels for head in self.heads[scale]]
 
     def unet_shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
-        return unet_shapes(inputs, self.widths)
-
-
-def unet_shapes(inputs: int, widths: tuple[int, ...], prefix: str = "") -> dict[str, tuple[int, ...]]:
-    """The shapes of the weights of a `unet.UNet` named `unet`."""
-    blocks = {f"encoder.{i}": ab for i, ab in enumerate(zip((inputs, *widths), widths, strict=False))}
-    blocks |= {f"decoder.{i}": (a + b, b) for i, (a, b) in enumerate(zip(widths[1:], widths, strict=False))}
-    shapes: dict[str, tuple[int, ...]] = {}
-    for name, (a, b) in blocks.items():
-        shapes |= {f"{prefix}unet.{name}.0.weight": (b, a, 3, 3), f"{prefix}unet.{name}.2.weight": (b, b, 3, 3)}
-    return shapes
+        below = zip(self.widths[1:], self.widths, strict=False)
+        blocks = {f"encoder.{i}": ab for i, ab in enumerate(zip((inputs, *self.widths), self.widths, strict=False))}
+        blocks |= {f"decoder.{i}": (a + b, b) for i, (a, b) in enumerate(below)}
+        shapes: dict[str, tuple[int, ...]] = {}
+        for name, (a, b) in blocks.items():
+            shapes |= {f"unet.{name}.0.weight": (b, a, 3, 3), f"unet.{name}.2.weight": (b, b, 3, 3)}
+        return shapes
 
 
 def with_biases(shapes: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:

@@ -1,9 +1,8 @@
 """Kernel prediction, and a network that writes pixels, mixed: the best picture in real time.
 
 A kernel mixes the light that is there; a network that writes pixels also knows pictures, and errs elsewhere. So what
-recent frames have seen in each pixel goes through a U-Net that writes pixels, and a small network says for every pixel
-how much of these, of the kernels' image and of the previous picture to show. The kernels take the result as their own
-history.
+recent frames have seen in each pixel goes through a U-Net that writes pixels, and `mixing` makes one picture of these,
+the kernels' image and the previous picture. The kernels take it as their own history.
 
 The network that writes pixels is that of Open Image Denoise (Áfra 2019-2025, Apache License 2.0), with its weights.
 """
@@ -17,23 +16,20 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ..color import compress, expand
+from ..color import expand
 from ..frame import NOTHING_KNOWN, Frame, History, Known
-from ..ops.blend import blend
 from ..ops.even_sky import even_sky
 from ..ops.features import features
-from ..ops.pixels import nearness
 from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
-from .past import evened
-from .unet import ConvRelu, UNet, Up, pool
+from .mixing import evened, mix
+from .unet import ConvRelu, Up, pool
 
 CELL = 16  # pixels, of `surroundings`
 CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + CONTRAST): dark parts matter, too
 UNIT = 0.06145  # of compressed light, as OIDN has it
-WRITTEN, KEPT = 0.6, 0.1  # where training begins: pixels against the kernels' image, and the previous picture
 
 
 class Hybrid(AccumulatedKPN):
@@ -42,12 +38,11 @@ class Hybrid(AccumulatedKPN):
     def __init__(self, config: HybridConfig) -> None:
         super().__init__(config)
         self.pixels = PixelNetwork(config)
-        self.mixer = Mixer(config)
 
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """As `Denoiser.step`. Training leaves both pictures as they are: a gradient reaches the mixer alone."""
+        """As `Denoiser.step`. Training leaves the kernels as they are: no gradient reaches them."""
         frame = admit(frame, history and history.radiance, known)
         if known.exposure is None:
             exposure, distance = self.statistics(frame)
@@ -55,30 +50,21 @@ class Hybrid(AccumulatedKPN):
         with torch.no_grad():
             # Filter by kernels, and average.
             image, after, kernels = self.step_and_kernels(frame, history, replace(known, sanitised=True))
-            past, heads = kernels.past, kernels.heads
+            past = kernels.past
+            trust = 1 - past.on_screen * kernels.heads.reset
 
-            # Write the pixels of what has been seen.
-            scale = CONTRAST * known.exposure
+            # Show the other network what has been seen in each pixel.
             radiance, *guides = after.footprint.split(FOOTPRINT, dim=1)
             if history is not None:
                 radiance = evened(radiance, after.footprint_count, image)
             least, most = surroundings(radiance, image)
-            written = self.pixels(features((radiance,), guides, scale, self.stem.weight))
-            written = (expand(written) / scale).clamp(least, most)
+            scale = CONTRAST * known.exposure
+            x = features((radiance,), guides, scale, self.stem.weight)
+        pixels = (expand(self.pixels(x)) / scale).clamp(least, most)
 
-            # Say how to mix. History is not trusted where light has changed: the kernels' image lags there.
-            trust = 1 - past.on_screen * heads.reset
-            light = written, image, past.output.clamp(min=0), radiance, frame.radiance
-            geometry = *guides, nearness(frame.depth, known.distance)
-            time = after.footprint_count / (1 + self.config.recent), past.length / self.config.longest, past.uncovered
-            x = features(light, (*geometry, *time, trust, heads.alpha_temporal), scale, self.stem.weight)
-            written, filtered, before = (compress(x * scale) for x in light[:3])
-        share, kept = self.mixer(x)
-
-        # Mix in the compressed domain, where edges of lamps do not spread.
-        mixed = blend(filtered, written, trust * (1 - share))
-        mixed = blend(before, mixed, past.on_screen * ~past.uncovered * trust * kept)
-        shown = even_sky(expand(mixed) / scale, frame.radiance, frame.depth)
+        held = past.on_screen & ~past.uncovered
+        shown = mix(image, pixels, known.exposure, trust, past.output, held)
+        shown = even_sky(shown, frame.radiance, frame.depth)
         return shown, replace(after, radiance=shown.detach())
 
 
@@ -123,27 +109,3 @@ class PixelNetwork(nn.Module):
         with nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False):
             y = F.conv2d(x.float(), self.last.weight.float(), self.last.bias.float(), padding=1)
         return F.relu(y[..., :H, :W]) / UNIT
-
-
-class Mixer(nn.Module):
-    """A small U-Net at half size that says how to mix pictures."""
-
-    def __init__(self, config: HybridConfig) -> None:
-        super().__init__()
-        width = config.mixer[0]
-        self.stem = ConvRelu(config.mixes, width, 4, stride=2, padding=1)
-        self.unet = UNet(width, config.mixer)
-        self.head = nn.ConvTranspose2d(width, 2, 2, stride=2)
-        nn.init.zeros_(self.head.weight)
-        with torch.no_grad():
-            self.head.bias.copy_(torch.logit(torch.tensor([WRITTEN, KEPT])))
-
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """`features`, `[B, 27, H, W]`, to the weight of written pixels against the kernels' image, and that of the
-        previous picture against both, `[B, 1, H, W]` in [0, 1] each, float32."""
-        H, W = x.shape[2:]
-        more = max(W % 2, 4 - W), max(H % 2, 4 - H)  # as for the stem of `AccumulatedKPN`
-        if any(more):
-            x = F.pad(x, (0, more[0], 0, more[1]), mode="replicate")
-        y = self.head(self.unet(self.stem(x), 1)[0])[..., :H, :W]
-        return y.float().sigmoid().split(1, dim=1)

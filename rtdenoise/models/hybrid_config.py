@@ -1,11 +1,11 @@
-"""The configuration of the network that mixes kernels' images and written pixels (`hybrid`). Needs no torch."""
+"""The configuration of the network that writes pixels (`hybrid`). Needs no torch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from .config import AccumulatedKPNConfig, rounded_up, unet_shapes, with_biases
+from .config import AccumulatedKPNConfig, rounded_up, with_biases
 
 
 @dataclass(frozen=True)
@@ -15,10 +15,6 @@ class HybridConfig(AccumulatedKPNConfig):
 
     architecture: ClassVar[str] = "hybrid"
     inputs: ClassVar[int] = 9  # of the network that writes pixels: a footprint's radiance, albedo and normal
-    # Of the mixer: written pixels 3, the kernels' image 3, previous output 3, the footprint's radiance 3, noisy
-    # radiance 3, the footprint's albedo 3 and normal 3, nearness 1, frames in the footprint 1, history length 1,
-    # uncovered 1, trust in history 1, temporal α of the kernels 1.
-    mixes: ClassVar[int] = 27
 
     recent: int = 8
     footprint: bool = True
@@ -28,14 +24,12 @@ class HybridConfig(AccumulatedKPNConfig):
     """Channels of the first convolution of each level on the way up, at 1, 1/2 ... of the image size."""
     out: tuple[int, ...] = (32, 64, 96, 112)
     """Channels of the second convolution of each."""
-    mixer: tuple[int, ...] = (24, 32, 48)
-    """Channels of the mixer's U-Net at 1/2, 1/4 ... of the image size."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.footprint:
             raise ValueError("footprint: expected true, got false")
-        for name in ("down", "up", "out", "mixer"):
+        for name in ("down", "up", "out"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
             self.check_widths(name)
         if not len(self.up) == len(self.out) == len(self.down) - 1:
@@ -63,14 +57,9 @@ class HybridConfig(AccumulatedKPNConfig):
             shapes[f"pixels.decoder.{i}.0.weight"] = first, below + skip, 3, 3
             shapes[f"pixels.decoder.{i}.2.weight"] = second, first, 3, 3
         shapes["pixels.last.weight"] = 3, self.out[0], 3, 3
-        width = self.mixer[0]
-        shapes |= {"mixer.stem.weight": (width, self.mixes, 4, 4)} | unet_shapes(width, self.mixer, "mixer.")
-        head = {"mixer.head.weight": (width, 2, 2, 2), "mixer.head.bias": (2,)}
-        return super().shapes | with_biases(shapes) | head
+        return super().shapes | with_biases(shapes)
 
     @property
     def network_reach(self) -> int:
-        """As `NetworkConfig.network_reach`: the pixels' network works at full size, the mixer at half size and sees all
-        that was made before."""
-        pixels, mixer = 3 * 2 ** len(self.down) + 1, 6 * 2 ** len(self.mixer)
-        return super().network_reach + rounded_up(pixels) + rounded_up(mixer)
+        """As `NetworkConfig.network_reach`: the pixels' network sees what the kernels made."""
+        return super().network_reach + rounded_up(3 * 2 ** len(self.down) + 1)

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from .presets import Config
 
 
-SEEN_ONCE = 0.8  # share of the noisy light where one frame has seen a pixel, and others have a history (`evened`)
-
-
 @dataclass(frozen=True)
 class Past:
     """The history of each pixel, reprojected. Zero where there is none."""
@@ -80,9 +77,3 @@ def footprint(frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:
     if past.footprint is None:
         return seen, torch.ones_like(frame.depth)
     return accumulate(seen, past.footprint, past.footprint_count, reset, torch.inf)
-
-
-def evened(light: Tensor, count: Tensor, image: Tensor) -> Tensor:
-    """Averaged light `[B, 3, H, W]` with some of the denoised `image` where `count` `[B, 1, H, W]` frames, one to two,
-    are in it: networks that see a single picture take noise for texture where pixels around have less of it."""
-    return torch.lerp(image, light, SEEN_ONCE + (1 - SEEN_ONCE) * (count - 1).clamp(0, 1))
