@@ -172,3 +172,19 @@ def test_it_is_a_method_of_evaluate():
         image, history = step(frame, history)
     assert image.isfinite().all() and len(history.recent) == 3
     assert "paper-oidn" not in {m.name for m in choose(["all"])}
+
+
+@pytest.mark.parametrize("name", ["default-oidn", "hybrid"])
+def test_its_own_picture_as_history_neither_drifts_nor_glows(name):
+    """Over forty frames the error stays; when the light goes out, so does the picture."""
+    (method,) = choose([name])
+    step, history, errors = method.step("cpu", "fp32"), None, []
+    frames = make_frames(40, H=48, W=64)
+    with torch.inference_mode():
+        for frame in frames:
+            image, history = step(frame, history)
+            errors.append((image - frame.reference).square().mean().item())
+        assert np.mean(errors[-8:]) < 1.1 * np.mean(errors[8:16])
+        for frame in make_frames(46, H=48, W=64)[40:]:
+            image, history = step(replace(frame, radiance=torch.zeros_like(frame.radiance)), history)
+        assert image.max() < 1e-3 * frames[-1].reference.mean()
