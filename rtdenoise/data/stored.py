@@ -15,11 +15,11 @@ from ..errors import InputError
 from ..files import open_regular, write_atomically
 from ..frame import HIDDEN, RECENT
 
-CHANNELS = {  # of fields of `History`, and of `trust` in estimates; hidden features have any number, at any size
+CHANNELS = {  # field of `History` -> channels; hidden features have any number of them, at any size
     "radiance": 3, "motion_next": 2, "depth": 1, "normal": 3, "length": 1, "mean": 3, "mean_albedo": 3,
     "residual": 3, "residual_length": 1, "footprint": 9, "footprint_count": 1,
-    "trust": 1,
 }  # fmt: skip
+OF_ESTIMATES = {"trust": 1}  # fields of the offline mode's estimates that a history lacks
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number
 
@@ -43,7 +43,8 @@ def read_history(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that numpy lacks
         raise InputError(f"{path}: not a readable history ({error})") from None
     several = re.compile(rf"({HIDDEN}|{RECENT})\d{{1,4}}")
-    unknown = [n for n in fields if n not in CHANNELS and n != RESETS and not several.fullmatch(n)]
+    known = {*CHANNELS, *OF_ESTIMATES, RESETS}
+    unknown = [name for name in fields if name not in known and not several.fullmatch(name)]
     if unknown or (fields and "radiance" not in fields):
         raise InputError(f"{path}: not a history of this version: it holds {', '.join(sorted(fields))}")
     for name, array in fields.items():
@@ -71,7 +72,7 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
     expected_type = np.int32 if recent else np.int16 if resets else np.float32
     if array.dtype != expected_type and (array.dtype, expected_type) != (np.float16, np.float32):
         raise InputError(f"{label} is {array.dtype}, expected {expected_type.__name__}")
-    channels = CHANNELS.get(name)
+    channels = (CHANNELS | OF_ESTIMATES).get(name)
     if recent:
         words = array.shape[1] if array.ndim == 4 else 0
         channels = words if words == RECALL_FOOTPRINT_WORDS else RECALL_WORDS
