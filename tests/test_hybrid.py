@@ -90,8 +90,8 @@ def test_the_picture_is_history_and_is_kept(model, monkeypatch):
     image, _ = trusting(model, 100.0).step(frame, before)
     shares(monkeypatch, 0.0)
     written, _ = model.step(frame, before)
-    seen = past.on_screen.expand_as(image)
-    torch.testing.assert_close(image[seen], written[seen], rtol=1e-4, atol=1e-5)
+    held = held.expand_as(image)
+    torch.testing.assert_close(image[held], written[held], rtol=1e-4, atol=1e-5)
 
 
 def test_it_sees_the_light_that_the_kernels_have_averaged(model, monkeypatch):

@@ -78,12 +78,13 @@ def test_oidn_gets_the_average_and_the_picture_is_history(weights, few, monkeypa
             assert torch.equal(tensor, onward.layers()[name]) is (name != "radiance"), name
         assert torch.equal(onward.radiance, torch.from_numpy(image))
 
-        trust = 1 - reset_of(after.recent[0])
-        assert history is None or ((trust > 0).all() and (trust < 1).any())
-        plain, before, held = torch.from_numpy(plain), None, 1.0
-        if few and history is not None:
+        plain, trust, before, held = torch.from_numpy(plain), 1.0, None, 1.0
+        if history is not None:
             motion, on_screen, uncovered = history_motion(frame, history, "dual")
-            before, held = warp(history.radiance, motion, on_screen, plain, cubic=True), on_screen & ~uncovered
+            held = on_screen & ~uncovered
+            trust = 1 - held * reset_of(after.recent[0])
+            assert (trust > 0).all() and (trust < 1).any()
+            before = warp(history.radiance, motion, on_screen, plain, cubic=True) if few else None
         shares = (KERNELS, BEFORE) if few else opinion.FOR_MANY
         expected = mix(plain, Oidn().step(seen[-1])[0], exposure(plain), trust, before, held, shares)
         assert np.allclose(image, expected.numpy(), rtol=1e-4, atol=1e-5)
@@ -98,26 +99,38 @@ def test_where_light_has_changed_the_picture_is_oidns(weights, monkeypatch, tmp_
     picture = torch.full((1, 3, 24, 32), 0.25)
     monkeypatch.setattr(Oidn, "step", lambda self, frame, history=None: (picture, None))
     monkeypatch.setattr(opinion, "reset_of", lambda kept: torch.ones_like(kept[:, :1], dtype=torch.float32))
-    asked, history = TorchBackend(kept_weights(tmp_path), "cpu", "fp32", oidn=True), None
-    for frame in make_frames(2, H=24, W=32):
-        image, history = asked.step(asked.prepare(frame), history)
-    assert np.allclose(image, 0.25, rtol=1e-5)
+    asked = TorchBackend(kept_weights(tmp_path), "cpu", "fp32", oidn=True)
+    first, second = make_frames(2, H=24, W=32)
+    history = asked.step(asked.prepare(first), None)[1]
+    image, _ = asked.step(asked.prepare(second), history)
+    _, seen, uncovered = history_motion(second, history, "dual")
+    held = (seen & ~uncovered).expand(1, 3, -1, -1).numpy()
+    assert held.any() and np.allclose(image[held], 0.25, rtol=1e-5) and not np.allclose(image[~held], 0.25)
 
 
 def test_light_that_one_frame_has_seen_is_evened_with_the_networks_image(monkeypatch, tmp_path):
-    """Not in the first frame, where all of it is as noisy; in the second, everything has come much nearer."""
+    """Not in the first frame, where all of it is as noisy; in the second, the right half has come much nearer. In the
+    third all has, and all of it is as noisy again."""
     seen = []
     monkeypatch.setattr(Oidn, "step", lambda self, frame, history=None: (seen.append(frame) or frame.radiance, None))
     weights = kept_weights(tmp_path)
     asked, network = TorchBackend(weights, "cpu", "fp32", oidn=True), TorchBackend(weights, "cpu", "fp32")
-    first, second = make_frames(2)
-    second = replace(second, depth=second.depth / 9)
+    first, second, third = make_frames(3, H=24, W=32)
+    right = torch.arange(32) >= 16
+    second = replace(second, depth=torch.where(right, second.depth / 9, second.depth))
+    third = replace(third, depth=third.depth / 99)
     _, history = asked.step(asked.prepare(first), None)
     plain, _ = network.step(network.prepare(second), history)
-    asked.step(asked.prepare(second), history)
-    assert torch.equal(seen[0].radiance, first.radiance)
-    expected = 0.8 * second.radiance + 0.2 * torch.from_numpy(plain)
-    assert torch.allclose(seen[1].radiance, expected, rtol=1e-4, atol=1e-5)
+    _, onward = asked.step(asked.prepare(second), history)
+    asked.step(asked.prepare(third), onward)
+    assert torch.equal(seen[0].radiance, first.radiance) and torch.equal(seen[2].radiance, third.radiance)
+
+    count, light = onward.footprint_count, onward.footprint[:, :3]
+    assert (count[..., 18:] == 1).all() and count[..., ~right].mean() > 1.2
+    _, on_screen, uncovered = history_motion(second, history, "dual")
+    trust = 1 - (on_screen & ~uncovered) * reset_of(onward.recent[0])
+    share = 0.4 * trust * (2 - count).clamp(0, 1) * (count.max() - 1).clamp(0, 1)  # of the image
+    assert torch.allclose(seen[1].radiance, light + share * (torch.from_numpy(plain) - light), rtol=1e-4, atol=1e-5)
 
 
 def test_an_interrupted_run_goes_on_to_the_bit(weights, tmp_path):

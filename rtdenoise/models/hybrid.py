@@ -24,10 +24,9 @@ from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
-from .mixing import evened, mix
+from .mixing import evened, greatest_around, mix
 from .unet import ConvRelu, Up, pool
 
-CELL = 16  # pixels, of `surroundings`
 CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + CONTRAST): dark parts matter, too
 UNIT = 0.06145  # of compressed light, as OIDN has it
 
@@ -51,33 +50,26 @@ class Hybrid(AccumulatedKPN):
             # Filter by kernels, and average.
             image, after, kernels = self.step_and_kernels(frame, history, replace(known, sanitised=True))
             past = kernels.past
-            trust = 1 - past.on_screen * kernels.heads.reset
+            held = past.on_screen & ~past.uncovered
+            trust = 1 - held * kernels.heads.reset
 
             # Show the other network what has been seen in each pixel.
             radiance, *guides = after.footprint.split(FOOTPRINT, dim=1)
-            if history is not None:
-                radiance = evened(radiance, after.footprint_count, image)
+            radiance = evened(radiance, after.footprint_count, image, trust)
             least, most = surroundings(radiance, image)
             scale = CONTRAST * known.exposure
             x = features((radiance,), guides, scale, self.stem.weight)
         pixels = (expand(self.pixels(x)) / scale).clamp(least, most)
 
-        held = past.on_screen & ~past.uncovered
         shown = mix(image, pixels, known.exposure, trust, past.output, held)
         shown = even_sky(shown, frame.radiance, frame.depth)
         return shown, replace(after, radiance=shown.detach())
 
 
 def surroundings(light: Tensor, image: Tensor) -> tuple[Tensor, Tensor]:
-    """The least and the greatest values of both, `[B, C, H, W]` each, in cells of `CELL` × `CELL` pixels and the eight
-    around them: where a network that writes pixels must stay, so that black stays black and even light even."""
-    H, W = light.shape[2:]
-
-    def greatest(x: Tensor) -> Tensor:
-        x = F.max_pool2d(F.max_pool2d(x, CELL, ceil_mode=True), 3, stride=1, padding=1)
-        return F.interpolate(x, scale_factor=CELL, mode="nearest")[..., :H, :W]
-
-    return -greatest(-torch.minimum(light, image)), greatest(torch.maximum(light, image))
+    """The least and the greatest values of both, `[B, C, H, W]` each, around every pixel (`greatest_around`): where a
+    network that writes pixels must stay, so that black stays black and even light even."""
+    return -greatest_around(-torch.minimum(light, image)), greatest_around(torch.maximum(light, image))
 
 
 class PixelNetwork(nn.Module):

@@ -1,7 +1,7 @@
 """How the pictures of a kernel network and of one that writes pixels become one.
 
 With f(x) = log(1 + x), exposure s, the previous picture where each pixel was (`before`) and the trust t in the kernel
-network's history, 1 - its reset,
+network's history, 1 - its reset where there is a history,
 
     mixed = t a · f(s · kernels) + (1 - t a) · f(s · pixels)
     image = f⁻¹(t b · f(s · before) + (1 - t b) · mixed) / s
@@ -14,11 +14,13 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from ..color import compress, expand
 
 KERNELS, BEFORE = 0.4, 0.1  # the shares a and b
-SEEN_ONCE = 0.8  # share of the noisy light where one frame has seen a pixel, and others have a history (`evened`)
+CELL = 16  # pixels, of `greatest_around`
+SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history (`evened`)
 
 
 def mix(
@@ -41,7 +43,17 @@ def mix(
     return expand(mixed) / scale
 
 
-def evened(light: Tensor, count: Tensor, image: Tensor) -> Tensor:
+def evened(light: Tensor, count: Tensor, image: Tensor, trust: Tensor | float = 1.0) -> Tensor:
     """Averaged light `[B, 3, H, W]` with some of the denoised `image` where `count` `[B, 1, H, W]` frames, one to two,
-    are in it: networks that see a single picture take noise for texture where pixels around have less of it."""
-    return torch.lerp(image, light, SEEN_ONCE + (1 - SEEN_ONCE) * (count - 1).clamp(0, 1))
+    are in it and more in pixels around: networks that see a single picture take noise for texture where there is less
+    of it nearby. As far as the image is trusted (`mix`). To the bit the light where one frame is in all pixels
+    around."""
+    once = 1 - (count - 1).clamp(0, 1)
+    return torch.lerp(image, light, 1 - (1 - SEEN_ONCE) * trust * once * (greatest_around(count) - 1).clamp(0, 1))
+
+
+def greatest_around(x: Tensor) -> Tensor:
+    """The greatest values of `[B, C, H, W]` in cells of `CELL` × `CELL` pixels and the eight around them."""
+    H, W = x.shape[2:]
+    x = F.max_pool2d(F.max_pool2d(x, CELL, ceil_mode=True), 3, stride=1, padding=1)
+    return F.interpolate(x, scale_factor=CELL, mode="nearest")[..., :H, :W]

@@ -53,13 +53,16 @@ class Opinion:
         frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
         image, onward = step(frame, history, known)
         radiance, albedo, normal = onward.footprint.split(FOOTPRINT, dim=1)
-        if history is not None and self._few:
-            radiance = evened(radiance, onward.footprint_count, image)
-        picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
-        scale, trust, before, held = exposure(image), 1 - reset_of(onward.recent[0]), None, 1.0
-        if history is not None and self.shares[1]:
+        trust, before, held = 1.0, None, 1.0
+        if history is not None:
             motion, seen, uncovered = history_motion(frame, history, self._motion)
-            before, held = warp(history.radiance, motion, seen, image, cubic=True), seen & ~uncovered
-        image = mix(image, picture, scale, trust, before, held, self.shares)
+            held = seen & ~uncovered
+            trust = 1 - held * reset_of(onward.recent[0])
+            if self.shares[1]:
+                before = warp(history.radiance, motion, seen, image, cubic=True)
+        if self._few:
+            radiance = evened(radiance, onward.footprint_count, image, trust)
+        picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
+        image = mix(image, picture, exposure(image), trust, before, held, self.shares)
         image = even_sky(image, frame.radiance, frame.depth)  # OIDN filters the sky, too
         return image, replace(onward, radiance=image)
