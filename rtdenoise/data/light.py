@@ -56,10 +56,8 @@ def find_light(sequence: Sequence, lights: bool, also: tuple[str, ...]) -> Light
     found = {}
     if lights:
         if sequence.layout.name != "cycles":
-            raise InputError(
-                f"{sequence.paths[0]}: --lights reads the light passes of Blender's Cycles, this file "
-                f"is {sequence.layout.name}: leave --lights out, or name layers by --also"
-            )
+            raise InputError(f"{sequence.paths[0]}: --lights reads the light passes of Blender's Cycles, this file "
+                             f"is {sequence.layout.name}: leave --lights out, or name layers by --also")
         found = _light_passes(sequence, prefix)
         if taken := [name for name in also if name in found or f"{name} Color" in found]:
             raise InputError(f"--also {taken[0]}: --lights denoises this pass already: leave it out, or rename it")
