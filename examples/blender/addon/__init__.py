@@ -1,10 +1,10 @@
 """Denoise Animation: render at few samples, denoise with rtdenoise, and go on in the compositor.
 
-process, environment    programs beside Blender; a Python with rtdenoise. Need no bpy
-passes, work            what a scene needs; a job on disk
-render_frames           the renderer's side of a job
-compositor              the result as nodes
-operators, panel        buttons and what they do
+    process, environment    programs beside Blender; a Python with rtdenoise. Need no bpy
+    passes, work            what a scene needs; a job on disk
+    render_frames           the renderer's side of a job
+    compositor              the result as nodes
+    operators, panel        buttons and what they do
 """
 
 from __future__ import annotations
