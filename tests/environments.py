@@ -14,11 +14,12 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).parent.parent
 BLENDER, BLENDER_NEEDS = "bpy==4.2.0", "3.11"  # the oldest that the add-on serves
 PIP = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
+LONGEST = 900  # seconds of a command: one that hangs must not take the whole run with it
 
 
 def run(*command, **options):
-    """The output of a command. AssertionError with all of it if the command fails."""
-    result = subprocess.run(list(map(str, command)), capture_output=True, text=True, **options)
+    """The output of a command. AssertionError with all of it if the command fails, TimeoutExpired if it hangs."""
+    result = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=LONGEST, **options)
     assert result.returncode == 0, f"{command}\n{result.stdout}\n{result.stderr}"
     return result.stdout
 
