@@ -94,7 +94,7 @@ def test_oidn_gets_the_average_and_the_picture_is_history(weights, few, monkeypa
     assert len(history.recent) == 4
 
 
-def test_where_light_has_changed_the_picture_is_oidns(weights, monkeypatch, tmp_path):
+def test_where_light_has_changed_the_picture_is_oidns(monkeypatch, tmp_path):
     """A network that gives its history up entirely has no say, and the previous picture none either."""
     picture = torch.full((1, 3, 24, 32), 0.25)
     monkeypatch.setattr(Oidn, "step", lambda self, frame, history=None: (picture, None))
