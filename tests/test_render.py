@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rtdenoise.cli.main import main
 from rtdenoise.data.clips import FEATURES, RADIANCE, ClipDataset, clip_path, read_facts
 from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.errors import InputError
@@ -239,6 +240,29 @@ def test_position_projects_into_its_own_pixel(shot):
     offset = (pixel - np.stack([x, y], -1))[hit]
     assert offset.min() > -1e-3 and offset.max() < 1 + 1e-3
     assert offset.mean() == pytest.approx(0.5, abs=0.02) and offset.std() == pytest.approx(12**-0.5, abs=0.02)
+
+
+def test_a_window_is_that_part_of_the_picture(tmp_path):
+    options = ["--width", "64", "--height", "40", "--frames", "1", "--reference-spp", "64"]
+    main(["render", "sample", *options, "--out", f"{tmp_path}/whole"])
+    main(["render", "sample", *options, "--window", "24", "8", "32", "24", "--out", f"{tmp_path}/part"])
+    whole, part = (_read(tmp_path / name / "frame.0000.exr") for name in ("whole", "part"))
+    whole = {name: image[8:32, 24:56] for name, image in whole.items()}
+    assert part["color"].shape == (24, 32, 3)
+    same = _inner(whole["id"]) & (part["id"] == whole["id"])[..., 0]
+    assert same.mean() > 0.5
+    for layer, bound in (("motion", 0.01), ("position", 0.05)):  # other points of the same pixels
+        assert np.median(np.abs(part[layer] - whole[layer])[same]) < bound
+    assert part["reference"].mean() == pytest.approx(whole["reference"].mean(), rel=0.05)
+
+
+@pytest.mark.parametrize("window", [("-1", "0", "8", "8"), ("60", "0", "8", "8"), ("0", "0", "8", "0")])
+def test_a_window_beyond_the_picture(window, tmp_path, capsys):
+    command = ["render", "sample", "--width", "64", "--height", "40", "--window", *window, "--out", str(tmp_path)]
+    with pytest.raises(SystemExit, match="2"):
+        main(command)
+    told = capsys.readouterr().err
+    assert told == f"rtdenoise: --window {' '.join(window)}: expected LEFT TOP WIDTH HEIGHT, a part of 64×40 pixels\n"
 
 
 def test_motion_next_is_undone_by_the_next_frames_motion(shot):

@@ -38,6 +38,11 @@ class Render:
     """Pixels (default: 320)."""
     height: int | None = None
     """Pixels (default: 180)."""
+    window: Annotated[
+        tuple[int, int, int, int] | None,
+        arg(metavar="LEFT TOP WIDTH HEIGHT", help_behavior_hint="(default: the whole picture)"),
+    ] = None
+    """Part of the picture, in pixels: frames show it alone, at the sharpness of the whole picture."""
     spp: int = 1
     """Samples per pixel of the noisy frames; with pssmlt, mutations."""
     reference_spp: int = 256
@@ -67,13 +72,26 @@ class Render:
         from ..render.scenes.named import open_scene
         from ..render.sequence import render_sequence
 
-        size = (self.height or self.size or 180, self.width or self.size or 320)
+        view = (self.height or self.size or 180, self.width or self.size or 320)
+        size = self._window(view) if self.window else view
         if (paths := size[0] * size[1] * self.spp) > MAX_PATHS:
             raise InputError(f"--spp {self.spp}: {size[1]}×{size[0]} pixels take {paths} paths a frame, expected "
                              f"{MAX_PATHS} at most; average several runs with other --seed")  # fmt: skip
         depth = self.max_depth or (CAUSTIC_DEPTH if self.scene.startswith("caustic:") else 6)
         options = RenderOptions(size, self.spp, self.reference_spp, depth, self.seed, self._metropolis(size))
-        render_sequence(open_scene(self.scene, self.motion, self.textures), self.out, self.frames, options)
+        scene = open_scene(self.scene, self.motion, self.textures)
+        if self.window:
+            scene = scene.seen_through((*view, self.window[1], self.window[0]))
+        render_sequence(scene, self.out, self.frames, options)
+
+    def _window(self, view: tuple[int, int]) -> tuple[int, int]:
+        """Height and width of the window in a picture of `view` (height, width). Raises InputError where it leaves
+        the picture."""
+        (left, top, width, height), (below, right) = self.window, view
+        if not (0 <= left < left + width <= right and 0 <= top < top + height <= below):
+            raise InputError(f"--window {' '.join(map(str, self.window))}: expected LEFT TOP WIDTH HEIGHT, a part of "
+                             f"{right}×{below} pixels")  # fmt: skip
+        return height, width
 
     def _metropolis(self, size: tuple[int, int]):
         """Options of Metropolis sampling; None for path tracing. Raises InputError for options that do not apply."""

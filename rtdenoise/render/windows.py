@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -99,7 +99,5 @@ def _overlap(a: ClipWindow, b: ClipWindow, size, frames: int) -> float:
 
 def look_through(stage: Stage, window: ClipWindow, view: tuple[int, int]) -> Stage:
     """Narrow the stage's camera to a window of the picture that it shows now."""
-    whole = stage.scene.camera
-    part = (*view, window.top, window.left)
-    stage.scene = replace(stage.scene, camera=lambda t: replace(whole(t), window=part))
+    stage.scene = stage.scene.seen_through((*view, window.top, window.left))
     return stage

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -79,3 +79,7 @@ class Scene:
     spots: tuple[Spot, ...] = ()
     sun: Sun | None = None
     facts: dict = field(default_factory=dict)  # for the metadata of clips
+
+    def seen_through(self, window: tuple[int, int, int, int]) -> Scene:
+        """The scene whose camera shows this part of its picture alone (`Camera.window`)."""
+        return replace(self, camera=lambda t: replace(self.camera(t), window=window))
