@@ -23,6 +23,7 @@ from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.shares import shares
+from rtdenoise.ops.to_planes import to_planes
 from rtdenoise.splat import history_motion
 
 SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
@@ -310,6 +311,31 @@ def test_features(both, assert_images_close, size, dtype):
     assert plain.shape[1] == 9 and plain.dtype == fused.dtype == dtype
     assert fused.stride() == plain.stride() and torch.equal(fused[:, 4:], plain[:, 4:])  # guides are only rounded
     assert_images_close(fused.float(), plain.float(), "float32" if dtype == torch.float32 else "bfloat16 rounding")
+
+
+@pytest.mark.parametrize("size", [*SIZES, (1, 5), (4, 1)], ids=str)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16], ids=str)
+@pytest.mark.parametrize(("channels", "planes"), [(32, 3), (48, 1), (16, 4)])
+def test_to_planes(both, assert_images_close, size, dtype, channels, planes):
+    x = torch.rand(2, channels, *size).to(dtype).to(memory_format=torch.channels_last)
+    weight, bias = torch.rand(planes, channels, 3, 3).to(dtype), torch.rand(planes).to(dtype)
+    plain, fused = both(lambda x: to_planes(x, weight, bias), x)
+    assert plain.shape == (2, planes, *size) and plain.dtype == fused.dtype == torch.float32
+    assert_images_close(fused, plain, "float32")
+
+
+def test_to_planes_falls_back():
+    """Where the fused op does not fit: other channels, planes and layouts, and in training."""
+    x = torch.randn(1, 32, 6, 7).to(memory_format=torch.channels_last)
+    weight, bias = torch.randn(3, 32, 3, 3, requires_grad=True), torch.zeros(3)
+    to_planes(x, weight, bias).sum().backward()
+    assert weight.grad.abs().sum() > 0
+    weight = weight.detach()
+    expected = to_planes(x, weight, bias)
+    six = to_planes(x, weight.repeat(2, 1, 1, 1), bias.repeat(2))
+    for planes in (to_planes(x.contiguous(), weight, bias), six[:, :3], six[:, 3:]):
+        torch.testing.assert_close(planes, expected, rtol=1e-4, atol=1e-4)
+    assert to_planes(x[:, :9], weight[:, :9], bias).shape == expected.shape
 
 
 @pytest.mark.parametrize("size", [*SIZES, (3, 1281)], ids=str)

@@ -9,7 +9,6 @@ The network that writes pixels is that of Open Image Denoise (Áfra 2019-2025, A
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import replace
 
 import torch
@@ -21,6 +20,7 @@ from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.even_sky import even_sky
 from ..ops.features import features
 from ..ops.recall import FOOTPRINT
+from ..ops.to_planes import to_planes
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
@@ -82,8 +82,7 @@ class PixelNetwork(nn.Module):
         self.last = nn.Conv2d(config.out[0], 3, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """`features`, `[B, 9, H, W]`, to light compressed alike, `[B, 3, H, W]` ≥ 0 in float32: rounding it to 8 bits
-        would be seen."""
+        """`features`, `[B, 9, H, W]`, to light compressed alike, `[B, 3, H, W]` ≥ 0 in float32."""
         H, W = x.shape[2:]
         cell = 2 ** len(self.decoder)
         if H % cell or W % cell:  # by nothing, as OIDN does: the last row, repeated, would look like stripes of light
@@ -98,6 +97,5 @@ class PixelNetwork(nn.Module):
         x = self.encoder[-1](x)
         for level in reversed(range(len(self.decoder))):
             x = self.decoder[level](x, skips[level])
-        with nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False):
-            y = F.conv2d(x.float(), self.last.weight.float(), self.last.bias.float(), padding=1)
+        y = to_planes(x, self.last.weight, self.last.bias)
         return F.relu(y[..., :H, :W]) / UNIT
