@@ -307,6 +307,25 @@ def test_what_a_pass_does_not_trust_is_left_to_the_opinion():
     assert torch.allclose(left[..., 0], found[..., 0], rtol=0.02) and not torch.allclose(left[..., 1], found[..., 1])
 
 
+def test_the_noisy_frame_tells_how_much_the_network_counts():
+    """Stripes that the network has lost come back as OIDN shows them, in a frame of many samples; the other way round
+    too, and not from noise."""
+    torch.manual_seed(0)
+    stripes = (0.2 + 0.6 * (torch.arange(48) % 4 < 2)).expand(1, 3, 48, 48)
+    flat = torch.full_like(stripes, 0.5)
+    for own, opinion, worst in ((flat, stripes, 0.7), (stripes, flat, 0.9)):
+        candidates = Candidates(own, own, own, opinion)
+        error = [(combine(candidates, noisy).image - stripes).square().mean() for noisy in (None, stripes)]
+        assert error[1] < worst * error[0]
+    sparse = 64 * stripes * (torch.rand(1, 1, 48, 48) < 1 / 64)
+    candidates = Candidates(flat, flat, flat, stripes)
+    moved = (combine(candidates, sparse).image - combine(candidates).image).abs().mean()
+    assert moved < 0.1 * (flat - stripes).abs().mean()
+    none = replace(candidates, trust_forward=torch.zeros(1, 1, 48, 48), trust_backward=torch.zeros(1, 1, 48, 48))
+    assert torch.allclose(combine(none, sparse).image, stripes, rtol=1e-4)
+    assert torch.equal(combine(Candidates(*[stripes] * 4), sparse).image, stripes)
+
+
 def estimate(image, length, first=False):
     ones = torch.ones_like(image[:, :1])
     seen = torch.cat([image, torch.full_like(image, 0.5), torch.full_like(image, -0.6)], dim=1)

@@ -14,12 +14,13 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.exposure import exposure
 from rtdenoise.models import AccumulatedKPNConfig
-from rtdenoise.models.mixing import BEFORE, KERNELS, mix
+from rtdenoise.models.mixing import BEFORE, KERNELS, mix, share_told
 from rtdenoise.ops import warp
 from rtdenoise.ops.recall import reset_of
 from rtdenoise.run import opinion
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.sanitise import sanitise
 from rtdenoise.splat import history_motion
 
 SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3)
@@ -44,6 +45,44 @@ def test_it_is_between_all_pictures():
     assert torch.allclose(mix(8 * image, 8 * picture, one / 8, 1.0, 8 * before), 8 * nearer, rtol=1e-5)
     assert torch.allclose(mix(image, picture, one, 0.0, before), picture, rtol=1e-5)
     assert torch.allclose(mix(image, picture, one, 1.0, before, held=0.0), found, rtol=1e-5)
+
+
+def told(noisy, first, other, usual=0.4):
+    return share_told(noisy, first, other, torch.ones(1, 1, 1, 1), usual)
+
+
+def test_the_frame_tells_which_picture_is_nearer():
+    """Between what is usual and least squares: all the way where there is no noise, not at all where all is noise."""
+    torch.manual_seed(0)
+    truth, smooth = 0.1 + torch.rand(1, 3, 48, 48), torch.full((1, 3, 48, 48), 0.6)
+    assert told(truth, truth, smooth).min() > 0.75 and told(truth, smooth, truth).max() < 0.2
+    sparse = 64 * truth * (torch.rand(1, 1, 48, 48) < 1 / 64)  # one sample in 64 finds the light
+    assert (told(sparse, truth, smooth) - 0.4).abs().max() < 0.1
+    assert torch.allclose(told(truth, truth, truth), torch.tensor(0.4))
+    some = truth + 0.3 * torch.randn_like(truth)
+    assert 0.4 < told(some, truth, smooth).mean() < told(truth, truth, smooth).mean()
+
+
+def test_what_the_frame_tells_depends_on_no_unit_and_is_finite():
+    torch.manual_seed(0)
+    noisy, first, other = (torch.rand(1, 3, 20, 31) for _ in range(3))
+    found = told(noisy, first, other)
+    scaled = share_told(1e4 * noisy, 1e4 * first, 1e4 * other, torch.full((1, 1, 1, 1), 1e-4), 0.4)
+    assert found.shape == (1, 1, 20, 31) and torch.allclose(scaled, found, rtol=1e-3)
+    noisy[..., 4, 5] = 1e38
+    beside = told(noisy, first, other)
+    assert beside.isfinite().all() and torch.equal(beside[..., 12:, 15:], found[..., 12:, 15:])
+    for size in ((1, 1), (2, 5)):
+        assert told(*torch.rand(3, 1, 3, *size)).shape == (1, 1, *size)
+    assert told(*torch.zeros(3, 1, 3, 8, 8)).isfinite().all()
+
+
+def test_the_mixture_goes_where_the_frame_leads():
+    torch.manual_seed(0)
+    truth, smooth, one = 0.1 + torch.rand(1, 3, 48, 48), torch.full((1, 3, 48, 48), 0.6), torch.ones(1, 1, 1, 1)
+    error = [(mix(smooth, truth, one, noisy=noisy) - truth).square().mean() for noisy in (None, truth)]
+    assert error[1] < 0.3 * error[0]
+    assert torch.equal(mix(smooth, truth, one, 0.0, noisy=truth), mix(smooth, truth, one, 0.0))
 
 
 def recorder(seen):
@@ -86,7 +125,8 @@ def test_oidn_gets_the_average_and_the_picture_is_history(weights, few, monkeypa
             assert (trust > 0).all() and (trust < 1).any()
             before = warp(history.radiance, motion, on_screen, plain, cubic=True) if few else None
         shares = (KERNELS, BEFORE) if few else opinion.FOR_MANY
-        expected = mix(plain, Oidn().step(seen[-1])[0], exposure(plain), trust, before, held, shares)
+        picture = Oidn().step(seen[-1])[0]
+        expected = mix(plain, picture, exposure(plain), trust, before, held, shares, sanitise(frame).radiance)
         assert np.allclose(image, expected.numpy(), rtol=1e-4, atol=1e-5)
         history = onward
     noise, averaged = (x - frame.reference for x in (frame.radiance, seen[-1].radiance))

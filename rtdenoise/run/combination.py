@@ -10,7 +10,8 @@ The weight of the single frame is negative: forward and backward pass share the 
 single frame shows it. Where all candidates are equal the image equals them to the bit.
 
 With OIDN's picture a pass counts as far as the network trusts its history there: light that moves on a surface which
-stands still lags behind in it. OIDN's picture takes what is left. Without it the weights are near those that least
+stands still lags behind in it. All of its pictures together count as far as the noisy frame tells, too
+(`models.mixing.share_told`). OIDN's picture takes what is left. Without it the weights are near those that least
 squares find on other sequences than those that are measured, on the display transform
 (`python bench/offline.py --fit SEQ ...`). Weights by length of history, or from a network, gained nothing on other
 scenes (docs/notes/offline.md).
@@ -25,6 +26,7 @@ from torch import Tensor
 
 from ..color import compress, expand
 from ..exposure import exposure
+from ..models.mixing import share_told
 
 WEIGHTS = {"forward": 0.2, "backward": 0.2, "single": -0.2, "opinion": 0.8}  # where history is trusted
 WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}
@@ -51,11 +53,14 @@ class Combination:
     spread: Tensor  # [1, 1, H, W] radiance: Σ |w_i| |c_i - image|, how far the candidates are from the image
 
 
-def combine(candidates: Candidates) -> Combination:
-    """The weighted sum of the candidates; the equation stands above."""
+def combine(candidates: Candidates, noisy: Tensor | None = None) -> Combination:
+    """The weighted sum of the candidates; the equation stands above. `noisy`: the frame, `[1, 3, H, W]`; without it
+    weights are as they are where history is trusted."""
     weights = WEIGHTS_WITHOUT_OIDN if candidates.opinion is None else _trusted(candidates)
     scale, first = exposure(candidates.forward), candidates.forward
     light = {name: compress(scale * getattr(candidates, name)) for name in weights}
+    if noisy is not None and candidates.opinion is not None:
+        weights = _told(weights, noisy, light, scale)
     base = light["forward"]
     change = sum(weight * (light[name] - base) for name, weight in weights.items())
 
@@ -74,3 +79,16 @@ def _trusted(candidates: Candidates) -> dict[str, Tensor | float]:
     trust = {"forward": forward, "backward": backward, "single": (forward + backward) / 2}
     weights = {name: WEIGHTS[name] * share for name, share in trust.items()}
     return weights | {"opinion": 1 - sum(weights.values())}
+
+
+def _told(
+    weights: dict[str, Tensor | float], noisy: Tensor, light: dict[str, Tensor], scale: Tensor
+) -> dict[str, Tensor | float]:
+    """The weights, with those of the network's candidates, which `_trusted` made, as the noisy frame tells."""
+    own = {name: weight for name, weight in weights.items() if name != "opinion"}
+    together = sum(own.values())
+    picture = sum(weight * light[name] for name, weight in own.items()) / (together + (together == 0))
+    usual = 1 - WEIGHTS["opinion"]
+    share = share_told(noisy, expand(picture.clamp(min=0)) / scale, expand(light["opinion"]) / scale, scale, usual)
+    own = {name: weight * share / usual for name, weight in own.items()}
+    return own | {"opinion": 1 - sum(own.values())}

@@ -63,6 +63,6 @@ class Opinion:
         if self._few:
             radiance = evened(radiance, onward.footprint_count, image, trust)
         picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
-        image = mix(image, picture, exposure(image), trust, before, held, self.shares)
+        image = mix(image, picture, exposure(image), trust, before, held, self.shares, frame.radiance)
         image = even_sky(image, frame.radiance, frame.depth)  # OIDN filters the sky, too
         return image, replace(onward, radiance=image)

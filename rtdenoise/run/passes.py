@@ -61,7 +61,7 @@ class Passes:
     @torch.inference_mode()
     def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
-        found = combine(self.candidates(frame, forward, backward))
+        found = combine(self.candidates(frame, forward, backward), frame.radiance)
         image = corrected(frame, found.image, forward, backward)
         return replace(found, image=even_sky(image, frame.radiance, frame.depth))  # OIDN filters the sky too
 
