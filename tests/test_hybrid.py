@@ -18,6 +18,7 @@ from rtdenoise.glsl import Pipeline
 from rtdenoise.models import HybridConfig, create, grow, load, mixing, read, save
 from rtdenoise.models.hybrid import CONTRAST, surroundings
 from rtdenoise.models.past import reprojected
+from rtdenoise.models.presets import PRESETS
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.light import LightBackend
 
@@ -34,8 +35,9 @@ def model():
 
 
 def shares(monkeypatch, kernels, before=0.0):
-    """Set the shares of the kernels' image and of the previous picture."""
-    monkeypatch.setattr(mixing.mix, "__defaults__", (*mixing.mix.__defaults__[:-1], (kernels, before)))
+    """Set the shares of the kernels' image and of the previous picture, whatever the noisy frame tells."""
+    monkeypatch.setattr(mixing.mix, "__defaults__", (*mixing.mix.__defaults__[:-2], (kernels, before), None))
+    monkeypatch.setattr(mixing, "share_told", lambda *pictures_and_usual: pictures_and_usual[-1])
 
 
 def trusting(model, reset=-100.0):
@@ -136,15 +138,16 @@ def test_training_leaves_the_kernels_alone():
     assert all(weight.grad.isfinite().all() for weight in model.pixels.parameters())
 
 
-def test_its_pixels_are_those_of_oidns_network(tmp_path, monkeypatch):
+@pytest.mark.parametrize("quality", ["balanced", "fast"])
+def test_its_pixels_are_those_of_oidns_network(quality, tmp_path, monkeypatch):
     """OIDN's weights in our network give its picture; and the kernels are those of `default`."""
     shares(monkeypatch, 0.0)
     out = tmp_path / "begin.safetensors"
-    subprocess.run([sys.executable, ROOT / "tools" / "begin_hybrid.py", out], check=True)
+    subprocess.run([sys.executable, ROOT / "tools" / "begin_hybrid.py", out, quality], check=True)
     hybrid, kernels = read(out), read("default")
     assert all(torch.equal(hybrid.state_dict()[name], weight) for name, weight in kernels.state_dict().items())
     frame = open_sequence(SAMPLE)[0]
-    theirs = Oidn().step(frame)[0]
+    theirs = Oidn(quality).step(frame)[0]
     brightness = theirs.mean()
     error = {}
     for name, image in {"pixels": hybrid.step(frame)[0], "kernels": kernels.step(frame)[0]}.items():
@@ -153,10 +156,12 @@ def test_its_pixels_are_those_of_oidns_network(tmp_path, monkeypatch):
     assert error["pixels"] < 0.015 and error["pixels"] < 0.3 * error["kernels"], error
 
 
-def test_the_shipped_weights_keep_the_kernels_of_default_and_oidns_network(tmp_path):
+@pytest.mark.parametrize(("model", "quality"), [("hybrid", "balanced"), ("hybrid-fast", "fast")])
+def test_the_shipped_weights_keep_the_kernels_of_default_and_oidns_network(model, quality, tmp_path):
     out = tmp_path / "begin.safetensors"
-    subprocess.run([sys.executable, ROOT / "tools" / "begin_hybrid.py", out], check=True)
-    hybrid, kernels, begin = (read(name).state_dict() for name in ("hybrid", "default", out))
+    subprocess.run([sys.executable, ROOT / "tools" / "begin_hybrid.py", out, quality], check=True)
+    hybrid, kernels, begin = (read(name).state_dict() for name in (model, "default", out))
+    assert read(model).config == PRESETS[model]
     assert all(torch.equal(hybrid[name], weight) for name, weight in kernels.items())
     oidns = {name: weight for name, weight in begin.items() if name.startswith("pixels.")}
     assert oidns and all(torch.equal(hybrid[name], weight.half().float()) for name, weight in oidns.items())

@@ -63,11 +63,12 @@ def test_the_recipe_is_that_of_the_weights(model):
     assert {key: options[key] for key in shared} == {key: plain[key] for key in shared}
 
 
-def test_hybrid_is_put_together_and_not_trained():
+@pytest.mark.parametrize(("model", "quality"), [("hybrid", "balanced"), ("hybrid-fast", "fast")])
+def test_hybrid_is_put_together_and_not_trained(model, quality):
     """tests/test_hybrid.py compares the weights that ship."""
-    begin, ship = printed("hybrid")
+    begin, ship = printed(model)
     assert [Path(words[1]).name for words in (begin, ship)] == ["begin_hybrid.py", "ship_weights.py"]
-    assert ship[2:] == ["hybrid", begin[2], "set:recent=8"]
+    assert begin[3:] == [quality] and ship[2:] == [model, begin[2], "set:recent=8"]
 
 
 def test_the_settings_differ_in_nothing_else():
@@ -91,7 +92,8 @@ def test_scene_files_are_used_only_where_a_folder_is_named():
 def test_a_model_without_a_recipe_is_refused():
     result = subprocess.run(["sh", RECIPE, "paper"], capture_output=True, text=True)
     assert result.returncode == 2
-    assert result.stderr == "expected default, fast, quality, many, hybrid, combiner or settings, got 'paper'\n"
+    known = "default, fast, quality, many, hybrid, hybrid-fast, combiner or settings"
+    assert result.stderr == f"expected {known}, got 'paper'\n"
 
 
 def test_the_gpu_check_needs_a_gpu(tmp_path):

@@ -1,6 +1,6 @@
-"""Write the weights that training of `hybrid` begins with: the kernels of a model, and Open Image Denoise's network.
+"""Put `hybrid` or `hybrid-fast` together: the kernels of a model, and one of Open Image Denoise's networks.
 
-python tools/begin_hybrid.py OUT [KERNELS]
+python tools/begin_hybrid.py OUT [NETWORK [KERNELS]]    # NETWORK: balanced or fast, as OIDN's qualities
 
 OIDN's library holds the weights of its filters, as TZA archives, under the Apache License 2.0; `pyoidn` brings it.
 Taken is the filter of HDR colour, albedo and normal. Its transfer function is log(1 + 178 · x) · 0.0615 but for the
@@ -27,12 +27,12 @@ MAGIC = struct.pack("<HBB", 0x41D7, 2, 0)  # of a TZA archive, and its version
 DOWN = ("enc_conv0", "enc_conv1", "enc_conv2", "enc_conv3", "enc_conv4", "enc_conv5a", "enc_conv5b")
 UP = ("dec_conv1", "dec_conv2", "dec_conv3", "dec_conv4")
 INPUTS = 9  # colour, albedo, normal
-WEIGHTS = 919_811  # of the filter that is wanted; the first of this size takes noisy albedo and normal
+WEIGHTS = {"balanced": 919_811, "fast": 320_035}  # how many; the first of this size takes noisy albedo and normal
 NORMAL = slice(6, 9)  # of its inputs; OIDN has normals in [0, 1]
 
 
-def main(out: str, kernels: str = "default") -> None:
-    network, theirs = read(kernels), archive(library())
+def main(out: str, quality: str = "balanced", kernels: str = "default") -> None:
+    network, theirs = read(kernels), archive(library(), WEIGHTS[quality])
     width = {key.removesuffix(".bias"): len(x) for key, x in theirs.items() if key.endswith(".bias")}
     config = HybridConfig(
         **asdict(network.config) | {"footprint": True},
@@ -61,15 +61,15 @@ def library() -> bytes:
     return path.read_bytes()
 
 
-def archive(content: bytes) -> dict[str, Tensor]:
-    """The tensors of the first archive with `WEIGHTS` numbers."""
+def archive(content: bytes, count: int) -> dict[str, Tensor]:
+    """The tensors of the first archive with `count` numbers."""
     start = -1
     while (start := content.find(MAGIC, start + 1)) >= 0:
         try:
             tensors = parsed(content, start)
         except (struct.error, UnicodeDecodeError, ValueError, KeyError):
             continue  # these four bytes were something else
-        if sum(x.numel() for x in tensors.values()) == WEIGHTS:
+        if sum(x.numel() for x in tensors.values()) == count:
             return tensors
     sys.exit("found no weights of the filter in OIDN's library")
 

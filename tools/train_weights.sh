@@ -1,6 +1,6 @@
 #!/bin/sh
 # Make the weights that ship, from the first clip on:
-#     sh tools/train_weights.sh default|fast|quality|many|hybrid|combiner [cpu|cuda]
+#     sh tools/train_weights.sh default|fast|quality|many|hybrid|hybrid-fast|combiner [cpu|cuda]
 # `settings` instead of a model trains the paper's settings A, B and C, which docs/results/quality.md compares, into
 # runs/paper-A, -B and -C.
 #
@@ -21,8 +21,8 @@ cd "$(dirname "$0")/.."
 trap 'exit 143' TERM # after the running command has written its checkpoint
 model=${1:-} device=${2:-cpu}
 case $model in
-    default | fast | quality | many | hybrid | combiner | settings) ;;
-    *) echo "expected default, fast, quality, many, hybrid, combiner or settings, got '$model'" >&2; exit 2 ;;
+    default | fast | quality | many | hybrid | hybrid-fast | combiner | settings) ;;
+    *) echo "expected default, fast, quality, many, hybrid, hybrid-fast, combiner or settings, got '$model'" >&2; exit 2 ;;
 esac
 case $model in default | many | quality | combiner)
     [ -n "${ASSETS:-}" ] || { echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2; };;
@@ -46,11 +46,13 @@ noisy="--reference-error 0.2"
 files=${SCENES:+--scenes $SCENES --motions examples/motions}
 two=${SCENES:+--exclude street dining-room} # of the other scenes this set shows three, none of the measured ones
 ship() { run python tools/ship_weights.py "$@"; } # NAME FILE, or a mean: NAME FILE=SHARE...
-if [ "$model" = hybrid ]; then # the kernels of `default` and OIDN's network, both as they are: nothing to train
-    run python tools/begin_hybrid.py runs/hybrid.safetensors
-    ship hybrid runs/hybrid.safetensors set:recent=8
-    exit
-fi
+case $model in hybrid*) # the kernels of `default` and a network of OIDN's, both as they are: nothing to train
+    quality=balanced
+    [ "$model" = hybrid ] || quality=fast
+    run python tools/begin_hybrid.py "runs/$model.safetensors" $quality
+    ship "$model" "runs/$model.safetensors" set:recent=8
+    exit;;
+esac
 run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128
 if [ "$model" = settings ]; then
     clips some-scenes $wide --count 56 --seed 9000 $noisy $files

@@ -27,6 +27,7 @@ PRESETS: dict[str, Config] = {
     "default": AccumulatedKPNConfig(**DEFAULT),
     "quality": AccumulatedKPNConfig(widths=(64, 72, 72, 88, 104), edge_kernel=3),
     "hybrid": HybridConfig(**DEFAULT),
+    "hybrid-fast": HybridConfig(**DEFAULT, down=(32,) * 5, up=(32, 64, 64, 64), out=(32, 32, 64, 64)),
     "mltd": MLTDConfig(),
     "mltd-small": MLTDConfig(width=16, blocks=(1,) * 8, kernel=7),
 }
