@@ -34,10 +34,12 @@ SIGNALS = ("color", "indirect")
 METHODS = {
     "default-spatial": "`default`, single frames",
     "quality-spatial": "`quality`, single frames",
+    "hybrid-fast-spatial": "**`hybrid-fast`**, single frames",
     "hybrid-spatial": "**`hybrid`**, single frames",
     "default": "`default`",
     "quality": "`quality`",
     "default-oidn": "`default` with `--oidn`",
+    "hybrid-fast": "**`hybrid-fast`**",
     "hybrid": "**`hybrid`**",
 }
 SIZES = {"720p": (720, 1280), "144p": (144, 256)}  # that steps are timed at
@@ -67,7 +69,7 @@ def times_of(size: str, precision: str) -> dict:
     """Milliseconds of a step with history, by method; OIDN has one precision of its own."""
     frame = synthetic_frame(*SIZES[size])
     steps = {"oidn": partial(Oidn().step, frame)}
-    for name in ("default", "quality", "hybrid"):
+    for name in ("default", "quality", "hybrid-fast", "hybrid"):
         model = load(name, precision=precision)
         steps[name] = partial(model.step, frame, settled(model, frame))
     model = load("default", precision=precision, recent=RECENT, footprint=True)

@@ -22,7 +22,7 @@ from ..color import compress, expand
 
 KERNELS, BEFORE = 0.4, 0.1  # the shares a and b
 CELL = 16  # pixels, of `greatest_around`
-FINE = 3  # pixels, of `_around`
+FINE = 4  # pixels, of `_around`
 DARK = 0.05  # exposed light: differences of darker light count less than in proportion
 LARGEST = 1e6  # of relative differences: their squares stay finite
 NOISE = 1e-6  # of their squares, that is there at least: pictures without noise that are alike tell nothing
