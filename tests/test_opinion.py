@@ -83,6 +83,8 @@ def test_the_mixture_goes_where_the_frame_leads():
     error = [(mix(smooth, truth, one, noisy=noisy) - truth).square().mean() for noisy in (None, truth)]
     assert error[1] < 0.3 * error[0]
     assert torch.equal(mix(smooth, truth, one, 0.0, noisy=truth), mix(smooth, truth, one, 0.0))
+    uncovered = {"before": smooth, "held": torch.zeros(1, 1, 48, 48)}  # among pixels that tell of their own past
+    assert torch.equal(mix(smooth, truth, one, noisy=truth, **uncovered), mix(smooth, truth, one, **uncovered))
 
 
 def recorder(seen):

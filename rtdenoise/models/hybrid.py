@@ -61,7 +61,8 @@ class Hybrid(AccumulatedKPN):
             x = features((radiance,), guides, scale, self.stem.weight)
         pixels = (expand(self.pixels(x)) / scale).clamp(least, most)
 
-        shown = mix(image, pixels, known.exposure, trust, past.output, held, noisy=frame.radiance)
+        previous = (1.0,) if history is None else (trust, past.output, held)
+        shown = mix(image, pixels, known.exposure, *previous, noisy=frame.radiance)
         shown = even_sky(shown, frame.radiance, frame.depth)
         return shown, replace(after, radiance=shown.detach())
 

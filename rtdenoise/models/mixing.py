@@ -35,7 +35,7 @@ def mix(
     scale: Tensor,  # [B, 1, 1, 1] exposure
     trust: Tensor | float = 1.0,  # [B, 1, H, W] in [0, 1]
     before: Tensor | None = None,  # [B, 3, H, W]; None: there is none
-    held: Tensor | float = 1.0,  # [B, 1, H, W] in [0, 1]: 0 where motion does not lead to `before`
+    held: Tensor | float = 1.0,  # [B, 1, H, W] in [0, 1]: 0 where motion leads to no previous picture
     shares: tuple[float, float] = (KERNELS, BEFORE),
     noisy: Tensor | None = None,  # [B, 3, H, W] the frame; None: shares are as they are
 ) -> Tensor:  # [B, 3, H, W] ≥ 0
@@ -44,7 +44,9 @@ def mix(
     def shown(x: Tensor) -> Tensor:
         return compress(scale * x.clamp(min=0))
 
-    share = shares[0] if noisy is None else share_told(noisy, kernels, pixels, scale, shares[0])
+    share = shares[0]
+    if noisy is not None:  # what surrounds a pixel that has just been uncovered has a history, and tells of that
+        share = share + held * (share_told(noisy, kernels, pixels, scale, share) - share)
     mixed = torch.lerp(shown(pixels), shown(kernels), trust * share)
     if before is not None:
         mixed = torch.lerp(mixed, shown(before), trust * shares[1] * held)
