@@ -45,7 +45,7 @@ def mix(
         return compress(scale * x.clamp(min=0))
 
     share = shares[0]
-    if noisy is not None:  # what surrounds a pixel that has just been uncovered has a history, and tells of that
+    if noisy is not None:  # but not of what was just uncovered: what surrounds it has a history, and tells of that
         share = share + held * (share_told(noisy, kernels, pixels, scale, share) - share)
     mixed = torch.lerp(shown(pixels), shown(kernels), trust * share)
     if before is not None:
@@ -53,6 +53,7 @@ def mix(
     return expand(mixed) / scale
 
 
+@torch.no_grad()
 def share_told(noisy: Tensor, first: Tensor, other: Tensor, scale: Tensor, usual: float) -> Tensor:
     """The share a of the first of two pictures, `[B, 1, H, W]` in [0, 1]: between the `usual` one, and the one that
     brings their mixture closest to the noisy frame. With the frame y, the pictures p and q, their usual mixture m, all

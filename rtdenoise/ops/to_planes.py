@@ -28,7 +28,7 @@ def to_planes(
     not there.
     """
     O, C = weight.shape[:2]
-    last = x.is_contiguous(memory_format=torch.channels_last) and C % LANES == 0 and O <= MOST and bias is not None
+    last = x.is_contiguous(memory_format=torch.channels_last) and C % LANES == 0 and O <= MOST
     trained = torch.is_grad_enabled() and weight.requires_grad
     if last and not trained and x.dtype != torch.float16 and (run := FUSED(x=x)):
         return run(x, weight, bias)
