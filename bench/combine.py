@@ -151,6 +151,8 @@ def summary(rows: list[dict]) -> dict[str, dict]:
     found = {}
     for name in (*PLAIN, *_networks(rows)):
         cells = [row for row in rows if name in row and row["estimate"] > 0 and row[name] > 0]
+        if not cells:  # no halves of samples
+            continue
         ratio = lambda some, name=name: float(np.exp(np.mean([np.log(r[name] / r["estimate"]) for r in some])))  # noqa: E731
         changes = [row["temporal"] for row in cells if min(row["temporal"][x] for x in (name, "estimate")) > 0]
         worst = max(cells, key=lambda row: row[name] / row["estimate"])

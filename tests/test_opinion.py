@@ -83,8 +83,12 @@ def test_the_mixture_goes_where_the_frame_leads():
     error = [(mix(smooth, truth, one, noisy=noisy) - truth).square().mean() for noisy in (None, truth)]
     assert error[1] < 0.3 * error[0]
     assert torch.equal(mix(smooth, truth, one, 0.0, noisy=truth), mix(smooth, truth, one, 0.0))
-    uncovered = {"before": smooth, "held": torch.zeros(1, 1, 48, 48)}  # among pixels that tell of their own past
-    assert torch.equal(mix(smooth, truth, one, noisy=truth, **uncovered), mix(smooth, truth, one, **uncovered))
+    held = torch.ones(1, 1, 48, 48)
+    held[..., :16, :16] = 0  # just uncovered, among pixels that tell of their own past
+    plain, led = (mix(smooth, truth, one, before=smooth, held=held, noisy=noisy) for noisy in (None, truth))
+    assert torch.equal(led[..., :16, :16], plain[..., :16, :16]) and (led != plain)[..., 16:].float().mean() > 0.9
+    nowhere = mix(smooth, truth, one, before=smooth, held=0 * held, noisy=truth)  # none has a past: as a first frame
+    assert torch.equal(nowhere, mix(smooth, truth, one, noisy=truth))
 
 
 def recorder(seen):

@@ -152,7 +152,9 @@ class _Input:
         )  # fmt: skip
         if this_run not in self.document.runs:
             self.document.runs.append(this_run)
-        described = self.document.sequences.get(self.source.name, {}) | _describe(self.source, self.frames)
+        described = self.document.sequences.get(self.source.name, {})
+        if self.spp == self.source.spp or not described:  # pictures are of these frames
+            described = described | _describe(self.source, self.frames)
         self.document.sequences[self.source.name] = described
         if described["reference_psnr"] is None:
             self.say(f"{self.label}: no half references, so errors contain the references' noise: none is corrected")

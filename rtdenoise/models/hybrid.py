@@ -61,8 +61,7 @@ class Hybrid(AccumulatedKPN):
             x = features((radiance,), guides, scale, self.stem.weight)
         pixels = (expand(self.pixels(x)) / scale).clamp(least, most)
 
-        before, held = (None, 1.0) if history is None else (past.output, held)
-        shown = mix(image, pixels, known.exposure, trust, before, held, noisy=frame.radiance)
+        shown = mix(image, pixels, known.exposure, trust, past.output, held, noisy=frame.radiance)
         shown = even_sky(shown, frame.radiance, frame.depth)
         return shown, replace(after, radiance=shown.detach())
 

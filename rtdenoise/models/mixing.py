@@ -45,8 +45,8 @@ def mix(
         return compress(scale * x.clamp(min=0))
 
     share = shares[0]
-    if noisy is not None:  # but not of what was just uncovered: what surrounds it has a history, and tells of that
-        share = share + held * (share_told(noisy, kernels, pixels, scale, share) - share)
+    if noisy is not None:
+        share = share + _alike(held) * (share_told(noisy, kernels, pixels, scale, share) - share)
     mixed = torch.lerp(shown(pixels), shown(kernels), trust * share)
     if before is not None:
         mixed = torch.lerp(mixed, shown(before), trust * shares[1] * held)
@@ -73,6 +73,15 @@ def share_told(noisy: Tensor, first: Tensor, other: Tensor, scale: Tensor, usual
     along, square, noise = _around(torch.cat(parts, dim=1)).split(1, dim=1)
     noise = noise + NOISE
     return ((usual * noise + along) / (noise + square)).clamp(0, 1)
+
+
+def _alike(held: Tensor | float) -> Tensor | float:
+    """Where the pixels around are like this one, `[B, 1, H, W]` in {0, 1}: not where it was just uncovered and others
+    have a history, which tell of that."""
+    if not isinstance(held, Tensor):
+        return 1.0
+    held = held.float()
+    return held + (1 - held) * (1 - greatest_around(held))
 
 
 def _around(x: Tensor) -> Tensor:
