@@ -43,19 +43,18 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
     """
     rows = []
     for signal in SIGNALS:
-        at = {"metrics": METRICS, "signal": signal}
+        counts, at = SPP if signal == "color" else (), {"metrics": METRICS, "signal": signal}
         document = run(sequences, OUT / signal, EvaluateOptions((REFERENCE, "oidn-prefiltered", *OURS), **at))
-        if signal == SIGNALS[0]:
-            document = run(sequences, OUT / signal, EvaluateOptions((REFERENCE, *MANY), spp=SPP, **at))
-        wanted = (1, *SPP) if signal == SIGNALS[0] else (1,)
-        for row in (row for row in document.results if row["spp"] in wanted):
+        if counts:
+            document = run(sequences, OUT / signal, EvaluateOptions((REFERENCE, *MANY), spp=counts, **at))
+            for name, facts in document.sequences.items():
+                strips.draw(OUT / signal, name, facts, SHOWN, PICTURES / f"{name}.webp")
+        for row in (row for row in document.results if row["spp"] in (1, *counts)):
             rows.append({
                 "signal": signal, **{key: row[key] for key in ("sequence", "method", "spp")}, "ms": row["ms"]["median"],
                 **{region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")},
                 "frames": {str(f["number"]): f["frame"]["psnr_corrected"] for f in row["frames"]},
             })  # fmt: skip
-        for name, facts in document.sequences.items() if signal == "color" else ():
-            strips.draw(OUT / signal, name, facts, SHOWN, PICTURES / f"{name}.webp")
     harness.publish(RESULT, {"rows": rows}, digits=5, pages=PAGES, tables=tables)
 
 

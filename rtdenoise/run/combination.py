@@ -60,7 +60,7 @@ def combine(candidates: Candidates, noisy: Tensor | None = None) -> Combination:
     scale, first = exposure(candidates.forward), candidates.forward
     light = {name: compress(scale * getattr(candidates, name)) for name in weights}
     if noisy is not None and candidates.opinion is not None:
-        weights = _told(weights, noisy, light, scale)
+        weights = _told(weights, light, candidates.opinion, noisy, scale)
     base = light["forward"]
     change = sum(weight * (light[name] - base) for name, weight in weights.items())
 
@@ -82,13 +82,13 @@ def _trusted(candidates: Candidates) -> dict[str, Tensor | float]:
 
 
 def _told(
-    weights: dict[str, Tensor | float], noisy: Tensor, light: dict[str, Tensor], scale: Tensor
+    weights: dict[str, Tensor | float], light: dict[str, Tensor], opinion: Tensor, noisy: Tensor, scale: Tensor
 ) -> dict[str, Tensor | float]:
     """The weights, with those of the network's candidates, which `_trusted` made, as the noisy frame tells."""
     own = {name: weight for name, weight in weights.items() if name != "opinion"}
     together = sum(own.values())
     picture = sum(weight * light[name] for name, weight in own.items()) / (together + (together == 0))
     usual = 1 - WEIGHTS["opinion"]
-    share = share_told(noisy, expand(picture.clamp(min=0)) / scale, expand(light["opinion"]) / scale, scale, usual)
+    share = share_told(noisy, expand(picture.clamp(min=0)) / scale, opinion, scale, usual)
     own = {name: weight * share / usual for name, weight in own.items()}
     return own | {"opinion": 1 - sum(own.values())}
