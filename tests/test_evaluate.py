@@ -36,6 +36,16 @@ def shot(tmp_path):
     return folder
 
 
+def test_what_is_told_of_a_sequence_is_of_its_base_sample_count(shot, tmp_path, monkeypatch):
+    """Pictures are of these frames, whatever the frames at more samples uncover."""
+    run([str(shot)], tmp_path, EvaluateOptions(("noisy",), metrics=("psnr",)))
+    monkeypatch.setattr("rtdenoise.evaluate.run.stills", lambda masks: [3])
+    more = run([str(shot)], tmp_path, EvaluateOptions(("noisy",), metrics=("psnr",), spp=(1, 4)))
+    (facts,) = more.sequences.values()
+    assert len(more.results) == 2
+    assert all((tmp_path / "pictures" / shot.name / f"{still:04d}").is_dir() for still in facts["stills"])
+
+
 def test_shipped_weights_are_methods_and_what_is_left_of_them():
     known = methods()
     for name in available():
