@@ -21,13 +21,19 @@ NOTHING = torch.iinfo(torch.int64).max  # key of a pixel that nothing lands on
 
 
 @falls_back
-def history_motion(frame: Frame, history: History, kind: str = "dual") -> tuple[Tensor, Tensor, Tensor]:
+def history_motion(
+    frame: Frame, history: History, kind: str = "dual", shift: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
     """The motion that fetches a frame's history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere.
     And two masks, `[B, 1, H, W]` bool: whether it leads onto the screen, and whether the pixel is uncovered.
 
-    With the `kind` 'traditional' no pixel counts as uncovered. A history without `motion_next` gets it by
-    `splat_motion_next`.
+    `shift`, `[B, 2, H, W]`, belongs to traditional motion (`ops.light_shift`). With the `kind` 'traditional' no pixel
+    counts as uncovered. A history without `motion_next` gets it by `splat_motion_next`.
     """
+    if shift is not None:
+        motion, _, uncovered = history_motion(frame, history, kind)
+        motion = torch.where(uncovered, motion, motion + shift)
+        return motion, on_screen(motion), uncovered
     if kind == "traditional":
         return traditional(frame)
     motion_next = history.motion_next

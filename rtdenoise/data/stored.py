@@ -17,7 +17,7 @@ from ..frame import HIDDEN, RECENT
 
 CHANNELS = {  # field of `History` -> channels; hidden features have any number of them, at any size
     "radiance": 3, "motion_next": 2, "depth": 1, "normal": 3, "length": 1, "mean": 3, "mean_albedo": 3,
-    "residual": 3, "residual_length": 1, "footprint": 9, "footprint_count": 1,
+    "noisy": 3, "residual": 3, "residual_length": 1, "footprint": 9, "footprint_count": 1,
 }  # fmt: skip
 OF_ESTIMATES = {"trust": 1}  # fields of the offline mode's estimates that a history lacks
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16

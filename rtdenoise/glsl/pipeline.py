@@ -142,7 +142,7 @@ class Pipeline:
     def remember(self, history: History, frames: Sequence[Frame]) -> History:
         """A history with recent frames, the newest first. Those that it has tell the resets."""
         passes, recent = self.passes, []
-        for frame in frames:
+        for frame in frames[: self.config.recent]:
             layers = self.upload(frame, None)
             recent.append(passes.keep(passes.prepare(layers), passes.vectors(layers), "motion" in layers))
         for kept, before in zip(recent, history.recent, strict=False):

@@ -34,7 +34,7 @@ from ..sanitise import admit
 from .config import AccumulatedKPNConfig
 from .inference import as_weights
 from .losses import frame_loss
-from .past import Past, footprint, kept, reprojected
+from .past import Past, footprint, kept, reprojected, shifted
 from .refinement import GuidedRefinement
 from .unet import ConvRelu, UNet, by_name
 
@@ -110,6 +110,7 @@ class AccumulatedKPN(nn.Module):
     ) -> tuple[Tensor, History, Kernels]:
         """`step`, and the kernels that it applied, for other light of the same frame (`parts.step`)."""
         frame = admit(frame, history and history.radiance, known)
+        known = shifted(frame, history, known)
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance where the surface is diffuse
 
         past = reprojected(self.config, frame, noisy, history, known)
@@ -132,10 +133,10 @@ class AccumulatedKPN(nn.Module):
         output = modulate(self.over_space(mean, heads), frame.albedo, mean_albedo, heads.sharp, frame.depth)
         output = self.over_edges_and_time(output, past.output, past.on_screen, heads)
         output = even_sky(output, frame.radiance, frame.depth)
-        after = History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo)
+        after = History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo, frame.radiance)
         if self.config.recent:
             reset = torch.zeros_like(frame.depth) if history is None else heads.reset.detach()
-            recent = kept(self.config, frame, reset, noisy), *(history.recent if history else ())
+            recent = kept(self.config, frame, reset, noisy, known.shift), *(history.recent if history else ())
             after = replace(after, recent=recent[: self.config.recent])
         if self.config.footprint:
             seen, count = footprint(frame, past, heads.reset)

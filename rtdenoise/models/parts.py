@@ -22,6 +22,7 @@ from ..ops.pixels import accumulate
 from ..sanitise import BRIGHTEST
 from ..splat import history_motion
 from .accumulated_kpn import AccumulatedKPN, Kernels
+from .past import shifted
 
 GROUP = 6  # channels that are filtered at once: fused ops take up to 8, and pictures have 3
 ALBEDO = -1  # a `color_of`: the frame's albedo, as `pixels.demodulate` limits it
@@ -57,6 +58,7 @@ def step(
 
     Parts that are zero everywhere, now and before, cost nothing.
     """
+    known = shifted(frame, history, known)
     image, after, kernels = network.step_and_kernels(frame, history, known)
     lights = _divided(parts, frame)
     past = _past(network, frame, parts, history, kernels, known)
@@ -104,7 +106,8 @@ def _past(
         sizes = parts.lights.shape[1], parts.passed.shape[1], 3 * len(parts.outputs)
         lights, passed, outputs = (torch.zeros_like(frame.depth).repeat(1, size, 1, 1) for size in sizes)
         return lights, passed, outputs
-    motion = history_motion(frame, history, "traditional" if known.covered else network.config.motion)[0]
+    kind = "traditional" if known.covered else network.config.motion
+    motion = history_motion(frame, history, kind, known.shift)[0]
     here, before = (frame.depth, frame.normal), (history.depth, history.normal)
     lights, outputs, *passed = history.hidden
     passed = passed[0] if passed else parts.passed

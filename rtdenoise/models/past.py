@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import reproject, warp
+from ..ops.light_shift import light_shift
 from ..ops.pixels import accumulate, demodulate
 from ..ops.recall import keep, recall
 from ..splat import history_motion
@@ -47,7 +48,7 @@ def reprojected(
         never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
         return Past(nothing, nothing, nothing[:, :1], nothing[:, :1], frame.radiance, never, never)
     kind = "traditional" if known.covered else config.motion
-    motion, seen, uncovered = history_motion(frame, history, kind)
+    motion, seen, uncovered = history_motion(frame, history, kind, known.shift)
     here, before = (frame.depth, frame.normal), (history.depth, history.normal)
     seen_there = None, None
     if config.recent:
@@ -63,11 +64,30 @@ def reprojected(
     return Past(light, albedo, length, albedo_length, output, seen, uncovered, *seen_there)
 
 
-def kept(config: Config, frame: Frame, reset: Tensor, noisy: Tensor | None = None) -> Tensor:
-    """A sanitised frame as `History.recent` has it. `noisy`: its demodulated light, where that is known."""
+def shifted(frame: Frame, history: History | None, known: Known) -> Known:
+    """`known` with how far light has moved over its surfaces in a sanitised frame, if it has and that is not known."""
+    if history is None or history.noisy is None or known.shift is not None:
+        return known
+    shift = light_shift(frame.radiance, history.noisy, frame.motion, frame.depth, history.depth)
+    return known if shift is None else replace(known, shift=shift, still=False)
+
+
+def shift_between(before: Frame | None, frame: Frame) -> Tensor | None:
+    """`Known.shift` of a sanitised frame; None where there is no frame before."""
+    if before is None or frame.motion is None:
+        return None
+    return light_shift(frame.radiance, before.radiance, frame.motion, frame.depth, before.depth)
+
+
+def kept(
+    config: Config, frame: Frame, reset: Tensor, noisy: Tensor | None = None, shift: Tensor | None = None
+) -> Tensor:
+    """A sanitised frame as `History.recent` has it. `noisy`: its demodulated light, where that is known; `shift`:
+    `Known.shift`."""
     if noisy is None:
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
-    return keep(noisy, frame.depth, frame.normal, reset, frame.motion, frame.albedo if config.footprint else None)
+    motion = frame.motion if shift is None else frame.motion + shift
+    return keep(noisy, frame.depth, frame.normal, reset, motion, frame.albedo if config.footprint else None)
 
 
 def footprint(frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:

@@ -57,8 +57,8 @@ class Backend(Protocol):
         """The inverse of `save`. Raises InputError where the fields are not those of a history."""
 
     def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
-        """A restored history with its recent frames: the last `config.recent` of the shot, prepared, the newest
-        first."""
+        """A restored history with what is not saved: the last `config.recent + 1` frames of the shot, prepared, the
+        newest first. The oldest tells how light has moved to the one after it."""
 
 
 def open_backend(
@@ -185,7 +185,7 @@ class TorchBackend:
             return mismatch(frame, history).max().item()
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
-        layers = replace(history, recent=(), footprint=None, footprint_count=None).layers()
+        layers = replace(history, recent=(), footprint=None, footprint_count=None, noisy=None).layers()
         fields = {name: tensor.cpu().contiguous().numpy() for name, tensor in layers.items()}
         resets = (kept[:, RECALL_RESET, None].cpu().contiguous().numpy() for kept in history.recent)
         return fields | of_resets(resets)
@@ -203,15 +203,19 @@ class TorchBackend:
     def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
         import torch
 
-        from ..models.past import kept
+        from ..models.past import kept, shift_between
 
-        if not frames:
+        if not frames or "mean" not in self.config.carries:
             return history
         with torch.inference_mode():
-            recent = tuple(kept(self.config, frame, torch.zeros_like(frame.depth)) for frame in frames)
+            pairs = zip(frames, [*frames[1:], None], strict=True)
+            recent = tuple(
+                kept(self.config, frame, torch.zeros_like(frame.depth), shift=shift_between(before, frame))
+                for frame, before in list(pairs)[: self.config.recent]
+            )
             for its, resets in zip(recent, history.recent, strict=False):  # none in a history of light in passes
                 its[:, RECALL_RESET] |= resets[:, RECALL_RESET]
-            return replace(history, recent=recent)
+            return replace(history, noisy=frames[0].radiance, recent=recent)
 
 
 class GlslBackend:

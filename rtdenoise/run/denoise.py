@@ -111,7 +111,7 @@ def _run(
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
         summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
     if history is not None:
-        recent = last_of_shot(sequence, done, summary.cuts, backend.config.recent)
+        recent = last_of_shot(sequence, done, summary.cuts, backend.config.recent + 1)
         history = backend.remember(history, [backend.prepare(read(sequence, i)) for i in recent])
     if summary.plan:
         sequence = sequence.only({*summary.plan.layers, *(("samples",) if options.correct else ())})

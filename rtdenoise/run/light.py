@@ -147,7 +147,7 @@ class LightBackend:
         return self._inner.restore(fields)
 
     def remember(self, history: Any, frames: SequenceOf[Prepared]) -> Any:
-        return history  # it keeps running means
+        return self._inner.remember(history, [prepared.frame for prepared in frames])
 
 
 def split(images: dict[str, Tensor], passes: LightPasses, each: bool) -> tuple[Parts, tuple[str, ...]]:

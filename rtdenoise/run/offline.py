@@ -163,7 +163,7 @@ class _Run:
         """The last frames of the shot that the pass at work has finished, as it saw them, the newest first."""
         from .passes import reverse
 
-        count, most = len(self.sequence), self.passes.backend.config.recent
+        count, most = len(self.sequence), self.passes.backend.config.recent + 1
         if done < count:
             return [self._prepared(i) for i in last_of_shot(self.sequence, done, self.summary.cuts, most)]
         first = end = 2 * count - done

@@ -19,6 +19,7 @@ from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..models.mixing import BEFORE, KERNELS, evened, mix
+from ..models.past import shifted
 from ..models.presets import Config
 from ..ops import warp
 from ..ops.even_sky import even_sky
@@ -51,11 +52,12 @@ class Opinion:
         if len(frame.radiance) != 1:
             raise InputError(f"OIDN takes one picture at a time, got {len(frame.radiance)}")
         frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
+        known = shifted(frame, history, known)
         image, onward = step(frame, history, known)
         radiance, albedo, normal = onward.footprint.split(FOOTPRINT, dim=1)
         trust, before, held = 1.0, None, 1.0
         if history is not None:
-            motion, seen, uncovered = history_motion(frame, history, self._motion)
+            motion, seen, uncovered = history_motion(frame, history, self._motion, known.shift)
             held = seen & ~uncovered
             trust = 1 - held * reset_of(onward.recent[0])
             if self.shares[1]:

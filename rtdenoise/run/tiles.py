@@ -15,6 +15,7 @@ from torch import Tensor
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..models import Denoiser
 from ..models.config import CELL
+from ..models.past import shifted
 from ..motion import on_screen
 from ..ops.recall import motion_of
 from ..sanitise import sanitise
@@ -58,15 +59,20 @@ def step_in_windows(
     """One step, window by window."""
     frame = frame if known.sanitised else sanitise(frame)
     scale, distance = denoiser.statistics(frame)
-    known = replace(known, sanitised=True, exposure=scale, distance=distance)
+    known = shifted(frame, history, replace(known, sanitised=True, exposure=scale, distance=distance))
+    if history is not None and known.shift is None:  # so that no window looks for itself
+        known = replace(known, shift=torch.zeros_like(frame.motion))
     image = torch.zeros_like(frame.radiance) + elsewhere
     after = {"radiance": image.clone()}
     lengths = carried(frame, history)
+    if lengths is not None and known.shift is not None:
+        lengths = lengths + known.shift.abs()
     for core in cores:
         top, left, bottom, right = window = widened(core, lengths, denoiser.config.network_reach, frame.size)
         size = bottom - top, right - left
+        within = known if known.shift is None else replace(known, shift=known.shift[..., top:bottom, left:right])
         part, part_history = denoiser.step(
-            frame.crop(top, left, *size), history and _crop_history(history, window, frame.size), known
+            frame.crop(top, left, *size), history and _crop_history(history, window, frame.size), within
         )
         _paste(image, part, core, window, frame.size)
         for name, tensor in part_history.layers().items():

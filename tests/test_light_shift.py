@@ -1,0 +1,157 @@
+"""Light that moves over its surface, as behind glass: found where it has no noise, followed, never invented."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import Stop, stop_after, write_sequence
+
+from rtdenoise import models, ops
+from rtdenoise.frame import Frame, Known
+from rtdenoise.models import AccumulatedKPNConfig
+from rtdenoise.models.past import shifted
+from rtdenoise.ops.light_shift import GREATEST, light_shift
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.tiles import Tiled
+
+H, W = 96, 144
+SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, footprint=True)
+
+
+def behind_glass(count=2, speed=(0.5, 0.0), bright=9.0, noise=0.0, seed=0, surface=4.0):
+    """A bright window with dark bars behind a still pane; each pixel is one sample at a random place in it."""
+    g = torch.Generator().manual_seed(seed)
+    rows, columns = torch.meshgrid(torch.arange(H).float(), torch.arange(W).float(), indexing="ij")
+    frames = []
+    for number in range(count):
+        x = columns + torch.rand(H, W, generator=g) - speed[0] * number
+        y = rows + torch.rand(H, W, generator=g) - speed[1] * number
+        pane = (x % 24 > 8) & (y % 32 > 6)
+        dark = 0.05 * torch.empty(H, W).exponential_(generator=g)
+        light = torch.where(pane, bright * (1 + noise * torch.randn(H, W, generator=g)).clamp(min=0), dark)
+        frames.append(Frame(
+            radiance=light.expand(1, 3, H, W).contiguous(), albedo=torch.ones(1, 3, H, W),
+            normal=torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1).repeat(1, 1, H, W),
+            depth=torch.full((1, 1, H, W), surface), motion=torch.zeros(1, 2, H, W),
+            motion_next=torch.zeros(1, 2, H, W), number=number,
+        ))  # fmt: skip
+    return frames
+
+
+def found(frames):
+    before, frame = frames
+    return light_shift(frame.radiance, before.radiance, frame.motion, frame.depth, before.depth)
+
+
+@pytest.mark.parametrize("speed", [(0.5, 0.0), (-0.8, 0.0), (0.0, 0.6), (0.4, -0.5)])
+def test_a_window_behind_glass_is_followed(speed):
+    shift = found(behind_glass(speed=speed))
+    moved = shift.abs().sum(1) > 0
+    assert moved.float().mean() > 0.9
+    for axis in (0, 1):  # motion leads backwards
+        each = shift[:, axis][moved]
+        assert each.mean().item() == pytest.approx(-speed[axis], abs=0.08)
+        assert each.std() < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_light_that_stays_on_its_surface_has_no_shift(seed):
+    """Its edges are ragged all the same: one sample a pixel."""
+    shift = found(behind_glass(speed=(0.0, 0.0), seed=seed))
+    assert (shift != 0).any(1).float().mean() < 0.01
+
+
+def test_what_moves_as_motion_says_has_no_shift():
+    before, frame = behind_glass(speed=(0.5, 0.0))
+    shift = found((before, replace(frame, motion=torch.tensor([-0.5, 0.0]).reshape(1, 2, 1, 1).repeat(1, 1, H, W))))
+    assert (shift != 0).any(1).float().mean() < 0.01
+
+
+def test_noisy_light_is_not_looked_at():
+    assert found(behind_glass(noise=0.3)) is None
+
+
+def test_edges_of_surfaces_are_not_looked_at():
+    """The bars stand in the room, and motion is theirs: nothing is behind glass."""
+    frames = behind_glass()
+    frames = [replace(f, depth=torch.where(f.radiance[:, :1] > 5, 40.0, 4.0)) for f in frames]
+    assert found(frames) is None
+
+
+def test_long_shifts_are_left_alone():
+    shift = found(behind_glass(speed=(5.0, 3.0)))
+    assert shift.norm(dim=1).max() < GREATEST
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-20, 1e15], ids=["black", "almost black", "brightest"])
+def test_extreme_light_is_finite(value):
+    frames = [replace(f, radiance=(f.radiance * value).clamp(max=1e15)) for f in behind_glass()]
+    shift = found(frames)
+    assert shift is None or shift.isfinite().all()
+
+
+@pytest.mark.parametrize("value", [1e4, -1e4, 3e38], ids=["right", "left", "beyond"])
+def test_motion_off_the_screen_has_no_shift(value):
+    before, frame = behind_glass()
+    assert not found((before, replace(frame, motion=torch.full_like(frame.motion, value)))).any()
+
+
+def test_a_batch_is_its_pictures():
+    pairs = [behind_glass(speed=speed) for speed in ((0.5, 0.0), (0.0, 0.6))]
+    both = [replace(a, **{n: torch.cat([t, u]) for (n, t), (_, u) in zip(a.layers(), b.layers(), strict=True)})
+            for a, b in zip(*pairs, strict=True)]  # fmt: skip
+    torch.testing.assert_close(found(both), torch.cat([found(pair) for pair in pairs]))
+
+
+def test_plain_and_fused_agree():
+    frames = behind_glass()
+    with ops.use("plain"):
+        plain = found(frames)
+    torch.testing.assert_close(found(frames), plain, atol=1e-3, rtol=0)
+
+
+def played(step, frames):
+    images, history = [], None
+    for frame in frames:
+        image, history = step(frame, history)
+        images.append(image)
+    return images
+
+
+@torch.no_grad()
+def test_history_behind_glass_is_where_the_light_is():
+    """Recent frames average the window's own light; without the shift its bars fill up."""
+    network, frames = models.create(SMALL).eval(), behind_glass(5)
+    rest = torch.stack([f.radiance for f in behind_glass(64, speed=(0.0, 0.0), seed=1)]).mean(0)
+
+    def error(known):
+        history = None
+        for frame in frames:
+            _, history = network.step(frame, history, known)
+        there = history.footprint[:, :3].roll(-2, dims=3)  # four steps of half a pixel
+        return (there - rest)[..., 8:-8, 8:-8].square().mean()
+
+    assert error(Known()) < 0.7 * error(Known(shift=torch.zeros(1, 2, H, W)))
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("name", ["default", "hybrid-fast"])
+def test_tiles_are_seamless(name):
+    network, frames = models.load(name, "cpu", "fp32"), behind_glass(4)
+    assert shifted(frames[1], network.step(frames[0])[1], Known()).shift is not None
+    for a, b in zip(played(network.step, frames), played(Tiled(network, 64).step, frames), strict=True):
+        torch.testing.assert_close(a, b, atol=2e-3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("recent", [0, 3])
+def test_an_interrupted_run_goes_on_to_the_bit(tmp_path, recent):
+    models.save(models.create(replace(SMALL, recent=recent, footprint=recent > 0)), tmp_path / "w.safetensors")
+    shot = write_sequence(tmp_path / "shot", behind_glass(7))
+    options = Options(model=str(tmp_path / "w.safetensors"), precision="fp32", float32=True)
+    denoise(str(shot), tmp_path / "whole", options)
+    with pytest.raises(Stop):
+        denoise(str(shot), tmp_path / "parts", options, on_frame=stop_after(5))
+    assert denoise(str(shot), tmp_path / "parts", options).skipped == 5
+    for path in sorted((tmp_path / "whole").glob("*.exr")):
+        assert np.array_equal(path.read_bytes(), (tmp_path / "parts" / path.name).read_bytes()), path.name
