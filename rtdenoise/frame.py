@@ -194,6 +194,7 @@ class Known:
     first: bool = False  # there is no history
     still: bool = False  # motion, and motion_next of the frame before, are zero everywhere
     covered: bool = False  # no pixel was just uncovered: `motion.occlusion_mask` is empty
+    on_surfaces: bool = False  # light moves with its surfaces: `ops.light_shift` finds nothing
     sanitised: bool = False  # the frame has been through `sanitise`
     exposure: Tensor | None = None  # [B, 1, 1, 1] of the whole picture, where the frame is a window of one
     distance: Tensor | None = None  # [B, 1, 1, 1] likewise: the mean distance of its surfaces (`Denoiser.statistics`)

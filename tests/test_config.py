@@ -52,7 +52,7 @@ def test_carried_fields_are_those_of_the_history():
     )
     for config in (TINY, CONFIGS["two scales"]):
         _, history = create(config).step(frame)
-        assert history.layers().keys() - {"motion_next", "depth", "normal"} == set(config.carries)
+        assert history.layers().keys() - {"motion_next", "depth", "normal", "noisy"} == set(config.carries)
 
 
 def test_settings_change_fields():

@@ -66,10 +66,10 @@ def reprojected(
 
 def shifted(frame: Frame, history: History | None, known: Known) -> Known:
     """`known` with how far light has moved over its surfaces in a sanitised frame, if it has and that is not known."""
-    if history is None or history.noisy is None or known.shift is not None:
+    if history is None or history.noisy is None or known.on_surfaces or known.shift is not None:
         return known
     shift = light_shift(frame.radiance, history.noisy, frame.motion, frame.depth, history.depth)
-    return known if shift is None else replace(known, shift=shift, still=False)
+    return replace(known, on_surfaces=True) if shift is None else replace(known, shift=shift, still=False)
 
 
 def shift_between(before: Frame | None, frame: Frame) -> Tensor | None:

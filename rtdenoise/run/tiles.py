@@ -60,8 +60,6 @@ def step_in_windows(
     frame = frame if known.sanitised else sanitise(frame)
     scale, distance = denoiser.statistics(frame)
     known = shifted(frame, history, replace(known, sanitised=True, exposure=scale, distance=distance))
-    if history is not None and known.shift is None:  # so that no window looks for itself
-        known = replace(known, shift=torch.zeros_like(frame.motion))
     image = torch.zeros_like(frame.radiance) + elsewhere
     after = {"radiance": image.clone()}
     lengths = carried(frame, history)
