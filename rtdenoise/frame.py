@@ -154,7 +154,7 @@ class History:
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None for models that do not count
     mean: Tensor | None = None  # [B, 3, H, W] running mean of irradiance; None for models that keep none
     mean_albedo: Tensor | None = None  # [B, 3, H, W] running mean of albedo, likewise
-    noisy: Tensor | None = None  # [B, 3, H, W] radiance of the previous frame, likewise (`ops.light_shift`)
+    noisy: Tensor | None = None  # [B, 3, H, W] radiance of the previous frame, likewise (`light_shift`)
     residual: Tensor | None = None  # [B, 3, H, W] running mean of (noisy - denoised) / albedo, for its correction
     residual_length: Tensor | None = None  # [B, 1, H, W] frames in it
     hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features for the next step of the model, at any scale
@@ -194,11 +194,11 @@ class Known:
     first: bool = False  # there is no history
     still: bool = False  # motion, and motion_next of the frame before, are zero everywhere
     covered: bool = False  # no pixel was just uncovered: `motion.occlusion_mask` is empty
-    on_surfaces: bool = False  # light moves with its surfaces: `ops.light_shift` finds nothing
+    on_surfaces: bool = False  # light moves with its surfaces: `light_shift` finds nothing
     sanitised: bool = False  # the frame has been through `sanitise`
     exposure: Tensor | None = None  # [B, 1, 1, 1] of the whole picture, where the frame is a window of one
     distance: Tensor | None = None  # [B, 1, 1, 1] likewise: the mean distance of its surfaces (`Denoiser.statistics`)
-    shift: Tensor | None = None  # [B, 2, H, W] pixels that belong to motion (`ops.light_shift`)
+    shift: Tensor | None = None  # [B, 2, H, W] pixels that belong to motion (`light_shift`)
 
 
 NOTHING_KNOWN = Known()

@@ -9,9 +9,9 @@ from synthetic import Stop, stop_after, write_sequence
 
 from rtdenoise import models, ops
 from rtdenoise.frame import Frame, Known
+from rtdenoise.light_shift import GREATEST, light_shift
 from rtdenoise.models import AccumulatedKPNConfig
 from rtdenoise.models.past import shifted
-from rtdenoise.ops.light_shift import GREATEST, light_shift
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.tiles import Tiled
 

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..light_shift import light_shift
 from ..ops import reproject, warp
-from ..ops.light_shift import light_shift
 from ..ops.pixels import accumulate, demodulate
 from ..ops.recall import keep, recall
 from ..splat import history_motion

@@ -12,9 +12,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..color import luminance
-from ..constants import DEPTH_TOLERANCE
-from .block_luminance import block_luminance
+from .color import luminance
+from .constants import DEPTH_TOLERANCE
+from .motion import on_screen
+from .ops import warp
+from .ops.block_luminance import block_luminance
 
 BLOCK = 3  # side in pixels of the blocks that are even or not
 EVEN = 4e-3  # an even block's greatest luminance over its mean, less 1; half floats round by an eighth of that
@@ -48,9 +50,9 @@ def light_shift(
     scale = LIGHT / luminance(noisy).mean((1, 2, 3), keepdim=True).clamp(min=1e-12)
     light, light_before = (_blurred((1 + scale * luminance(x)).log()) for x in (noisy, noisy_before))
     there = torch.cat([light_before, *_slopes(light_before), _pixels(near_before, H, W), depth_before], dim=1)
-    here, shift = _pixels(near, H, W), torch.zeros_like(motion)
+    here, shift, outside = _pixels(near, H, W), torch.zeros_like(motion), torch.zeros_like(there)
     for _ in range(ROUNDS):
-        value, x, y, then, far = _fetched(there, motion + shift).split(1, dim=1)
+        value, x, y, then, far = warp(there, motion + shift, on_screen(motion + shift), outside).split(1, dim=1)
         weight = here * (then > 0.5) * ((depth - far).abs() <= DEPTH_TOLERANCE * torch.maximum(depth, far))
         apart = light - value
         terms = [one * other for one, other in ((x, x), (x, y), (y, y), (x, apart), (y, apart))]
@@ -76,9 +78,7 @@ def _around(near: Tensor, depth: Tensor) -> Tensor:
     """The pixels on the surfaces of the blocks `near` and `AROUND` them, `[B, 1, H, W]` bool."""
     H, W = depth.shape[2:]
     far = F.max_pool2d(depth, BLOCK, ceil_mode=True)
-    farthest, nearest = (
-        _pixels(_greatest(torch.where(near > 0, x, -torch.inf), AROUND), H, W) for x in (far, -far)
-    )
+    farthest, nearest = (_pixels(_greatest(torch.where(near > 0, x, -torch.inf), AROUND), H, W) for x in (far, -far))
     return (depth <= (1 + DEPTH_TOLERANCE) * farthest) & (depth >= (DEPTH_TOLERANCE - 1) * nearest)
 
 
@@ -109,11 +109,3 @@ def _slopes(x: Tensor) -> tuple[Tensor, Tensor]:
     """∂/∂x and ∂/∂y."""
     x = F.pad(x, (1, 1, 1, 1), mode="replicate")
     return (x[..., 1:-1, 2:] - x[..., 1:-1, :-2]) / 2, (x[..., 2:, 1:-1] - x[..., :-2, 1:-1]) / 2
-
-
-def _fetched(image: Tensor, motion: Tensor) -> Tensor:
-    """`image` at p + motion(p), linear between pixels; nothing beyond its border."""
-    H, W = image.shape[2:]
-    x = (torch.arange(W, device=image.device) + 0.5 + motion[:, 0]) * (2 / W) - 1
-    y = (torch.arange(H, device=image.device)[:, None] + 0.5 + motion[:, 1]) * (2 / H) - 1
-    return F.grid_sample(image, torch.stack([x, y], dim=-1), mode="bilinear", padding_mode="zeros", align_corners=False)
