@@ -23,6 +23,8 @@ RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |diff
 
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
 
+SHIFT_CELL = 16  # side in pixels of the cells whose light moves as one (`shift.picture`)
+
 # The brightness of a frame, and pixels that are too bright for it (`exposure`).
 BRIGHTNESS_BLOCK = 8  # side in pixels of the blocks over which brightness is measured
 BRIGHTNESS_SHARE = 0.9  # share of the blocks that count, the darkest ones

@@ -37,7 +37,8 @@ MAX_CUT_MISMATCH = 0.3
 OCCLUSION_THRESHOLD = 0.5
 HIDDEN = "hidden."  # prefix of the names of hidden features in `History.layers`
 RECENT = "recent."  # likewise of recent frames
-SEVERAL = HIDDEN, RECENT
+SHIFTS = "shifts."  # likewise of shifts
+SEVERAL = HIDDEN, RECENT, SHIFTS
 CHANNELS = {
     "radiance": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
     "position": 3, "id": 1, "samples": 1, "components": None, "reference": 3, "reference_half": 3,
@@ -154,11 +155,14 @@ class History:
     length: Tensor | None = None  # [B, 1, H, W] frames accumulated in each pixel; None for models that do not count
     mean: Tensor | None = None  # [B, 3, H, W] running mean of irradiance; None for models that keep none
     mean_albedo: Tensor | None = None  # [B, 3, H, W] running mean of albedo, likewise
-    noisy: Tensor | None = None  # [B, 3, H, W] radiance of the previous frame, likewise (`light_shift`)
+    noisy: Tensor | None = None  # [B, 3, H, W] radiance of the previous frame, likewise (`shift.light`)
+    found: Tensor | None = None  # [B, 2, h, w] shifts that the previous frame found in its picture (`shift.picture`)
     residual: Tensor | None = None  # [B, 3, H, W] running mean of (noisy - denoised) / albedo, for its correction
     residual_length: Tensor | None = None  # [B, 1, H, W] frames in it
     hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features for the next step of the model, at any scale
     recent: tuple[Tensor, ...] = ()  # [B, 5 or 8, H, W] int32 each: of `ops.recall.keep`, the last frame first
+    # [B, 2, h, w] each: those of `found` that count (`shift.picture`), of the previous frame and of `recent` ones
+    shifts: tuple[Tensor, ...] = ()
     # [B, 9, H, W] radiance, albedo and normal of this and the recent frames, whatever surface of the pixel they saw
     # (`ops.recall`). No later step needs it: it is for those who filter what has been averaged.
     footprint: Tensor | None = None
@@ -194,11 +198,11 @@ class Known:
     first: bool = False  # there is no history
     still: bool = False  # motion, and motion_next of the frame before, are zero everywhere
     covered: bool = False  # no pixel was just uncovered: `motion.occlusion_mask` is empty
-    on_surfaces: bool = False  # light moves with its surfaces: `light_shift` finds nothing
+    on_surfaces: bool = False  # light moves with its surfaces: nothing is looked for (`shift`)
     sanitised: bool = False  # the frame has been through `sanitise`
     exposure: Tensor | None = None  # [B, 1, 1, 1] of the whole picture, where the frame is a window of one
     distance: Tensor | None = None  # [B, 1, 1, 1] likewise: the mean distance of its surfaces (`Denoiser.statistics`)
-    shift: Tensor | None = None  # [B, 2, H, W] pixels that belong to motion (`light_shift`)
+    shift: Tensor | None = None  # [B, 2, H, W] pixels that belong to motion (`shift`)
 
 
 NOTHING_KNOWN = Known()

@@ -27,7 +27,7 @@ def history_motion(
     """The motion that fetches a frame's history, `[B, 2, H, W]`: dual inside uncovered regions, traditional elsewhere.
     And two masks, `[B, 1, H, W]` bool: whether it leads onto the screen, and whether the pixel is uncovered.
 
-    `shift`, `[B, 2, H, W]`, belongs to traditional motion (`light_shift`). With the `kind` 'traditional' no pixel
+    `shift`, `[B, 2, H, W]`, belongs to traditional motion (`shift.light`). With the `kind` 'traditional' no pixel
     counts as uncovered. A history without `motion_next` gets it by `splat_motion_next`.
     """
     if shift is not None:

@@ -42,6 +42,26 @@ def make_frames(count=4, H=24, W=32, seed=0, noise=1.0):
     return frames
 
 
+def behind_glass(count=2, speed=(0.5, 0.0), bright=9.0, noise=0.0, seed=0, surface=4.0, H=96, W=144):
+    """A bright window with dark bars behind a still pane; each pixel is one sample at a random place in it."""
+    g = torch.Generator().manual_seed(seed)
+    rows, columns = torch.meshgrid(torch.arange(H).float(), torch.arange(W).float(), indexing="ij")
+    frames = []
+    for number in range(count):
+        x = columns + torch.rand(H, W, generator=g) - speed[0] * number
+        y = rows + torch.rand(H, W, generator=g) - speed[1] * number
+        pane = (x % 24 > 8) & (y % 32 > 6)
+        dark = 0.05 * torch.empty(H, W).exponential_(generator=g)
+        light = torch.where(pane, bright * (1 + noise * torch.randn(H, W, generator=g)).clamp(min=0), dark)
+        frames.append(Frame(
+            radiance=light.expand(1, 3, H, W).contiguous(), albedo=torch.ones(1, 3, H, W),
+            normal=torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1).repeat(1, 1, H, W),
+            depth=torch.full((1, 1, H, W), surface), motion=torch.zeros(1, 2, H, W),
+            motion_next=torch.zeros(1, 2, H, W), number=number,
+        ))  # fmt: skip
+    return frames
+
+
 def write_sequence(folder, frames, without=()):
     """Write frames in the native layout as frame.0000.exr ..., both signals alike."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -266,7 +266,7 @@ def test_history_is_that_of_torch_and_comes_back(gl, weights, assert_images_clos
     model, frames = weights(SMALL[preset]), make_frames(4)
     _, _, history, resident = both(model, frames[:3])
     fields = resident.read()
-    layers = replace(history, noisy=None).layers()  # shaders do not follow light (`light_shift`)
+    layers = replace(history, noisy=None, found=None, shifts=()).layers()  # shaders do not follow light (`shift`)
     assert set(fields) == set(layers)
     for name, tensor in layers.items():
         if name.startswith("recent."):

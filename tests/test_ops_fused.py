@@ -24,6 +24,7 @@ from rtdenoise.ops.native import compiler
 from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.shares import shares
 from rtdenoise.ops.to_planes import to_planes
+from rtdenoise.shift.displacement import displacement_sums
 from rtdenoise.splat import history_motion
 
 SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
@@ -299,6 +300,18 @@ def test_history_motion(both, size):
         torch.testing.assert_close(fused, plain, rtol=0, atol=0, equal_nan=True)
 
 
+@pytest.mark.parametrize("size", [*SIZES, (20, 2100)], ids=str)
+@pytest.mark.parametrize("cell, stride", [(16, 2), (32, 1)])
+def test_displacement_sums(both, assert_images_close, size, cell, stride):
+    now, before, here, depth = (torch.rand(2, 1, *size) for _ in range(4))
+    motion, shift = 4 * torch.randn(2, 2, *size), torch.randn(2, 2, *(-(-n // cell) for n in size))
+    motion[0, :, 0, 0], motion[1, :, -1, -1] = OFF_SCREEN, math.nan
+    here[here < 0.3], depths = 0.0, [1 + 0.05 * x for x in (depth, torch.rand(2, 1, *size))]
+    plain, fused = both(displacement_sums, now, before, motion, shift, here, *depths, cell, stride)
+    assert_images_close(fused, plain, "sums")
+    assert min(size) < 17 or (plain[:, 0].sum((1, 2)) > 0).all()
+
+
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16], ids=str)
 def test_features(both, assert_images_close, size, dtype):
@@ -514,7 +527,8 @@ build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1
 
 def declarations():
     """(module, `Fused`) for every op with a fused implementation."""
-    for name in ["splat", *(f"ops.{module.name}" for module in pkgutil.iter_modules(ops.__path__))]:
+    names = (f"ops.{module.name}" for module in pkgutil.iter_modules(ops.__path__))
+    for name in ["splat", "shift.displacement", *names]:
         module = importlib.import_module(f"rtdenoise.{name}")
         yield from ((module, value) for value in vars(module).values() if isinstance(value, dispatch.Fused))
 
@@ -525,7 +539,7 @@ def test_every_fused_op_has_the_name_of_its_plain_one():
     files = {"native": {*shared}, "triton": {"__init__", "common", "pool", "targets", "alike"}}
     for module, fused in declarations():
         assert callable(getattr(module, fused.name).__wrapped__)  # decorated by `falls_back`
-        assert module.__name__ in (f"rtdenoise.ops.{fused.file}", "rtdenoise.splat")
+        assert module.__name__ in (f"rtdenoise.ops.{fused.file}", "rtdenoise.splat", "rtdenoise.shift.displacement")
         for folder in fused.support:
             assert callable(dispatch._function(folder, fused.file, fused.name))
             files[folder].add(fused.file)

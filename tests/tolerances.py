@@ -19,6 +19,8 @@ TOLERANCES = {
     "float32": Tolerance(1e-5, 1e-6),
     # A network over a window instead of the whole frame: its convolutions sum in another order, layer after layer.
     "float32 tiles": Tolerance(1e-4, 1e-5),
+    # Sums of a thousand terms of either sign, of about 1.
+    "sums": Tolerance(1e-5, 2e-4),
     # A quotient of such sums with a small divisor: bilinear weights that add up to 0.01.
     "float32 quotient": Tolerance(1e-4, 1e-5),
     # torch's lookup takes coordinates in [-1, 1]: they are rounded by some 1e-7 of the image's width.

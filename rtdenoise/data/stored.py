@@ -10,15 +10,16 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from ..constants import RECALL_FOOTPRINT_WORDS, RECALL_RESET, RECALL_WORDS
+from ..constants import RECALL_FOOTPRINT_WORDS, RECALL_RESET, RECALL_WORDS, SHIFT_CELL
 from ..errors import InputError
 from ..files import open_regular, write_atomically
-from ..frame import HIDDEN, RECENT
+from ..frame import HIDDEN, RECENT, SHIFTS
 
 CHANNELS = {  # field of `History` -> channels; hidden features have any number of them, at any size
     "radiance": 3, "motion_next": 2, "depth": 1, "normal": 3, "length": 1, "mean": 3, "mean_albedo": 3,
     "noisy": 3, "residual": 3, "residual_length": 1, "footprint": 9, "footprint_count": 1,
 }  # fmt: skip
+FOUND = "found"  # the field of shifts, of cells of pixels as `SHIFTS`
 OF_ESTIMATES = {"trust": 1}  # fields of the offline mode's estimates that a history lacks
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number
@@ -42,8 +43,8 @@ def read_history(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
             fields = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that numpy lacks
         raise InputError(f"{path}: not a readable history ({error})") from None
-    several = re.compile(rf"({HIDDEN}|{RECENT})\d{{1,4}}")
-    known = {*CHANNELS, *OF_ESTIMATES, RESETS}
+    several = re.compile(rf"({HIDDEN}|{RECENT}|{SHIFTS})\d{{1,4}}")
+    known = {*CHANNELS, *OF_ESTIMATES, RESETS, FOUND}
     unknown = [name for name in fields if name not in known and not several.fullmatch(name)]
     if unknown or (fields and "radiance" not in fields):
         raise InputError(f"{path}: not a history of this version: it holds {', '.join(sorted(fields))}")
@@ -76,8 +77,11 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
     if recent:
         words = array.shape[1] if array.ndim == 4 else 0
         channels = words if words == RECALL_FOOTPRINT_WORDS else RECALL_WORDS
-    if channels is not None:
+    shift = name == FOUND or name.startswith(SHIFTS)
+    if channels is not None or shift:
         expected = (*like[:1], channels, *like[2:])
+        if shift:
+            expected = (*like[:1], 2, *(-(-n // SHIFT_CELL) for n in like[2:]))
         fits = len(like) == 4 and array.shape == expected
     else:
         expected = (*like[:1], "C", "h", "w")

@@ -34,7 +34,7 @@ from ..sanitise import admit
 from .config import AccumulatedKPNConfig
 from .inference import as_weights
 from .losses import frame_loss
-from .past import Past, footprint, kept, reprojected, shifted
+from .past import Past, followed, footprint, kept, reprojected, shifted
 from .refinement import GuidedRefinement
 from .unet import ConvRelu, UNet, by_name
 
@@ -103,7 +103,11 @@ class AccumulatedKPN(nn.Module):
         shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
         another size, or `frame` is no Frame of tensors.
         """
-        return self.step_and_kernels(frame, history, known)[:2]
+        frame = admit(frame, history and history.radiance, known)
+        output, after, _ = self.step_and_kernels(frame, history, replace(known, sanitised=True))
+        if known.exposure is None:  # otherwise a window, and the whole picture is followed
+            after = followed(frame, history, after, self.config.recent + 1)
+        return output, after
 
     def step_and_kernels(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN

@@ -25,6 +25,7 @@ from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
 from .mixing import evened, greatest_around, mix
+from .past import followed
 from .unet import ConvRelu, Up, pool
 
 CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + CONTRAST): dark parts matter, too
@@ -42,8 +43,8 @@ class Hybrid(AccumulatedKPN):
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
         """As `Denoiser.step`. Training leaves the kernels as they are: no gradient reaches them."""
-        frame = admit(frame, history and history.radiance, known)
-        if known.exposure is None:
+        frame, whole = admit(frame, history and history.radiance, known), known.exposure is None
+        if whole:
             exposure, distance = self.statistics(frame)
             known = replace(known, exposure=exposure, distance=distance)
         with torch.no_grad():
@@ -63,7 +64,8 @@ class Hybrid(AccumulatedKPN):
 
         shown = mix(image, pixels, known.exposure, trust, past.output, held, noisy=frame.radiance)
         shown = even_sky(shown, frame.radiance, frame.depth)
-        return shown, replace(after, radiance=shown.detach())
+        after = replace(after, radiance=shown.detach())
+        return shown, followed(frame, history, after, self.config.recent + 1) if whole else after
 
 
 def surroundings(light: Tensor, image: Tensor) -> tuple[Tensor, Tensor]:

@@ -22,7 +22,7 @@ from ..ops.pixels import accumulate
 from ..sanitise import BRIGHTEST
 from ..splat import history_motion
 from .accumulated_kpn import AccumulatedKPN, Kernels
-from .past import shifted
+from .past import followed, shifted
 
 GROUP = 6  # channels that are filtered at once: fused ops take up to 8, and pictures have 3
 ALBEDO = -1  # a `color_of`: the frame's albedo, as `pixels.demodulate` limits it
@@ -81,7 +81,8 @@ def step(
         edged = network.over_edges_and_time(new, old, kernels.past.on_screen, kernels.heads).clamp(min=0)
         outputs += [even_sky(a, b, frame.depth) for a, b in zip(edged.split(3, 1), unfiltered.split(3, 1), strict=True)]
     outputs = torch.cat(outputs, dim=1)
-    return image, outputs, replace(after, hidden=(means, outputs, passed) if passed.shape[1] else (means, outputs))
+    after = replace(after, hidden=(means, outputs, passed) if passed.shape[1] else (means, outputs))
+    return image, outputs, followed(frame, history, after, network.config.recent + 1)
 
 
 def _divided(parts: Parts, frame: Frame) -> Tensor:

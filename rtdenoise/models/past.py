@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from ..frame import NOTHING_KNOWN, Frame, History, Known
-from ..light_shift import light_shift
 from ..ops import reproject, warp
 from ..ops.pixels import accumulate, demodulate
 from ..ops.recall import keep, recall
+from ..shift import picture
+from ..shift.light import light_shift
 from ..splat import history_motion
 
 if TYPE_CHECKING:
@@ -68,15 +69,29 @@ def shifted(frame: Frame, history: History | None, known: Known) -> Known:
     """`known` with how far light has moved over its surfaces in a sanitised frame, if it has and that is not known."""
     if history is None or history.noisy is None or known.on_surfaces or known.shift is not None:
         return known
-    shift = light_shift(frame.radiance, history.noisy, frame.motion, frame.depth, history.depth)
+    shift = shift_of(frame, history.noisy, history.depth, history.shifts[:1])
     return replace(known, on_surfaces=True) if shift is None else replace(known, shift=shift, still=False)
 
 
-def shift_between(before: Frame | None, frame: Frame) -> Tensor | None:
-    """`Known.shift` of a sanitised frame; None where there is no frame before."""
-    if before is None or frame.motion is None:
-        return None
-    return light_shift(frame.radiance, before.radiance, frame.motion, frame.depth, before.depth)
+def shift_of(
+    frame: Frame, noisy_before: Tensor, depth_before: Tensor, told: tuple[Tensor, ...] = ()
+) -> Tensor | None:
+    """`Known.shift` of a sanitised frame with motion: that of light without noise, elsewhere what counts of the frame
+    before, in `History.shifts`."""
+    shift = light_shift(frame.radiance, noisy_before, frame.motion, frame.depth, depth_before)
+    other = picture.moved(told[0], frame.motion, frame.depth) if told else None
+    if shift is None or other is None:
+        return other if shift is None else shift
+    return torch.where(shift.ne(0).any(1, keepdim=True), shift, other)
+
+
+def followed(frame: Frame, history: History | None, after: History, most: int) -> History:
+    """`after` a sanitised frame with how light has moved over its surfaces in the picture, for the next frames. `most`:
+    of `History.shifts`."""
+    if history is None:
+        return after
+    found, agreed = picture.find(after.radiance, frame.motion, frame.depth, history)
+    return replace(after, found=found, shifts=(agreed, *history.shifts)[:most])
 
 
 def kept(

@@ -203,19 +203,21 @@ class TorchBackend:
     def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
         import torch
 
-        from ..models.past import kept, shift_between
+        from ..models.past import kept, shift_of
 
         if not frames or "mean" not in self.config.carries:
             return history
         with torch.inference_mode():
-            pairs = zip(frames, [*frames[1:], None], strict=True)
-            recent = tuple(
-                kept(self.config, frame, torch.zeros_like(frame.depth), shift=shift_between(before, frame))
-                for frame, before in list(pairs)[: self.config.recent]
-            )
+            recent = []
+            for i, frame in enumerate(frames[: self.config.recent]):
+                shift = None
+                if i + 1 < len(frames) and frame.motion is not None:
+                    before = frames[i + 1]
+                    shift = shift_of(frame, before.radiance, before.depth, history.shifts[i + 1 : i + 2])
+                recent.append(kept(self.config, frame, torch.zeros_like(frame.depth), shift=shift))
             for its, resets in zip(recent, history.recent, strict=False):  # none in a history of light in passes
                 its[:, RECALL_RESET] |= resets[:, RECALL_RESET]
-            return replace(history, noisy=frames[0].radiance, recent=recent)
+            return replace(history, noisy=frames[0].radiance, recent=tuple(recent))
 
 
 class GlslBackend:

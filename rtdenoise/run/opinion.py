@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..models.mixing import BEFORE, KERNELS, evened, mix
-from ..models.past import shifted
+from ..models.past import followed, shifted
 from ..models.presets import Config
 from ..ops import warp
 from ..ops.even_sky import even_sky
@@ -67,4 +67,4 @@ class Opinion:
         picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
         image = mix(image, picture, exposure(image), trust, before, held, self.shares, frame.radiance)
         image = even_sky(image, frame.radiance, frame.depth)  # OIDN filters the sky, too
-        return image, replace(onward, radiance=image)
+        return image, followed(frame, history, replace(onward, radiance=image), len(onward.shifts))

@@ -15,7 +15,7 @@ from torch import Tensor
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..models import Denoiser
 from ..models.config import CELL
-from ..models.past import shifted
+from ..models.past import followed, shifted
 from ..motion import on_screen
 from ..ops.recall import motion_of
 from ..sanitise import sanitise
@@ -65,12 +65,13 @@ def step_in_windows(
     lengths = carried(frame, history)
     if lengths is not None and known.shift is not None:
         lengths = lengths + known.shift.abs()
+    before = history and replace(history, found=None, shifts=())
     for core in cores:
         top, left, bottom, right = window = widened(core, lengths, denoiser.config.network_reach, frame.size)
         size = bottom - top, right - left
         within = known if known.shift is None else replace(known, shift=known.shift[..., top:bottom, left:right])
         part, part_history = denoiser.step(
-            frame.crop(top, left, *size), history and _crop_history(history, window, frame.size), within
+            frame.crop(top, left, *size), before and _crop_history(before, window, frame.size), within
         )
         _paste(image, part, core, window, frame.size)
         for name, tensor in part_history.layers().items():
@@ -79,7 +80,10 @@ def step_in_windows(
                 after[name] = tensor.new_zeros(*tensor.shape[:2], h, w)
             _paste(after[name], tensor, core, window, frame.size)
     after |= {name: tensor for name in GEOMETRY if (tensor := getattr(frame, name)) is not None}
-    return image, History.from_layers(after)
+    after = History.from_layers(after)
+    if after.noisy is not None:  # a network that follows light
+        after = followed(frame, history, after, denoiser.config.recent + 1)
+    return image, after
 
 
 def carried(frame: Frame, history: History | None) -> Tensor | None:
