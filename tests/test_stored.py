@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import save_file
 
-from rtdenoise.data.stored import CHANNELS, read_history, write_history
+from rtdenoise.data.stored import CHANNELS, FOUND, read_history, write_history
 from rtdenoise.errors import InputError
-from rtdenoise.frame import History
+from rtdenoise.frame import SEVERAL, History
 
 H, W = 4, 6
 
@@ -30,7 +30,7 @@ def message(path) -> str:
 
 
 def test_the_fields_are_those_of_a_history():
-    assert {*CHANNELS, "hidden", "recent"} == {field.name for field in fields(History)}
+    assert {*CHANNELS, FOUND, *(prefix.rstrip(".") for prefix in SEVERAL)} == {field.name for field in fields(History)}
 
 
 @pytest.mark.parametrize("history", [{}, make_history(), {"radiance": np.ones((2, 3, 1, 1), np.float32)}])
