@@ -4,12 +4,14 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from rtdenoise.data.clips import clip_path, write_clip
 from rtdenoise.data.exr import write_layers
 from rtdenoise.frame import Frame
 from rtdenoise.models.config import TemporalKPNConfig
+from rtdenoise.run.denoise import denoise
 
 TINY = TemporalKPNConfig(widths=(4, 4, 4, 4))  # a network that runs in no time
 
@@ -102,6 +104,17 @@ def with_bad_pixels(frame):
     radiance = frame.radiance.clone()
     radiance[..., 3, 3], radiance[..., 4, 9] = math.nan, math.inf
     return replace(frame, radiance=radiance)
+
+
+def assert_goes_on(shot, folder, options, count, when_stopped=lambda out: None):
+    """A run that is stopped after `count` frames goes on to the files of an undisturbed one, byte by byte."""
+    denoise(str(shot), folder / "whole", options)
+    with pytest.raises(Stop):
+        denoise(str(shot), folder / "parts", options, on_frame=stop_after(count))
+    when_stopped(folder / "parts")
+    assert denoise(str(shot), folder / "parts", options).skipped == count
+    for path in sorted((folder / "whole").glob("*.exr")):
+        assert path.read_bytes() == (folder / "parts" / path.name).read_bytes(), path.name
 
 
 class Stop(Exception):

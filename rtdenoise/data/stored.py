@@ -77,11 +77,11 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
     if recent:
         words = array.shape[1] if array.ndim == 4 else 0
         channels = words if words == RECALL_FOOTPRINT_WORDS else RECALL_WORDS
-    shift = name == FOUND or name.startswith(SHIFTS)
-    if channels is not None or shift:
-        expected = (*like[:1], channels, *like[2:])
-        if shift:
-            expected = (*like[:1], 2, *(-(-n // SHIFT_CELL) for n in like[2:]))
+    size = like[2:]
+    if name == FOUND or name.startswith(SHIFTS):
+        channels, size = 2, tuple(-(-n // SHIFT_CELL) for n in size)
+    if channels is not None:
+        expected = (*like[:1], channels, *size)
         fits = len(like) == 4 and array.shape == expected
     else:
         expected = (*like[:1], "C", "h", "w")

@@ -105,7 +105,7 @@ class AccumulatedKPN(nn.Module):
         """
         frame = admit(frame, history and history.radiance, known)
         output, after, _ = self.step_and_kernels(frame, history, replace(known, sanitised=True))
-        if known.exposure is None:  # otherwise a window, and the whole picture is followed
+        if not known.part:
             after = followed(frame, history, after, self.config.recent + 1)
         return output, after
 

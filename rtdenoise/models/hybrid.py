@@ -43,8 +43,8 @@ class Hybrid(AccumulatedKPN):
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
         """As `Denoiser.step`. Training leaves the kernels as they are: no gradient reaches them."""
-        frame, whole = admit(frame, history and history.radiance, known), known.exposure is None
-        if whole:
+        frame = admit(frame, history and history.radiance, known)
+        if known.exposure is None:
             exposure, distance = self.statistics(frame)
             known = replace(known, exposure=exposure, distance=distance)
         with torch.no_grad():
@@ -65,7 +65,7 @@ class Hybrid(AccumulatedKPN):
         shown = mix(image, pixels, known.exposure, trust, past.output, held, noisy=frame.radiance)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())
-        return shown, followed(frame, history, after, self.config.recent + 1) if whole else after
+        return shown, after if known.part else followed(frame, history, after, self.config.recent + 1)
 
 
 def surroundings(light: Tensor, image: Tensor) -> tuple[Tensor, Tensor]:

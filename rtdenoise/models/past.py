@@ -73,11 +73,9 @@ def shifted(frame: Frame, history: History | None, known: Known) -> Known:
     return replace(known, on_surfaces=True) if shift is None else replace(known, shift=shift, still=False)
 
 
-def shift_of(
-    frame: Frame, noisy_before: Tensor, depth_before: Tensor, told: tuple[Tensor, ...] = ()
-) -> Tensor | None:
-    """`Known.shift` of a sanitised frame with motion: that of light without noise, elsewhere what counts of the frame
-    before, in `History.shifts`."""
+def shift_of(frame: Frame, noisy_before: Tensor, depth_before: Tensor, told: tuple[Tensor, ...]) -> Tensor | None:
+    """`Known.shift` of a sanitised frame with motion: that of light without noise, elsewhere what the frame
+    before `told`, the first of these `History.shifts`, if there is any."""
     shift = light_shift(frame.radiance, noisy_before, frame.motion, frame.depth, depth_before)
     other = picture.moved(told[0], frame.motion, frame.depth) if told else None
     if shift is None or other is None:

@@ -53,7 +53,7 @@ class Opinion:
             raise InputError(f"OIDN takes one picture at a time, got {len(frame.radiance)}")
         frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
         known = shifted(frame, history, known)
-        image, onward = step(frame, history, known)
+        image, onward = step(frame, history, replace(known, part=True))
         radiance, albedo, normal = onward.footprint.split(FOOTPRINT, dim=1)
         trust, before, held = 1.0, None, 1.0
         if history is not None:
@@ -67,4 +67,4 @@ class Opinion:
         picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
         image = mix(image, picture, exposure(image), trust, before, held, self.shares, frame.radiance)
         image = even_sky(image, frame.radiance, frame.depth)  # OIDN filters the sky, too
-        return image, followed(frame, history, replace(onward, radiance=image), len(onward.shifts))
+        return image, followed(frame, history, replace(onward, radiance=image), RECENT + 1)

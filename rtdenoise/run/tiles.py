@@ -69,7 +69,9 @@ def step_in_windows(
     for core in cores:
         top, left, bottom, right = window = widened(core, lengths, denoiser.config.network_reach, frame.size)
         size = bottom - top, right - left
-        within = known if known.shift is None else replace(known, shift=known.shift[..., top:bottom, left:right])
+        within = replace(known, part=True)
+        if known.shift is not None:
+            within = replace(within, shift=known.shift[..., top:bottom, left:right])
         part, part_history = denoiser.step(
             frame.crop(top, left, *size), before and _crop_history(before, window, frame.size), within
         )
@@ -81,7 +83,7 @@ def step_in_windows(
             _paste(after[name], tensor, core, window, frame.size)
     after |= {name: tensor for name in GEOMETRY if (tensor := getattr(frame, name)) is not None}
     after = History.from_layers(after)
-    if after.noisy is not None:  # a network that follows light
+    if after.noisy is not None and not known.part:  # a network that follows light
         after = followed(frame, history, after, denoiser.config.recent + 1)
     return image, after
 

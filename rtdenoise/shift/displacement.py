@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from ..color import luminance
 from ..constants import DEPTH_TOLERANCE
 from ..motion import on_screen
 from ..ops import warp
@@ -21,6 +22,7 @@ from ..ops.dispatch import Fused, Support, falls_back
 
 FUSED = Fused("displacement_sums", native=Support())
 AROUND = 3  # cells: so many by so many are fitted together
+LIGHT = 8.0  # light of a picture's mean becomes log(1 + LIGHT)
 
 
 @falls_back
@@ -70,6 +72,14 @@ def displacement(*pictures: Tensor, cell: int, stride: int, rounds: int, damping
         shift = shift + change
     left = square - (change * torch.cat([x, y], dim=1)).sum(1, keepdim=True)
     return shift, left / first.clamp(min=1e-30)
+
+
+def compressed(now: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
+    """log(1 + s x) of the luminance x of two pictures `[B, 3, H, W]`, `[B, 1, H, W]` each; s x is LIGHT at the mean of
+    the first."""
+    now, before = luminance(now), luminance(before)
+    scale = LIGHT / now.mean((1, 2, 3), keepdim=True).clamp(min=1e-12)
+    return (1 + scale * now).log(), (1 + scale * before).log()
 
 
 def spread(cells: Tensor, cell: int, H: int, W: int) -> Tensor:

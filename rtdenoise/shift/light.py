@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..color import luminance
 from ..constants import DEPTH_TOLERANCE
 from ..ops.block_luminance import block_luminance
-from .displacement import displacement, spread
+from .displacement import compressed, displacement, spread
 
 BLOCK = 3  # side in pixels of the blocks that are even or not
 EVEN = 4e-3  # an even block's greatest luminance over its mean, less 1; half floats round by an eighth of that
@@ -23,7 +22,6 @@ CONTRAST = 1.5  # greatest luminance around an even block over the least one, fr
 AROUND = 3  # blocks from an even one, up to which its surface shifts with it
 CELL = 32  # side in pixels of the cells that shift as one
 STRIDE, ROUNDS, DAMPING = 2, 2, 0.03  # of `displacement`
-LIGHT = 8.0  # light of a frame's mean becomes log(1 + LIGHT)
 LEAST, GREATEST = 0.2, 1.2  # pixels: shorter shifts are noise, longer ones mistakes
 
 
@@ -43,8 +41,7 @@ def light_shift(
     near, edges = _even(noisy, depth)
     if noisy.device.type == "cpu" and not edges.any():
         return None
-    scale = LIGHT / luminance(noisy).mean((1, 2, 3), keepdim=True).clamp(min=1e-12)
-    light, light_before = (_blurred((1 + scale * luminance(x)).log()) for x in (noisy, noisy_before))
+    light, light_before = (_blurred(x) for x in compressed(noisy, noisy_before))
     shift, _ = displacement(
         light, light_before, motion, _pixels(near, H, W), depth, depth_before,
         cell=CELL, stride=STRIDE, rounds=ROUNDS, damping=DAMPING,

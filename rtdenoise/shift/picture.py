@@ -12,13 +12,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..color import luminance
 from ..constants import SHIFT_CELL as CELL
 from ..frame import History
 from ..motion import on_screen
 from ..ops import fetch
-from .displacement import displacement, spread
-from .light import GREATEST, LEAST, LIGHT, one_surface
+from .displacement import compressed, displacement, spread
+from .light import GREATEST, LEAST, one_surface
 
 STRIDE, ROUNDS, DAMPING = 2, 2, 0.003  # of `displacement`
 LEFT, SURE = 0.7, 0.5  # shares of the pictures' squared difference that a shift may leave, and may alone
@@ -35,8 +34,7 @@ def find(
     """The shifts of cells, `[B, 2, ⌈H/CELL⌉, ⌈W/CELL⌉]` pixels each, in this frame: those that explain how the picture
     has changed, 0 elsewhere; and what the next frame takes: those that agree with `history.found`, their mean with it
     (a picture that has caught up with its light has moved by more than that), and those that are sure."""
-    scale = LIGHT / luminance(picture).mean((1, 2, 3), keepdim=True).clamp(min=1e-12)
-    now, before = ((1 + scale * luminance(x)).log() for x in (picture, history.radiance))
+    now, before = compressed(picture, history.radiance)
     shift, left = displacement(
         now, before, motion, one_surface(depth), depth, history.depth,
         cell=CELL, stride=STRIDE, rounds=ROUNDS, damping=DAMPING,
