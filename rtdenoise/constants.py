@@ -21,6 +21,11 @@ RECALL_RESET = 3  # of these the one whose higher half is the reset
 RECALL_CELL = 4  # side in pixels of the cells in which light is compared; 3 × 3 cells count together
 RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |differences|²: light counts whole; not at all
 
+# Edges that move against what is behind them (`ops.over`).
+OVER_APART = 0.05  # least difference of distances, as a share of the greater one
+OVER_SPEED = 0.5  # least motion against what is behind, in pixels a frame
+OVER_LIGHT = 0.25  # share of radiance that is what frames saw of both; the rest is the footprint of one
+
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
 
 SHIFT_CELL = 16  # side in pixels of the cells whose light moves as one (`shift.picture`)

@@ -13,7 +13,7 @@ from rtdenoise.cli.main import main
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.exposure import exposure
-from rtdenoise.models import AccumulatedKPNConfig
+from rtdenoise.models import AccumulatedKPNConfig, past
 from rtdenoise.models.mixing import BEFORE, KERNELS, mix, share_told
 from rtdenoise.ops import warp
 from rtdenoise.ops.recall import reset_of
@@ -168,10 +168,11 @@ def test_light_that_one_frame_has_seen_is_evened_with_the_networks_image(monkeyp
     _, history = asked.step(asked.prepare(first), None)
     plain, _ = network.step(network.prepare(second), history)
     _, onward = asked.step(asked.prepare(second), history)
-    asked.step(asked.prepare(third), onward)
-    assert torch.equal(seen[0].radiance, first.radiance) and torch.equal(seen[2].radiance, third.radiance)
+    _, last = asked.step(asked.prepare(third), onward)
+    assert torch.equal(seen[0].radiance, first.radiance) and (last.footprint_count == 1).all()
+    assert torch.equal(seen[2].radiance, past.seen(sanitise(third), onward, last)[:, :3])
 
-    count, light = onward.footprint_count, onward.footprint[:, :3]
+    count, light = onward.footprint_count, past.seen(sanitise(second), history, onward)[:, :3]
     assert (count[..., 18:] == 1).all() and count[..., ~right].mean() > 1.2
     _, on_screen, uncovered = history_motion(second, history, "dual")
     trust = 1 - (on_screen & ~uncovered) * reset_of(onward.recent[0])

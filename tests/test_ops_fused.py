@@ -21,6 +21,7 @@ from rtdenoise.ops.block_luminance import block_luminance
 from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
+from rtdenoise.ops.over import over
 from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.shares import shares
 from rtdenoise.ops.to_planes import to_planes
@@ -173,6 +174,25 @@ def test_recall(both, assert_images_close, size, count):
             sure = weight > 1  # dividing by less magnifies rounding
             assert_images_close(fused_mean * sure, mean * sure, "float32")
             assert weight.any() or min(size) < 4
+
+
+@pytest.mark.parametrize("size", [*SIZES, (23, 600)], ids=str)
+@pytest.mark.parametrize("count", [1, 5])
+def test_over(both, assert_images_close, size, count):
+    """Three distances and the sky, each moving by itself in quarters of a pixel."""
+
+    def frame():
+        depth = (4 * torch.rand(2, 1, *size)).floor()
+        motion = depth * torch.tensor([1.25, -0.5])[:, None, None] - torch.randint(3, (2, 2, 1, 1))
+        motion[0, :, 0, 0], motion[1, :, -1, -1] = math.nan, math.inf
+        light, surfaces = torch.empty(2, 3, *size).exponential_(), torch.rand(2, 6, *size)
+        return keep(light, depth, surfaces[:, :3], torch.rand(2, 1, *size), motion, surfaces[:, 3:]), motion, depth
+
+    recent = tuple(frame()[0] for _ in range(count))
+    (seen, now), (_, motion, depth) = torch.rand(2, 2, 9, *size), frame()
+    plain, fused = both(over, seen, now, motion, depth, recent)
+    assert_images_close(fused, plain, "float32")
+    assert min(size) == 1 or not torch.equal(plain, seen)
 
 
 @pytest.mark.parametrize("op", [ops.warp, cubic])

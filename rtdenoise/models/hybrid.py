@@ -25,7 +25,7 @@ from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
 from .mixing import evened, greatest_around, mix
-from .past import followed
+from .past import followed, seen
 from .unet import ConvRelu, Up, pool
 
 CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + CONTRAST): dark parts matter, too
@@ -55,7 +55,7 @@ class Hybrid(AccumulatedKPN):
             trust = 1 - held * kernels.heads.reset
 
             # Show the other network what has been seen in each pixel.
-            radiance, *guides = after.footprint.split(FOOTPRINT, dim=1)
+            radiance, *guides = seen(frame, history, after, known).split(FOOTPRINT, dim=1)
             radiance = evened(radiance, after.footprint_count, image, trust)
             least, most = surroundings(radiance, image)
             scale = CONTRAST * known.exposure

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import reproject, warp
+from ..ops.over import over
 from ..ops.pixels import accumulate, demodulate
 from ..ops.recall import keep, recall
 from ..shift import picture
@@ -106,7 +107,20 @@ def kept(
 def footprint(frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:
     """`History.footprint` and `footprint_count` of a sanitised frame. `reset`: how far what recent frames saw gives
     way to it."""
-    seen = torch.cat([frame.radiance, frame.albedo, frame.normal], dim=1)
+    seen = footprint_of(frame)
     if past.footprint is None:
         return seen, torch.ones_like(frame.depth)
     return accumulate(seen, past.footprint, past.footprint_count, reset, torch.inf)
+
+
+def footprint_of(frame: Frame) -> Tensor:
+    """What one frame sees in each pixel, `[B, 9, H, W]` (`recall.FOOTPRINT`)."""
+    return torch.cat([frame.radiance, frame.albedo, frame.normal], dim=1)
+
+
+def seen(frame: Frame, history: History | None, after: History, known: Known = NOTHING_KNOWN) -> Tensor:
+    """`after.footprint` of a sanitised frame of one sample a pixel, with edges that move against what is behind them
+    (`ops.over`), `[B, 9, H, W]`: for networks that filter what a pixel shows."""
+    if history is None or known.still:
+        return after.footprint
+    return over(after.footprint, footprint_of(frame), frame.motion, frame.depth, history.recent)

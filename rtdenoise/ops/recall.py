@@ -83,10 +83,10 @@ def recall(
         return Recalled(*run(light, motion, *surface, recent, uncovered))
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
     seen, seen_count = light.new_zeros(B, sum(FOOTPRINT), H, W), torch.zeros_like(count)
-    path, edge = _Path(motion), None
+    path, edge = Path(motion), None
     if uncovered is not None:
         along, nearest = edge_motion(motion, surface[0])
-        edge = _Path(along)
+        edge = Path(along)
     for kept in recent:
         there = path.look(kept)
         same = (alike(surface, (there.depth, there.normal)) & path.inside).to(light.dtype)
@@ -97,7 +97,7 @@ def recall(
         if edge is not None:
             there = edge.look(kept)
             other = there.depth, there.normal
-            beside = _beside(surface, other) & (_distance(there.depth) >= (1 - DEPTH_TOLERANCE) * nearest)
+            beside = _beside(surface, other) & (distance(there.depth) >= (1 - DEPTH_TOLERANCE) * nearest)
             weight = (beside & edge.inside & ~uncovered) * stays * edge.left * edge.cover
             radiance = there.light * albedo_divisor(there.albedo, there.depth)
             seen = seen + weight * torch.cat([radiance, there.albedo, there.normal], dim=1)
@@ -133,18 +133,19 @@ def edge_motion(motion: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
     It is that of the nearest of a pixel and the four beside it (each in turn is nearer by more than DEPTH_TOLERANCE or
     does not count), unless that moves against the pixel by more than RECALL_EDGE_SPEED: then it is the pixel's own."""
     H, W = depth.shape[2:]
-    distance = _distance(depth)
-    around, nearest, found = F.pad(distance, (1, 1, 1, 1), mode="replicate"), distance, motion
+    own = distance(depth)
+    around, nearest, found = F.pad(own, (1, 1, 1, 1), mode="replicate"), own, motion
     motions = F.pad(motion, (1, 1, 1, 1), mode="replicate")
     for y, x in BESIDE[1:]:
         window = (..., slice(1 + y, 1 + y + H), slice(1 + x, 1 + x + W))
         nearer = around[window] < (1 - DEPTH_TOLERANCE) * nearest
         nearest, found = torch.where(nearer, around[window], nearest), torch.where(nearer, motions[window], found)
     slow = (found - motion).square().sum(1, keepdim=True) <= RECALL_EDGE_SPEED**2
-    return torch.where(slow, found, motion), torch.where(slow, nearest, distance)
+    return torch.where(slow, found, motion), torch.where(slow, nearest, own)
 
 
-def _distance(depth: Tensor) -> Tensor:
+def distance(depth: Tensor) -> Tensor:
+    """Depth, but infinite where nothing was hit."""
     return torch.where(depth > 0, depth, torch.inf)
 
 
@@ -186,7 +187,7 @@ class Kept:
     edge: Tensor | None = None  # [B, 2, H, W] `edge_motion`
 
 
-class _Path:
+class Path:
     """The path of each pixel back through kept frames."""
 
     def __init__(self, motion: Tensor) -> None:

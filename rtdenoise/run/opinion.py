@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..models.mixing import BEFORE, KERNELS, evened, mix
-from ..models.past import followed, shifted
+from ..models.past import followed, seen, shifted
 from ..models.presets import Config
 from ..ops import warp
 from ..ops.even_sky import even_sky
@@ -54,14 +54,15 @@ class Opinion:
         frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
         known = shifted(frame, history, known)
         image, onward = step(frame, history, replace(known, part=True))
-        radiance, albedo, normal = onward.footprint.split(FOOTPRINT, dim=1)
+        shown = seen(frame, history, onward, known) if self._few else onward.footprint
+        radiance, albedo, normal = shown.split(FOOTPRINT, dim=1)
         trust, before, held = 1.0, None, 1.0
         if history is not None:
-            motion, seen, uncovered = history_motion(frame, history, self._motion, known.shift)
-            held = seen & ~uncovered
+            motion, inside, uncovered = history_motion(frame, history, self._motion, known.shift)
+            held = inside & ~uncovered
             trust = 1 - held * reset_of(onward.recent[0])
             if self.shares[1]:
-                before = warp(history.radiance, motion, seen, image, cubic=True)
+                before = warp(history.radiance, motion, inside, image, cubic=True)
         if self._few:
             radiance = evened(radiance, onward.footprint_count, image, trust)
         picture, _ = self._oidn.step(replace(frame, radiance=radiance, albedo=albedo, normal=normal))

@@ -6,6 +6,7 @@
 // are followed when these are known, and what they lead to is summed up at once.
 #include "common.h"
 #include "alike.h"
+#include "kept.h"
 
 #define BLOCK 256  // pixels, a multiple of CELL
 #define PART 16   // pixels of a block that are loaded together where they lie together; BLOCK is a multiple of it
@@ -26,10 +27,6 @@ typedef struct {
     int K, H, W, columns, rows;
 } Job;
 
-static inline float bounded(float motion) {
-    return isnan(motion) ? FAR_AWAY : MIN(MAX(motion, -FAR_AWAY), FAR_AWAY);
-}
-
 static inline uint32_t *found_of(Job j, int cell_row, int k) {
     return j.found + ((int64_t)(cell_row % FOUND) * j.K + k) * 3 * CELL * j.W;
 }
@@ -37,10 +34,6 @@ static inline uint32_t *found_of(Job j, int cell_row, int k) {
 static inline float *cells_of(Job j, int cell_row, int k) {
     return j.cells + ((int64_t)(cell_row % SUMS) * j.K + k) * 4 * j.columns;
 }
-
-// The two bfloat16 of a word.
-static inline float low(uint32_t word) { return from_bits(word << 16); }
-static inline float high(uint32_t word) { return from_bits(word & 0xffff0000); }
 
 // The paths of a block of pixels: motion to the kept frame, and the share that the network has left of older light.
 typedef struct { float mx[BLOCK], my[BLOCK], s[BLOCK]; } Paths;
@@ -68,8 +61,6 @@ static inline void read(Job j, const uint32_t *kept, int64_t first, int n, const
         my[x] = in ? my[x] + high(planes[4][from]) : FAR_AWAY;
     }
 }
-
-static inline float distance(float depth) { return depth > 0 ? depth : INFINITY; }
 
 // The pixel whose motion the edge in pixel (x, y) of a picture has: ops/recall.py, edge_motion. `motion` has two planes.
 static inline int64_t edge(const float *motion, const float *depth, int64_t plane, int W, int H, int x, int y,
@@ -188,9 +179,6 @@ static inline void surroundings(Job j, int y, int from, int n, Surroundings *s) 
         }
     }
 }
-
-// 1 minus the distance to the nearest whole number.
-static inline float covered(float motion) { return 1 - fabsf(bounded(motion) - nearbyintf(bounded(motion))); }
 
 // Add to n sums what pixels at[0 ... n) of a kept frame hold, for footprints of pixels from `p` on of a block, and go on along
 // their paths; `together` as in `read`. `nearest`: the least distance of what belongs to each pixel, NaN where nothing does.

@@ -1,0 +1,99 @@
+"""Edges that move against what is behind them: the front over what is behind (Porter and Duff 1984), as recent frames
+saw it cover each pixel.
+
+The footprint of a pixel (`ops.recall`) follows one surface. Where two meet that move apart, it holds only one of them,
+and what was just uncovered has none. But how far the front covers the pixel is known from frames before: the edge moves
+with the front (docs/notes/edges.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from ..color import albedo_divisor
+from ..constants import OVER_APART, OVER_LIGHT, OVER_SPEED, RECALL_FOOTPRINT_WORDS
+from .dispatch import Fused, Support, falls_back
+from .recall import BESIDE, Path, distance
+
+FUSED = Fused("over", native=Support())
+
+
+@falls_back
+def over(
+    seen: Tensor,  # [B, 9, H, W] footprints with the current frame in them: `recall.FOOTPRINT`
+    now: Tensor,  # [B, 9, H, W] the current frame alone
+    motion: Tensor,  # [B, 2, H, W] (x, y) in pixels, to the frame before
+    depth: Tensor,  # [B, 1, H, W]
+    recent: Sequence[Tensor],  # [B, 8, H, W] int32 each (`recall.keep`), the frame before first
+) -> Tensor:  # [B, 9, H, W]
+    """`seen`, but at edges that move against what is behind them
+
+        s = Σ_j w_j s_j / Σ_j w_j,    w_0 = 1,    w_j = Π_(0<i<j) (1 - reset_i(p_i)) · (1 - |δ_x|) (1 - |δ_y|)
+
+    along the path p_j of the front, δ off the pixels that were looked up. s_j is what frame j saw there, if that was
+    the front, and otherwise what is behind it now. The front F and what is behind, B, are the nearest and the farthest
+    of a pixel and the four beside it, distances d; there is an edge if
+
+        d_F < (1 - APART) d_B    and    |motion(F) - motion(B)| > SPEED
+
+    Frames saw the front where something was nearer than √(d_F d_B), or than 2 d_F if nothing is behind. Behind is
+    `seen` at B. Of radiance the share LIGHT is s and the rest `seen`; `constants` has the three as OVER_APART ...
+
+    Raises ValueError where the shapes do not fit. No gradients.
+    """
+    B, _, H, W = seen.shape
+    for kept in recent:
+        if kept.shape != (B, RECALL_FOOTPRINT_WORDS, H, W):
+            raise ValueError(f"expected kept frames of {(B, RECALL_FOOTPRINT_WORDS, H, W)}, got {tuple(kept.shape)}")
+    if recent and (run := FUSED(seen=seen, now=now, motion=motion, depth=depth)):
+        return run(seen, now, motion, depth, recent)
+    front, behind, near, far = _ends(distance(depth))
+    onward = _at(motion, front)
+    apart = (onward - _at(motion, behind)).square().sum(1, keepdim=True) > OVER_SPEED**2
+    between = torch.where(far.isinf(), 2 * near, near.sqrt() * far.sqrt())
+    path, back = Path(onward), _at(seen, behind)
+    total, weights = torch.where(distance(depth) < between, now, back), torch.ones_like(depth)
+    for kept in recent:
+        there = path.look(kept)
+        weight = path.inside * path.left * path.cover
+        is_front = distance(there.depth) < between
+        radiance = there.light * albedo_divisor(there.albedo, there.depth)
+        total = total + weight * torch.where(is_front, torch.cat([radiance, there.albedo, there.normal], 1), back)
+        weights = weights + weight
+        onward = torch.where(is_front, there.motion, onward)
+        path.follow(onward, there.reset)
+    (light, surfaces), (was, _) = (x.split([3, 6], dim=1) for x in (total / weights, seen))
+    composed = torch.cat([torch.lerp(was, light, OVER_LIGHT), surfaces], dim=1)
+    return torch.where((near < (1 - OVER_APART) * far) & apart, composed, seen)
+
+
+def _ends(depths: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Of each pixel and the four beside it the index of the nearest and of the farthest, and both distances, `[B, 1, H,
+    W]` each; each in turn is nearer or farther by more than OVER_APART or does not count."""
+    B, _, H, W = depths.shape
+    itself = torch.arange(H * W, device=depths.device).reshape(1, 1, H, W).expand(B, 1, H, W)
+    front, behind, near, far = itself, itself, depths, depths
+    for y, x in BESIDE[1:]:
+        index = _beside(itself, y, x)
+        other = _at(depths, index)
+        nearer, farther = other < (1 - OVER_APART) * near, (1 - OVER_APART) * other > far
+        front, near = torch.where(nearer, index, front), torch.where(nearer, other, near)
+        behind, far = torch.where(farther, index, behind), torch.where(farther, other, far)
+    return front, behind, near, far
+
+
+def _beside(index: Tensor, y: int, x: int) -> Tensor:
+    """The index of the pixel that is (y, x) off, or at the border that of the last one."""
+    H, W = index.shape[2:]
+    rows = (torch.arange(H, device=index.device) + y).clamp(0, H - 1)[:, None]
+    columns = (torch.arange(W, device=index.device) + x).clamp(0, W - 1)
+    return (rows * W + columns).expand_as(index)
+
+
+def _at(image: Tensor, index: Tensor) -> Tensor:
+    """`[B, C, H, W]` at pixels `[B, 1, H, W]`."""
+    B, C, H, W = image.shape
+    return image.flatten(2).gather(2, index.flatten(2).expand(B, C, H * W)).reshape(B, C, H, W)
