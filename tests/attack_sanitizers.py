@@ -74,8 +74,11 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.even_sky import even_sky
     from rtdenoise.ops.features import features
     from rtdenoise.ops.logits import cells
+    from rtdenoise.ops.over import over
+    from rtdenoise.ops.recall import keep, recall
     from rtdenoise.ops.shares import shares
     from rtdenoise.ops.soften import soften
+    from rtdenoise.shift.displacement import displacement_sums
     from rtdenoise.splat import history_motion
 
     small = H * W <= SMALL
@@ -108,6 +111,14 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
         yield "even_sky", even_sky(other, torch.where(seen, other, 0.5), sky)
     yield "within", pixels.within(image, 0.0, 1.0)
     yield "block_luminance", block_luminance(image, 8)
+    kept = [keep(image, depth, normal, share, _motion(H, W, kind), other) for _ in range(3)]
+    yield "keep", keep(image, depth, normal, share, None)
+    for uncovered in (None, seen):
+        yield f"recall {uncovered is not None}", recall(image, motion, (depth, normal), kept, uncovered)
+    footprint = torch.cat([image, other, normal], dim=1)
+    yield "over", over(footprint, footprint, motion, depth, kept)
+    shift = torch.zeros(1, 2, -(-H // 16), -(-W // 16))
+    yield "displacement_sums", displacement_sums(depth, share, motion, shift, share, depth, depth, 16, 2)
     like = torch.zeros(1, 1, 1, 1).contiguous(memory_format=torch.channels_last)
     for dtype in (torch.float32, torch.bfloat16):
         yield "features", features([image], [normal, depth, seen], torch.ones(1, 1, 1, 1), like.to(dtype))

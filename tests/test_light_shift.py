@@ -38,13 +38,13 @@ def test_a_window_behind_glass_is_followed(speed):
 def test_light_that_stays_on_its_surface_has_no_shift(seed):
     """Its edges are ragged all the same: one sample a pixel."""
     shift = found(behind_glass(speed=(0.0, 0.0), seed=seed))
-    assert (shift != 0).any(1).float().mean() < 0.01
+    assert shift is None or (shift != 0).any(1).float().mean() < 0.01
 
 
 def test_what_moves_as_motion_says_has_no_shift():
     before, frame = behind_glass(speed=(0.5, 0.0))
     shift = found((before, replace(frame, motion=torch.tensor([-0.5, 0.0]).reshape(1, 2, 1, 1).repeat(1, 1, H, W))))
-    assert (shift != 0).any(1).float().mean() < 0.01
+    assert shift is None or (shift != 0).any(1).float().mean() < 0.01
 
 
 def test_noisy_light_is_not_looked_at():
@@ -73,7 +73,7 @@ def test_extreme_light_is_finite(value):
 @pytest.mark.parametrize("value", [1e4, -1e4, 3e38], ids=["right", "left", "beyond"])
 def test_motion_off_the_screen_has_no_shift(value):
     before, frame = behind_glass()
-    assert not found((before, replace(frame, motion=torch.full_like(frame.motion, value)))).any()
+    assert found((before, replace(frame, motion=torch.full_like(frame.motion, value)))) is None
 
 
 def test_a_batch_is_its_pictures():

@@ -79,7 +79,7 @@ def compressed(now: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
     the first."""
     now, before = luminance(now), luminance(before)
     scale = LIGHT / now.mean((1, 2, 3), keepdim=True).clamp(min=1e-12)
-    return (1 + scale * now).log(), (1 + scale * before).log()
+    return tuple(x.mul_(scale).add_(1).log_() for x in (now, before))
 
 
 def spread(cells: Tensor, cell: int, H: int, W: int) -> Tensor:

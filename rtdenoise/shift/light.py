@@ -8,6 +8,8 @@ found by least squares (`displacement`).
 
 from __future__ import annotations
 
+from functools import reduce
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F
@@ -35,8 +37,8 @@ def light_shift(
 ) -> Tensor | None:  # [B, 2, H, W] pixels that belong to motion, too; None: light moves with its surfaces
     """The shift d, that minimises Σ (y(p) - y'(p + motion(p) + d))² over the pixels p around, of compressed and blurred
     luminance y and that of the frame before, y'. A pixel counts where it lies in or beside an even block of its
-    surface. On a CPU there is nothing to do where no edge lies beside even light; on a GPU, looking would mean
-    waiting."""
+    surface. On a CPU there is nothing to do where no edge lies beside even light, or none has moved; on a GPU, looking
+    would mean waiting."""
     H, W = depth.shape[2:]
     near, edges = _even(noisy, depth)
     if noisy.device.type == "cpu" and not edges.any():
@@ -46,9 +48,11 @@ def light_shift(
         light, light_before, motion, _pixels(near, H, W), depth, depth_before,
         cell=CELL, stride=STRIDE, rounds=ROUNDS, damping=DAMPING,
     )  # fmt: skip
+    if noisy.device.type == "cpu" and not (_squared(shift) > LEAST**2).any():
+        return None
     shift = spread(shift, CELL, H, W)
-    squared = shift[:, :1].square() + shift[:, 1:].square()  # `norm` over channels is many times slower on the CPU
-    return shift * ((squared > LEAST**2) & (squared < GREATEST**2) & _around(near, depth))
+    squared = _squared(shift)
+    return shift.mul_((squared > LEAST**2) & (squared < GREATEST**2) & _around(near, depth))
 
 
 def _even(noisy: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
@@ -70,20 +74,39 @@ def one_surface(depth: Tensor) -> Tensor:
 
 def _flat(depth: Tensor) -> Tensor:
     """Blocks in and beside which depth is that of one surface: 1."""
-    farthest, nearest = (_greatest(F.max_pool2d(x, BLOCK, ceil_mode=True)) for x in (depth, -depth))
+    farthest, nearest = (_greatest(_blocks(x)) for x in (depth, -depth))
     return (farthest + nearest <= DEPTH_TOLERANCE * farthest).to(depth.dtype)
 
 
 def _around(near: Tensor, depth: Tensor) -> Tensor:
     """The pixels on the surfaces of the blocks `near` and `AROUND` them, `[B, 1, H, W]` bool."""
     H, W = depth.shape[2:]
-    far = F.max_pool2d(depth, BLOCK, ceil_mode=True)
+    far = _blocks(depth)
     farthest, nearest = (_pixels(_greatest(torch.where(near > 0, x, -torch.inf), AROUND), H, W) for x in (far, -far))
     return (depth <= (1 + DEPTH_TOLERANCE) * farthest) & (depth >= (DEPTH_TOLERANCE - 1) * nearest)
 
 
 def _greatest(blocks: Tensor, around: int = 1) -> Tensor:
-    return F.max_pool2d(blocks, 2 * around + 1, stride=1, padding=around)
+    """The greatest value of each block and those around it, as `F.max_pool2d`, which takes ten times as long on a CPU;
+    so do the pools that the next two stand for."""
+    (H, W), sides = blocks.shape[2:], range(2 * around + 1)
+    rows = F.pad(blocks, (0, 0, around, around), value=-torch.inf)
+    blocks = reduce(torch.maximum, [rows[:, :, i : i + H] for i in sides])
+    columns = F.pad(blocks, (around, around, 0, 0), value=-torch.inf)
+    return reduce(torch.maximum, [columns[..., i : i + W] for i in sides])
+
+
+def _blocks(x: Tensor) -> Tensor:
+    """The greatest value of each block, `[B, 1, ⌈H/3⌉, ⌈W/3⌉]`."""
+    H, W = x.shape[2:]
+    x = F.pad(x, (0, -W % BLOCK, 0, -H % BLOCK), value=-torch.inf)
+    x = reduce(torch.maximum, [x[:, :, i::BLOCK] for i in range(BLOCK)])
+    return reduce(torch.maximum, [x[..., i::BLOCK] for i in range(BLOCK)])
+
+
+def _squared(shift: Tensor) -> Tensor:
+    """Its length squared, `[B, 1, H, W]`: `norm` over channels is many times slower on a CPU."""
+    return shift[:, :1].square().add_(shift[:, 1:].square())
 
 
 def _pixels(blocks: Tensor, H: int, W: int) -> Tensor:
@@ -91,4 +114,7 @@ def _pixels(blocks: Tensor, H: int, W: int) -> Tensor:
 
 
 def _blurred(x: Tensor) -> Tensor:
-    return F.avg_pool2d(F.pad(x, (1, 1, 1, 1), mode="replicate"), 3, stride=1)
+    """Means over 3×3 pixels."""
+    x = F.pad(x, (1, 1, 1, 1), mode="replicate")
+    x = (x[:, :, :-2] + x[:, :, 1:-1]).add_(x[:, :, 2:])
+    return (x[..., :-2] + x[..., 1:-1]).add_(x[..., 2:]).div_(9)
