@@ -26,6 +26,7 @@ from rtdenoise.baselines import Oidn
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.models import load
 from rtdenoise.models.inference import resolve
+from rtdenoise.run.memory import keep_freed
 from rtdenoise.run.opinion import RECENT, Opinion
 
 RESULT, PAGES = RESULTS / "hybrid.json", (DOCS / "notes" / "hybrid.md",)
@@ -52,6 +53,7 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
     Args:
         sequences: Folders of EXR files with references.
     """
+    keep_freed()  # as `denoise` does
     rows = []
     for signal in SIGNALS:
         options = EvaluateOptions(("oidn", *METHODS), metrics=METRICS, signal=signal)
