@@ -64,13 +64,13 @@ static inline void compose(Job j, int x, int y) {
         const uint32_t *there = j.kept[k] + (int64_t)v * j.W + (int64_t)u;
         uint32_t w[WORDS];
         for (int c = 0; c < WORDS; c++) w[c] = there[c * plane];
-        float depth = high(w[1]), weight = left * covered(mx) * covered(my);
-        is_front = distance(depth) < between;
+        float weight = left * covered(mx) * covered(my);
+        is_front = distance(high(w[1])) < between;  // it was hit, then
         if (is_front) {
             float albedo[3] = {low(w[5]), high(w[5]), low(w[6])}, light[3] = {low(w[0]), high(w[0]), low(w[1])};
             float normal[3] = {low(w[2]), high(w[2]), low(w[3])};
             for (int c = 0; c < 3; c++) {
-                sum[c] += weight * light[c] * (depth > 0 ? albedo[c] + (float)GLOSS : 1);
+                sum[c] += weight * light[c] * (albedo[c] + (float)GLOSS);
                 sum[3 + c] += weight * albedo[c];
                 sum[6 + c] += weight * normal[c];
             }
