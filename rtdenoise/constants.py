@@ -24,6 +24,7 @@ RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |diff
 # Edges that move against what is behind them (`ops.over`).
 OVER_APART = 0.05  # least difference of distances, as a share of the greater one
 OVER_SPEED = 0.5  # least motion against what is behind, in pixels a frame
+OVER_SAME = 2.0**-7  # radiance that differs by this share is the same: kept frames are bfloat16
 OVER_LIGHT = 0.25  # share of radiance that is what frames saw of both; the rest is the footprint of one
 
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)

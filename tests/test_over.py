@@ -104,6 +104,16 @@ def test_without_an_edge_that_moves_footprints_stay_to_the_bit():
     assert torch.equal(over(seen, seen_now(), motion(), picture(EDGE, 0.0, 0.0), recent), seen)  # nothing was hit
 
 
+def test_even_light_stays_even():
+    """Though kept frames are rounded."""
+    seen = seen_now()
+    seen[:, :3] = 1.003
+    light, albedo = torch.full_like(seen[:, :3], 1.003) / (0.3 + GLOSS), torch.full_like(seen[:, :3], 0.3)
+    frame = keep(light, picture(EDGE - SPEED + 1), albedo, torch.zeros_like(picture(EDGE)), motion(), albedo)
+    result = over(seen, seen, motion(), picture(EDGE), [frame])
+    assert torch.equal(result[:, :3], seen[:, :3]) and not torch.equal(result, seen)
+
+
 def test_a_path_ends_off_the_screen():
     moves = motion(speed=-SIZE[1])
     assert values(composed([kept(EDGE)] * 2, moves=moves), EDGE - 1)[1] == FRONT

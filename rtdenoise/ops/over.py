@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ..color import albedo_divisor
-from ..constants import OVER_APART, OVER_LIGHT, OVER_SPEED, RECALL_FOOTPRINT_WORDS
+from ..constants import OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED, RECALL_FOOTPRINT_WORDS
 from .dispatch import Fused, Support, falls_back
 from .recall import BESIDE, Path, distance
 
@@ -40,7 +40,8 @@ def over(
         d_F < (1 - APART) d_B    and    |motion(F) - motion(B)| > SPEED
 
     Frames saw the front where something was nearer than √(d_F d_B), or than 2 d_F if nothing is behind. Behind is
-    `seen` at B. Of radiance the share LIGHT is s and the rest `seen`; `constants` has the three as OVER_APART ...
+    `seen` at B. Of radiance the share LIGHT is s and the rest `seen`, and where both differ by less than kept frames
+    are rounded by (SAME), it stays: even light is even. `constants` has the four as OVER_APART ...
 
     Raises ValueError where the shapes do not fit. No gradients.
     """
@@ -66,6 +67,7 @@ def over(
         onward = torch.where(is_front, there.motion, onward)
         path.follow(onward, there.reset)
     (light, surfaces), (was, _) = (x.split([3, 6], dim=1) for x in (total / weights, seen))
+    light = torch.where((light - was).abs() <= OVER_SAME * was, was, light)
     composed = torch.cat([torch.lerp(was, light, OVER_LIGHT), surfaces], dim=1)
     return torch.where((near < (1 - OVER_APART) * far) & apart, composed, seen)
 

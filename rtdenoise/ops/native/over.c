@@ -10,7 +10,7 @@
 typedef struct {
     const float *seen, *now, *motion, *depth;  // planes of the current frame
     const uint32_t *const *kept;               // K frames of WORDS planes
-    float *out, apart, speed, light;
+    float *out, apart, speed, light, same;
     int64_t plane;
     int K, H, W;
 } Job;
@@ -83,21 +83,23 @@ static inline void compose(Job j, int x, int y) {
     }
     for (int c = 0; c < SEEN; c++) {
         int64_t to = c * plane + own;
-        j.out[to] = lerp(j.seen[to], sum[c] / weights, c < 3 ? j.light : 1);
+        float was = j.seen[to], composed = sum[c] / weights;
+        if (c < 3 && fabsf(composed - was) <= j.same * was) continue;
+        j.out[to] = lerp(was, composed, c < 3 ? j.light : 1);
     }
 }
 
 // seen, now, out [B, 9, H, W], motion [B, 2, H, W], depth [B, 1, H, W], kept: B × K times [8, H, W]; all contiguous. found has
 // W bytes for each of `threads` threads.
 void over(const float *seen, const float *now, const float *motion, const float *depth, const uint32_t *const *kept, float *out,
-          uint8_t *found, int K, int B, int H, int W, float apart, float speed, float light, int threads) {
+          uint8_t *found, int K, int B, int H, int W, float apart, float speed, float light, float same, int threads) {
     int64_t plane = (int64_t)H * W;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int t = 0; t < threads; t++)
         for (int64_t row = (int64_t)B * H * t / threads; row < (int64_t)B * H * (t + 1) / threads; row++) {
             int64_t b = row / H, y = row % H;
             Job j = {seen + SEEN * b * plane, now + SEEN * b * plane, motion + 2 * b * plane, depth + b * plane, kept + b * K,
-                     out + SEEN * b * plane, apart, speed, light, plane, K, H, W};
+                     out + SEEN * b * plane, apart, speed, light, same, plane, K, H, W};
             for (int c = 0; c < SEEN; c++) {
                 int64_t from = c * plane + y * W;
                 memcpy(j.out + from, j.seen + from, W * sizeof *j.out);

@@ -8,7 +8,7 @@ from ctypes import c_float, c_void_p
 import torch
 from torch import Tensor
 
-from ...constants import FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SPEED
+from ...constants import FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED
 from .compiler import library, pointer
 
 
@@ -19,7 +19,7 @@ def over(seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Seque
     threads, K = torch.get_num_threads(), len(recent)
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
     out, found = torch.empty_like(images[0]), torch.empty(threads, W, dtype=torch.uint8)
-    constants = map(c_float, (OVER_APART, OVER_SPEED, OVER_LIGHT))
+    constants = map(c_float, (OVER_APART, OVER_SPEED, OVER_LIGHT, OVER_SAME))
     run = library("over", FAR_AWAY=FAR_AWAY, GLOSS=GLOSS).over
     run(*map(pointer, images), kept, pointer(out), pointer(found), K, B, H, W, *constants, threads)
     return out
