@@ -36,22 +36,20 @@ def motion(edge=EDGE, speed=-SPEED):
     return torch.cat([picture(edge, float(speed), 0.0), torch.zeros(1, 1, *SIZE)], dim=1)
 
 
-def kept(edge, reset=0.0, speed=-SPEED):
+def kept(edge, reset=0.0):
     """A frame whose front had light and surfaces of 1, what was behind of 9: no longer what is there."""
     surfaces = picture(edge, 1.0, 9.0, 3)
     light = surfaces / (surfaces + GLOSS)
-    return keep(light, picture(edge), surfaces, torch.full((1, 1, *SIZE), reset), motion(edge, speed), surfaces)
+    return keep(light, picture(edge), surfaces, torch.full((1, 1, *SIZE), reset), motion(edge), surfaces)
 
 
-def seen_now(edge=EDGE):
-    return picture(edge, FRONT, BEHIND, 9)
+def seen_now():
+    return picture(EDGE, FRONT, BEHIND, 9)
 
 
-def composed(recent, seen=None, moves=None, depth=None):
+def composed(recent, seen=None, moves=None):
     now = seen_now()
-    result = over(
-        now if seen is None else seen, now, motion() if moves is None else moves, depth or picture(EDGE), recent
-    )
+    result = over(now if seen is None else seen, now, motion() if moves is None else moves, picture(EDGE), recent)
     return result[0, :, 4]  # [9, W] of a row
 
 
@@ -64,13 +62,11 @@ def values(result, column):
 
 
 def test_the_front_covers_as_much_as_frames_saw():
-    """The pixel left of the edge showed the front once in four frames, that right of it twice."""
+    """The pixels beside the edge showed the front in the frame before; that left of it does now, too."""
     at = [EDGE - SPEED * k for k in range(1, 4)]
-    result = composed([kept(at[0] + 1), kept(at[1] - 1), kept(at[2] - 1)])
+    result = composed([kept(at[0] + 1), kept(at[1] - 1), kept(at[2] - 1)])  # the last two saw what is behind
     light, surface = values(result, EDGE - 1)
-    assert surface == pytest.approx(
-        (FRONT + 1 + 2 * BEHIND) / 4, rel=1e-2
-    )  # the second and the third saw what is behind
+    assert surface == pytest.approx((FRONT + 1 + 2 * BEHIND) / 4, rel=1e-2)
     assert light == pytest.approx(FRONT + OVER_LIGHT * (surface - FRONT), rel=1e-2)
     light, surface = values(result, EDGE)
     assert surface == pytest.approx((BEHIND + 1 + 2 * BEHIND) / 4, rel=1e-2)

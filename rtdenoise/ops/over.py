@@ -16,6 +16,7 @@ from torch import Tensor
 from ..color import albedo_divisor
 from ..constants import OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED, RECALL_FOOTPRINT_WORDS
 from .dispatch import Fused, Support, falls_back
+from .fetch import fetch
 from .recall import BESIDE, Path, distance
 
 FUSED = Fused("over", native=Support())
@@ -52,10 +53,10 @@ def over(
     if recent and (run := FUSED(seen=seen, now=now, motion=motion, depth=depth)):
         return run(seen, now, motion, depth, recent)
     front, behind, near, far = _ends(distance(depth))
-    onward = _at(motion, front)
-    apart = (onward - _at(motion, behind)).square().sum(1, keepdim=True) > OVER_SPEED**2
+    onward = fetch(motion, front)
+    apart = (onward - fetch(motion, behind)).square().sum(1, keepdim=True) > OVER_SPEED**2
     between = torch.where(far.isinf(), 2 * near, near.sqrt() * far.sqrt())
-    path, back = Path(onward), _at(seen, behind)
+    path, back = Path(onward), fetch(seen, behind)
     total, weights = torch.where(distance(depth) < between, now, back), torch.ones_like(depth)
     for kept in recent:
         there = path.look(kept)
@@ -73,29 +74,15 @@ def over(
 
 
 def _ends(depths: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Of each pixel and the four beside it the index of the nearest and of the farthest, and both distances, `[B, 1, H,
-    W]` each; each in turn is nearer or farther by more than OVER_APART or does not count."""
-    B, _, H, W = depths.shape
-    itself = torch.arange(H * W, device=depths.device).reshape(1, 1, H, W).expand(B, 1, H, W)
+    """Of each pixel and the four beside it where the nearest and the farthest are, `[B, 2, H, W]` (x, y) in pixels
+    each, and both distances, `[B, 1, H, W]` each; each in turn is nearer or farther by more than OVER_APART or does not
+    count."""
+    itself = torch.zeros_like(depths).repeat(1, 2, 1, 1)
     front, behind, near, far = itself, itself, depths, depths
     for y, x in BESIDE[1:]:
-        index = _beside(itself, y, x)
-        other = _at(depths, index)
+        beside = torch.cat([itself[:, :1] + x, itself[:, 1:] + y], dim=1)
+        other = fetch(depths, beside)
         nearer, farther = other < (1 - OVER_APART) * near, (1 - OVER_APART) * other > far
-        front, near = torch.where(nearer, index, front), torch.where(nearer, other, near)
-        behind, far = torch.where(farther, index, behind), torch.where(farther, other, far)
+        front, near = torch.where(nearer, beside, front), torch.where(nearer, other, near)
+        behind, far = torch.where(farther, beside, behind), torch.where(farther, other, far)
     return front, behind, near, far
-
-
-def _beside(index: Tensor, y: int, x: int) -> Tensor:
-    """The index of the pixel that is (y, x) off, or at the border that of the last one."""
-    H, W = index.shape[2:]
-    rows = (torch.arange(H, device=index.device) + y).clamp(0, H - 1)[:, None]
-    columns = (torch.arange(W, device=index.device) + x).clamp(0, W - 1)
-    return (rows * W + columns).expand_as(index)
-
-
-def _at(image: Tensor, index: Tensor) -> Tensor:
-    """`[B, C, H, W]` at pixels `[B, 1, H, W]`."""
-    B, C, H, W = image.shape
-    return image.flatten(2).gather(2, index.flatten(2).expand(B, C, H * W)).reshape(B, C, H, W)
