@@ -27,7 +27,6 @@ from bench.latency.tables import TOTAL, plot, scaling, table
 from rtdenoise import models, ops
 from rtdenoise.baselines.oidn import installed
 from rtdenoise.frame import Frame
-from rtdenoise.run.memory import keep_freed
 
 RESULT, PAGES = RESULTS / "latency_720p.json", (DOCS / "results" / "performance.md",)
 PICTURE = DOCS / "images" / "latency_720p.png"
@@ -61,7 +60,6 @@ class Options:
 def main(o: Options) -> None:
     if o.threads:
         torch.set_num_threads(o.threads)
-    keep_freed()
     device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     sizes, calls = (("quick",), 3) if o.quick else (o.sizes, o.calls)
     presets = o.presets or tuple(name for name, config in models.PRESETS.items() if not config.reads)
