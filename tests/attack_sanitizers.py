@@ -71,7 +71,9 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops import pixels
     from rtdenoise.ops.blend_history import blend_history
     from rtdenoise.ops.block_luminance import block_luminance
+    from rtdenoise.ops.convolve_bytes import convolve_bytes
     from rtdenoise.ops.even_sky import even_sky
+    from rtdenoise.ops.feature_bytes import feature_bytes
     from rtdenoise.ops.features import features
     from rtdenoise.ops.logits import cells
     from rtdenoise.ops.over import over
@@ -122,6 +124,17 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     like = torch.zeros(1, 1, 1, 1).contiguous(memory_format=torch.channels_last)
     for dtype in (torch.float32, torch.bfloat16):
         yield "features", features([image], [normal, depth, seen], torch.ones(1, 1, 1, 1), like.to(dtype))
+    x = feature_bytes(image, other, normal, torch.ones(1, 1, 1, 1))
+    yield "feature_bytes", x
+    whole = torch.arange(9 * 4 * 32 * 4).to(torch.int8).view(1, 36, 32, 4)
+    for outputs in (32, 20):
+        numbers = torch.full((1, outputs), 0.01), torch.zeros(1, outputs)
+        for dtype in (torch.uint8, torch.bfloat16):
+            yield "convolve_bytes", convolve_bytes(x, whole, *numbers, dtype=dtype)
+    fine = feature_bytes(*(layer.repeat_interleave(2, 2).repeat_interleave(2, 3) for layer in (image, other, normal)),
+                         torch.ones(1, 1, 1, 1))  # fmt: skip
+    both = torch.cat([whole[:, :16], whole], dim=1).expand(4, -1, -1, -1).contiguous()
+    yield "convolve_bytes", convolve_bytes(fine, both, torch.full((4, 20), 0.01), torch.zeros(4, 20), x)
     many = small and not few
     for K in (1, 3, 5, 7) if many else (3,):
         for dtype in (torch.float32, torch.bfloat16, torch.float16) if many else (torch.bfloat16,):

@@ -1,6 +1,7 @@
 """The fused ops against the plain ones, which are the specification: every size, dtype and layout, extreme logits,
 gradients; and the fallback to plain ops. The CUDA ops run on a GPU if there is one, else in Triton's interpreter."""
 
+import functools
 import importlib
 import logging
 import math
@@ -18,7 +19,9 @@ from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.ops import dispatch, pixels
 from rtdenoise.ops.blend_history import blend_history
 from rtdenoise.ops.block_luminance import block_luminance
+from rtdenoise.ops.convolve_bytes import convolve_bytes, packed
 from rtdenoise.ops.even_sky import even_sky
+from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.over import over
@@ -355,6 +358,73 @@ def test_to_planes(both, assert_images_close, size, dtype, channels, planes):
     plain, fused = both(lambda x: to_planes(x, weight, bias), x)
     assert plain.shape == (2, planes, *size) and plain.dtype == fused.dtype == torch.float32
     assert_images_close(fused, plain, "float32")
+
+
+def some_bytes(*shape):
+    return torch.randint(0, 256, shape, dtype=torch.uint8).to(memory_format=torch.channels_last)
+
+
+def whole_weights(*shape):
+    return torch.randint(-127, 128, shape, dtype=torch.int8)
+
+
+@pytest.mark.parametrize("size", [*SIZES, (2, 12), (1, 13)], ids=str)
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.bfloat16], ids=str)
+@pytest.mark.parametrize(("channels", "outputs"), [(16, 32), (48, 112), (20, 12), (128, 33)])
+def test_convolve_bytes(both, size, dtype, channels, outputs):
+    """Exact sums: the same to the bit."""
+    x, weight = some_bytes(2, channels, *size), packed([whole_weights(outputs, channels, 3, 3)])[None]
+    factor, bias = torch.rand(1, outputs) * 2e-3, 50 * torch.randn(1, outputs)
+    plain, fused = both(lambda *tensors: convolve_bytes(*tensors, dtype=dtype), x, weight, factor, bias)
+    assert plain.shape == (2, outputs, *size) and plain.dtype == fused.dtype == dtype
+    assert torch.equal(plain, fused) and plain.stride() == fused.stride()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 5), (24, 12)], ids=str)
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.bfloat16], ids=str)
+@pytest.mark.parametrize(("below", "beside", "outputs"), [(64, 16, 64), (112, 48, 96), (4, 12, 20)])
+def test_convolve_bytes_that_enlarges(both, size, dtype, below, beside, outputs):
+    H, W = size
+    x, coarse = some_bytes(2, beside, 2 * H, 2 * W), some_bytes(2, below, H, W)
+    weights = [packed([whole_weights(outputs, below, 2, 2), whole_weights(outputs, beside, 3, 3)]) for _ in range(4)]
+    factor, bias = torch.rand(4, outputs) * 2e-3, 50 * torch.randn(4, outputs)
+    plain, fused = both(lambda *tensors: convolve_bytes(*tensors, dtype), x, torch.stack(weights), factor, bias, coarse)
+    assert plain.shape == (2, outputs, 2 * H, 2 * W) and torch.equal(plain, fused)
+
+
+def test_convolve_bytes_on_any_cpu(both, monkeypatch):
+    """Without instructions for products of bytes."""
+    anywhere = functools.partial(compiler.library, LANES=4)
+    monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.library", anywhere)
+    x, coarse, factor, bias = (
+        some_bytes(1, 16, 6, 14),
+        some_bytes(1, 8, 3, 7),
+        torch.rand(4, 24) * 2e-3,
+        torch.randn(4, 24),
+    )
+    weights = [packed([whole_weights(24, 8, 2, 2), whole_weights(24, 16, 3, 3)]) for _ in range(4)]
+    plain, fused = both(convolve_bytes, x, torch.stack(weights), factor, bias, coarse)
+    assert torch.equal(plain, fused)
+
+
+def test_convolve_bytes_falls_back():
+    """Other layouts, and more channels than the fused op holds."""
+    x, wide = some_bytes(1, 16, 6, 7), some_bytes(1, 132, 6, 7)
+    weight, other = (packed([whole_weights(8, channels, 3, 3)])[None] for channels in (16, 132))
+    factor, bias = torch.full((1, 8), 1e-3), torch.zeros(1, 8)
+    expected = convolve_bytes(x, weight, factor, bias)
+    assert torch.equal(convolve_bytes(x.contiguous(), weight, factor, bias), expected)
+    assert convolve_bytes(wide, other, factor, bias).shape == expected.shape
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_feature_bytes(both, size):
+    radiance, albedo, normal = torch.rand(2, 3, *size) ** 8 * 1e5, torch.rand(2, 3, *size), torch.randn(2, 3, *size)
+    radiance[0, 0, 0, 0], normal[1] = 1e30, normal[1].sign()
+    scale = torch.tensor([0.3, 70.0]).reshape(2, 1, 1, 1)
+    plain, fused = both(lambda *tensors: feature_bytes(*tensors, scale), radiance, albedo, normal)
+    assert plain.stride() == fused.stride() and (plain.int() - fused.int()).abs().max() <= 1
+    assert (plain != fused).float().mean() < 1e-3  # light at the edge of two steps
 
 
 def test_to_planes_falls_back():

@@ -18,9 +18,10 @@ from ..baselines.oidn import installed
 from ..errors import InputError, did_you_mean
 from ..frame import Frame
 from ..models import STILLS, CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
+from ..models.inference import INT8
 from ..models.presets import SHRINKAGE
 from ..models.shrinkage import corrected
-from ..models.weights import read_config, read_model
+from ..models.weights import bytes_of, find, read_config, read_model
 from ..run.graphs import stepper
 from ..run.opinion import RECENT, Opinion
 from ..run.passes import InMemory, Passes
@@ -28,7 +29,7 @@ from ..sanitise import sanitise
 from .corrected import Corrected
 from .sequence import Step
 
-PRECISIONS = ("fp32", "bf16")
+PRECISIONS = ("fp32", "bf16", INT8)
 DEFAULTS = ("noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "quality")  # measured if none is named
 ALL = "all"
 CORRECTED = ("oidn", "default")  # methods that 'all' also has with every combiner
@@ -138,8 +139,8 @@ def _oidn() -> list[Method]:
 
 def _network(name: str) -> list[Method]:
     """The methods of shipped weights: unchanged, on traditional motion, and without history."""
-    start = partial(_start, name)
-    alone = Method(name, f"rtdenoise {name}", "network", start, precisions=PRECISIONS, weights=(name,))
+    start, precisions = partial(_start, name), _precisions(name)
+    alone = Method(name, f"rtdenoise {name}", "network", start, precisions=precisions, weights=(name,))
     if name in STILLS:
         return [alone]
     return [
@@ -147,7 +148,7 @@ def _network(name: str) -> list[Method]:
         Method(f"{name}-traditional", f"{name} on traditional motion, same weights", "ablation",
                partial(start, motion="traditional"), weights=(name,)),
         Method(f"{name}-corrected", f"denoise --correct with {name}", "network", partial(start, correct=True),
-               precisions=PRECISIONS, weights=(name,)),
+               precisions=precisions, weights=(name,)),
         *_with_oidn(name),
         Method(f"{name}-spatial", f"{name} without history: spatial kernels only", "ablation",
                partial(start, history=False), weights=(name,)),
@@ -165,7 +166,7 @@ def _with_oidn(name: str) -> list[Method]:
         return partial(Opinion(read_config(name)).step, stepper(network))
 
     return [Method(f"{name}-oidn", f"denoise --oidn with {name}", "network", None if reason else start, reason,
-                   PRECISIONS, (name,))]  # fmt: skip
+                   _precisions(name), (name,))]  # fmt: skip
 
 
 def _corrected(base: Method, combiner: str) -> Method:
@@ -202,7 +203,12 @@ def _of_file(name: str, file: str) -> Method:
         raise InputError(f"{name}={file}: no such weights file")
     path = str(Path(file).absolute())  # never a shipped name
     start = partial(_start, path)
-    return Method(name, f"the network of {file}", "network", start, precisions=PRECISIONS, weights=(path,))
+    return Method(name, f"the network of {file}", "network", start, precisions=_precisions(path), weights=(path,))
+
+
+def _precisions(weights: str) -> tuple[str, ...]:
+    """Those of a network: bytes where such weights lie beside its own."""
+    return PRECISIONS if bytes_of(find(weights)).is_file() else tuple(p for p in PRECISIONS if p != INT8)
 
 
 def _start(

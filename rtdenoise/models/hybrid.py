@@ -59,8 +59,7 @@ class Hybrid(AccumulatedKPN):
             radiance = evened(radiance, after.footprint_count, image, trust)
             least, most = surroundings(radiance, image)
             scale = CONTRAST * known.exposure
-            x = features((radiance,), guides, scale, self.stem.weight)
-        pixels = (expand(self.pixels(x)) / scale).clamp(least, most)
+        pixels = (expand(self.pixels(radiance, *guides, scale)) / scale).clamp(least, most)
 
         shown = mix(image, pixels, known.exposure, trust, past.output, held, noisy=frame.radiance)
         shown = even_sky(shown, frame.radiance, frame.depth)
@@ -83,8 +82,11 @@ class PixelNetwork(nn.Module):
         self.decoder = nn.ModuleList(Up(*level) for level in config.levels)
         self.last = nn.Conv2d(config.out[0], 3, 3, padding=1)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """`features`, `[B, 9, H, W]`, to light compressed alike, `[B, 3, H, W]` ≥ 0 in float32."""
+    def forward(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
+        """What each pixel showed, `[B, 3, H, W]` each, and its exposure `scale`, `[B, 1, 1, 1]`, to the picture's light
+        as `features` compress it, `[B, 3, H, W]` ≥ 0 in float32."""
+        with torch.no_grad():
+            x = features((radiance,), (albedo, normal), scale, self.last.weight)
         H, W = x.shape[2:]
         cell = 2 ** len(self.decoder)
         if H % cell or W % cell:  # by nothing, as OIDN does: the last row, repeated, would look like stripes of light

@@ -9,7 +9,8 @@ from torch.nn import functional as F
 from ..errors import InputError
 from .unet import ConvRelu, Up
 
-PRECISIONS = ("auto", "fp32", "bf16")
+INT8 = "int8"
+PRECISIONS = ("auto", "fp32", "bf16", INT8)
 
 
 def choose_device(name: str) -> str:
@@ -24,13 +25,16 @@ def choose_device(name: str) -> str:
 
 def resolve(precision: str, device: str | torch.device) -> torch.dtype:
     """The dtype that `precision` means on a device. 'auto' is bfloat16 where the hardware multiplies it faster: CPUs
-    with AVX512-BF16 or AMX, CUDA from compute capability 8.0; float32 elsewhere.
+    with AVX512-BF16 or AMX, CUDA from compute capability 8.0; float32 elsewhere. 'int8', on CPUs alone, is that of
+    'auto' for what is not in bytes.
 
-    Raises InputError for an unknown precision.
+    Raises InputError for an unknown precision, and for 'int8' on another device.
     """
     if precision not in PRECISIONS:
         raise InputError(f"unknown precision {precision!r}; expected one of {', '.join(PRECISIONS)}")
-    if precision != "auto":
+    if precision == INT8 and torch.device(device).type != "cpu":
+        raise InputError("precision int8 is for the CPU; take auto")
+    if precision not in ("auto", INT8):
         return torch.bfloat16 if precision == "bf16" else torch.float32
     device = torch.device(device)
     if device.type == "cuda":

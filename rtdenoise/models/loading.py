@@ -16,12 +16,13 @@ from .afgsa import GuidedAttention
 from .combiner import Combiner
 from .denoiser import Denoiser
 from .hybrid import Hybrid
-from .inference import prepare, resolve
+from .in_bytes import InBytes
+from .inference import INT8, prepare, resolve
 from .mltd import RecurrentTransformer
 from .presets import SHRINKAGE, Config
 from .shrinkage import Shrinkage
 from .temporal_kpn import TemporalKPN
-from .weights import StoredModel, read_denoiser, read_model
+from .weights import StoredModel, bytes_of, read_denoiser, read_model
 
 NETWORKS = {
     "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "afgsa": GuidedAttention,
@@ -43,14 +44,20 @@ def load(
 
     `model` is the name of a model that ships (`available()`) or the path of a .safetensors file that `rtdenoise train`
     wrote. `precision` is that of the network: 'fp32', 'bf16', or 'auto' (`inference.resolve`); the rest is float32.
+    'int8' is for a `Hybrid` on a CPU: its second network in bytes (`in_bytes`), its kernels as with 'auto'.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
     Raises InputError for an unknown model or precision, a combiner, an unreadable file, an override that is no field,
-    and weights that are not finite or do not fit their configuration.
+    weights that are not finite or do not fit their configuration, and a model that has none in bytes.
     """
-    dtype, network = resolve(precision, device), _built(read_denoiser(model, **overrides))
-    return prepare(network, dtype).to(device)
+    dtype, file = resolve(precision, device), read_denoiser(model, **overrides)
+    network = prepare(_built(file), dtype)
+    if precision == INT8:
+        if not isinstance(network, Hybrid):
+            raise InputError(f"precision int8: {model} has no weights in bytes; expected hybrid or hybrid-fast")
+        network.pixels = InBytes.read(bytes_of(file.path), network)
+    return network.to(device)
 
 
 def load_combiner(
@@ -62,6 +69,8 @@ def load_combiner(
     if model == SHRINKAGE:
         return Shrinkage()
     network = read(model, **overrides)
+    if precision == INT8:
+        raise InputError(f"precision int8: {model} has no weights in bytes; take auto")
     if not isinstance(network, Combiner):
         raise InputError(f"{model}: is a denoiser; expected a combiner, which corrects frames that a denoiser made")
     return prepare(network, dtype).to(device)

@@ -61,6 +61,11 @@ def find(model: str | Path) -> Path:
     return path
 
 
+def bytes_of(path: Path) -> Path:
+    """The file of the same network's weights in bytes (`in_bytes`), which may be missing."""
+    return path.with_suffix(".int8")
+
+
 def read_config(model: str | Path) -> Config:
     """The configuration of a model, from the head of its file alone. Raises InputError as `read_model`."""
     path = find(model)

@@ -1,6 +1,7 @@
 // A network's input, channels last, in one pass over the planes of a frame. The specification is ops/features.py. C is the
 // number of features, of which the first LIGHT are compressed; HALF is 1 for bfloat16, 0 for float32.
 #include "common.h"
+#include "log1p.h"
 
 #define BLOCK 64  // pixels
 
@@ -23,24 +24,6 @@ static inline uint64_t word(const float *x) { return bits_of(x[0]) | (uint64_t)b
 #endif
 #define SIZE (8 / PER)  // bytes of a feature
 #define WORDS ((C + PER - 1) / PER)
-
-// log(1 + x) for x ≥ 0, within some ulp; branch-free. log(u) = e · ln 2 + log(1 + f) with √½ ≤ 1 + f < √2 (coefficients of
-// Cephes' logf). Near 1 the sum u = 1 + x loses digits of x; there f is x itself.
-static inline float log1p_positive(float x) {
-    uint32_t bits = bits_of(1 + x);
-    int32_t e = (int32_t)(bits - 0x3f3504f3) >> 23;
-    float f = e == 0 ? x : from_bits(bits - ((uint32_t)e << 23)) - 1, p = 7.0376836292e-2f;
-    p = fmaf(p, f, -1.1514610310e-1f);
-    p = fmaf(p, f, 1.1676998740e-1f);
-    p = fmaf(p, f, -1.2420140846e-1f);
-    p = fmaf(p, f, 1.4249322787e-1f);
-    p = fmaf(p, f, -1.6668057665e-1f);
-    p = fmaf(p, f, 2.0000714765e-1f);
-    p = fmaf(p, f, -2.4999993993e-1f);
-    p = fmaf(p, f, 3.3333331174e-1f);
-    p = fmaf(p, f, -0.5f);
-    return fmaf((float)e, 0.693147181f, fmaf(p, f * f, f));
-}
 
 // planes: C pointers to `pixels` float32 each; out [pixels, C]. A block of pixels is packed into words, in vector code, and
 // only words are transposed: moving single values is slow. Planes are prefetched because processors follow few streams.

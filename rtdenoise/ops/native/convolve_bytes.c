@@ -1,0 +1,145 @@
+// A convolution of bytes, channels last, or one that doubles the size of a coarser picture and joins a finer one. The
+// specification is ops/convolve_bytes.py. HALF is 1 for results in bfloat16, 0 for bytes. LANES may be given as 4, for code
+// that every CPU runs.
+#include "common.h"
+
+// Sums of four products of bytes: on x86 one instruction (VNNI), in vectors of 16 or 8 sums. `x` is unsigned, `w` signed.
+#if defined __AVX512VNNI__ && !defined LANES
+#include <immintrin.h>
+#define LANES 16
+#define PIXELS 12  // times PARTS vectors of sums: they fill the registers
+typedef __m512i vector;
+static inline vector repeated(int32_t x) { return _mm512_set1_epi32(x); }
+static inline vector plus_products(vector sum, vector x, vector w) { return _mm512_dpbusd_epi32(sum, x, w); }
+#elif defined __AVXVNNI__ && !defined LANES
+#include <immintrin.h>
+#define LANES 8
+#define PIXELS 6
+typedef __m256i vector;
+static inline vector repeated(int32_t x) { return _mm256_set1_epi32(x); }
+static inline vector plus_products(vector sum, vector x, vector w) { return _mm256_dpbusd_avx_epi32(sum, x, w); }
+#else
+#undef LANES
+#define LANES 4
+#define PIXELS 4
+typedef int32_t vector __attribute__((vector_size(LANES * 4)));
+typedef uint32_t bits __attribute__((vector_size(LANES * 4)));
+static inline vector repeated(int32_t x) { return (vector){0} + x; }
+static inline vector plus_products(vector sum, vector x, vector w) {
+    for (int k = 24; k >= 0; k -= 8) sum += (vector)((bits)x >> (24 - k) & 255) * ((vector)((bits)w << k) >> 24);
+    return sum;
+}
+#endif
+
+#define PARTS 2                // vectors of outputs at once
+#define BLOCK (PARTS * LANES)  // outputs
+#define MOST 128               // channels of a picture
+#define SPAN (2 * PIXELS + 1)  // pixels of a row that a block reads at most
+
+#if HALF
+typedef uint16_t number;
+static inline number result(float y) {  // rounded to nearest, ties to even
+    uint32_t bits = bits_of(MAX(y, 0));
+    return (number)((bits + 0x7fff + (bits >> 16 & 1)) >> 16);
+}
+#else
+typedef uint8_t number;
+static inline number result(float y) { return (number)rintf(MIN(MAX(y, 0), 255)); }
+#endif
+
+// A picture that a convolution reads: bytes [height, width, channels], through windows of taps × taps pixels. Neighbouring
+// outputs of a block read windows that are `step` pixels apart.
+typedef struct {
+    const uint8_t *bytes;
+    int height, width, channels, taps, step;
+} source;
+
+// `rows[v]`: the pixels from column `left` of row `top + v`; zeros where there are none, for which `space` is used.
+static inline void window(const source *s, int top, int left, const uint8_t **rows, uint8_t (*space)[SPAN * MOST]) {
+    int pixels = (PIXELS - 1) * s->step + s->taps, from = MAX(left, 0), to = MIN(left + pixels, s->width), C = s->channels;
+    for (int v = 0; v < s->taps; v++) {
+        int y = top + v, inside = y >= 0 && y < s->height;
+        const uint8_t *row = inside ? s->bytes + ((int64_t)y * s->width + from) * C : NULL;
+        rows[v] = row;
+        if (inside && from == left && to == left + pixels) continue;
+        rows[v] = memset(space[v], 0, (size_t)pixels * C);
+        if (inside && from < to) memcpy(space[v] + (from - left) * C, row, (size_t)(to - from) * C);
+    }
+}
+
+// Add a source's products to the sums of PIXELS pixels and BLOCK outputs; returns the weights after its own. `stride`: bytes
+// from the weights of four channels to those of the next four.
+static inline __attribute__((always_inline)) const int8_t *
+added(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight, int stride, int taps, int step, int C) {
+    for (int v = 0; v < taps; v++)
+        for (int u = 0; u < taps; u++)
+            for (int c = 0; c < C; c += 4, weight += stride) {
+                const uint8_t *x = rows[v] + u * C + c;
+                vector w[PARTS];
+                for (int k = 0; k < PARTS; k++) memcpy(w + k, weight + k * LANES * 4, sizeof *w);
+                _Pragma("GCC unroll 12") for (int p = 0; p < PIXELS; p++) {
+                    int32_t four;
+                    memcpy(&four, x + p * step * C, 4);
+                    vector same = repeated(four);
+                    for (int k = 0; k < PARTS; k++) sums[p][k] = plus_products(sums[p][k], same, w[k]);
+                }
+            }
+    return weight;
+}
+
+// Results of `many` outputs, at most BLOCK.
+static inline void store(number *to, const int32_t *totals, const float *factor, const float *bias, int many) {
+    if (many == BLOCK)  // a constant, for the vector code
+        for (int o = 0; o < BLOCK; o++) to[o] = result(fmaf((float)totals[o], factor[o], bias[o]));
+    else
+        for (int o = 0; o < many; o++) to[o] = result(fmaf((float)totals[o], factor[o], bias[o]));
+}
+
+// As `added`; common numbers of channels are constants to the compiler, so that it need not keep PIXELS addresses.
+static inline __attribute__((always_inline)) const int8_t *
+add(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight, int stride, int taps, int step, int C) {
+    switch (C) {
+#define CASE(channels) case channels: return added(sums, rows, weight, stride, taps, step, channels);
+        CASE(16) CASE(32) CASE(48) CASE(64) CASE(80) CASE(96) CASE(112)
+        default: return added(sums, rows, weight, stride, taps, step, C);
+    }
+}
+
+// x is `beside`, a picture of the result's size; where `below` has taps, its weights come first. weight [phases, quads, stored,
+// 4]; factor, bias [phases, outputs]; out [H, W, outputs]. A phase is the place of a result among the 2×2 in a pixel of
+// `below`; without that there is one.
+void convolve_bytes(const source *below, const source *beside, const int8_t *weight, const float *factor, const float *bias,
+                    number *out, int quads, int stored, int outputs, int H, int W, int threads) {
+    int scale = below->taps ? 2 : 1, stride = stored * 4;
+#pragma omp parallel for num_threads(threads) schedule(static)
+    for (int i = 0; i < H; i++)
+        for (int b = 0; b < scale; b++) {
+            int a = i % scale, phase = a * scale + b;
+            for (int first = 0; first < outputs; first += BLOCK) {
+                const int8_t *weights = weight + ((int64_t)phase * quads * stored + first) * 4;
+                const float *f = factor + phase * outputs + first, *d = bias + phase * outputs + first;
+                for (int j = 0; j * scale + b < W; j += PIXELS) {
+                    uint8_t space[3][SPAN * MOST];
+                    const uint8_t *rows[3];
+                    const int8_t *w = weights;
+                    vector sums[PIXELS][PARTS];
+                    for (int p = 0; p < PIXELS; p++)
+                        for (int k = 0; k < PARTS; k++) sums[p][k] = repeated(0);
+                    if (scale == 2) {
+                        window(below, i / 2 + a - 1, j + b - 1, rows, space);
+                        w = add(sums, rows, w, stride, 2, 1, below->channels);
+                        window(beside, i - 1, j * 2 + b - 1, rows, space);
+                        add(sums, rows, w, stride, 3, 2, beside->channels);
+                    } else {
+                        window(beside, i - 1, j - 1, rows, space);
+                        add(sums, rows, w, stride, 3, 1, beside->channels);
+                    }
+                    int32_t totals[PIXELS][BLOCK];  // registers have no index
+                    memcpy(totals, sums, sizeof totals);
+                    number *to = out + ((int64_t)i * W + j * scale + b) * outputs + first;
+                    for (int p = 0; p < PIXELS && (j + p) * scale + b < W; p++, to += scale * outputs)
+                        store(to, totals[p], f, d, MIN(BLOCK, outputs - first));
+                }
+            }
+        }
+}

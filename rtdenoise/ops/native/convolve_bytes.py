@@ -1,0 +1,32 @@
+"""`convolve_bytes`: a block of pixels and outputs stays in registers until all of its products are summed."""
+
+from __future__ import annotations
+
+from ctypes import Structure, byref, c_int, c_void_p
+
+import torch
+from torch import Tensor
+
+from .compiler import library, pointer
+
+
+class _Source(Structure):
+    """A picture that a convolution reads; the C file says more."""
+
+    _fields_ = [("bytes", c_void_p), *((name, c_int) for name in ("height", "width", "channels", "taps", "step"))]
+
+
+def convolve_bytes(
+    x: Tensor, weight: Tensor, factor: Tensor, bias: Tensor, below: Tensor | None, dtype: torch.dtype
+) -> Tensor:
+    B, C, H, W = x.shape
+    _, quads, stored, _ = weight.shape
+    O = factor.shape[1]
+    out = torch.empty(B, O, H, W, dtype=dtype, memory_format=torch.channels_last)
+    run = library("convolve_bytes", HALF=int(dtype == torch.bfloat16)).convolve_bytes
+    for b in range(B):
+        beside = _Source(x[b].data_ptr(), H, W, C, 3, 1 if below is None else 2)
+        coarse = _Source() if below is None else _Source(below[b].data_ptr(), H // 2, W // 2, below.shape[1], 2, 1)
+        run(byref(coarse), byref(beside), *map(pointer, (weight, factor, bias, out[b])), quads, stored, O, H, W,
+            torch.get_num_threads())  # fmt: skip
+    return out

@@ -1,0 +1,203 @@
+"""The network of `hybrid` that writes pixels, in bytes (`models.in_bytes`, `tools/hybrid_in_bytes.py`)."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from synthetic import make_frames
+from torch.nn import functional as F
+
+from rtdenoise.color import display_exposure
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.errors import InputError
+from rtdenoise.evaluate.demo import SAMPLE
+from rtdenoise.metrics import psnr
+from rtdenoise.models import HybridConfig, create, load, read, save
+from rtdenoise.models.in_bytes import InBytes, shapes
+from rtdenoise.models.weights import bytes_of
+from rtdenoise.ops.convolve_bytes import convolve_bytes, packed, unpacked
+from rtdenoise.ops.feature_bytes import CHANNELS, feature_bytes
+
+SMALL = HybridConfig(
+    widths=(8, 8, 8, 8), scales=4, edge_kernel=3, detail=True, recent=3, down=(16, 12, 20), up=(12, 8), out=(16, 4)
+)
+TOOL = Path(__file__).parent.parent / "tools" / "hybrid_in_bytes.py"
+
+
+@pytest.fixture(scope="module")
+def tool():
+    spec = importlib.util.spec_from_file_location("hybrid_in_bytes", TOOL)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def small(tool, tmp_path_factory):
+    """A file of random weights, and that of the same in bytes, made from the bundled sequence."""
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("small") / "small.safetensors"
+    save(create(SMALL), path)
+    tool.main(str(path), str(bytes_of(path)), str(SAMPLE))
+    return path
+
+
+def inputs(H=48, W=80):
+    torch.manual_seed(1)
+    radiance, albedo, normal = torch.rand(3, 1, 3, H, W).unbind()
+    smooth = F.avg_pool2d(radiance, 9, stride=1, padding=4)
+    return 5 * smooth, albedo, F.normalize(2 * normal - 1, dim=1), torch.full((1, 1, 1, 1), 20.0)
+
+
+# --- operations -------------------------------------------------------------------------------------------------------
+
+
+def test_packed_weights_unpack():
+    parts = [torch.randint(-127, 128, shape, dtype=torch.int8) for shape in ((40, 8, 2, 2), (40, 12, 3, 3))]
+    weights = packed(parts)
+    assert weights.shape == (8 + 27, 64, 4) and not weights[:, 40:].any()
+    for part, expected in zip(unpacked(weights, (8, 12), (2, 3), 40), parts, strict=True):
+        assert torch.equal(part, expected)
+
+
+def test_it_is_a_convolution_and_relu():
+    x, weight = torch.randint(0, 256, (1, 8, 5, 7), dtype=torch.uint8), torch.randint(-9, 10, (6, 8, 3, 3))
+    y = convolve_bytes(x, packed([weight.to(torch.int8)])[None], torch.full((1, 6), 0.01), torch.full((1, 6), -2.0))
+    expected = F.conv2d(x.double(), weight.double(), padding=1) * 0.01 - 2
+    assert (y - expected.clamp(0, 255)).abs().max() <= 0.5001
+
+
+def test_phases_enlarge_and_join(tool):
+    """The weights of phases, as the tool sums them, convolve the enlarged picture."""
+    weight = torch.randint(-5, 6, (6, 12, 3, 3)).double()
+    below, x = (
+        torch.randint(0, 256, (1, 8, 3, 4), dtype=torch.uint8),
+        torch.randint(0, 256, (1, 4, 6, 8), dtype=torch.uint8),
+    )
+    phases = []
+    for a in (0, 1):
+        for b in (0, 1):
+            of_below = torch.einsum("sy,oiyx,tx->oist", tool.REPEATED[a], weight[:, :8], tool.REPEATED[b])
+            phases.append(packed([of_below.to(torch.int8), weight[:, 8:].to(torch.int8)]))
+    y = convolve_bytes(x, torch.stack(phases), torch.full((4, 6), 0.01), torch.zeros(4, 6), below)
+    joined = torch.cat([F.interpolate(below.double(), scale_factor=2, mode="nearest"), x.double()], dim=1)
+    expected = F.conv2d(joined, weight, padding=1) * 0.01
+    assert (y - expected.clamp(0, 255)).abs().max() <= 0.5001
+
+
+def test_features_have_their_channels():
+    radiance, albedo, normal, scale = inputs(4, 6)
+    radiance[..., 0, 0], normal[..., 0, 1] = 1e9, -1.0
+    x = feature_bytes(radiance, albedo, normal, scale).double()
+    assert x.shape == (1, CHANNELS, 4, 6) and (x[:, :6, 0, 0] == 255).all() and (x[:, 9:, 0, 1] == torch.tensor(
+        [0, 0, 0, 127, 127, 127, 0])).all()  # fmt: skip
+    light = (1 + scale * radiance).log().clamp(max=510 / 40)
+    torch.testing.assert_close((x[:, :3] + x[:, 3:6]) / 40, light.double(), rtol=0, atol=0.51 / 40)
+    torch.testing.assert_close((x[:, 9:12] - x[:, 12:15]) / 127, normal.double(), rtol=0, atol=0.51 / 127)
+
+
+# --- weights ----------------------------------------------------------------------------------------------------------
+
+
+def test_rounding_makes_up_for_its_errors(tool):
+    """What a layer makes of inputs that are alike is ten times closer than with weights that are rounded alone."""
+    torch.manual_seed(0)
+    inputs = 40 + 20 * torch.randn(4000, 30) @ torch.randn(30, 90) / 5  # 90 numbers that 30 make
+    weight, bias = torch.randn(8, 90).double(), torch.randn(8).double()
+    weight[:, :5] *= 20
+    x = torch.cat([inputs, torch.ones(4000, 1)], dim=1).double()
+    whole, factor, new_bias = tool.rounded(weight, bias, x.T @ x)
+    assert whole.dtype == torch.int8 and whole.abs().max() <= 127
+    expected = x[:, :-1] @ weight.T + bias
+    careful = x[:, :-1] @ (whole * factor[:, None]).T + new_bias
+    unit = weight.abs().amax(1, keepdim=True) / 127
+    plain = x[:, :-1] @ ((weight / unit).round() * unit).T + bias
+    assert (careful - expected).square().mean() < 0.1 * (plain - expected).square().mean()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 13), (48, 80)], ids=str)
+def test_a_small_network_in_bytes_is_close(small, size):
+    images = []
+    with torch.inference_mode():
+        for precision in ("fp32", "int8"):
+            model, history = load(small, precision=precision), None
+            for frame in make_frames(3, *size):
+                image, history = model.step(frame, history)
+            images.append(image)
+    expected, image = images
+    assert image.isfinite().all() and image.shape == (1, 3, *size)
+    assert (image - expected).abs().mean() < 0.02 * expected.mean()
+
+
+@pytest.mark.parametrize("name", ["hybrid", "hybrid-fast"])
+def test_what_ships_keeps_the_picture(name):
+    """0.1 dB of error at most on the bundled sequence, and 40 dB from the picture in float32."""
+    frames = list(open_sequence(SAMPLE, signal="indirect", layers=("reference", "reference_half")))[:4]
+    scale, errors, images = display_exposure(frames[-1].reference), {}, {}
+    with torch.inference_mode():
+        for precision in ("fp32", "int8"):
+            model, history = load(name, precision=precision), None
+            for frame in frames:
+                images[precision], history = model.step(frame, history)
+            errors[precision] = psnr(images[precision], frames[-1].reference, scale)
+    assert errors["int8"] > errors["fp32"] - 0.1
+    assert psnr(images["int8"], images["fp32"], scale) > 40
+
+
+def test_even_light_stays_even_and_extreme_light_finite():
+    model = load("hybrid", precision="int8")
+    (frame,) = make_frames(1, H=40, W=70)
+    with torch.inference_mode():
+        for light in (0.0, 0.3, 3e4):
+            given = frame.radiance * 0 + light
+            image, _ = model.step(
+                frame.__class__(**(vars(frame) | {"radiance": given, "albedo": frame.albedo * 0 + 0.6}))
+            )
+            torch.testing.assert_close(image, given, rtol=1e-5, atol=0)
+        frame.radiance[0, :, 3, 4] = 6e4
+        assert model.step(frame)[0].isfinite().all()
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+
+def test_models_without_such_weights_are_named(tmp_path):
+    with pytest.raises(InputError, match="default has no weights in bytes; expected hybrid or hybrid-fast"):
+        load("default", precision="int8")
+    path = tmp_path / "mine.safetensors"
+    save(read("hybrid-fast"), path)
+    with pytest.raises(InputError, match="there is no mine"):
+        load(path, precision="int8")
+
+
+def test_damaged_files_are_named(small, tmp_path):
+    config, good = SMALL, load_file(bytes_of(small))
+    assert {name: tuple(x.shape) for name, x in good.items()} == shapes(config)
+    path = tmp_path / "small.safetensors"
+    save(read(small), path)
+    for change, told in (
+        ({"encoder.1.bias": None}, "encoder.1.bias is missing"),
+        ({"encoder.1.bias": good["encoder.1.bias"][:, :3]}, "expected finite float32"),
+        ({"encoder.1.factor": good["encoder.1.factor"] * torch.nan}, "expected finite float32"),
+        ({"encoder.1.weight": good["encoder.1.weight"].float()}, "expected finite int8"),
+        ({"other": torch.zeros(1)}, "other is"),
+    ):
+        save_file({name: x.contiguous() for name, x in (good | change).items() if x is not None}, bytes_of(path))
+        with pytest.raises(InputError, match=told):
+            load(path, precision="int8")
+    bytes_of(path).write_bytes(b"not weights")
+    with pytest.raises(InputError, match="not a readable safetensors file"):
+        load(path, precision="int8")
+
+
+def test_gpus_have_none():
+    with pytest.raises(InputError, match="int8 is for the CPU"):
+        load("hybrid", device="cuda", precision="int8")
+
+
+def test_it_has_no_gradients_and_no_module_parameters_of_its_own(small):
+    model = load(small, precision="int8")
+    assert isinstance(model.pixels, InBytes)
+    assert model.step(make_frames(1)[0])[0].grad_fn is None
