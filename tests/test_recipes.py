@@ -66,9 +66,13 @@ def test_the_recipe_is_that_of_the_weights(model):
 @pytest.mark.parametrize(("model", "quality"), [("hybrid", "balanced"), ("hybrid-fast", "fast")])
 def test_hybrid_is_put_together_and_not_trained(model, quality):
     """tests/test_hybrid.py compares the weights that ship."""
-    begin, ship = printed(model)
+    begin, ship, *renders, in_bytes = words = printed(model, SCENES="scenes")
     assert [Path(words[1]).name for words in (begin, ship)] == ["begin_hybrid.py", "ship_weights.py"]
     assert begin[3:] == [quality] and ship[2:] == [model, begin[2], "set:recent=8"]
+    assert len(renders) == 11 and all(words[:2] == ["rtdenoise", "render"] for words in renders)
+    assert in_bytes[1:4] == ["tools/hybrid_in_bytes.py", model, f"rtdenoise/weights/{model}.int8"]
+    parsed(words)
+    assert len(printed(model)) == len(words) - 7  # without scene files
 
 
 def test_the_settings_differ_in_nothing_else():

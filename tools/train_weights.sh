@@ -51,6 +51,16 @@ case $model in hybrid*) # the kernels of `default` and a network of OIDN's, both
     [ "$model" = hybrid ] || quality=fast
     run python tools/begin_hybrid.py "runs/$model.safetensors" $quality
     ship "$model" "runs/$model.safetensors" set:recent=8
+    small="--width 256 --height 144 --frames 8 --reference-spp 0" seen=data/calibration # for its weights in bytes
+    for scene in ${SCENES:+classroom living-room veach-ajar spaceship dungeon toyroom}; do
+        run rtdenoise render "$SCENES/$scene/scene.xml" --motion examples/motions/$scene.toml $small --out $seen/$scene
+    done
+    [ -z "${SCENES:-}" ] || run rtdenoise render "$SCENES/classroom/scene.xml" --motion examples/motions/classroom.toml $small \
+        --spp 16 --out $seen/classroom16
+    for scene in wide:11 wide:12 sunlit:5 procedural:3; do
+        run rtdenoise render $scene $small --out "$seen/$(echo $scene | tr -d :)"
+    done
+    run python tools/hybrid_in_bytes.py "$model" "rtdenoise/weights/$model.int8" $seen/*
     exit;;
 esac
 run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128
