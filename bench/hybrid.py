@@ -26,7 +26,6 @@ from rtdenoise.baselines import Oidn
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.models import load
 from rtdenoise.models.inference import resolve
-from rtdenoise.run.memory import keep_freed
 from rtdenoise.run.opinion import RECENT, Opinion
 
 RESULT, PAGES = RESULTS / "hybrid.json", (DOCS / "notes" / "hybrid.md",)
@@ -42,7 +41,10 @@ METHODS = {
     "default-oidn": "`default` with `--oidn`",
     "hybrid-fast": "**`hybrid-fast`**",
     "hybrid": "**`hybrid`**",
+    "hybrid-fast int8": "**`hybrid-fast`**, int8",
+    "hybrid int8": "**`hybrid`**, int8",
 }
+IN_BYTES = ("hybrid-fast", "hybrid")
 SIZES = {"720p": (720, 1280), "144p": (144, 256)}  # that steps are timed at
 METRICS = ("psnr", "psnr_corrected", "flip", "tpsnr")
 
@@ -53,14 +55,14 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
     Args:
         sequences: Folders of EXR files with references.
     """
-    keep_freed()  # as `denoise` does
-    rows = []
+    rows, plain = [], [method for method in METHODS if "int8" not in method]
     for signal in SIGNALS:
-        options = EvaluateOptions(("oidn", *METHODS), metrics=METRICS, signal=signal)
+        run(sequences, OUT / signal, EvaluateOptions(("oidn", *plain), metrics=METRICS, signal=signal))
+        options = EvaluateOptions(IN_BYTES, precisions=("int8",), metrics=METRICS, signal=signal)
         for row in run(sequences, OUT / signal, options).results:
             errors = {region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")}
-            facts = {key: row[key] for key in ("sequence", "method", "precision")}
-            rows.append({"signal": signal, **facts, **errors})
+            name = row["method"] + (" int8" if row["precision"] == "int8" else "")
+            rows.append({"signal": signal, "sequence": row["sequence"], "method": name, **errors})
     precisions = ("bf16", "fp32") if resolve("auto", "cpu") == torch.bfloat16 else ("fp32",)
     with torch.inference_mode():
         times = [times_of(size, precision) for size in SIZES for precision in precisions]
@@ -68,12 +70,17 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
 
 
 def times_of(size: str, precision: str) -> dict:
-    """Milliseconds of a step with history, by method; OIDN has one precision of its own."""
+    """Milliseconds of a step with history, by method; OIDN has one precision of its own, and with int8 the kernels have
+    this one."""
     frame = synthetic_frame(*SIZES[size])
     steps = {"oidn": partial(Oidn().step, frame)}
     for name in ("default", "quality", "hybrid-fast", "hybrid"):
         model = load(name, precision=precision)
         steps[name] = partial(model.step, frame, settled(model, frame))
+    for name in IN_BYTES:
+        model = load(name, precision=precision)
+        model.pixels = load(name, precision="int8").pixels
+        steps[f"{name} int8"] = partial(model.step, frame, settled(model, frame))
     model = load("default", precision=precision, recent=RECENT, footprint=True)
     steps["default-oidn"] = partial(Opinion(model.config).step, model.step, frame, settled(model, frame))
     timings = harness.measure(steps, calls=9, warmup=2)
