@@ -85,13 +85,11 @@ class PixelNetwork(nn.Module):
     def forward(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
         """What each pixel showed, `[B, 3, H, W]` each, and its exposure `scale`, `[B, 1, 1, 1]`, to the picture's light
         as `features` compress it, `[B, 3, H, W]` ≥ 0 in float32."""
-        with torch.no_grad():
-            x = features((radiance,), (albedo, normal), scale, self.last.weight)
-        H, W = x.shape[2:]
+        H, W = radiance.shape[2:]
+        x = self.input(radiance, albedo, normal, scale)
         cell = 2 ** len(self.decoder)
         if H % cell or W % cell:  # by nothing, as OIDN does: the last row, repeated, would look like stripes of light
             x = F.pad(x, (0, -W % cell, 0, -H % cell))
-        x = torch.cat([x[:, :3] * UNIT, x[:, 3:]], dim=1)
         skips = [x]
         x = self.encoder[1](self.encoder[0](x))
         for convolve in self.encoder[2:-1]:
@@ -103,3 +101,9 @@ class PixelNetwork(nn.Module):
             x = self.decoder[level](x, skips[level])
         y = to_planes(x, self.last.weight, self.last.bias)
         return F.relu(y[..., :H, :W]) / UNIT
+
+    @torch.no_grad()
+    def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
+        """`features`, `[B, 9, H, W]`, with light in OIDN's unit."""
+        x = features((radiance,), (albedo, normal), scale, self.last.weight)
+        return torch.cat([x[:, :3] * UNIT, x[:, 3:]], dim=1)

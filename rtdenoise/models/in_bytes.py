@@ -14,53 +14,53 @@ import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from ..errors import InputError
 from ..ops.convolve_bytes import BLOCK, QUAD, convolve_bytes
 from ..ops.feature_bytes import CHANNELS, feature_bytes
-from ..ops.to_planes import to_planes
-from .hybrid import UNIT, Hybrid
+from .hybrid import PixelNetwork
 from .hybrid_config import HybridConfig
-from .unet import pool
 
 
-class InBytes(nn.Module):
-    """As `hybrid.PixelNetwork`, without gradients."""
+class InBytes(PixelNetwork):
+    """A `PixelNetwork` without gradients."""
 
-    def __init__(self, config: HybridConfig, layers: dict[str, dict[str, Tensor]], last: nn.Conv2d) -> None:
-        """`layers` as `read` returns them; `last` is the network's last convolution."""
+    def __init__(self, layers: dict[str, dict[str, Tensor]], network: PixelNetwork) -> None:
+        """`layers` as `read` returns them, for those of `network`."""
+        nn.Module.__init__(self)
+        self.encoder = nn.ModuleList(Convolution(**layers[f"encoder.{i}"]) for i in range(len(network.encoder)))
+        self.decoder = nn.ModuleList(
+            Up(layers[f"decoder.{i}.0"], layers[f"decoder.{i}.2"], torch.uint8 if i else torch.bfloat16)
+            for i in range(len(network.decoder))
+        )
+        self.last = network.last
+
+    def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
+        """As that of `PixelNetwork`, in bytes."""
+        return feature_bytes(radiance, albedo, normal, scale)
+
+
+class Convolution(nn.Module):
+    """`convolve_bytes` with its weights."""
+
+    def __init__(self, weight: Tensor, factor: Tensor, bias: Tensor, dtype: torch.dtype = torch.uint8) -> None:
         super().__init__()
-        self.encoder, self.decoder = len(config.convolutions), len(config.levels)
-        self.layers, self.last = layers, last
+        self.weight, self.factor, self.bias, self.dtype = weight, factor, bias, dtype
 
-    @classmethod
-    def read(cls, path: Path, network: Hybrid) -> InBytes:
-        """The network of a file, for the one that `network` has. Raises InputError as `read` does."""
-        return cls(network.config, read(path, network.config), network.pixels.last)
+    def forward(self, x: Tensor, below: Tensor | None = None) -> Tensor:
+        x = x.contiguous(memory_format=torch.channels_last)
+        return convolve_bytes(x, self.weight, self.factor, self.bias, below, self.dtype)
 
-    def forward(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
-        """As `PixelNetwork.forward`."""
-        H, W = radiance.shape[2:]
-        x = feature_bytes(radiance, albedo, normal, scale)
-        cell = 2**self.decoder
-        if H % cell or W % cell:
-            x = F.pad(x, (0, -W % cell, 0, -H % cell)).contiguous(memory_format=torch.channels_last)
-        skips = [x]
-        x = self._convolve("encoder.1", self._convolve("encoder.0", x))
-        for i in range(2, self.encoder - 1):
-            x = pool(x)
-            skips.append(x)
-            x = self._convolve(f"encoder.{i}", x)
-        x = self._convolve(f"encoder.{self.encoder - 1}", x)
-        for level in reversed(range(self.decoder)):
-            y = self._convolve(f"decoder.{level}.0", skips[level], below=x)
-            x = self._convolve(f"decoder.{level}.2", y, dtype=torch.uint8 if level else torch.bfloat16)
-        y = to_planes(x, self.last.weight, self.last.bias)
-        return F.relu(y[..., :H, :W]) / UNIT
 
-    def _convolve(self, name: str, x: Tensor, **options) -> Tensor:
-        return convolve_bytes(x, **self.layers[name], **options)
+class Up(nn.Module):
+    """As `unet.Up`."""
+
+    def __init__(self, first: dict[str, Tensor], second: dict[str, Tensor], dtype: torch.dtype) -> None:
+        super().__init__()
+        self.first, self.second = Convolution(**first), Convolution(**second, dtype=dtype)
+
+    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        return self.second(self.first(skip, below=x))
 
 
 def layout(config: HybridConfig) -> dict[str, tuple[list[tuple[int, int]], int]]:

@@ -17,6 +17,7 @@ from .combiner import Combiner
 from .denoiser import Denoiser
 from .hybrid import Hybrid
 from .in_bytes import InBytes
+from .in_bytes import read as read_bytes
 from .inference import INT8, prepare, resolve
 from .mltd import RecurrentTransformer
 from .presets import SHRINKAGE, Config
@@ -56,7 +57,7 @@ def load(
     if precision == INT8:
         if not isinstance(network, Hybrid):
             raise InputError(f"precision int8: {model} has no weights in bytes; expected hybrid or hybrid-fast")
-        network.pixels = InBytes.read(bytes_of(file.path), network)
+        network.pixels = InBytes(read_bytes(bytes_of(file.path), network.config), network.pixels)
     return network.to(device)
 
 
