@@ -28,6 +28,8 @@ SIGNALS = ("color", "indirect")
 SPP = (4, 8, 16)  # beside 1
 OURS = ("default-spatial", "hybrid-fast-spatial", "hybrid-spatial", "default", "hybrid-fast", "hybrid", "default-oidn",
         "offline")  # fmt: skip
+IN_BYTES = ("hybrid-fast", "hybrid")  # measured in int8, too
+SHOWN_OURS = *OURS[:-1], *(f"{name} int8" for name in IN_BYTES), OURS[-1]
 MANY = ("many", "many-oidn", "oidn+combiner")
 METRICS = ("psnr_corrected", "ssim", "relmse", "flip", "tpsnr_corrected")
 FRAMES = (1, 4, 9, 15)  # numbers of frames that are shown by themselves
@@ -44,14 +46,16 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
     rows = []
     for signal in SIGNALS:
         counts, at = SPP if signal == "color" else (), {"metrics": METRICS, "signal": signal}
-        document = run(sequences, OUT / signal, EvaluateOptions((REFERENCE, "oidn-prefiltered", *OURS), **at))
+        run(sequences, OUT / signal, EvaluateOptions((REFERENCE, "oidn-prefiltered", *OURS), **at))
+        document = run(sequences, OUT / signal, EvaluateOptions(IN_BYTES, ("int8",), **at))
         if counts:
             document = run(sequences, OUT / signal, EvaluateOptions((REFERENCE, *MANY), spp=counts, **at))
             for name, facts in document.sequences.items():
                 strips.draw(OUT / signal, name, facts, SHOWN, PICTURES / f"{name}.webp")
         for row in (row for row in document.results if row["spp"] in (1, *counts)):
             rows.append({
-                "signal": signal, **{key: row[key] for key in ("sequence", "method", "spp")}, "ms": row["ms"]["median"],
+                "signal": signal, **{key: row[key] for key in ("sequence", "spp")},
+                "method": row["method"] + (" int8" if row["precision"] == "int8" else ""), "ms": row["ms"]["median"],
                 **{region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")},
                 "frames": {str(f["number"]): f["frame"]["psnr_corrected"] for f in row["frames"]},
             })  # fmt: skip
@@ -98,7 +102,7 @@ def _over_oidn(at_1: dict) -> str:
         "|---" * 10 + "|",
     ]
     base = at_1[REFERENCE]
-    for method in ("oidn-prefiltered", *OURS):
+    for method in ("oidn-prefiltered", *SHOWN_OURS):
         rows = at_1[method]
         each = [np.mean(_leads(rows, base, signal=signal)) for signal in SIGNALS]
         uncovered = _leads(rows, base, region="uncovered")
@@ -115,7 +119,7 @@ def _over_oidn(at_1: dict) -> str:
 
 def _by_frame(at_1: dict) -> str:
     lines = [f"| | {' | '.join(f'frame {number}' for number in FRAMES)} |", "|---" * (len(FRAMES) + 1) + "|"]
-    for method in OURS:
+    for method in SHOWN_OURS:
         cells = []
         for number in map(str, FRAMES):
             pairs = [
@@ -129,7 +133,7 @@ def _by_frame(at_1: dict) -> str:
 def _by_sequence(at_1: dict) -> str:
     keys = list(at_1[REFERENCE])
     lines = [f"| | {' | '.join(f'{name}, {signal}' for name, signal in keys)} |", "|---" * (len(keys) + 1) + "|"]
-    for method in ("oidn-prefiltered", *OURS):
+    for method in ("oidn-prefiltered", *SHOWN_OURS):
         pairs = [(at_1[method][key], at_1[REFERENCE][key]) for key in keys]
         cells = [f"{a['frame']['psnr_corrected'] - b['frame']['psnr_corrected']:+.2f}" for a, b in pairs]
         lines.append(f"| `{method}` | {' | '.join(cells)} |")
