@@ -26,6 +26,7 @@ from rtdenoise.baselines import Oidn
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.models import load
 from rtdenoise.models.inference import resolve
+from rtdenoise.report.readings import label
 from rtdenoise.run.opinion import RECENT, Opinion
 
 RESULT, PAGES = RESULTS / "hybrid.json", (DOCS / "notes" / "hybrid.md",)
@@ -61,8 +62,7 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
         options = EvaluateOptions(IN_BYTES, precisions=("int8",), metrics=METRICS, signal=signal)
         for row in run(sequences, OUT / signal, options).results:
             errors = {region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")}
-            name = row["method"] + (" int8" if row["precision"] == "int8" else "")
-            rows.append({"signal": signal, "sequence": row["sequence"], "method": name, **errors})
+            rows.append({"signal": signal, "sequence": row["sequence"], "method": label(row), **errors})
     precisions = ("bf16", "fp32") if resolve("auto", "cpu") == torch.bfloat16 else ("fp32",)
     with torch.inference_mode():
         times = [times_of(size, precision) for size in SIZES for precision in precisions]

@@ -21,6 +21,7 @@ import numpy as np
 import tyro
 
 from rtdenoise.evaluate.run import EvaluateOptions, run
+from rtdenoise.report.readings import label
 
 RESULT, PAGES = RESULTS / "large.json", (DOCS / "results" / "large.md",)
 OUT, PICTURES = ROOT / "out" / "large", DOCS / "images" / "large"
@@ -54,8 +55,8 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
                 strips.draw(OUT / signal, name, facts, SHOWN, PICTURES / f"{name}.webp")
         for row in (row for row in document.results if row["spp"] in (1, *counts)):
             rows.append({
-                "signal": signal, **{key: row[key] for key in ("sequence", "spp")},
-                "method": row["method"] + (" int8" if row["precision"] == "int8" else ""), "ms": row["ms"]["median"],
+                "signal": signal, "sequence": row["sequence"], "method": label(row), "spp": row["spp"],
+                "ms": row["ms"]["median"],
                 **{region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")},
                 "frames": {str(f["number"]): f["frame"]["psnr_corrected"] for f in row["frames"]},
             })  # fmt: skip

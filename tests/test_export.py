@@ -1,6 +1,5 @@
 """`rtdenoise export`: a player that knows nothing but the exported files reproduces the frames."""
 
-import importlib.util
 import json
 import re
 import shutil
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scripts import imported
 
 from rtdenoise.cli.main import main
 from rtdenoise.errors import InputError
@@ -26,10 +26,7 @@ SIZE = (19, 34)
 
 @pytest.fixture(scope="module")
 def player():
-    spec = importlib.util.spec_from_file_location("player", PLAYER)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return imported(PLAYER)
 
 
 @pytest.fixture(scope="module")

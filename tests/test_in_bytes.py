@@ -1,11 +1,11 @@
 """The network of `hybrid` that writes pixels, in bytes (`models.in_bytes`, `tools/hybrid_in_bytes.py`)."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
+from scripts import imported
 from synthetic import make_frames
 from torch.nn import functional as F
 
@@ -28,10 +28,7 @@ TOOL = Path(__file__).parent.parent / "tools" / "hybrid_in_bytes.py"
 
 @pytest.fixture(scope="module")
 def tool():
-    spec = importlib.util.spec_from_file_location("hybrid_in_bytes", TOOL)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return imported(TOOL)
 
 
 @pytest.fixture(scope="module")
@@ -76,11 +73,9 @@ def test_phases_enlarge_and_join(tool):
         torch.randint(0, 256, (1, 8, 3, 4), dtype=torch.uint8),
         torch.randint(0, 256, (1, 4, 6, 8), dtype=torch.uint8),
     )
-    phases = []
-    for a in (0, 1):
-        for b in (0, 1):
-            of_below = torch.einsum("sy,oiyx,tx->oist", tool.REPEATED[a], weight[:, :8], tool.REPEATED[b])
-            phases.append(packed([of_below.to(torch.int8), weight[:, 8:].to(torch.int8)]))
+    phases = [
+        packed([tool.of_phase(weight[:, :8], phase).to(torch.int8), weight[:, 8:].to(torch.int8)]) for phase in range(4)
+    ]
     y = convolve_bytes(x, torch.stack(phases), torch.full((4, 6), 0.01), torch.zeros(4, 6), below)
     joined = torch.cat([F.interpolate(below.double(), scale_factor=2, mode="nearest"), x.double()], dim=1)
     expected = F.conv2d(joined, weight, padding=1) * 0.01

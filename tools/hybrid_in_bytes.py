@@ -25,6 +25,7 @@ from rtdenoise.files import write_atomically
 from rtdenoise.models import read
 from rtdenoise.models.hybrid import UNIT, Hybrid
 from rtdenoise.models.in_bytes import layout
+from rtdenoise.models.inference import enlarging
 from rtdenoise.ops.convolve_bytes import packed
 from rtdenoise.ops.feature_bytes import ALBEDO, CHANNELS, LIGHT, NORMAL, feature_bytes
 
@@ -35,8 +36,6 @@ RARE = 1e-4  # share of a frame's pixels that may show more
 DAMPING = 0.003  # added to the variance of each input, as a share of their mean
 WHOLE = 127  # the greatest weight
 INPUT, INPUTS = "input", 9  # of the network: its name here, its channels
-REPEATED = torch.tensor([[[1, 0, 0], [0, 1, 1]], [[1, 1, 0], [0, 0, 1]]], dtype=torch.double)
-"""For the first and the second of two pixels: which of 3 taps read each of 2 pixels at half the size."""
 
 
 @torch.no_grad()
@@ -78,9 +77,8 @@ class Seen:
             self.makers[f"decoder.{i}.0"] = [below, f"encoder.{i}" if i else INPUT]
             self.makers[f"decoder.{i}.2"] = [f"decoder.{i}.0"]
         self.sources = {name: sources for name, (sources, _) in layout(network.config).items()}
-        self.moments: dict[
-            tuple[str, int], Tensor
-        ] = {}  # Σ x xᵀ of the windows x of a layer and phase, 1 in last place
+        # Σ x xᵀ of the windows x of a layer and phase, with 1 in the last place
+        self.moments: dict[tuple[str, int], Tensor] = {}
         self.most = {name: torch.full((layer.out_channels,), 1e-3) for name, layer in self.layers.items()}
         pixels.register_forward_pre_hook(self._begin)
         for name, layer in self.layers.items():
@@ -95,9 +93,7 @@ class Seen:
         weight, parts, steps = self.layers[name].weight.double(), [], []
         for maker, (channels, taps) in zip(self.makers[name], self.sources[name], strict=True):
             if taps == 2:
-                rows, columns = REPEATED[phase // 2], REPEATED[phase % 2]
-                part = torch.einsum("sy,oiyx,tx->oist", rows, weight[:, :channels], columns)
-                weight = weight[:, channels:]
+                part, weight = of_phase(weight[:, :channels], phase), weight[:, channels:]
             else:
                 part = of_bytes(weight) if maker == INPUT else weight
             steps.append(self.steps(maker).double().repeat_interleave(taps * taps))
@@ -130,6 +126,14 @@ class Seen:
         x = x[:, torch.randint(x.shape[1], (SAMPLES,))]
         x = torch.cat([x, torch.ones_like(x[:1])])
         self.moments[name, phase] = self.moments.get((name, phase), 0) + (x @ x.T).double()
+
+
+def of_phase(weight: Tensor, phase: int) -> Tensor:
+    """Weights `[O, I, 3, 3]` of an enlarged picture to those of the picture before, `[O, I, 2, 2]`, for the pixels at a
+    place among 2×2. Pixel i reaches pixel 2i + t - 1 by tap t of `enlarging`."""
+    a, b = divmod(phase, 2)
+    taps = enlarging(weight).transpose(0, 1)
+    return taps[:, :, [3 - a, 1 - a]][..., [3 - b, 1 - b]]
 
 
 def of_bytes(weight: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The network of `hybrid` that writes pixels, in bytes: half the time of bfloat16 or less on CPUs that multiply bytes.
+"""The network of `hybrid` that writes pixels, in bytes: less time than in bfloat16 on CPUs that multiply bytes.
 
 Weights are whole numbers from -127 to 127 with a factor for each output, features whole numbers from 0 to 255 with a
 step for each channel; sums are exact. Weights were rounded one by one, each so that it makes up for the errors of those

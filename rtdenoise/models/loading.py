@@ -53,12 +53,12 @@ def load(
     weights that are not finite or do not fit their configuration, and a model that has none in bytes.
     """
     dtype, file = resolve(precision, device), read_denoiser(model, **overrides)
-    network = prepare(_built(file), dtype)
+    network = _built(file)
     if precision == INT8:
         if not isinstance(network, Hybrid):
             raise InputError(f"precision int8: {model} has no weights in bytes; expected hybrid or hybrid-fast")
         network.pixels = InBytes(read_bytes(bytes_of(file.path), network.config), network.pixels)
-    return network.to(device)
+    return prepare(network, dtype).to(device)
 
 
 def load_combiner(

@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("convolve_bytes", native=Support(halves=("factor", "bias")))
+FUSED = Fused("convolve_bytes", native=Support(bytes=("x", "below")))  # channels last only
 QUAD = 4  # inputs whose products are summed at once
 BLOCK = 32  # outputs: weights are stored for multiples of as many
 MOST = 128  # inputs of a picture that the fused op takes
@@ -35,9 +35,10 @@ def convolve_bytes(
     """
     count = factor.shape[1]
     taps = (3,) if below is None else (2, 3)
-    channels = [y.shape[1] for y in (below, x) if y is not None]
-    last = all(y.is_contiguous(memory_format=torch.channels_last) for y in (below, x) if y is not None)
-    if last and max(channels) <= MOST and (run := FUSED(factor=factor[None, None], bias=bias[None, None])):
+    pictures = [y for y in (below, x) if y is not None]
+    channels = [y.shape[1] for y in pictures]
+    last = all(y.is_contiguous(memory_format=torch.channels_last) for y in pictures)
+    if last and max(channels) <= MOST and (run := FUSED(x=x, below=below)):
         return run(x, weight, factor, bias, below, dtype)
     phases = []
     for phase in range(len(weight)):

@@ -64,11 +64,12 @@ def plain() -> bool:
 
 @dataclass(frozen=True)
 class Support:
-    """The arguments that a fused implementation takes. All are float32 images but for those in `halves`."""
+    """The arguments that a fused implementation takes. All are float32 images but for those in `halves` and `bytes`."""
 
     max_channels: int | None = None  # of the first argument; several images count together
     max_kernel: int | None = None  # K of the argument `logits`
     halves: tuple[str, ...] = ()  # arguments that may be bfloat16 or float16 too
+    bytes: tuple[str, ...] = ()  # arguments that are uint8
     gradients: tuple[str, ...] = ()  # arguments in which it is differentiable
 
 
@@ -159,9 +160,9 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
     differentiating = torch.is_grad_enabled()
     for name, value in arguments.items():
         for tensor in (value,) if isinstance(value, Tensor) else value or ():
-            dtype = tensor.dtype
-            if dtype is not torch.float32 and not (name in support.halves and dtype in HALVES):
-                return f"{name} is {dtype}, it takes torch.float32".replace("torch.", "")
+            dtype, taken = tensor.dtype, torch.uint8 if name in support.bytes else torch.float32
+            if dtype is not taken and not (name in support.halves and dtype in HALVES):
+                return f"{name} is {dtype}, it takes {taken}".replace("torch.", "")
             if differentiating and tensor.requires_grad and name not in support.gradients:
                 return f"it has no gradient in {name}"
     first = next(iter(arguments.values()))

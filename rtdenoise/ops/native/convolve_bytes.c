@@ -1,5 +1,6 @@
 // A convolution of bytes, channels last, or one that doubles the size of a coarser picture and joins a finer one. The
-// specification is ops/convolve_bytes.py. HALF is 1 for results in bfloat16, 0 for bytes. LANES may be given as 4, for code
+// specification is ops/convolve_bytes.py. HALF is 1 for results in bfloat16, 0 for bytes; a picture has
+// MOST channels at most. LANES may be given as 4, for code
 // that every CPU runs.
 #include "common.h"
 
@@ -33,7 +34,6 @@ static inline vector plus_products(vector sum, vector x, vector w) {
 
 #define PARTS 2                // vectors of outputs at once
 #define BLOCK (PARTS * LANES)  // outputs
-#define MOST 128               // channels of a picture
 #define SPAN (2 * PIXELS + 1)  // pixels of a row that a block reads at most
 
 #if HALF

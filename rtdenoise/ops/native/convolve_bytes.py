@@ -7,6 +7,7 @@ from ctypes import Structure, byref, c_int, c_void_p
 import torch
 from torch import Tensor
 
+from ..convolve_bytes import MOST
 from .compiler import library, pointer
 
 
@@ -23,7 +24,7 @@ def convolve_bytes(
     _, quads, stored, _ = weight.shape
     O = factor.shape[1]
     out = torch.empty(B, O, H, W, dtype=dtype, memory_format=torch.channels_last)
-    run = library("convolve_bytes", HALF=int(dtype == torch.bfloat16)).convolve_bytes
+    run = library("convolve_bytes", HALF=int(dtype == torch.bfloat16), MOST=MOST).convolve_bytes
     for b in range(B):
         beside = _Source(x[b].data_ptr(), H, W, C, 3, 1 if below is None else 2)
         coarse = _Source() if below is None else _Source(below[b].data_ptr(), H // 2, W // 2, below.shape[1], 2, 1)

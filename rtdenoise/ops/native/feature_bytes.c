@@ -1,10 +1,9 @@
 // A picture's light and surfaces as bytes, channels last, in one pass over its planes. The specification is
-// ops/feature_bytes.py, which gives LIGHT, ALBEDO and NORMAL.
+// ops/feature_bytes.py, which gives LIGHT, ALBEDO, NORMAL and CHANNELS.
 #include "common.h"
 #include "log1p.h"
 
 #define BLOCK 64  // pixels
-#define CHANNELS 16
 
 static inline uint8_t byte(float steps) { return (uint8_t)MIN(MAX(steps, 0), 255); }
 

@@ -15,7 +15,8 @@ def feature_bytes(radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tenso
     layers = [layer.contiguous() for layer in (radiance, albedo, normal)]
     B, _, H, W = radiance.shape
     out = torch.empty(B, CHANNELS, H, W, dtype=torch.uint8, memory_format=torch.channels_last)
-    run = library("feature_bytes", LIGHT=LIGHT, ALBEDO=ALBEDO, NORMAL=NORMAL).feature_bytes
+    constants = {"LIGHT": LIGHT, "ALBEDO": ALBEDO, "NORMAL": NORMAL, "CHANNELS": CHANNELS}
+    run = library("feature_bytes", **constants).feature_bytes
     for b in range(B):
         planes = (c_void_p * 9)(*(plane.data_ptr() for layer in layers for plane in layer[b]))
         run(planes, c_float(scale[b].item()), pointer(out[b]), c_int64(H * W), torch.get_num_threads())
