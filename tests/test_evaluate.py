@@ -5,6 +5,7 @@ import math
 import shutil
 import webbrowser
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
@@ -58,6 +59,7 @@ def test_weights_that_ship_later_are_found(monkeypatch):
     monkeypatch.setattr("rtdenoise.evaluate.registry.available", lambda: ["default", "later", "paper"])
     configs = {"later": PRESETS["default"], "default": PRESETS["default"], "paper": PRESETS["paper"]}
     monkeypatch.setattr("rtdenoise.evaluate.registry.read_config", configs.get)
+    monkeypatch.setattr("rtdenoise.evaluate.registry.find", Path)
     known = methods()
     assert "later-oidn" in known and "paper-oidn" not in known
     assert known["later"].family == "network" and known["later-spatial"].family == "ablation"

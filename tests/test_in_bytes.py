@@ -1,4 +1,4 @@
-"""The network of `hybrid` that writes pixels, in bytes (`models.in_bytes`, `tools/hybrid_in_bytes.py`)."""
+"""Networks in bytes (`models.in_bytes`, `tools/weights_in_bytes.py`)."""
 
 from pathlib import Path
 
@@ -14,8 +14,9 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.metrics import psnr
-from rtdenoise.models import HybridConfig, create, load, read, save
-from rtdenoise.models.in_bytes import InBytes, shapes
+from rtdenoise.models import AccumulatedKPNConfig, HybridConfig, create, load, read, save
+from rtdenoise.models.bytes_layout import shapes
+from rtdenoise.models.in_bytes import PixelNetworkInBytes, ToBytes, UNetInBytes, phases, rounded
 from rtdenoise.models.weights import bytes_of
 from rtdenoise.ops.convolve_bytes import convolve_bytes, packed, unpacked
 from rtdenoise.ops.feature_bytes import CHANNELS, feature_bytes
@@ -23,7 +24,7 @@ from rtdenoise.ops.feature_bytes import CHANNELS, feature_bytes
 SMALL = HybridConfig(
     widths=(8, 8, 8, 8), scales=4, edge_kernel=3, detail=True, recent=3, down=(16, 12, 20), up=(12, 8), out=(16, 4)
 )
-TOOL = Path(__file__).parent.parent / "tools" / "hybrid_in_bytes.py"
+TOOL = Path(__file__).parent.parent / "tools" / "weights_in_bytes.py"
 
 
 @pytest.fixture(scope="module")
@@ -66,17 +67,15 @@ def test_it_is_a_convolution_and_relu():
     assert (y - expected.clamp(0, 255)).abs().max() <= 0.5001
 
 
-def test_phases_enlarge_and_join(tool):
-    """The weights of phases, as the tool sums them, convolve the enlarged picture."""
+def test_phases_enlarge_and_join():
+    """Weights, split into those of phases, convolve the enlarged picture."""
     weight = torch.randint(-5, 6, (6, 12, 3, 3)).double()
     below, x = (
         torch.randint(0, 256, (1, 8, 3, 4), dtype=torch.uint8),
         torch.randint(0, 256, (1, 4, 6, 8), dtype=torch.uint8),
     )
-    phases = [
-        packed([tool.of_phase(weight[:, :8], phase).to(torch.int8), weight[:, 8:].to(torch.int8)]) for phase in range(4)
-    ]
-    y = convolve_bytes(x, torch.stack(phases), torch.full((4, 6), 0.01), torch.zeros(4, 6), below)
+    weights = [packed([part.to(torch.int8) for part in parts]) for parts in phases(weight, (8, 4))]
+    y = convolve_bytes(x, torch.stack(weights), torch.full((4, 6), 0.01), torch.zeros(4, 6), below)
     joined = torch.cat([F.interpolate(below.double(), scale_factor=2, mode="nearest"), x.double()], dim=1)
     expected = F.conv2d(joined, weight, padding=1) * 0.01
     assert (y - expected.clamp(0, 255)).abs().max() <= 0.5001
@@ -112,6 +111,29 @@ def test_rounding_makes_up_for_its_errors(tool):
     assert (careful - expected).square().mean() < 0.1 * (plain - expected).square().mean()
 
 
+def test_rounded_layers_keep_their_steps():
+    """A layer of bytes with steps gives what the layer gives of their numbers, in steps of its own."""
+    torch.manual_seed(0)
+    layer, steps, made = torch.nn.Conv2d(12, 6, 3, padding=1), (torch.rand(8) + 0.1, torch.rand(4) + 0.1), torch.rand(6)
+    made = made + 1
+    below, x = (
+        torch.randint(0, 256, (1, 8, 5, 4), dtype=torch.uint8),
+        torch.randint(0, 256, (1, 4, 10, 8), dtype=torch.uint8),
+    )
+    y = convolve_bytes(x, **rounded(layer, steps, made), below=below)
+    numbers = [picture * step.view(-1, 1, 1) for picture, step in zip((below, x), steps, strict=True)]
+    joined = torch.cat([F.interpolate(numbers[0], scale_factor=2, mode="nearest"), numbers[1]], dim=1)
+    expected = (layer(joined) / made.view(-1, 1, 1)).clamp(0, 255)
+    assert (y - expected).abs().max() < 2 and (expected > 50).any()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_numbers_become_bytes(dtype):
+    step = torch.tensor([0.5, 0.01])
+    x = torch.tensor([[0.0, 0.24, 1.0, 1e9], [0.0, 0.024, 1.0, 2.5]]).view(1, 2, 2, 2).to(dtype)
+    assert ToBytes(step)(x).flatten(2).tolist() == [[[0, 0, 2, 255], [0, 2, 100, 250]]]
+
+
 @pytest.mark.parametrize("size", [(1, 1), (7, 13), (48, 80)], ids=str)
 def test_a_small_network_in_bytes_is_close(small, size):
     images = []
@@ -126,7 +148,7 @@ def test_a_small_network_in_bytes_is_close(small, size):
     assert (image - expected).abs().mean() < 0.02 * expected.mean()
 
 
-@pytest.mark.parametrize("name", ["hybrid", "hybrid-fast"])
+@pytest.mark.parametrize("name", ["default", "fast", "quality", "many", "hybrid", "hybrid-fast"])
 def test_what_ships_keeps_the_picture(name):
     """0.1 dB of error at most on the bundled sequence, and 40 dB from the picture in float32."""
     frames = list(open_sequence(SAMPLE, signal="indirect", layers=("reference", "reference_half")))[:4]
@@ -141,8 +163,9 @@ def test_what_ships_keeps_the_picture(name):
     assert psnr(images["int8"], images["fp32"], scale) > 40
 
 
-def test_even_light_stays_even_and_extreme_light_finite():
-    model = load("hybrid", precision="int8")
+@pytest.mark.parametrize("name", ["default", "hybrid"])
+def test_even_light_stays_even_and_extreme_light_finite(name):
+    model = load(name, precision="int8")
     (frame,) = make_frames(1, H=40, W=70)
     with torch.inference_mode():
         for light in (0.0, 0.3, 3e4):
@@ -159,12 +182,19 @@ def test_even_light_stays_even_and_extreme_light_finite():
 
 
 def test_models_without_such_weights_are_named(tmp_path):
-    with pytest.raises(InputError, match="default has no weights in bytes; expected hybrid or hybrid-fast"):
-        load("default", precision="int8")
+    with pytest.raises(InputError, match="networks of the form temporal_kpn have no weights in bytes"):
+        load("paper", precision="int8")
     path = tmp_path / "mine.safetensors"
     save(read("hybrid-fast"), path)
     with pytest.raises(InputError, match="there is no mine"):
         load(path, precision="int8")
+
+
+def test_widths_come_in_fours(tool, tmp_path):
+    path = tmp_path / "odd.safetensors"
+    save(create(AccumulatedKPNConfig(widths=(8, 10, 8), scales=3)), path)
+    with pytest.raises(InputError, match=r"widths that are multiples of 4; unet.encoder.1.2 reads 10"):
+        tool.main(str(path), str(bytes_of(path)), str(SAMPLE))
 
 
 def test_damaged_files_are_named(small, tmp_path):
@@ -173,10 +203,11 @@ def test_damaged_files_are_named(small, tmp_path):
     path = tmp_path / "small.safetensors"
     save(read(small), path)
     for change, told in (
-        ({"encoder.1.bias": None}, "encoder.1.bias is missing"),
-        ({"encoder.1.bias": good["encoder.1.bias"][:, :3]}, "expected finite float32"),
-        ({"encoder.1.factor": good["encoder.1.factor"] * torch.nan}, "expected finite float32"),
-        ({"encoder.1.weight": good["encoder.1.weight"].float()}, "expected finite int8"),
+        ({"pixels.encoder.1.bias": None}, "pixels.encoder.1.bias is missing"),
+        ({"pixels.encoder.1.bias": good["pixels.encoder.1.bias"][:, :3]}, "expected finite float32"),
+        ({"pixels.encoder.1.factor": good["pixels.encoder.1.factor"] * torch.nan}, "expected finite float32"),
+        ({"pixels.encoder.1.weight": good["pixels.encoder.1.weight"].float()}, "expected finite int8"),
+        ({"unet.encoder.1.0.step": good["unet.encoder.1.0.step"][:3]}, "expected finite float32"),
         ({"other": torch.zeros(1)}, "other is"),
     ):
         save_file({name: x.contiguous() for name, x in (good | change).items() if x is not None}, bytes_of(path))
@@ -192,7 +223,7 @@ def test_gpus_have_none():
         load("hybrid", device="cuda", precision="int8")
 
 
-def test_it_has_no_gradients_and_no_module_parameters_of_its_own(small):
+def test_it_has_no_gradients(small):
     model = load(small, precision="int8")
-    assert isinstance(model.pixels, InBytes)
+    assert isinstance(model.pixels, PixelNetworkInBytes) and isinstance(model.unet, UNetInBytes)
     assert model.step(make_frames(1)[0])[0].grad_fn is None

@@ -50,6 +50,8 @@ def test_the_recipe_is_that_of_the_weights(model):
     written = {str(config.out / "weights.safetensors") for config in trained} | {mean[1] for mean in means}
     assert {str(config.init) for config in trained if config.init} <= written
     assert {part.rpartition("=")[0] or part for mean in (*means, ship) for part in mean[2:]} <= written
+    if model != "combiner":
+        assert commands[-1][1:4] == ["tools/weights_in_bytes.py", model, f"rtdenoise/weights/{model}.int8"]
     assert ship[1] == model and f"runs/{model}-last/weights.safetensors" in ship[-1]
     with safe_open(ROOT / "rtdenoise" / "weights" / f"{model}.safetensors", framework="np") as file:
         options, config = (json.loads(file.metadata()[key]) for key in ("training", "config"))
@@ -70,7 +72,7 @@ def test_hybrid_is_put_together_and_not_trained(model, quality):
     assert [Path(words[1]).name for words in (begin, ship)] == ["begin_hybrid.py", "ship_weights.py"]
     assert begin[3:] == [quality] and ship[2:] == [model, begin[2], "set:recent=8"]
     assert len(renders) == 11 and all(words[:2] == ["rtdenoise", "render"] for words in renders)
-    assert in_bytes[1:4] == ["tools/hybrid_in_bytes.py", model, f"rtdenoise/weights/{model}.int8"]
+    assert in_bytes[1:4] == ["tools/weights_in_bytes.py", model, f"rtdenoise/weights/{model}.int8"]
     parsed(words)
     assert len(printed(model)) == len(words) - 7  # without scene files
 

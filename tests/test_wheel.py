@@ -56,7 +56,7 @@ def test_weights_come_with_the_wheel(with_torch):
         "from rtdenoise import models\n"
         "found = [name for name in models.available() if models.load(name)]\n"
         "found += [name for name in models.available_combiners() if models.load_combiner(name)]\n"
-        "models.load('hybrid', precision='int8'), models.load('hybrid-fast', precision='int8')\n"
+        "[models.load(name, precision='int8') for name in ('default', 'hybrid', 'hybrid-fast')]\n"
         "print(*found)"
     )
     assert sorted(with_torch.run("python", "-c", code).split()) == shipped

@@ -45,13 +45,12 @@ wide="--generator 2"
 noisy="--reference-error 0.2"
 files=${SCENES:+--scenes $SCENES --motions examples/motions}
 two=${SCENES:+--exclude street dining-room} # of the other scenes this set shows three, none of the measured ones
-ship() { run python tools/ship_weights.py "$@"; } # NAME FILE, or a mean: NAME FILE=SHARE...
-case $model in hybrid*) # the kernels of `default` and a network of OIDN's, both as they are: nothing to train
-    quality=balanced
-    [ "$model" = hybrid ] || quality=fast
-    run python tools/begin_hybrid.py "runs/$model.safetensors" $quality
-    ship "$model" "runs/$model.safetensors" set:recent=8
-    small="--width 256 --height 144 --frames 8 --reference-spp 0" seen=data/calibration # for its weights in bytes
+ship() { # NAME FILE, or a mean: NAME FILE=SHARE...
+    run python tools/ship_weights.py "$@"
+    [ "$1" != "$model" ] || in_bytes
+}
+in_bytes() { # what --precision int8 needs, found on frames such as the model will see
+    small="--width 256 --height 144 --frames 8 --reference-spp 0" seen=data/calibration
     for scene in ${SCENES:+classroom living-room veach-ajar spaceship dungeon toyroom}; do
         run rtdenoise render "$SCENES/$scene/scene.xml" --motion examples/motions/$scene.toml $small --out $seen/$scene
     done
@@ -60,7 +59,13 @@ case $model in hybrid*) # the kernels of `default` and a network of OIDN's, both
     for scene in wide:11 wide:12 sunlit:5 procedural:3; do
         run rtdenoise render $scene $small --out "$seen/$(echo $scene | tr -d :)"
     done
-    run python tools/hybrid_in_bytes.py "$model" "rtdenoise/weights/$model.int8" $seen/*
+    run python tools/weights_in_bytes.py "$model" "rtdenoise/weights/$model.int8" $seen/*
+}
+case $model in hybrid*) # the kernels of `default` and a network of OIDN's, both as they are: nothing to train
+    quality=balanced
+    [ "$model" = hybrid ] || quality=fast
+    run python tools/begin_hybrid.py "runs/$model.safetensors" $quality
+    ship "$model" "runs/$model.safetensors" set:recent=8
     exit;;
 esac
 run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128

@@ -18,11 +18,10 @@ from ..baselines.oidn import installed
 from ..errors import InputError, did_you_mean
 from ..frame import Frame
 from ..models import STILLS, CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
-from ..models.hybrid_config import HybridConfig
 from ..models.inference import INT8
 from ..models.presets import SHRINKAGE
 from ..models.shrinkage import corrected
-from ..models.weights import bytes_of, read_config, read_model
+from ..models.weights import bytes_of, find, read_config, read_model
 from ..run.graphs import stepper
 from ..run.opinion import RECENT, Opinion
 from ..run.passes import InMemory, Passes
@@ -140,7 +139,7 @@ def _oidn() -> list[Method]:
 
 def _network(name: str) -> list[Method]:
     """The methods of shipped weights: unchanged, on traditional motion, and without history."""
-    start, precisions = partial(_start, name), _precisions(isinstance(read_config(name), HybridConfig))
+    start, precisions = partial(_start, name), _precisions(find(name))
     alone = Method(name, f"rtdenoise {name}", "network", start, precisions=precisions, weights=(name,))
     if name in STILLS:
         return [alone]
@@ -167,7 +166,7 @@ def _with_oidn(name: str) -> list[Method]:
         return partial(Opinion(read_config(name)).step, stepper(network))
 
     return [Method(f"{name}-oidn", f"denoise --oidn with {name}", "network", None if reason else start, reason,
-                   _precisions(False), (name,))]  # fmt: skip
+                   _precisions(find(name)), (name,))]  # fmt: skip
 
 
 def _corrected(base: Method, combiner: str) -> Method:
@@ -203,13 +202,13 @@ def _of_file(name: str, file: str) -> Method:
     if not Path(file).is_file():
         raise InputError(f"{name}={file}: no such weights file")
     path = str(Path(file).absolute())  # never a shipped name
-    start, precisions = partial(_start, path), _precisions(bytes_of(Path(path)).is_file())
+    start, precisions = partial(_start, path), _precisions(Path(path))
     return Method(name, f"the network of {file}", "network", start, precisions=precisions, weights=(path,))
 
 
-def _precisions(in_bytes: bool) -> tuple[str, ...]:
-    """Those of a network; `in_bytes`: which has weights in bytes."""
-    return PRECISIONS if in_bytes else tuple(p for p in PRECISIONS if p != INT8)
+def _precisions(weights: Path) -> tuple[str, ...]:
+    """Those in which the network of these weights runs."""
+    return PRECISIONS if bytes_of(weights).is_file() else tuple(p for p in PRECISIONS if p != INT8)
 
 
 def _start(

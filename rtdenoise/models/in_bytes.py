@@ -1,38 +1,77 @@
-"""The network of `hybrid` that writes pixels, in bytes: less time than in bfloat16 on CPUs that multiply bytes.
+"""Networks in bytes: less time than in bfloat16 on CPUs that multiply bytes.
 
-Weights are whole numbers from -127 to 127 with a factor for each output, features whole numbers from 0 to 255 with a
-step for each channel; sums are exact. Weights were rounded one by one, each so that it makes up for the errors of those
-before, for what a layer sees in some frames (Frantar et al. 2023, *GPTQ*; docs/notes/bytes.md).
-`tools/hybrid_in_bytes.py` makes them.
+In bytes are the U-Net that predicts kernels (`accumulated_kpn`) and the network of `hybrid` that writes pixels. Weights
+are whole numbers from -127 to 127 with a factor for each output, features whole numbers from 0 to 255 with a step for
+each channel; sums are exact (docs/notes/bytes.md). `tools/weights_in_bytes.py` finds the steps.
+
+Kernels take weights that are rounded to the nearest. The pixels' weights were rounded one by one, each so that it makes
+up for the errors of those before, for what a layer sees in some frames (Frantar et al. 2023, *GPTQ*).
 """
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Sequence
 
-import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from ..errors import InputError
-from ..ops.convolve_bytes import BLOCK, QUAD, convolve_bytes
-from ..ops.feature_bytes import CHANNELS, feature_bytes
+from ..ops.convolve_bytes import convolve_bytes, packed
+from ..ops.feature_bytes import feature_bytes
+from .bytes_layout import INPUT, PIXELS, UNET, Layer, layout
+from .config import AccumulatedKPNConfig
 from .hybrid import PixelNetwork
-from .hybrid_config import HybridConfig
+from .inference import enlarging
+from .unet import UNet
+
+WHOLE = 127  # the greatest weight
+
+Stored = dict[str, dict[str, Tensor]]  # layer -> its tensors, as `bytes_layout.read` returns them
 
 
-class InBytes(PixelNetwork):
+class UNetInBytes(UNet):
+    """A `UNet` without gradients. Its input and its results are numbers as before."""
+
+    def __init__(self, network: UNet, stored: Stored, config: AccumulatedKPNConfig) -> None:
+        nn.Module.__init__(self)
+
+        def convolution(name: str, layer: Layer) -> Convolution:
+            steps = [stored[picture.maker]["step"] for picture in layer.reads]
+            step = stored[name]["step"]
+            module = network.get_submodule(name.removeprefix(f"{UNET}."))
+            made = rounded(module, steps, torch.ones_like(step) if layer.numbers else step)
+            return Convolution(**made, numbers=layer.numbers)
+
+        made = {name: convolution(name, layer) for name, layer in layout(config).items() if name.startswith(UNET)}
+        self.encoder = nn.ModuleList(
+            nn.Sequential(made[f"{UNET}.encoder.{i}.0"], made[f"{UNET}.encoder.{i}.2"])
+            for i in range(len(network.encoder))
+        )
+        self.encoder[0].insert(0, ToBytes(stored[f"{UNET}.{INPUT}"]["step"]))
+        self.decoder = nn.ModuleList(
+            Up(made[f"{UNET}.decoder.{i}.0"], made[f"{UNET}.decoder.{i}.2"]) for i in range(len(network.decoder))
+        )
+        self.steps = [stored[f"{UNET}.decoder.{i}.2"]["step"].view(-1, 1, 1) for i in range(len(network.decoder))]
+
+    def forward(self, x: Tensor, scales: int) -> list[Tensor]:
+        """As `UNet.forward`."""
+        finest, *coarser = super().forward(x, scales)
+        steps = (step.to(x.dtype) for step in self.steps[1:])
+        return [finest.to(x.dtype), *(y.to(x.dtype) * step for y, step in zip(coarser, steps, strict=False))]
+
+
+class PixelNetworkInBytes(PixelNetwork):
     """A `PixelNetwork` without gradients."""
 
-    def __init__(self, layers: dict[str, dict[str, Tensor]], network: PixelNetwork) -> None:
-        """`layers` as `read` returns them, for those of `network`."""
+    def __init__(self, network: PixelNetwork, stored: Stored) -> None:
         nn.Module.__init__(self)
-        self.encoder = nn.ModuleList(Convolution(**layers[f"encoder.{i}"]) for i in range(len(network.encoder)))
-        self.decoder = nn.ModuleList(
-            Up(layers[f"decoder.{i}.0"], layers[f"decoder.{i}.2"], torch.uint8 if i else torch.bfloat16)
-            for i in range(len(network.decoder))
+        self.encoder = nn.ModuleList(
+            Convolution(**stored[f"{PIXELS}.encoder.{i}"]) for i in range(len(network.encoder))
         )
+        self.decoder = nn.ModuleList(
+            Up(Convolution(**stored[f"{PIXELS}.decoder.{i}.0"]),
+               Convolution(**stored[f"{PIXELS}.decoder.{i}.2"], numbers=i == 0))
+            for i in range(len(network.decoder))
+        )  # fmt: skip
         self.last = network.last
 
     def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
@@ -40,12 +79,25 @@ class InBytes(PixelNetwork):
         return feature_bytes(radiance, albedo, normal, scale)
 
 
-class Convolution(nn.Module):
-    """`convolve_bytes` with its weights."""
+class ToBytes(nn.Module):
+    """Numbers ≥ 0 in bytes, with a step for each channel."""
 
-    def __init__(self, weight: Tensor, factor: Tensor, bias: Tensor, dtype: torch.dtype = torch.uint8) -> None:
+    def __init__(self, step: Tensor) -> None:
         super().__init__()
-        self.weight, self.factor, self.bias, self.dtype = weight, factor, bias, dtype
+        self.scale = 1 / step.view(-1, 1, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = torch.addcmul(x.new_tensor(0.5), x, self.scale.to(x.dtype))  # what is below the point is cut off
+        return x.clamp_(max=255).to(torch.uint8, memory_format=torch.channels_last)
+
+
+class Convolution(nn.Module):
+    """`convolve_bytes` with its weights; to numbers in bfloat16, or to bytes."""
+
+    def __init__(self, weight: Tensor, factor: Tensor, bias: Tensor, numbers: bool = False) -> None:
+        super().__init__()
+        self.weight, self.factor, self.bias = weight, factor, bias
+        self.dtype = torch.bfloat16 if numbers else torch.uint8
 
     def forward(self, x: Tensor, below: Tensor | None = None) -> Tensor:
         x = x.contiguous(memory_format=torch.channels_last)
@@ -55,55 +107,36 @@ class Convolution(nn.Module):
 class Up(nn.Module):
     """As `unet.Up`."""
 
-    def __init__(self, first: dict[str, Tensor], second: dict[str, Tensor], dtype: torch.dtype) -> None:
+    def __init__(self, first: Convolution, second: Convolution) -> None:
         super().__init__()
-        self.first, self.second = Convolution(**first), Convolution(**second, dtype=dtype)
+        self.first, self.second = first, second
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         return self.second(self.first(skip, below=x))
 
 
-def layout(config: HybridConfig) -> dict[str, tuple[list[tuple[int, int]], int]]:
-    """Layer -> what it reads, as (channels, taps), the coarser picture first; and its outputs."""
-    first, *others = config.convolutions
-    layers = {"encoder.0": ([(CHANNELS, 3)], first[1])}
-    layers |= {f"encoder.{i}": ([(inputs, 3)], outputs) for i, (inputs, outputs) in enumerate(others, 1)}
-    for i, (below, middle, skip, outputs) in enumerate(config.levels):
-        layers[f"decoder.{i}.0"] = [(below, 2), (skip if i else CHANNELS, 3)], middle
-        layers[f"decoder.{i}.2"] = [(middle, 3)], outputs
-    return layers
+def rounded(layer: nn.Conv2d, steps: Sequence[Tensor], made: Tensor) -> dict[str, Tensor]:
+    """`weight`, `factor` and `bias` of `convolve_bytes`: each weight rounded to the nearest.
 
-
-def shapes(config: HybridConfig) -> dict[str, tuple[int, ...]]:
-    """Name -> shape of each tensor in a file of weights in bytes."""
-    found = {}
-    for name, (read, outputs) in layout(config).items():
-        phases, quads = 4 if len(read) > 1 else 1, sum(C * K * K // QUAD for C, K in read)
-        found[f"{name}.weight"] = phases, quads, -(-outputs // BLOCK) * BLOCK, QUAD
-        found[f"{name}.factor"] = found[f"{name}.bias"] = phases, outputs
-    return found
-
-
-def read(path: Path, config: HybridConfig) -> dict[str, dict[str, Tensor]]:
-    """Layer -> `weight`, `factor` and `bias` of `convolve_bytes`.
-
-    Raises InputError where the file is missing, damaged, or of another network.
+    `steps`, `[C]` each, are those of the pictures that it reads, the coarser one first; `made`, `[O]`, that of its
+    results.
     """
-    try:
-        with safe_open(path, framework="numpy") as file:
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
-    except FileNotFoundError:
-        raise InputError(f"precision int8: there is no {path.name}, with weights in bytes, beside the model; take bf16 "
-                         "or fp32, or make it (tools/hybrid_in_bytes.py)") from None  # fmt: skip
-    except (SafetensorError, OSError, TypeError) as error:
-        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
-    expected, layers = shapes(config), {}
-    for name in sorted(expected.keys() | tensors.keys()):
-        x, dtype = tensors.get(name), np.int8 if name.endswith("weight") else np.float32
-        if x is None or x.shape != expected.get(name) or x.dtype != dtype or not np.isfinite(x).all():
-            raise InputError(f"{path}: not the weights of this network in bytes: {name} is "
-                             f"{'missing' if x is None else f'{x.dtype} {x.shape}'}, expected finite {dtype.__name__} "
-                             f"{expected.get(name, 'none')}")  # fmt: skip
-        layer, part = name.rsplit(".", 1)
-        layers.setdefault(layer, {})[part] = torch.from_numpy(x)
-    return layers
+    weights, factors = [], []
+    for parts in phases(layer.weight, [len(step) for step in steps]):
+        parts = [part * step.view(-1, 1, 1) for part, step in zip(parts, steps, strict=True)]
+        unit = torch.cat([part.flatten(1) for part in parts], dim=1).abs().amax(1).clamp(min=1e-12) / WHOLE
+        weights.append(packed([(part / unit.view(-1, 1, 1, 1)).round().to(torch.int8) for part in parts]))
+        factors.append(unit / made)
+    bias = (layer.bias / made).expand(len(factors), -1).contiguous()
+    return {"weight": torch.stack(weights), "factor": torch.stack(factors), "bias": bias}
+
+
+def phases(weight: Tensor, channels: Sequence[int]) -> list[list[Tensor]]:
+    """Weights `[O, C, 3, 3]` of pictures with so many `channels` to those of each phase of `convolve_bytes`: of the
+    coarser picture, if there are two, `[O, C, 2, 2]`, and of the other one `[O, C, 3, 3]`. Pixel i of the coarser
+    picture reaches pixel 2i + t - 1 by tap t of `enlarging`."""
+    *coarser, beside = weight.split(list(channels), dim=1)
+    if not coarser:
+        return [[beside]]
+    taps = enlarging(coarser[0]).transpose(0, 1)
+    return [[taps[:, :, [3 - a, 1 - a]][..., [3 - b, 1 - b]], beside] for a in (0, 1) for b in (0, 1)]

@@ -13,11 +13,11 @@ from ..errors import InputError
 from ..files import write_atomically
 from .accumulated_kpn import AccumulatedKPN
 from .afgsa import GuidedAttention
+from .bytes_layout import read as read_bytes
 from .combiner import Combiner
 from .denoiser import Denoiser
 from .hybrid import Hybrid
-from .in_bytes import InBytes
-from .in_bytes import read as read_bytes
+from .in_bytes import PixelNetworkInBytes, UNetInBytes
 from .inference import INT8, prepare, resolve
 from .mltd import RecurrentTransformer
 from .presets import SHRINKAGE, Config
@@ -45,7 +45,7 @@ def load(
 
     `model` is the name of a model that ships (`available()`) or the path of a .safetensors file that `rtdenoise train`
     wrote. `precision` is that of the network: 'fp32', 'bf16', or 'auto' (`inference.resolve`); the rest is float32.
-    'int8' is for a `Hybrid` on a CPU: its second network in bytes (`in_bytes`), its kernels as with 'auto'.
+    'int8' is for an `AccumulatedKPN` or `Hybrid` on a CPU: its networks in bytes (`in_bytes`), the rest as with 'auto'.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
@@ -55,9 +55,10 @@ def load(
     dtype, file = resolve(precision, device), read_denoiser(model, **overrides)
     network = _built(file)
     if precision == INT8:
-        if not isinstance(network, Hybrid):
-            raise InputError(f"precision int8: {model} has no weights in bytes; expected hybrid or hybrid-fast")
-        network.pixels = InBytes(read_bytes(bytes_of(file.path), network.config), network.pixels)
+        stored = read_bytes(bytes_of(file.path), network.config)
+        network.unet = UNetInBytes(network.unet, stored, network.config)
+        if isinstance(network, Hybrid):
+            network.pixels = PixelNetworkInBytes(network.pixels, stored)
     return prepare(network, dtype).to(device)
 
 

@@ -67,7 +67,7 @@ class Options:
     """With --offline: also write how far the candidates lie apart, in radiance, as the layer 'confidence' (small is
     sure)."""
     precision: str = "auto"
-    """Precision of the network: 'fp32', 'bf16' (torch), 'int8' (hybrid and hybrid-fast, on CPUs that multiply bytes),
+    """Precision of the network: 'fp32', 'bf16' (torch), 'int8' (for CPUs that multiply bytes),
     'fp16' (glsl, for stored activations), or 'auto' (torch: bf16 where the hardware is faster with it; glsl: fp32)."""
 
 

@@ -100,7 +100,7 @@ static inline __attribute__((always_inline)) const int8_t *
 add(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight, int stride, int taps, int step, int C) {
     switch (C) {
 #define CASE(channels) case channels: return added(sums, rows, weight, stride, taps, step, channels);
-        CASE(16) CASE(32) CASE(48) CASE(64) CASE(80) CASE(96) CASE(112)
+        CASE(16) CASE(32) CASE(48) CASE(56) CASE(64) CASE(72) CASE(80) CASE(88) CASE(96) CASE(104) CASE(112)
         default: return added(sums, rows, weight, stride, taps, step, C);
     }
 }

@@ -1,6 +1,6 @@
-"""Make the weights in bytes (`models/in_bytes.py`) of a `hybrid`.
+"""Make what a model that predicts kernels needs for bytes (`models/in_bytes.py`): steps, and the weights of a `hybrid`.
 
-python tools/hybrid_in_bytes.py MODEL OUT SEQ ...    # MODEL: hybrid, hybrid-fast or a file of weights
+python tools/weights_in_bytes.py MODEL OUT SEQ ...    # MODEL: default, hybrid ... or a file of weights
 
 SEQ are folders of frames such as the denoiser will see, without references. Their first FRAMES are denoised to see what
 reaches each layer.
@@ -22,10 +22,10 @@ from torch.nn import functional as F
 
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.files import write_atomically
-from rtdenoise.models import read
-from rtdenoise.models.hybrid import UNIT, Hybrid
-from rtdenoise.models.in_bytes import layout
-from rtdenoise.models.inference import enlarging
+from rtdenoise.models import Denoiser, read
+from rtdenoise.models.bytes_layout import INPUT, PIXELS, UNET, Picture, layout
+from rtdenoise.models.hybrid import UNIT
+from rtdenoise.models.in_bytes import WHOLE, phases
 from rtdenoise.ops.convolve_bytes import packed
 from rtdenoise.ops.feature_bytes import ALBEDO, CHANNELS, LIGHT, NORMAL, feature_bytes
 
@@ -34,8 +34,8 @@ SAMPLES = 6000  # windows of a frame and layer
 ROOM = 1.25  # what a channel's bytes hold at most, as a multiple of the most that was seen
 RARE = 1e-4  # share of a frame's pixels that may show more
 DAMPING = 0.003  # added to the variance of each input, as a share of their mean
-WHOLE = 127  # the greatest weight
-INPUT, INPUTS = "input", 9  # of the network: its name here, its channels
+INPUTS = 9  # of the network that writes pixels, as numbers
+GIVEN = f"{PIXELS}.{INPUT}"  # its name as a layer
 
 
 @torch.no_grad()
@@ -48,92 +48,88 @@ def main(model: str, out: str, *sequences: str) -> None:
             history = None
             for frame in islice(open_sequence(folder, signal=signal), FRAMES):
                 _, history = network.step(frame, history)
-    tensors = {}
-    for name, sources in seen.sources.items():
-        phases = [rounded(*seen.layer(name, phase)) for phase in range(len(sources) ** 2)]
-        step = 1.0 if name == "decoder.0.2" else seen.steps(name)  # that layer makes numbers as they are
-        weights = [whole.split([C * K * K for C, K in sources], dim=1) for whole, _, _ in phases]
+    tensors = {f"{name}.step": seen.steps(name) for name in seen.most if name.startswith(UNET)}
+    for name, layer in seen.layers.items():
+        if name.startswith(UNET):
+            continue
+        found = [rounded(*seen.layer(name, phase)) for phase in range(layer.phases)]
+        step = 1.0 if layer.numbers else seen.steps(name)
+        weights = [whole.split([p.channels * p.taps**2 for p in layer.reads], dim=1) for whole, _, _ in found]
         tensors |= {
             f"{name}.weight": torch.stack([
-                packed([part.reshape(-1, C, K, K) for part, (C, K) in zip(parts, sources, strict=True)])
+                packed([x.reshape(-1, p.channels, p.taps, p.taps) for x, p in zip(parts, layer.reads, strict=True)])
                 for parts in weights
             ]),
-            f"{name}.factor": torch.stack([factor for _, factor, _ in phases]).float() / step,
-            f"{name}.bias": torch.stack([bias for _, _, bias in phases]).float() / step,
+            f"{name}.factor": torch.stack([factor for _, factor, _ in found]).float() / step,
+            f"{name}.bias": torch.stack([bias for _, _, bias in found]).float() / step,
         }  # fmt: skip
     write_atomically(Path(out), save(tensors, metadata={"config": json.dumps(asdict(network.config))}))
 
 
 class Seen:
-    """What reached each layer of the network that writes pixels. Phases are those of `convolve_bytes`."""
+    """What reached each layer. Phases are those of `convolve_bytes`."""
 
-    def __init__(self, network: Hybrid) -> None:
-        pixels, last = network.pixels, len(network.pixels.encoder) - 1
-        self.layers: dict[str, Module] = {f"encoder.{i}": layer for i, layer in enumerate(pixels.encoder)}
-        self.makers = {f"encoder.{i}": [f"encoder.{i - 1}" if i else INPUT] for i in range(last + 1)}
-        for i, up in enumerate(pixels.decoder):
-            self.layers |= {f"decoder.{i}.0": up[0], f"decoder.{i}.2": up[2]}
-            below = f"encoder.{last}" if i + 1 == len(pixels.decoder) else f"decoder.{i + 1}.2"
-            self.makers[f"decoder.{i}.0"] = [below, f"encoder.{i}" if i else INPUT]
-            self.makers[f"decoder.{i}.2"] = [f"decoder.{i}.0"]
-        self.sources = {name: sources for name, (sources, _) in layout(network.config).items()}
+    def __init__(self, network: Denoiser) -> None:
+        self.layers = layout(network.config)
+        self.modules = {name: network.get_submodule(name) for name in self.layers}
         # Σ x xᵀ of the windows x of a layer and phase, with 1 in the last place
         self.moments: dict[tuple[str, int], Tensor] = {}
-        self.most = {name: torch.full((layer.out_channels,), 1e-3) for name, layer in self.layers.items()}
-        pixels.register_forward_pre_hook(self._begin)
-        for name, layer in self.layers.items():
-            layer.register_forward_hook(lambda _, inputs, output, name=name: self._add(name, inputs[0], output))
+        self.most: dict[str, Tensor] = {}
+        network.unet.register_forward_pre_hook(lambda _, inputs: self._measure(f"{UNET}.{INPUT}", inputs[0]))
+        if hasattr(network, PIXELS):
+            network.pixels.register_forward_pre_hook(self._begin)
+        for name, module in self.modules.items():
+            module.register_forward_hook(lambda _, inputs, output, name=name: self._add(name, inputs[0], output))
 
     def steps(self, maker: str) -> Tensor:
         """What 1 of a byte is worth in each channel that a layer makes."""
-        return torch.ones(CHANNELS) if maker == INPUT else ROOM * self.most[maker] / 255
+        return torch.ones(CHANNELS) if maker == GIVEN else ROOM * self.most[maker] / 255
 
     def layer(self, name: str, phase: int) -> tuple[Tensor, Tensor, Tensor]:
         """For bytes: weights `[O, inputs]`, bias `[O]` and moments `[inputs + 1, inputs + 1]` of a layer."""
-        weight, parts, steps = self.layers[name].weight.double(), [], []
-        for maker, (channels, taps) in zip(self.makers[name], self.sources[name], strict=True):
-            if taps == 2:
-                part, weight = of_phase(weight[:, :channels], phase), weight[:, channels:]
-            else:
-                part = of_bytes(weight) if maker == INPUT else weight
-            steps.append(self.steps(maker).double().repeat_interleave(taps * taps))
+        parts, steps, reads = [], [], self.layers[name].reads
+        channels = [INPUTS if picture.maker == GIVEN else picture.channels for picture in reads]
+        for picture, part in zip(reads, phases(self.modules[name].weight.double(), channels)[phase], strict=True):
+            if picture.maker == GIVEN:
+                part = of_bytes(part)
+            steps.append(self.steps(picture.maker).double().repeat_interleave(picture.taps**2))
             parts.append(part.flatten(1) * steps[-1])
         steps = torch.cat([*steps, torch.ones(1)])
         moments = self.moments[name, phase] / steps / steps[:, None]
-        return torch.cat(parts, dim=1), self.layers[name].bias.double(), moments
+        return torch.cat(parts, dim=1), self.modules[name].bias.double(), moments
 
     def _begin(self, _: Module, inputs: tuple[Tensor, ...]) -> None:
-        self.input = feature_bytes(*inputs).float()
+        self.given = feature_bytes(*inputs).float()
+
+    def _measure(self, name: str, x: Tensor) -> None:
+        most = x[0].flatten(1).topk(1 + int(RARE * x.shape[2] * x.shape[3])).values[:, -1].clamp(min=1e-3)
+        self.most[name] = torch.maximum(self.most.get(name, most), most)
 
     def _add(self, name: str, x: Tensor, output: Tensor) -> None:
-        H, W = x.shape[2:]
-        most = output[0].flatten(1).topk(1 + int(RARE * H * W)).values[:, -1]
-        self.most[name] = torch.maximum(self.most[name], most)
-        if self.makers[name][-1] == INPUT:
-            given = F.pad(self.input, (0, W - self.input.shape[3], 0, H - self.input.shape[2]))
-            x = torch.cat([x[:, :-INPUTS], given], dim=1)
-        if len(self.sources[name]) == 1:
-            self._count(name, 0, F.unfold(x, 3, padding=1)[0])
+        self._measure(name, F.relu(output))
+        if name.startswith(UNET):
             return
-        channels = self.sources[name][0][0]
-        below, fine = x[:, :channels, ::2, ::2], F.unfold(x[:, channels:], 3, padding=1)[0].unflatten(1, (H, W))
+        *coarser, beside = self.layers[name].reads
+        windows = F.unfold(self._read(beside, x), 3, padding=1)[0]
+        if not coarser:
+            self._count(name, 0, windows)
+            return
+        below, fine = x[:, : coarser[0].channels, ::2, ::2], windows.unflatten(1, x.shape[2:])
         for phase in range(4):
             a, b = divmod(phase, 2)
             coarse = F.unfold(F.pad(below, (1 - b, b, 1 - a, a)), 2)[0]
             self._count(name, phase, torch.cat([coarse, fine[:, a::2, b::2].flatten(1)]))
 
+    def _read(self, beside: Picture, x: Tensor) -> Tensor:
+        """The picture of the layer's own size, the last of what it reads."""
+        if beside.maker != GIVEN:
+            return x[:, x.shape[1] - beside.channels :]
+        return F.pad(self.given, (0, x.shape[3] - self.given.shape[3], 0, x.shape[2] - self.given.shape[2]))
+
     def _count(self, name: str, phase: int, x: Tensor) -> None:
         x = x[:, torch.randint(x.shape[1], (SAMPLES,))]
         x = torch.cat([x, torch.ones_like(x[:1])])
         self.moments[name, phase] = self.moments.get((name, phase), 0) + (x @ x.T).double()
-
-
-def of_phase(weight: Tensor, phase: int) -> Tensor:
-    """Weights `[O, I, 3, 3]` of an enlarged picture to those of the picture before, `[O, I, 2, 2]`, for the pixels at a
-    place among 2×2. Pixel i reaches pixel 2i + t - 1 by tap t of `enlarging`."""
-    a, b = divmod(phase, 2)
-    taps = enlarging(weight).transpose(0, 1)
-    return taps[:, :, [3 - a, 1 - a]][..., [3 - b, 1 - b]]
 
 
 def of_bytes(weight: Tensor) -> Tensor:

@@ -1,0 +1,133 @@
+"""Which layers a network in bytes has, and the file that holds their weights (`in_bytes`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from ..errors import InputError
+from ..ops.convolve_bytes import BLOCK, QUAD
+from ..ops.feature_bytes import CHANNELS
+from .config import AccumulatedKPNConfig
+from .hybrid_config import HybridConfig
+from .presets import Config
+
+UNET, PIXELS = "unet", "pixels"  # the networks, and the modules that they are
+INPUT = "input"  # of a network, as a layer
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a layer reads of another one."""
+
+    maker: str  # the other layer
+    channels: int
+    taps: int  # the side of the kernel: 2 for a coarser picture, which is enlarged
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A convolution in bytes."""
+
+    reads: tuple[Picture, ...]  # the coarser picture first
+    outputs: int
+    numbers: bool = False  # its results are bfloat16, not bytes
+
+    @property
+    def phases(self) -> int:
+        """As those of `convolve_bytes`."""
+        return 4 if len(self.reads) > 1 else 1
+
+
+def layout(config: Config) -> dict[str, Layer]:
+    """Name of each layer in bytes -> the layer.
+
+    Raises InputError where networks of this architecture have none, or `convolve_bytes` does not take the widths.
+    """
+    if not isinstance(config, AccumulatedKPNConfig):
+        raise InputError(f"precision int8: networks of the form {config.architecture} have no weights in bytes; take "
+                         "auto")  # fmt: skip
+    layers = _unet(config.widths)
+    if isinstance(config, HybridConfig):
+        layers |= _pixels(config)
+    for name, layer in layers.items():
+        if any(picture.channels % QUAD for picture in layer.reads):
+            raise InputError(f"precision int8: expected widths that are multiples of {QUAD}; {name} reads "
+                             f"{' and '.join(str(picture.channels) for picture in layer.reads)}")  # fmt: skip
+    return layers
+
+
+def _unet(widths: tuple[int, ...]) -> dict[str, Layer]:
+    """That of `unet.UNet`."""
+    maker, inputs, layers = f"{UNET}.{INPUT}", widths[0], {}
+    for i, width in enumerate(widths):
+        name = f"{UNET}.encoder.{i}"
+        layers[f"{name}.0"] = Layer((Picture(maker, inputs, 3),), width)
+        layers[f"{name}.2"] = Layer((Picture(f"{name}.0", width, 3),), width)
+        maker, inputs = f"{name}.2", width
+    for i, width in reversed(list(enumerate(widths[:-1]))):
+        name = f"{UNET}.decoder.{i}"
+        layers[f"{name}.0"] = Layer((Picture(maker, inputs, 2), Picture(f"{UNET}.encoder.{i}.2", width, 3)), width)
+        layers[f"{name}.2"] = Layer((Picture(f"{name}.0", width, 3),), width, numbers=i == 0)
+        maker, inputs = f"{name}.2", width
+    return layers
+
+
+def _pixels(config: HybridConfig) -> dict[str, Layer]:
+    """That of `hybrid.PixelNetwork`."""
+    maker, inputs, layers = f"{PIXELS}.{INPUT}", CHANNELS, {}
+    for i, (_, width) in enumerate(config.convolutions):
+        name = f"{PIXELS}.encoder.{i}"
+        layers[name] = Layer((Picture(maker, inputs, 3),), width)
+        maker, inputs = name, width
+    for i, (_, middle, skip, width) in reversed(list(enumerate(config.levels))):
+        name = f"{PIXELS}.decoder.{i}"
+        beside = Picture(f"{PIXELS}.encoder.{i}", skip, 3) if i else Picture(f"{PIXELS}.{INPUT}", CHANNELS, 3)
+        layers[f"{name}.0"] = Layer((Picture(maker, inputs, 2), beside), middle)
+        layers[f"{name}.2"] = Layer((Picture(f"{name}.0", middle, 3),), width, numbers=i == 0)
+        maker, inputs = f"{name}.2", width
+    return layers
+
+
+def shapes(config: Config) -> dict[str, tuple[int, ...]]:
+    """Name -> shape of each tensor in the file: of the layers of `UNET` what 1 of the bytes that they make is worth, of
+    those of `PIXELS` the arguments of `convolve_bytes`. Raises InputError as `layout`."""
+    found: dict[str, tuple[int, ...]] = {f"{UNET}.{INPUT}.step": (config.widths[0],)}
+    for name, layer in layout(config).items():
+        if name.startswith(UNET):
+            found[f"{name}.step"] = (layer.outputs,)
+            continue
+        quads = sum(picture.channels * picture.taps**2 // QUAD for picture in layer.reads)
+        found[f"{name}.weight"] = layer.phases, quads, -(-layer.outputs // BLOCK) * BLOCK, QUAD
+        found[f"{name}.factor"] = found[f"{name}.bias"] = layer.phases, layer.outputs
+    return found
+
+
+def read(path: Path, config: Config) -> dict[str, dict[str, Tensor]]:
+    """Layer -> its tensors (`shapes`).
+
+    Raises InputError as `layout`, and where the file is missing, damaged, or of another network.
+    """
+    expected, layers = shapes(config), {}
+    try:
+        with safe_open(path, framework="numpy") as file:
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+    except FileNotFoundError:
+        raise InputError(f"precision int8: there is no {path.name} beside the model, which says what it needs; take "
+                         "bf16 or fp32, or make it (tools/weights_in_bytes.py)") from None  # fmt: skip
+    except (SafetensorError, OSError, TypeError) as error:
+        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+    for name in sorted(expected.keys() | tensors.keys()):
+        x, dtype = tensors.get(name), np.int8 if name.endswith("weight") else np.float32
+        if x is None or x.shape != expected.get(name) or x.dtype != dtype or not np.isfinite(x).all():
+            raise InputError(f"{path}: not the weights of this network in bytes: {name} is "
+                             f"{'missing' if x is None else f'{x.dtype} {x.shape}'}, expected finite {dtype.__name__} "
+                             f"{expected.get(name, 'none')}")  # fmt: skip
+        layer, part = name.rsplit(".", 1)
+        layers.setdefault(layer, {})[part] = torch.from_numpy(x)
+    return layers
