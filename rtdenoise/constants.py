@@ -20,6 +20,8 @@ RECALL_EDGE_SPEED = 1.0  # pixels a frame against what is behind it, up to which
 RECALL_RESET = 3  # of these the one whose higher half is the reset
 RECALL_CELL = 4  # side in pixels of the cells in which light is compared; 3 × 3 cells count together
 RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |differences|²: light counts whole; not at all
+RECALL_NOISY = 0.25  # noise (`exposure.noise_level`) from which on only noise tells how far lookups off the pixel count
+RECALL_MISPLACED = 2.0  # below that the square of their distance counts so many times 1 / noise - 1 / RECALL_NOISY
 
 # Edges that move against what is behind them (`ops.over`).
 OVER_APART = 0.05  # least difference of distances, as a share of the greater one
@@ -34,12 +36,21 @@ SHIFT_CELL = 16  # side in pixels of the cells whose light moves as one (`shift.
 # The brightness of a frame, and pixels that are too bright for it (`exposure`).
 BRIGHTNESS_BLOCK = 8  # side in pixels of the blocks over which brightness is measured
 BRIGHTNESS_SHARE = 0.9  # share of the blocks that count, the darkest ones
+NOISE_WINDOW, NOISE_WINDOWS = 3, 8  # side in pixels of the windows in which noise is measured, and from one to the next
 MIN_BRIGHTNESS = 1e-8  # darker frames count as black
 FIREFLY_LIMIT = 5.0  # times the brightest neighbour or the usual brightness in the frame
 
 # A sky without noise (`ops.even_sky`).
 SKY_BLOCK = 8  # side in pixels of the blocks that are compared
 SKY_TOLERANCE = 1e-3  # largest relative difference in an even sky; half floats round by half of that
+
+# What a noisy frame tells of two pictures (`ops.mix`).
+MIX_CELL = 4  # side in pixels of the cells of its sums
+MIX_DARK = 0.05  # exposed light: differences of darker light count less than in proportion
+MIX_LARGEST = 1e6  # of relative differences: their squares stay finite
+MIX_NOISE = 1e-6  # of their squares, that is there at least: pictures without noise that are alike tell nothing
+
+AROUND_CELL = 16  # side in pixels of the cells in which what is around a pixel lies (`ops.around`)
 
 MIN_DISTANCE = 1e-12  # least mean depth of a frame: never zero (`frame.mean_distance`)
 

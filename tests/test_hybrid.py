@@ -15,10 +15,11 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.glsl import Pipeline
-from rtdenoise.models import HybridConfig, create, grow, load, mixing, read, save
-from rtdenoise.models.hybrid import CONTRAST, surroundings
+from rtdenoise.models import HybridConfig, create, grow, hybrid, load, mixing, read, save
+from rtdenoise.models.hybrid import CONTRAST
 from rtdenoise.models.past import reprojected
 from rtdenoise.models.presets import PRESETS
+from rtdenoise.ops.around import expand_within
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.light import LightBackend
 
@@ -36,8 +37,11 @@ def model():
 
 def shares(monkeypatch, kernels, before=0.0):
     """Set the shares of the kernels' image and of the previous picture, whatever the noisy frame tells."""
-    monkeypatch.setattr(mixing.mix, "__defaults__", (*mixing.mix.__defaults__[:-2], (kernels, before), None))
-    monkeypatch.setattr(mixing, "share_told", lambda *pictures_and_usual: pictures_and_usual[-1])
+
+    def mix(*arguments, noisy):
+        return mixing.mix(*arguments, shares=(kernels, before))
+
+    monkeypatch.setattr(hybrid, "mix", mix)
 
 
 def trusting(model, reset=-100.0):
@@ -122,7 +126,8 @@ def test_written_pixels_stay_within_the_light_around_them(model, monkeypatch):
         assert model.step(replace(frame, radiance=torch.zeros_like(frame.radiance)))[0].max() == 0
     light, image = torch.rand(1, 3, 40, 70), torch.rand(1, 3, 40, 70)
     light[0, :, 35, 65] = 9.0
-    least, most = surroundings(light, image)
+    one = torch.ones(1, 1, 1, 1)
+    least, most = (expand_within(torch.full_like(light, x), one, light, image) for x in (0.0, 30.0))
     assert (least <= light.minimum(image)).all() and (most >= light.maximum(image)).all()
     assert (most[..., 16:, 48:] == 9).all() and most[..., :16, :].max() < 1 and most[..., :48].max() < 1
 

@@ -14,8 +14,9 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.exposure import exposure
 from rtdenoise.models import AccumulatedKPNConfig, past
-from rtdenoise.models.mixing import BEFORE, KERNELS, mix, share_told
+from rtdenoise.models.mixing import BEFORE, KERNELS, mix
 from rtdenoise.ops import warp
+from rtdenoise.ops.mix import share_told
 from rtdenoise.ops.recall import reset_of
 from rtdenoise.run import opinion
 from rtdenoise.run.backends import TorchBackend

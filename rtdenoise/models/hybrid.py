@@ -15,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ..color import expand
 from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..ops.around import expand_within
 from ..ops.even_sky import even_sky
 from ..ops.features import features
 from ..ops.recall import FOOTPRINT
@@ -24,7 +24,7 @@ from ..ops.to_planes import to_planes
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
-from .mixing import evened, greatest_around, mix
+from .mixing import evened, mix
 from .past import followed, seen
 from .unet import ConvRelu, Up, pool
 
@@ -57,20 +57,13 @@ class Hybrid(AccumulatedKPN):
             # Show the other network what has been seen in each pixel.
             radiance, *guides = seen(frame, history, after, known).split(FOOTPRINT, dim=1)
             radiance = evened(radiance, after.footprint_count, image, trust)
-            least, most = surroundings(radiance, image)
             scale = CONTRAST * known.exposure
-        pixels = (expand(self.pixels(radiance, *guides, scale)) / scale).clamp(least, most)
+        pixels = expand_within(self.pixels(radiance, *guides, scale), scale, radiance, image)
 
         shown = mix(image, pixels, known.exposure, trust, past.output, held, noisy=frame.radiance)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())
         return shown, after if known.part else followed(frame, history, after, self.config.recent + 1)
-
-
-def surroundings(light: Tensor, image: Tensor) -> tuple[Tensor, Tensor]:
-    """The least and the greatest values of both, `[B, C, H, W]` each, around every pixel (`greatest_around`): where a
-    network that writes pixels must stay, so that black stays black and even light even."""
-    return -greatest_around(-torch.minimum(light, image)), greatest_around(torch.maximum(light, image))
 
 
 class PixelNetwork(nn.Module):

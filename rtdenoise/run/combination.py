@@ -11,7 +11,7 @@ single frame shows it. Where all candidates are equal the image equals them to t
 
 With OIDN's picture a pass counts as far as the network trusts its history there: light that moves on a surface which
 stands still lags behind in it. All of its pictures together count as far as the noisy frame tells, too
-(`models.mixing.share_told`). OIDN's picture takes what is left. Without it the weights are near those that least
+(`ops.mix.share_told`). OIDN's picture takes what is left. Without it the weights are near those that least
 squares find on other sequences than those that are measured, on the display transform
 (`python bench/offline.py --fit SEQ ...`). Weights by length of history, or from a network, gained nothing on other
 scenes (docs/notes/offline.md).
@@ -26,7 +26,7 @@ from torch import Tensor
 
 from ..color import compress, expand
 from ..exposure import exposure
-from ..models.mixing import share_told
+from ..ops.mix import share_told
 
 WEIGHTS = {"forward": 0.2, "backward": 0.2, "single": -0.2, "opinion": 0.8}  # where history is trusted
 WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}

@@ -1,0 +1,83 @@
+"""One picture of two that were denoised in different ways, and of the previous one.
+
+With f(x) = log(1 + x), exposure s, the previous picture where each pixel was (`before`) and the trust t in history,
+
+    mixed = t a · f(s · first) + (1 - t a) · f(s · other)
+    image = f⁻¹(t b · f(s · before) + (1 - t b) · mixed) / s
+
+with the shares a and b. Where the noisy frame is known, a is what it tells (`share_told`): the more samples a pixel,
+the more that is. Where it tells of other pixels, a is that at most.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..color import compress, expand
+from ..constants import MIX_CELL, MIX_DARK, MIX_LARGEST, MIX_NOISE
+from .dispatch import Fused, Support, falls_back
+
+FUSED = Fused("mix", native=Support())
+
+
+@falls_back
+def mix(
+    first: Tensor,  # [B, 3, H, W] linear radiance, as the others
+    other: Tensor,  # [B, 3, H, W]
+    scale: Tensor,  # [B, 1, 1, 1] exposure
+    trust: Tensor,  # [B, 1, H, W] in [0, 1]
+    shares: tuple[float, float],  # a and b
+    before: Tensor | None = None,  # [B, 3, H, W]; None: there is none
+    held: Tensor | None = None,  # [B, 1, H, W] in [0, 1], with `before`: 0 where motion leads to no previous picture
+    noisy: Tensor | None = None,  # [B, 3, H, W] the frame; None: shares are as they are
+    tells: Tensor | None = None,  # [B, 1, H, W] in [0, 1], with `noisy`: how far it tells of the pixel
+) -> Tensor:  # [B, 3, H, W] ≥ 0
+    """The mixture; the equation stands above."""
+    images = {"first": first, "other": other, "trust": trust, "before": before, "held": held, "noisy": noisy}
+    if run := FUSED(**images, tells=tells):
+        return run(first, other, scale, trust, shares, before, held, noisy, tells)
+
+    def shown(x: Tensor) -> Tensor:
+        return compress(scale * x.clamp(min=0))
+
+    share = shares[0]
+    if noisy is not None:
+        told = share_told(noisy, first, other, scale, share)
+        share = torch.lerp(told.clamp(max=share), told, tells)
+    mixed = torch.lerp(shown(other), shown(first), trust * share)
+    if before is not None:
+        mixed = torch.lerp(mixed, shown(before), trust * shares[1] * held)
+    return expand(mixed) / scale
+
+
+@torch.no_grad()
+def share_told(noisy: Tensor, first: Tensor, other: Tensor, scale: Tensor, usual: float) -> Tensor:
+    """The share a of the first of two pictures, `[B, 1, H, W]` in [0, 1]: between the `usual` one, and the one that
+    brings their mixture closest to the noisy frame. With the frame y, the pictures p and q, their usual mixture m, all
+    relative to the brightness of m, and sums Σ over the pixels around (`_around`) and colours,
+
+        a = clamp((usual · Σ (y - m)² + Σ (p - q)(y - q)) / (Σ (y - m)² + Σ (p - q)²), 0, 1)
+
+    (y - m)² is noise. At 1 sample a pixel it is far more than (p - q)², and the frame tells little; at 16 it tells
+    where one of the pictures has been smoothed too much. As the sums are over many pixels it could tell more, if y had
+    no part in p and q (docs/notes/trust.md).
+    """
+    mixture = torch.lerp(other, first, usual)
+    relative = scale / (scale * mixture.mean(1, keepdim=True) + MIX_DARK)
+    apart, left, noise = (relative * x for x in (first - other, noisy - other, noisy - mixture))
+    left, noise = left.clamp(max=MIX_LARGEST), noise.clamp(max=MIX_LARGEST)
+    parts = [x.sum(1, keepdim=True) for x in (apart * left, apart.square(), noise.square())]
+    along, square, noise = _around(torch.cat(parts, dim=1)).split(1, dim=1)
+    noise = noise + MIX_NOISE
+    return ((usual * noise + along) / (noise + square)).clamp(0, 1)
+
+
+def _around(x: Tensor) -> Tensor:
+    """Means over cells of `MIX_CELL` × `MIX_CELL` pixels and the eight around them, `[B, C, H, W]`, linear between
+    cells."""
+    H, W = x.shape[2:]
+    cells = F.avg_pool2d(x, MIX_CELL, ceil_mode=True, count_include_pad=False)
+    cells = F.avg_pool2d(cells, 3, stride=1, padding=1, count_include_pad=False)
+    return F.interpolate(cells, scale_factor=MIX_CELL, mode="bilinear", align_corners=False)[..., :H, :W]

@@ -1,0 +1,35 @@
+"""`mix`, without gradients: the sums of `share_told` by cells, then the pixels."""
+
+from __future__ import annotations
+
+from ctypes import c_float
+
+import torch
+from torch import Tensor
+
+from ...constants import MIX_CELL, MIX_DARK, MIX_LARGEST, MIX_NOISE
+from .compiler import library, pointer
+
+SUMS = 3  # as in mix.c
+
+
+def mix(
+    first: Tensor,
+    other: Tensor,
+    scale: Tensor,
+    trust: Tensor,
+    shares: tuple[float, float],
+    before: Tensor | None,
+    held: Tensor | None,
+    noisy: Tensor | None,
+    tells: Tensor | None,
+) -> Tensor:
+    B, _, H, W = first.shape
+    images = first, other, scale.expand(B, 1, 1, 1), trust, before, held, noisy, tells
+    images = [x if x is None else x.contiguous() for x in images]
+    threads = torch.get_num_threads()
+    cells = first.new_empty(2, -(-H // MIX_CELL), SUMS, -(-W // MIX_CELL))
+    space, out = first.new_empty(threads, SUMS + 1, W), torch.empty_like(images[0])
+    run = library("mix", CELL=MIX_CELL, DARK=MIX_DARK, LARGEST=MIX_LARGEST, NOISE=MIX_NOISE).mix
+    run(*map(pointer, (*images, cells[0], cells[1], space, out)), B, H, W, *map(c_float, shares), threads)
+    return out
