@@ -203,6 +203,7 @@ class Known:
     part: bool = False  # the step is part of another, which makes the picture and follows its light (`shift`)
     exposure: Tensor | None = None  # [B, 1, 1, 1] of the whole picture, where the frame is a window of one
     distance: Tensor | None = None  # [B, 1, 1, 1] likewise: the mean distance of its surfaces (`Denoiser.statistics`)
+    noise: Tensor | None = None  # [B, 1, 1, 1] likewise: `exposure.noise_level`
     shift: Tensor | None = None  # [B, 2, H, W] pixels that belong to motion (`shift`)
 
 

@@ -17,12 +17,14 @@ import torch
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.ops import dispatch, pixels
+from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.blend_history import blend_history
 from rtdenoise.ops.block_luminance import block_luminance
 from rtdenoise.ops.convolve_bytes import convolve_bytes, packed
 from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
+from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.over import over
 from rtdenoise.ops.recall import keep, recall
@@ -164,12 +166,13 @@ def test_recall(both, assert_images_close, size, count):
             assert torch.equal(plain[~nan], fused[~nan])
     recent = tuple(keep(*frame(), albedo()) for _ in range(count))
     light, depth, normal, _, motion = frame()
-    for uncovered in ((), (torch.rand(2, 1, *size) < 0.3,)):
+    uncovered, misplaced = torch.rand(2, 1, *size) < 0.3, torch.tensor([0.0, 9.0]).view(2, 1, 1, 1)
+    for footprints in ((), (uncovered,), (uncovered, misplaced)):
         plain, fused = both(
             lambda *now: [
                 t for t in vars(recall(*now[:2], now[2:4], recent, *now[4:])).values() if t is not None
             ],
-            light, motion, depth, normal, *uncovered,
+            light, motion, depth, normal, *footprints,
         )  # fmt: skip
         pairs = list(zip(plain, fused, strict=True))
         for (mean, fused_mean), (weight, fused_weight) in zip(pairs[::2], pairs[1::2], strict=True):
@@ -285,6 +288,28 @@ def test_an_even_sky_is_kept_alike(both, size, hits):
     plain, fused = both(even_sky, torch.rand(2, 3, *size), radiance, depth)
     assert torch.equal(plain, fused)
     assert min(size) < 17 or hits > 0.1 or (fused == radiance).any()
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_light_is_expanded_within_what_is_around_alike(both, assert_images_close, size):
+    first, other = torch.rand(2, 2, 3, *size).unbind()
+    first[0, 1, -1, -1], other[1, 2, 0, 0] = 1e9, 0.0
+    compressed, scale = torch.rand(2, 3, *size) * 9, torch.tensor([0.01, 300.0]).view(2, 1, 1, 1)
+    plain, fused = both(expand_within, compressed, scale, first, other)
+    assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("has_noisy", [True, False])
+@pytest.mark.parametrize("has_before", [True, False])
+def test_pictures_are_mixed_alike(both, assert_images_close, size, has_noisy, has_before):
+    first, other, noisy, before = torch.rand(4, 2, 3, *size).pow(6).mul(1e4).unbind()
+    noisy[0, :, 0, 0], first[1, :, -1, -1] = 1e9, 0.0
+    trust, held, tells = torch.rand(3, 2, 1, *size).unbind()
+    more = (before, held) if has_before else (None, None)
+    more += (noisy, tells) if has_noisy else (None, None)
+    plain, fused = both(mix, first, other, torch.tensor([0.01, 30.0]).view(2, 1, 1, 1), trust, (0.4, 0.1), *more)
+    assert_images_close(fused, plain, "float32")
 
 
 @pytest.mark.parametrize("size", SIZES, ids=str)

@@ -11,10 +11,11 @@ from rtdenoise import models, ops
 from rtdenoise.color import albedo_divisor
 from rtdenoise.constants import GLOSS
 from rtdenoise.errors import InputError
+from rtdenoise.exposure import noise_level
 from rtdenoise.frame import OFF_SCREEN, History
 from rtdenoise.history import load_history, resize, save_history
 from rtdenoise.models import AccumulatedKPNConfig
-from rtdenoise.ops.recall import FOOTPRINT, edge_motion, keep, recall
+from rtdenoise.ops.recall import FOOTPRINT, edge_motion, keep, recall, reset_of
 from rtdenoise.run.denoise import Options
 from rtdenoise.run.tiles import Tiled, carried
 
@@ -195,6 +196,29 @@ def test_lookups_between_pixels_count_less_in_a_footprint(choice):
     assert (found.count[inside] == 2).all()
 
 
+def test_they_count_less_still_where_there_is_little_noise(choice):
+    motion, light = image(0.25, -0.5), image(1.0, 1.0, 1.0)
+    frames = [kept(light, *WALL, motion, albedo=light) for _ in range(2)]
+    nothing = torch.zeros_like(light[:, :1], dtype=torch.bool)
+    found = recall(light, motion, WALL, frames, nothing, torch.full((1, 1, 1, 1), 4.0)).footprint_count
+    expected = 0.375 / (1 + 4 * 0.3125) + 0.5 / (1 + 4 * 0.25)
+    torch.testing.assert_close(found[..., 2:-2, 2:-2], torch.full_like(found, expected)[..., 2:-2, 2:-2])
+
+
+def test_the_level_of_noise_falls_with_samples_and_sees_no_edges():
+    """Light of k samples, each exponential, has a relative variance of 1 / k."""
+    torch.manual_seed(0)
+    depth = torch.ones(1, 1, 200, 300)
+    picture = torch.where(torch.arange(300) < 100, 0.2, 3.0).expand(1, 3, 200, 300)
+    for samples in (4, 16, 64):
+        noisy = picture * torch.empty(samples, 1, 200, 300).exponential_().mean(0)
+        level = noise_level(noisy, depth)
+        assert level.shape == (1, 1, 1, 1) and 0.8 < samples * level.item() < 1.1
+    assert noise_level(picture, depth) == 0
+    for nothing_known in ((noisy, 0 * depth), (0 * noisy, depth), (noisy[..., :2, :2], depth[..., :2, :2])):
+        assert noise_level(*nothing_known).isposinf().all()
+
+
 def test_changed_light_and_resets_leave_footprints(choice):
     still = image(0.0, 0.0)
     frames = [
@@ -221,7 +245,7 @@ def test_shapes_are_checked():
 def test_resets_are_kept(network):
     frames = make_frames(3)
     _, history = run(network, frames)
-    newest, middle, oldest = (kept[:, 3].view(torch.bfloat16)[..., 1::2].float() for kept in history.recent)
+    newest, middle, oldest = (reset_of(kept) for kept in history.recent)
     assert not oldest.any()  # it has none before it
     assert (newest > 0).all() and (middle > 0).all() and (newest < 0.2).all()
 

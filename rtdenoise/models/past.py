@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from ..constants import RECALL_MISPLACED, RECALL_NOISY
+from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import reproject, warp
 from ..ops.over import over
@@ -54,7 +56,8 @@ def reprojected(
     here, before = (frame.depth, frame.normal), (history.depth, history.normal)
     seen_there = None, None
     if config.recent:
-        recalled = recall(noisy, motion, here, history.recent, uncovered if config.footprint else None)
+        for_footprints = (uncovered, misplaced(frame, known)) if config.footprint else ()
+        recalled = recall(noisy, motion, here, history.recent, *for_footprints)
         light, length, seen_there = recalled.light, recalled.count, (recalled.footprint, recalled.footprint_count)
         albedo, found = reproject(history.mean_albedo, motion, here, before)
         albedo_length = length * found
@@ -64,6 +67,12 @@ def reprojected(
         albedo_length = length
     output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
     return Past(light, albedo, length, albedo_length, output, seen, uncovered, *seen_there)
+
+
+def misplaced(frame: Frame, known: Known) -> Tensor:
+    """How much less lookups off the pixel count, `[B, 1, 1, 1]` (`ops.recall`): the less noise, the more."""
+    noise = noise_level(frame.radiance, frame.depth) if known.noise is None else known.noise
+    return RECALL_MISPLACED * (1 / noise.clamp(min=1e-6) - 1 / RECALL_NOISY).clamp(min=0)
 
 
 def shifted(frame: Frame, history: History | None, known: Known) -> Known:

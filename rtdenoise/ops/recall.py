@@ -53,6 +53,7 @@ def recall(
     surface: tuple[Tensor, Tensor],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
     recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`keep`), the frame before first; 8 channels for footprints
     uncovered: Tensor | None = None,  # [B, 1, H, W] bool: for footprints, what a moving object has just uncovered
+    misplaced: Tensor | None = None,  # [B, 1, 1, 1] ≥ 0, for footprints: how much less lookups off the pixel count
 ) -> Recalled:
     """The weighted mean of the frames' light:
 
@@ -68,9 +69,11 @@ def recall(
     converged picture both: so the surface there need only be that of p or of a pixel beside it. An edge moves with what
     is in front, so these paths begin with `edge_motion` and follow it, and what is in front of the surface that they
     follow does not belong to the pixel. What was just uncovered has no footprint yet: its path would lead through what
-    covered it. A lookup at the nearest pixel that is off by δ counts as much as the two pixels cover each other:
+    covered it. A lookup at the nearest pixel that is off by δ counts as much as the two pixels cover each other, and
+    less where there is little noise to average (`misplaced`, m):
 
-        w_j = not uncovered · surface of the pixel · u_j · Π_(i<j) (1 - reset_i(p_i)) · (1 - |δ_x|) (1 - |δ_y|)
+        w_j = not uncovered · surface of the pixel · u_j · Π_(i<j) (1 - reset_i(p_i)) · c(δ),
+        c(δ) = (1 - |δ_x|) (1 - |δ_y|) / (1 + m |δ|²)
 
     Raises ValueError where the shapes do not fit. No gradients.
     """
@@ -80,7 +83,7 @@ def recall(
         if kept.shape != (B, max(words, kept.shape[1]), H, W):
             raise ValueError(f"expected kept frames of {(B, words, H, W)}, got {tuple(kept.shape)}")
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
-        return Recalled(*run(light, motion, *surface, recent, uncovered))
+        return Recalled(*run(light, motion, *surface, recent, uncovered, misplaced))
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
     seen, seen_count = light.new_zeros(B, sum(FOOTPRINT), H, W), torch.zeros_like(count)
     path, edge = Path(motion), None
@@ -99,6 +102,8 @@ def recall(
             other = there.depth, there.normal
             beside = _beside(surface, other) & (distance(there.depth) >= (1 - DEPTH_TOLERANCE) * nearest)
             weight = (beside & edge.inside & ~uncovered) * stays * edge.left * edge.cover
+            if misplaced is not None:
+                weight = weight / (1 + misplaced * edge.off)
             radiance = there.light * albedo_divisor(there.albedo, there.depth)
             seen = seen + weight * torch.cat([radiance, there.albedo, there.normal], dim=1)
             seen_count = seen_count + weight
@@ -194,8 +199,9 @@ class Path:
         self.motion, self.left = motion, torch.ones_like(motion[:, :1])  # `left`: the share that resets have left
 
     def look(self, kept: Tensor) -> Kept:
-        """What the path leads to, at the nearest pixel. Sets `inside`, whether it is on the screen, and `cover`, the
-        share of the pixel there that the path's pixel covers, `[B, 1, H, W]` each."""
+        """What the path leads to, at the nearest pixel. Sets `inside`, whether it is on the screen, `cover`, the share
+        of the pixel there that the path's pixel covers, and `off`, the square of their distance, `[B, 1, H, W]`
+        each."""
         B, words, H, W = kept.shape
         x = torch.arange(W, device=kept.device, dtype=self.motion.dtype)
         y = torch.arange(H, device=kept.device, dtype=self.motion.dtype)[:, None]
@@ -204,6 +210,7 @@ class Path:
         u, v = whole[:, :1] + x, whole[:, 1:] + y
         self.inside = (u >= 0) & (u < W) & (v >= 0) & (v < H)
         self.cover = (1 - (motion - whole).abs()).prod(1, keepdim=True)
+        self.off = (motion - whole).square().sum(1, keepdim=True)
         index = (v.clamp(0, H - 1) * W + u.clamp(0, W - 1)).long().reshape(B, 1, H * W)
         there = _unpacked(kept.flatten(2).gather(2, index.expand(B, words, -1)).unflatten(2, (H, W)))
         channels = CHANNELS[:5] if words == RECALL_WORDS else CHANNELS

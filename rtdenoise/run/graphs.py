@@ -91,7 +91,7 @@ class Graphed:
         """As the denoiser's own step."""
         self._steps += 1
         given = _tensors(frame, history, known, (*LAYERS, *self.denoiser.config.reads))
-        flags = replace(known, exposure=None, distance=None, shift=None)
+        flags = replace(known, exposure=None, distance=None, noise=None, shift=None)
         kind = flags, tuple(_description(name, tensor) for name, tensor in given.items())
         if kind not in self.recordings and kind in self._seen and self._room():
             self._add(kind, given)
@@ -167,7 +167,7 @@ def _description(name: str, tensor: Tensor) -> Hashable:
 
 def _tensors(frame: Frame, history: History | None, known: Known, read: Collection[str]) -> dict[str, Tensor]:
     """All that a step reads, by name; of the frame the layers `read`. Inverse: `_arguments`."""
-    statistics = {n: t for n in ("exposure", "distance", "shift") if (t := getattr(known, n)) is not None}
+    statistics = {n: t for n in ("exposure", "distance", "noise", "shift") if (t := getattr(known, n)) is not None}
     layers = {n: t for n, t in frame.layers() if n in read}
     owners = {"frame": layers, "history": history.layers() if history else {}, "known": statistics}
     return {f"{owner}.{name}": tensor for owner, tensors in owners.items() for name, tensor in tensors.items()}

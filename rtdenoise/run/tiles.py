@@ -12,6 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..models import Denoiser
 from ..models.config import CELL
@@ -59,7 +60,9 @@ def step_in_windows(
     """One step, window by window."""
     frame = frame if known.sanitised else sanitise(frame)
     scale, distance = denoiser.statistics(frame)
-    known = shifted(frame, history, replace(known, sanitised=True, exposure=scale, distance=distance))
+    noise = noise_level(frame.radiance, frame.depth)
+    known = replace(known, sanitised=True, exposure=scale, distance=distance, noise=noise)
+    known = shifted(frame, history, known)
     image = torch.zeros_like(frame.radiance) + elsewhere
     after = {"radiance": image.clone()}
     lengths = carried(frame, history)

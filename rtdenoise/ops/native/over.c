@@ -9,7 +9,7 @@
 
 typedef struct {
     const float *seen, *now, *motion, *depth;  // planes of the current frame
-    const uint32_t *const *kept;               // K frames of WORDS planes
+    const uint32_t *const *kept;               // K frames [H, W, WORDS]
     float *out, apart, speed, light, same;
     int64_t plane;
     int K, H, W;
@@ -61,9 +61,7 @@ static inline void compose(Job j, int x, int y) {
     for (int k = 0; k < j.K; k++) {
         float u = nearbyintf(bounded(mx)) + x, v = nearbyintf(bounded(my)) + y;
         if (!((u >= 0) & (u < j.W) & (v >= 0) & (v < j.H))) break;  // a path ends off the screen
-        const uint32_t *there = j.kept[k] + (int64_t)v * j.W + (int64_t)u;
-        uint32_t w[WORDS];
-        for (int c = 0; c < WORDS; c++) w[c] = there[c * plane];
+        const uint32_t *w = j.kept[k] + ((int64_t)v * j.W + (int64_t)u) * WORDS;
         float weight = left * covered(mx) * covered(my);
         is_front = distance(high(w[1])) < between;  // it was hit, then
         if (is_front) {
@@ -89,7 +87,7 @@ static inline void compose(Job j, int x, int y) {
     }
 }
 
-// seen, now, out [B, 9, H, W], motion [B, 2, H, W], depth [B, 1, H, W], kept: B × K times [8, H, W]; all contiguous. found has
+// seen, now, out [B, 9, H, W], motion [B, 2, H, W], depth [B, 1, H, W], kept: B × K times [H, W, WORDS]; all contiguous. found has
 // W bytes for each of `threads` threads.
 void over(const float *seen, const float *now, const float *motion, const float *depth, const uint32_t *const *kept, float *out,
           uint8_t *found, int K, int B, int H, int W, float apart, float speed, float light, float same, int threads) {

@@ -14,7 +14,7 @@ from .compiler import library, pointer
 
 def over(seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Sequence[Tensor]) -> Tensor:
     images = [t.contiguous() for t in (seen, now, motion, depth)]
-    recent = [t.contiguous() for t in recent]
+    recent = [t.contiguous(memory_format=torch.channels_last) for t in recent]
     B, _, H, W = seen.shape
     threads, K = torch.get_num_threads(), len(recent)
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))

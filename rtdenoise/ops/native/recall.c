@@ -9,7 +9,9 @@
 #include "kept.h"
 
 #define BLOCK 256  // pixels, a multiple of CELL
-#define PART 16   // pixels of a block that are loaded together where they lie together; BLOCK is a multiple of it
+#define PART 16   // pixels of a block that are fetched at once; BLOCK is a multiple of it
+#define WORDS 8   // of a pixel of a kept frame, or LESS
+#define LESS 5
 #define FOUND 2   // rows of cells of which a thread keeps what it found
 #define SUMS 3    // likewise the sums
 #define SAME 0x3f800000  // 1 as the high half of a word
@@ -18,13 +20,13 @@
 typedef struct {
     const float *light, *motion, *depth, *normal;  // planes of the current frame
     const uint8_t *uncovered;                      // whether a pixel was just uncovered, for footprints
-    const uint32_t *const *kept;                   // K frames of 5 planes, or 8, two bfloat16 a pixel
+    const uint32_t *const *kept;                   // K frames [H, W, words], two bfloat16 in each
     float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
     uint32_t *found;  // of a thread: [FOUND, K, 3 (red, green; blue, 1 or 0: same surface; s as float32), CELL, W]
     float *cells;     // likewise: [SUMS, K, 4 (Σ d, Σ |d|²), columns]
-    float depth_tolerance, normal_tolerance, alike, changed, speed;
+    float depth_tolerance, normal_tolerance, alike, changed, speed, misplaced;
     int64_t plane;
-    int K, H, W, columns, rows;
+    int K, H, W, columns, rows, words;
 } Job;
 
 static inline uint32_t *found_of(Job j, int cell_row, int k) {
@@ -38,27 +40,65 @@ static inline float *cells_of(Job j, int cell_row, int k) {
 // The paths of a block of pixels: motion to the kept frame, and the share that the network has left of older light.
 typedef struct { float mx[BLOCK], my[BLOCK], s[BLOCK]; } Paths;
 
-// Read pixels at[0 ... n) of a kept frame for those of this one from `first` on, whose paths are those from `p` on: light,
-// whether they are the same surface, and the path beyond. `together`: they lie in a row from at[0] on, so that they are
-// loaded instead of gathered.
-static inline void read(Job j, const uint32_t *kept, int64_t first, int n, const int *at, const int *inside, Paths *paths,
-                        int p, uint32_t *found, int together) {
+typedef uint32_t row __attribute__((vector_size(4 * WORDS)));
+#define JOIN(a, b, ...) __builtin_shuffle(a, b, (row){__VA_ARGS__})
+
+// Transpose 8 rows of 8 words.
+static inline void transpose(row r[WORDS]) {
+    row s[WORDS];
+    for (int i = 0; i < 8; i += 2) {
+        s[i] = JOIN(r[i], r[i + 1], 0, 8, 1, 9, 4, 12, 5, 13);
+        s[i + 1] = JOIN(r[i], r[i + 1], 2, 10, 3, 11, 6, 14, 7, 15);
+    }
+    for (int i = 0; i < 8; i += 4)
+        for (int k = 0; k < 2; k++) {
+            r[i + 2 * k] = JOIN(s[i + k], s[i + k + 2], 0, 1, 8, 9, 4, 5, 12, 13);
+            r[i + 2 * k + 1] = JOIN(s[i + k], s[i + k + 2], 2, 3, 10, 11, 6, 7, 14, 15);
+        }
+    for (int i = 0; i < 4; i++) {
+        row low = r[i], high = r[i + 4];
+        r[i] = JOIN(low, high, 0, 1, 2, 3, 8, 9, 10, 11);
+        r[i + 4] = JOIN(low, high, 4, 5, 6, 7, 12, 13, 14, 15);
+    }
+}
+
+// The words of pixels at[0 ... n) of a kept frame; `at` has PART values.
+static inline void fetch(const uint32_t *kept, int64_t plane, int words, int n, const int *at, uint32_t (*pixels)[PART]) {
+    for (int x = 0; x < n; x += WORDS) {
+        row rows[WORDS];
+        for (int i = 0; i < WORDS; i++) {
+            int64_t from = x + i < n ? (int64_t)at[x + i] * words : 0;
+            if (words == WORDS || from + WORDS <= plane * words) memcpy(rows + i, kept + from, sizeof *rows);
+            else memcpy(rows + i, kept + from, words * sizeof *kept);
+        }
+        transpose(rows);
+        for (int c = 0; c < WORDS; c++) memcpy(pixels[c] + x, rows + c, sizeof *rows);
+    }
+}
+
+// Bring PART pixels of a kept frame near: paths of a row to come lead there where motion is even.
+static inline void ahead(const uint32_t *kept, int words, int64_t at) {
+    for (int i = 0; i < words; i++) __builtin_prefetch(kept + at * words + i * PART);
+}
+
+// Read pixels of a kept frame for n pixels of this one from `first` on, whose paths are those from `p` on: light, whether they
+// are the same surface, and the path beyond.
+static inline void read(Job j, uint32_t (*pixels)[PART], int64_t first, int n, const int *inside, Paths *paths, int p,
+                        uint32_t *found) {
     float *mx = paths->mx + p, *my = paths->my + p, *s = paths->s + p;
     int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
-    const uint32_t *planes[5];
-    for (int c = 0; c < 5; c++) planes[c] = kept + c * plane + (together ? at[0] : 0);
 #pragma omp simd
     for (int x = 0; x < n; x++) {
-        int from = together ? x : at[x], in = together || inside[x];
-        uint32_t blue = planes[1][from], forgets = planes[3][from];
+        int in = inside[x];
+        uint32_t blue = pixels[1][x], normal = pixels[2][x], forgets = pixels[3][x], motion = pixels[4][x];
         Surface here = surface_at(j.depth + first, j.normal + first, plane, x);
-        Surface its = {high(blue), low(planes[2][from]), high(planes[2][from]), low(forgets)};
-        found[x] = planes[0][from];
-        found[stride + x] = (blue & 0xffff) | (in & alike(here, its, j.depth_tolerance, j.normal_tolerance) ? SAME : 0);
+        Surface there = {high(blue), low(normal), high(normal), low(forgets)};
+        found[x] = pixels[0][x];
+        found[stride + x] = (blue & 0xffff) | (in & alike(here, there, j.depth_tolerance, j.normal_tolerance) ? SAME : 0);
         found[2 * stride + x] = bits_of(s[x]);
         s[x] *= 1 - high(forgets);
-        mx[x] = in ? mx[x] + low(planes[4][from]) : FAR_AWAY;
-        my[x] = in ? my[x] + high(planes[4][from]) : FAR_AWAY;
+        mx[x] = in ? mx[x] + low(motion) : FAR_AWAY;
+        my[x] = in ? my[x] + high(motion) : FAR_AWAY;
     }
 }
 
@@ -83,13 +123,6 @@ static inline void places(Job j, int y, int from, int n, const Paths *paths, int
     }
 }
 
-// Whether pixels at[0 ... n) do not lie in a row.
-static inline int scattered(const int *at, const int *inside, int n) {
-    int found = 0;
-    for (int x = 0; x < n; x++) found |= !inside[x] | (at[x] - x != at[0]);
-    return found;
-}
-
 // Follow the paths of n pixels of row y through all kept frames.
 static inline void look(Job j, int y, int from, int n) {
     int64_t first = (int64_t)y * j.W + from;
@@ -103,11 +136,12 @@ static inline void look(Job j, int y, int from, int n) {
         places(j, y, from, n, &p, at, inside);
         for (int part = 0; part < n; part += PART) {
             int size = MIN(PART, n - part);
-            const int *its = at + part, *in = inside + part;
-            for (int c = 0; c < 5; c++) __builtin_prefetch(j.kept[k] + c * j.plane + its[0] + 2 * j.W);  // for a row to come
-            if (size < PART || scattered(its, in, PART))
-                read(j, j.kept[k], first + part, size, its, in, &p, part, found + part, 0);
-            else read(j, j.kept[k], first + part, PART, its, in, &p, part, found + part, 1);
+            uint32_t pixels[WORDS][PART];
+            ahead(j.kept[k], j.words, at[part] + 2 * (int64_t)j.W);
+            if (j.words == WORDS && size == PART) fetch(j.kept[k], j.plane, WORDS, PART, at + part, pixels);
+            else fetch(j.kept[k], j.plane, j.words, size, at + part, pixels);
+            if (size == PART) read(j, pixels, first + part, PART, inside + part, &p, part, found + part);
+            else read(j, pixels, first + part, size, inside + part, &p, part, found + part);
         }
     }
 }
@@ -180,20 +214,17 @@ static inline void surroundings(Job j, int y, int from, int n, Surroundings *s) 
     }
 }
 
-// Add to n sums what pixels at[0 ... n) of a kept frame hold, for footprints of pixels from `p` on of a block, and go on along
-// their paths; `together` as in `read`. `nearest`: the least distance of what belongs to each pixel, NaN where nothing does.
-static inline void see(Job j, const uint32_t *kept, int n, const int *at, const int *inside, Paths *paths, int p,
-                       const Surroundings *around, const float *nearest, const float *weight, float sum[][BLOCK],
-                       int together) {
+// Add to n sums what pixels of a kept frame hold, for footprints of pixels from `p` on of a block, and go on along their
+// paths. `nearest`: the least distance of what belongs to each pixel, NaN where nothing does.
+static inline void see(Job j, uint32_t (*pixels)[PART], int n, const int *inside, Paths *paths, int p,
+                       const Surroundings *around, const float *nearest, const float *weight, float sum[][BLOCK]) {
     float *mx = paths->mx + p, *my = paths->my + p, *s = paths->s + p;
-    const uint32_t *planes[8];
-    for (int c = 0; c < 8; c++) planes[c] = kept + c * j.plane + (together ? at[0] : 0);
 #pragma omp simd
     for (int x = 0; x < n; x++) {
-        int from = together ? x : at[x], in = together || inside[x], beside = 0;
-        uint32_t words[8];
+        int in = inside[x], beside = 0;
+        uint32_t words[WORDS];
 #pragma GCC unroll 8
-        for (int c = 0; c < 8; c++) words[c] = planes[c][from];
+        for (int c = 0; c < WORDS; c++) words[c] = pixels[c][x];
         Surface its = {high(words[1]), low(words[2]), high(words[2]), low(words[3])};
 #pragma GCC unroll 5
         for (int i = 0; i < 5; i++) {
@@ -202,7 +233,9 @@ static inline void see(Job j, const uint32_t *kept, int n, const int *at, const 
             beside |= alike(here, its, j.depth_tolerance, j.normal_tolerance);
         }
         beside &= in & (distance(its.depth) >= nearest[p + x]);
-        float w = beside ? weight[p + x] * (s[x] * covered(mx[x]) * covered(my[x])) : 0;
+        float cover_x = covered(mx[x]), cover_y = covered(my[x]);
+        float off = (1 - cover_x) * (1 - cover_x) + (1 - cover_y) * (1 - cover_y);
+        float w = beside ? weight[p + x] * (s[x] * cover_x * cover_y) / (1 + j.misplaced * off) : 0;
         float albedo[3] = {low(words[5]), high(words[5]), low(words[6])};
         float light[3] = {low(words[0]), high(words[0]), low(words[1])};
 #pragma GCC unroll 3
@@ -239,10 +272,15 @@ static inline void footprints(Job j, int y, int from, int n, float weight[][BLOC
         places(j, y, from, n, &paths, at, inside);
         for (int part = 0; part < n; part += PART) {
             int size = MIN(PART, n - part);
-            const int *its = at + part, *in = inside + part;
-            if (size < PART || scattered(its, in, PART))
-                see(j, j.kept[k], size, its, in, &paths, part, &around, nearest, weight[k], sum, 0);
-            else see(j, j.kept[k], PART, its, in, &paths, part, &around, nearest, weight[k], sum, 1);
+            uint32_t pixels[WORDS][PART];
+            ahead(j.kept[k], WORDS, at[part] + j.W);
+            if (size == PART) {
+                fetch(j.kept[k], j.plane, WORDS, PART, at + part, pixels);
+                see(j, pixels, PART, inside + part, &paths, part, &around, nearest, weight[k], sum);
+            } else {
+                fetch(j.kept[k], j.plane, WORDS, size, at + part, pixels);
+                see(j, pixels, size, inside + part, &paths, part, &around, nearest, weight[k], sum);
+            }
         }
     }
     divide(sum, SUMMED, j.footprint, j.footprint_count, j.plane, first, n);
@@ -290,12 +328,12 @@ static void band(Job j, int top, int bottom) {
     }
 }
 
-// light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], kept: B × K times [5 or 8, H, W],
-// mean like light, count like depth; uncovered like depth, footprint [B, 9, H, W] and footprint_count like depth, or all
-// three NULL; all contiguous. found and cells hold the scratch of `threads` threads.
+// light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], misplaced [B], kept: B × K
+// times [H, W, words], mean like light, count like depth; uncovered like depth, footprint [B, 9, H, W] and footprint_count like
+// depth, or all three NULL; all contiguous. found and cells hold the scratch of `threads` threads.
 void recall(const float *light, const float *motion, const float *depth, const float *normal,
-            const uint8_t *uncovered, const uint32_t *const *kept, float *mean, float *count, float *footprint,
-            float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W,
+            const uint8_t *uncovered, const float *misplaced, const uint32_t *const *kept, float *mean, float *count,
+            float *footprint, float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W, int words,
             float depth_tolerance, float normal_tolerance, float alike, float changed, float speed, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
@@ -306,7 +344,7 @@ void recall(const float *light, const float *motion, const float *depth, const f
                      footprint ? uncovered + b * plane : NULL, kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
                      footprint ? footprint + 9 * b * plane : NULL, footprint ? footprint_count + b * plane : NULL,
                      found + (int64_t)t * FOUND * K * 3 * CELL * W, cells + (int64_t)t * SUMS * K * 4 * columns,
-                     depth_tolerance, normal_tolerance, alike, changed, speed, plane, K, H, W, columns, rows};
+                     depth_tolerance, normal_tolerance, alike, changed, speed, misplaced[b], plane, K, H, W, columns, rows, words};
             band(j, (int64_t)rows * t / threads, (int64_t)rows * (t + 1) / threads);
         }
 }
@@ -316,33 +354,42 @@ static inline uint32_t half(float x) {  // bfloat16, the nearest, even in betwee
     return isnan(x) ? 0x7fc0 : (bits + 0x7fff + (bits >> 16 & 1)) >> 16;
 }
 
-// light [B, 3, H, W], depth [B, 1, H, W], normal [B, 3, H, W], reset [B, 1, H, W], motion [B, 2, H, W], kept [B, 5, H, W]; or
-// with albedo [B, 3, H, W], which may be NULL, [B, 8, H, W]; all contiguous.
+// light [B, 3, H, W], depth [B, 1, H, W], normal [B, 3, H, W], reset [B, 1, H, W], motion [B, 2, H, W], kept [B, H, W, LESS];
+// or with albedo [B, 3, H, W], which may be NULL, [B, H, W, WORDS]; all contiguous.
 void keep(const float *light, const float *depth, const float *normal, const float *reset, const float *motion,
           const float *albedo, uint32_t *kept, int B, int H, int W, float depth_tolerance, float speed, int threads) {
     int64_t plane = (int64_t)H * W;
-    int words = albedo ? 8 : 5;
+    int words = albedo ? WORDS : LESS;
 #pragma omp parallel for num_threads(threads) schedule(static)
-    for (int row = 0; row < B * H; row++) {
-        int64_t b = row / H, y = row % H, first = y * W;
+    for (int line = 0; line < B * H; line++) {
+        int64_t b = line / H, y = line % H, first = y * W;
         const float *l = light + 3 * b * plane + first, *d = depth + b * plane + first, *r = reset + b * plane + first;
         const float *n = normal + 3 * b * plane + first, *whole = motion + 2 * b * plane, *m = whole + first;
-        uint32_t *out = kept + words * b * plane + first;
+        const float *a = albedo ? albedo + 3 * b * plane + first : NULL;
+        uint32_t *out = kept + words * (b * plane + first);
+        for (int from = 0; from < W; from += WORDS) {
+            int size = MIN(WORDS, W - from);
+            row rows[WORDS];
+            uint32_t found[WORDS][WORDS] = {{0}};
 #pragma omp simd
-        for (int x = 0; x < W; x++) {
-            out[x] = half(l[x]) | half(l[plane + x]) << 16;
-            out[plane + x] = half(l[2 * plane + x]) | half(d[x]) << 16;
-            out[2 * plane + x] = half(n[x]) | half(n[plane + x]) << 16;
-            out[3 * plane + x] = half(n[2 * plane + x]) | half(r[x]) << 16;
-            out[4 * plane + x] = half(m[x]) | half(m[plane + x]) << 16;
-        }
-        if (!albedo) continue;
-        const float *a = albedo + 3 * b * plane + first;
-        for (int x = 0; x < W; x++) {
-            int64_t its = edge(whole, d - first, plane, W, H, x, y, depth_tolerance, speed);
-            out[5 * plane + x] = half(a[x]) | half(a[plane + x]) << 16;
-            out[6 * plane + x] = half(a[2 * plane + x]) | half(whole[its]) << 16;
-            out[7 * plane + x] = half(whole[plane + its]);
+            for (int x = 0; x < size; x++) {
+                int i = from + x;
+                found[0][x] = half(l[i]) | half(l[plane + i]) << 16;
+                found[1][x] = half(l[2 * plane + i]) | half(d[i]) << 16;
+                found[2][x] = half(n[i]) | half(n[plane + i]) << 16;
+                found[3][x] = half(n[2 * plane + i]) | half(r[i]) << 16;
+                found[4][x] = half(m[i]) | half(m[plane + i]) << 16;
+            }
+            for (int x = 0; a && x < size; x++) {
+                int i = from + x;
+                int64_t its = edge(whole, d - first, plane, W, H, i, y, depth_tolerance, speed);
+                found[5][x] = half(a[i]) | half(a[plane + i]) << 16;
+                found[6][x] = half(a[2 * plane + i]) | half(whole[its]) << 16;
+                found[7][x] = half(whole[plane + its]);
+            }
+            memcpy(rows, found, sizeof rows);
+            transpose(rows);
+            for (int x = 0; x < size; x++, out += words) memcpy(out, rows + x, words * sizeof *out);
         }
     }
 }

@@ -33,13 +33,15 @@ def recall(
     normal: Tensor,
     recent: Sequence[Tensor],
     uncovered: Tensor | None,
+    misplaced: Tensor | None,
 ) -> tuple[Tensor, ...]:
     now = [t.contiguous() for t in (light, motion, depth, normal)]
-    recent = [t.contiguous() for t in recent]
+    recent = [t.contiguous(memory_format=torch.channels_last) for t in recent]
     B, _, H, W = light.shape
     footprint = uncovered is not None
     threads, K = torch.get_num_threads(), len(recent)
     where = uncovered.contiguous() if footprint else None
+    less = light.new_zeros(B) if misplaced is None else misplaced.expand(B, 1, 1, 1).contiguous()
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
     found = torch.empty(threads, FOUND, K, WORDS, RECALL_CELL, W, dtype=torch.int32)
     cells = torch.empty(threads, SUMS, K, 4, -(-W // RECALL_CELL))
@@ -49,6 +51,7 @@ def recall(
     _compiled().recall(
         *map(pointer, now),
         where if where is None else pointer(where),
+        pointer(less),
         kept,
         *outputs,
         pointer(found),
@@ -57,6 +60,7 @@ def recall(
         B,
         H,
         W,
+        recent[0].shape[1],
         *tolerances,
         threads,
     )
@@ -66,7 +70,8 @@ def recall(
 def keep(light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Tensor, albedo: Tensor | None) -> Tensor:
     images = [t.contiguous() for t in (light, depth, normal, reset, motion, albedo) if t is not None]
     B, _, H, W = light.shape
-    kept = torch.empty(B, RECALL_WORDS if albedo is None else RECALL_FOOTPRINT_WORDS, H, W, dtype=torch.int32)
+    words = RECALL_WORDS if albedo is None else RECALL_FOOTPRINT_WORDS
+    kept = torch.empty(B, words, H, W, dtype=torch.int32, memory_format=torch.channels_last)
     pointers = [*map(pointer, images), *[None] * (6 - len(images))]
     tolerances = map(c_float, (DEPTH_TOLERANCE, RECALL_EDGE_SPEED))
     _compiled().keep(*pointers, pointer(kept), B, H, W, *tolerances, torch.get_num_threads())
