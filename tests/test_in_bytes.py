@@ -9,6 +9,7 @@ from scripts import imported
 from synthetic import make_frames
 from torch.nn import functional as F
 
+from rtdenoise import ops
 from rtdenoise.color import display_exposure
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
@@ -221,6 +222,19 @@ def test_damaged_files_are_named(small, tmp_path):
 def test_gpus_have_none():
     with pytest.raises(InputError, match="int8 is for the CPU"):
         load("hybrid", device="cuda", precision="int8")
+
+
+@pytest.mark.parametrize(
+    ("bytes_alone", "choice", "expected"), [(True, "auto", True), (False, "auto", False), (True, "plain", False)]
+)
+def test_auto_takes_bytes_where_a_cpu_multiplies_no_bfloat16(monkeypatch, tmp_path, bytes_alone, choice, expected):
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: not bytes_alone)
+    monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: True)
+    save(read("fast"), tmp_path / "mine.safetensors")
+    with ops.use(choice):
+        assert isinstance(load("fast").unet, UNetInBytes) == expected
+        assert not any(isinstance(load(name).unet, UNetInBytes) for name in ("paper", tmp_path / "mine.safetensors"))
+        assert not isinstance(load("fast", precision="fp32").unet, UNetInBytes)
 
 
 def test_it_has_no_gradients(small):

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..errors import InputError
+from ..ops.dispatch import backend, plain
 from .unet import ConvRelu, Up
 
 INT8 = "int8"
@@ -26,7 +27,7 @@ def choose_device(name: str) -> str:
 def resolve(precision: str, device: str | torch.device) -> torch.dtype:
     """The dtype that `precision` means on a device. 'auto' is bfloat16 where the hardware multiplies it faster: CPUs
     with AVX512-BF16 or AMX, CUDA from compute capability 8.0; float32 elsewhere. 'int8', on CPUs alone, is that of
-    'auto' for what is not in bytes.
+    'auto' for what is not in bytes. `takes_bytes` says where 'auto' is 'int8'.
 
     Raises InputError for an unknown precision, and for 'int8' on another device.
     """
@@ -40,9 +41,22 @@ def resolve(precision: str, device: str | torch.device) -> torch.dtype:
     if device.type == "cuda":
         fast = torch.cuda.get_device_capability(device) >= (8, 0)
     else:
-        ask = getattr(torch.cpu, "_is_avx512_bf16_supported", None)  # torch has no public name for it
-        fast = device.type == "cpu" and ask is not None and ask()
+        fast = device.type == "cpu" and _has("avx512_bf16")
     return torch.bfloat16 if fast else torch.float32
+
+
+def takes_bytes(precision: str, device: str | torch.device) -> bool:
+    """Whether a network that can computes in bytes: with 'int8', and with 'auto' on CPUs that multiply bytes
+    (AVX512-VNNI) but not bfloat16, where its operations are compiled."""
+    if precision != "auto":
+        return precision == INT8
+    on_cpu = torch.device(device).type == "cpu" and resolve(precision, device) == torch.float32
+    return on_cpu and _has("vnni") and not plain() and backend("cpu")[0] is not None
+
+
+def _has(instructions: str) -> bool:
+    ask = getattr(torch.cpu, f"_is_{instructions}_supported", None)  # torch has no public name for it
+    return ask is not None and ask()
 
 
 def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:

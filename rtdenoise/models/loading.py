@@ -18,7 +18,7 @@ from .combiner import Combiner
 from .denoiser import Denoiser
 from .hybrid import Hybrid
 from .in_bytes import PixelNetworkInBytes, UNetInBytes
-from .inference import INT8, prepare, resolve
+from .inference import INT8, prepare, resolve, takes_bytes
 from .mltd import RecurrentTransformer
 from .presets import SHRINKAGE, Config
 from .shrinkage import Shrinkage
@@ -44,8 +44,9 @@ def load(
     `step(frame, history)` takes and returns tensors `[B, C, H, W]` on `device`.
 
     `model` is the name of a model that ships (`available()`) or the path of a .safetensors file that `rtdenoise train`
-    wrote. `precision` is that of the network: 'fp32', 'bf16', or 'auto' (`inference.resolve`); the rest is float32.
-    'int8' is for an `AccumulatedKPN` or `Hybrid` on a CPU: its networks in bytes (`in_bytes`), the rest as with 'auto'.
+    wrote. `precision` is that of the network: 'fp32', 'bf16', 'int8', or 'auto' (`inference.resolve`, `takes_bytes`);
+    the rest is float32. 'int8' is for an `AccumulatedKPN` or `Hybrid` on a CPU: its networks in bytes (`in_bytes`), and
+    what is left of them as with 'auto'.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
@@ -54,7 +55,7 @@ def load(
     """
     dtype, file = resolve(precision, device), read_denoiser(model, **overrides)
     network = _built(file)
-    if precision == INT8:
+    if takes_bytes(precision, device) and (precision == INT8 or bytes_of(file.path).is_file()):
         stored = read_bytes(bytes_of(file.path), network.config)
         network.unet = UNetInBytes(network.unet, stored, network.config)
         if isinstance(network, Hybrid):

@@ -67,8 +67,8 @@ class Options:
     """With --offline: also write how far the candidates lie apart, in radiance, as the layer 'confidence' (small is
     sure)."""
     precision: str = "auto"
-    """Precision of the network: 'fp32', 'bf16' (torch), 'int8' (for CPUs that multiply bytes),
-    'fp16' (glsl, for stored activations), or 'auto' (torch: bf16 where the hardware is faster with it; glsl: fp32)."""
+    """Precision of the network: 'fp32', 'bf16' (torch), 'int8' (for CPUs that multiply bytes), 'fp16' (glsl, for
+    stored activations), or 'auto' (torch: bf16 or int8 where the hardware is faster with it; glsl: fp32)."""
 
 
 @dataclass
