@@ -76,7 +76,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.feature_bytes import feature_bytes
     from rtdenoise.ops.features import features
     from rtdenoise.ops.logits import cells
-    from rtdenoise.ops.over import over
+    from rtdenoise.ops.over import over, over_and_coverage
     from rtdenoise.ops.recall import keep, recall
     from rtdenoise.ops.shares import shares
     from rtdenoise.ops.soften import soften
@@ -119,6 +119,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
         yield f"recall {uncovered is not None}", recall(image, motion, (depth, normal), kept, uncovered)
     footprint = torch.cat([image, other, normal], dim=1)
     yield "over", over(footprint, footprint, motion, depth, kept)
+    yield "over_and_coverage", over_and_coverage(footprint, footprint, motion, depth, kept)
     shift = torch.zeros(1, 2, -(-H // 16), -(-W // 16))
     yield "displacement_sums", displacement_sums(depth, share, motion, shift, share, depth, depth, 16, 2)
     like = torch.zeros(1, 1, 1, 1).contiguous(memory_format=torch.channels_last)

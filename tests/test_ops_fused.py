@@ -26,7 +26,7 @@ from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
-from rtdenoise.ops.over import over
+from rtdenoise.ops.over import over, over_and_coverage
 from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.shares import shares
 from rtdenoise.ops.to_planes import to_planes
@@ -196,9 +196,11 @@ def test_over(both, assert_images_close, size, count):
 
     recent = tuple(frame()[0] for _ in range(count))
     (seen, now), (_, motion, depth) = torch.rand(2, 2, 9, *size), frame()
-    plain, fused = both(over, seen, now, motion, depth, recent)
+    (plain, coverage), (fused, fused_coverage) = both(over_and_coverage, seen, now, motion, depth, recent)
     assert_images_close(fused, plain, "float32")
+    assert_images_close(fused_coverage, coverage, "float32")
     assert min(size) == 1 or not torch.equal(plain, seen)
+    assert torch.equal(over(seen, now, motion, depth, recent), fused)
 
 
 @pytest.mark.parametrize("op", [ops.warp, cubic])

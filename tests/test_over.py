@@ -11,7 +11,7 @@ from rtdenoise.constants import GLOSS, OVER_LIGHT
 from rtdenoise.frame import Known
 from rtdenoise.models import past
 from rtdenoise.models.hybrid_config import HybridConfig
-from rtdenoise.ops.over import over
+from rtdenoise.ops.over import over, over_and_coverage
 from rtdenoise.ops.recall import keep
 
 SIZE = 8, 24
@@ -73,6 +73,17 @@ def test_the_front_covers_as_much_as_frames_saw():
     assert light == pytest.approx(BEHIND + OVER_LIGHT * (surface - BEHIND), rel=1e-2)
     others = [x for x in range(SIZE[1]) if x not in (EDGE - 1, EDGE)]
     assert torch.equal(result[:, others], seen_now()[0, :, 4][:, others])
+
+
+def test_the_coverage_is_told():
+    """Beside the edge: whether the front is there now, and how many of three frames saw it; the last reset the rest."""
+    at = [EDGE - SPEED * k for k in range(1, 4)]
+    recent = [kept(at[0] + 1), kept(at[1] - 1, reset=0.75), kept(at[2] + 1)]
+    composed, coverage = over_and_coverage(seen_now(), seen_now(), motion(), picture(EDGE), recent)
+    assert torch.equal(composed, over(seen_now(), seen_now(), motion(), picture(EDGE), recent))
+    expected = torch.zeros(3, SIZE[1])
+    expected[:, EDGE - 1], expected[:, EDGE] = torch.tensor([1, 1.25, 2.25]), torch.tensor([0, 1.25, 2.25])
+    torch.testing.assert_close(coverage, expected[None, :, None].expand(1, 3, *SIZE))
 
 
 def test_behind_is_what_frames_have_seen_there():

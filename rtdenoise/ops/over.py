@@ -22,7 +22,6 @@ from .recall import BESIDE, Path, distance
 FUSED = Fused("over", native=Support())
 
 
-@falls_back
 def over(
     seen: Tensor,  # [B, 9, H, W] footprints with the current frame in them: `recall.FOOTPRINT`
     now: Tensor,  # [B, 9, H, W] the current frame alone
@@ -46,31 +45,49 @@ def over(
 
     Raises ValueError where the shapes do not fit. No gradients.
     """
+    return _over(seen, now, motion, depth, recent, False)[0]
+
+
+def over_and_coverage(
+    seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Sequence[Tensor]
+) -> tuple[Tensor, Tensor]:
+    """`over`, and what it knows of each pixel's coverage, `[B, 3, H, W]`: 1 where the front is seen now, otherwise 0;
+    Σ w_j, j > 0, of the frames that saw the front; and of all of them. Zero where there is no such edge."""
+    return _over(seen, now, motion, depth, recent, True)
+
+
+@falls_back
+def _over(
+    seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Sequence[Tensor], with_coverage: bool
+) -> tuple[Tensor, Tensor | None]:
     B, _, H, W = seen.shape
     for kept in recent:
         if kept.shape != (B, RECALL_FOOTPRINT_WORDS, H, W):
             raise ValueError(f"expected kept frames of {(B, RECALL_FOOTPRINT_WORDS, H, W)}, got {tuple(kept.shape)}")
     if recent and (run := FUSED(seen=seen, now=now, motion=motion, depth=depth)):
-        return run(seen, now, motion, depth, recent)
+        return run(seen, now, motion, depth, recent, with_coverage)
     front, behind, near, far = _ends(distance(depth))
     onward = fetch(motion, front)
     apart = (onward - fetch(motion, behind)).square().sum(1, keepdim=True) > OVER_SPEED**2
+    edge = (near < (1 - OVER_APART) * far) & apart
     between = torch.where(far.isinf(), 2 * near, near.sqrt() * far.sqrt())
     path, back = Path(onward), fetch(seen, behind)
-    total, weights = torch.where(distance(depth) < between, now, back), torch.ones_like(depth)
+    now_front = distance(depth) < between
+    total, weights, front_weights = torch.where(now_front, now, back), torch.ones_like(depth), torch.zeros_like(depth)
     for kept in recent:
         there = path.look(kept)
         weight = path.inside * path.left * path.cover
         is_front = distance(there.depth) < between
         radiance = there.light * albedo_divisor(there.albedo, there.depth)
         total = total + weight * torch.where(is_front, torch.cat([radiance, there.albedo, there.normal], 1), back)
-        weights = weights + weight
+        weights, front_weights = weights + weight, front_weights + weight * is_front
         onward = torch.where(is_front, there.motion, onward)
         path.follow(onward, there.reset)
     (light, surfaces), (was, _) = (x.split([3, 6], dim=1) for x in (total / weights, seen))
     light = torch.where((light - was).abs() <= OVER_SAME * was, was, light)
     composed = torch.cat([torch.lerp(was, light, OVER_LIGHT), surfaces], dim=1)
-    return torch.where((near < (1 - OVER_APART) * far) & apart, composed, seen)
+    coverage = torch.cat([now_front, front_weights, weights - 1], dim=1).where(edge, 0) if with_coverage else None
+    return torch.where(edge, composed, seen), coverage
 
 
 def _ends(depths: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

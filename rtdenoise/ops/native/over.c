@@ -10,7 +10,7 @@
 typedef struct {
     const float *seen, *now, *motion, *depth;  // planes of the current frame
     const uint32_t *const *kept;               // K frames [H, W, WORDS]
-    float *out, apart, speed, light, same;
+    float *out, *coverage, apart, speed, light, same;  // coverage may be NULL
     int64_t plane;
     int K, H, W;
 } Job;
@@ -51,11 +51,11 @@ static inline void compose(Job j, int x, int y) {
     float dx = onward_x - j.motion[behind], dy = onward_y - j.motion[plane + behind];
     if (!(near < (1 - j.apart) * far) || !(dx * dx + dy * dy > j.speed * j.speed)) return;
 
-    float between = isinf(far) ? 2 * near : sqrtf(near) * sqrtf(far), back[SEEN], sum[SEEN], weights = 1, left = 1;
-    int is_front = distance(j.depth[own]) < between;
+    float between = isinf(far) ? 2 * near : sqrtf(near) * sqrtf(far), back[SEEN], sum[SEEN], weights = 1, fronts = 0, left = 1;
+    int now_front = distance(j.depth[own]) < between;
     for (int c = 0; c < SEEN; c++) {
         back[c] = j.seen[c * plane + behind];
-        sum[c] = is_front ? j.now[c * plane + own] : back[c];
+        sum[c] = now_front ? j.now[c * plane + own] : back[c];
     }
     float mx = onward_x, my = onward_y;
     for (int k = 0; k < j.K; k++) {
@@ -63,8 +63,7 @@ static inline void compose(Job j, int x, int y) {
         if (!((u >= 0) & (u < j.W) & (v >= 0) & (v < j.H))) break;  // a path ends off the screen
         const uint32_t *w = j.kept[k] + ((int64_t)v * j.W + (int64_t)u) * WORDS;
         float weight = left * covered(mx) * covered(my);
-        is_front = distance(high(w[1])) < between;  // it was hit, then
-        if (is_front) {
+        if (distance(high(w[1])) < between) {  // it was hit, then
             float albedo[3] = {low(w[5]), high(w[5]), low(w[6])}, light[3] = {low(w[0]), high(w[0]), low(w[1])};
             float normal[3] = {low(w[2]), high(w[2]), low(w[3])};
             for (int c = 0; c < 3; c++) {
@@ -73,6 +72,7 @@ static inline void compose(Job j, int x, int y) {
                 sum[6 + c] += weight * normal[c];
             }
             onward_x = low(w[4]), onward_y = high(w[4]);
+            fronts += weight;
         } else
             for (int c = 0; c < SEEN; c++) sum[c] += weight * back[c];
         weights += weight;
@@ -85,19 +85,23 @@ static inline void compose(Job j, int x, int y) {
         if (c < 3 && fabsf(composed - was) <= j.same * was) continue;
         j.out[to] = lerp(was, composed, c < 3 ? j.light : 1);
     }
+    if (!j.coverage) return;
+    j.coverage[own] = now_front, j.coverage[plane + own] = fronts, j.coverage[2 * plane + own] = weights - 1;
 }
 
-// seen, now, out [B, 9, H, W], motion [B, 2, H, W], depth [B, 1, H, W], kept: B × K times [H, W, WORDS]; all contiguous. found has
-// W bytes for each of `threads` threads.
+// seen, now, out [B, 9, H, W], motion [B, 2, H, W], depth [B, 1, H, W], kept: B × K times [H, W, WORDS]; all contiguous.
+// coverage: NULL, or zeros [B, 3, H, W]. found has W bytes for each of `threads` threads.
 void over(const float *seen, const float *now, const float *motion, const float *depth, const uint32_t *const *kept, float *out,
-          uint8_t *found, int K, int B, int H, int W, float apart, float speed, float light, float same, int threads) {
+          float *coverage, uint8_t *found, int K, int B, int H, int W, float apart, float speed, float light, float same,
+          int threads) {
     int64_t plane = (int64_t)H * W;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int t = 0; t < threads; t++)
         for (int64_t row = (int64_t)B * H * t / threads; row < (int64_t)B * H * (t + 1) / threads; row++) {
             int64_t b = row / H, y = row % H;
             Job j = {seen + SEEN * b * plane, now + SEEN * b * plane, motion + 2 * b * plane, depth + b * plane, kept + b * K,
-                     out + SEEN * b * plane, apart, speed, light, same, plane, K, H, W};
+                     out + SEEN * b * plane, coverage ? coverage + 3 * b * plane : 0, apart, speed, light, same, plane,
+                     K, H, W};
             for (int c = 0; c < SEEN; c++) {
                 int64_t from = c * plane + y * W;
                 memcpy(j.out + from, j.seen + from, W * sizeof *j.out);
