@@ -22,7 +22,7 @@ from rtdenoise.frame import Frame
 from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, save
 from rtdenoise.run.combination import WEIGHTS, WEIGHTS_WITHOUT_OIDN, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
-from rtdenoise.run.offline import ESTIMATES
+from rtdenoise.run.offline import BYTES_PER_PIXEL, ESTIMATES
 from rtdenoise.run.passes import InMemory, Passes, completed, reverse
 from rtdenoise.run.sides import Estimate, corrected, seen_on_both_sides
 from rtdenoise.run.stored_estimate import read_estimate, write_estimate
@@ -326,10 +326,11 @@ def test_the_noisy_frame_tells_how_much_the_network_counts():
     assert torch.equal(combine(Candidates(*[stripes] * 4), sparse).image, stripes)
 
 
-def estimate(image, length, first=False):
+def estimate(image, length, first=False, surfaces=None):
     ones = torch.ones_like(image[:, :1])
     seen = torch.cat([image, torch.full_like(image, 0.5), torch.full_like(image, -0.6)], dim=1)
-    return Estimate(image, image, length * ones, first, seen, length * ones, ones)
+    counts = length * ones, (length if surfaces is None else surfaces) * ones
+    return Estimate(image, image, length * ones, first, seen, *counts, ones)
 
 
 def grey(radiance):
@@ -342,10 +343,21 @@ def test_the_frame_itself_counts_once_in_what_both_sides_have_seen():
     """Forward mean of (1, y), backward mean of (y, 4): the mean of 1, y and 4."""
     y = torch.full((1, 3, 4, 4), 2.5)
     frame = grey(y)
-    seen, count = seen_on_both_sides(frame, estimate((1 + y) / 2, 2.0), estimate((y + 4) / 2, 2.0))
+    seen, *counts = seen_on_both_sides(frame, estimate((1 + y) / 2, 2.0), estimate((y + 4) / 2, 2.0))
     torch.testing.assert_close(seen[:, :3], (1 + y + 4) / 3)
     torch.testing.assert_close(seen[:, 3:6], frame.albedo)
-    assert (count == 3).all()
+    assert all((count == 3).all() for count in counts)
+
+
+def test_light_and_surfaces_have_counts_of_their_own():
+    """Two frames and the frame's own have seen the light, four and the frame's own albedo (0.5) and normal (-0.6)."""
+    y = torch.full((1, 3, 4, 4), 2.5)
+    forward, backward = (estimate((x + y) / 2, 2.0, surfaces=3.0) for x in (1, 4))
+    seen, light, surfaces = seen_on_both_sides(replace(grey(y), albedo=y), forward, backward)
+    assert (light == 3).all() and (surfaces == 5).all()
+    torch.testing.assert_close(seen[:, :3], (1 + y + 4) / 3)
+    torch.testing.assert_close(seen[:, 3:6], (6 * 0.5 - y).clamp(min=0) / 5)
+    torch.testing.assert_close(seen[:, 6:], torch.full_like(y, 6 * -0.6 / 5))
 
 
 def test_where_one_frame_was_seen_oidn_filters_its_own_picture_of_that_frame(monkeypatch, model):
@@ -418,12 +430,15 @@ def test_one_side_is_no_evidence():
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_estimates_survive_the_disk(tmp_path, scale):
-    stored = estimate(scale * torch.rand(1, 3, 8, 8), 3.0, first=True)
+    stored = estimate(scale * torch.rand(1, 3, 8, 8), 3.0, first=True, surfaces=4.5)
     write_estimate(tmp_path / "e.safetensors", stored)
     found = read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8), footprints=True)
     assert found.first and torch.allclose(found.image, stored.image, rtol=1e-3)
     assert torch.allclose(found.footprint, stored.footprint, rtol=1e-3)
-    assert torch.equal(found.length, stored.length)
+    for name in ("length", "footprint_count", "surface_count", "trust"):
+        assert torch.equal(getattr(found, name), getattr(stored, name)), name
+    halves = sum(array.shape[1] for array in read_history(tmp_path / "e.safetensors")[0].values())
+    assert 2 * halves == BYTES_PER_PIXEL
 
 
 def test_a_black_estimate_survives_too(tmp_path):

@@ -20,7 +20,7 @@ CHANNELS = {  # field of `History` -> channels; hidden features have any number 
     "noisy": 3, "residual": 3, "residual_length": 1, "footprint": 9, "footprint_count": 1,
 }  # fmt: skip
 FOUND = "found"  # the field of shifts, of cells of pixels as `SHIFTS`
-OF_ESTIMATES = {"trust": 1}  # fields of the offline mode's estimates that a history lacks
+OF_ESTIMATES = {"trust": 1, "surface_count": 1}  # fields of the offline mode's estimates that a history lacks
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number
 

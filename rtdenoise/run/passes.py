@@ -9,6 +9,8 @@ uncovered, little around it, and OIDN takes that for texture. So it first filter
 everywhere, and that picture stands in for such pixels:
 
     opinion = OIDN(a · seen on both sides + (1 - a) · OIDN(frame)),    a = clamp(frames - 1, 0, 1)
+
+At edges that move, more frames have seen albedo and normal than light (`covered`); both have an `a` of their own.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from ..sanitise import sanitise
 from ..splat import splat_motion_next
 from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
+from .covered import as_covered
 from .sides import Estimate, corrected, seen_on_both_sides
 
 WITHOUT_OIDN = "OIDN is not installed, so there is no second opinion: pip install pyoidn adds about 1 dB"
@@ -55,7 +58,10 @@ class Passes:
         """One step of a pass over prepared frames."""
         image, after = self.backend.step(frame, history)
         image = torch.from_numpy(image).to(frame.radiance.device)
-        seen = (after.footprint, after.footprint_count, 1 - reset_of(after.recent[0])) if self.has_oidn else ()
+        seen = ()
+        if self.has_oidn:
+            footprint, surface_count = as_covered(frame, history, after)
+            seen = footprint, after.footprint_count, surface_count, 1 - reset_of(after.recent[0])
         return Estimate(image, after.mean, after.length, history is None, *seen), after
 
     @torch.inference_mode()
@@ -75,13 +81,14 @@ class Passes:
 
     def _opinion(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """OIDN's picture `[1, 3, H, W]`; the equation stands above. Albedo and normal are filtered beforehand."""
-        seen, count = seen_on_both_sides(frame, forward, backward)
+        seen, *counts = seen_on_both_sides(frame, forward, backward)
         radiance, albedo, normal = seen.split(FOOTPRINT, dim=1)
         seen = self._oidn.prefiltered(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
         alone = self._oidn.prefiltered(frame)
         alone = replace(alone, radiance=self._oidn.step(alone)[0])
-        share = (count - 1).clamp(0, 1)
-        even = {n: torch.lerp(getattr(alone, n), getattr(seen, n), share) for n in ("radiance", "albedo", "normal")}
+        light, surfaces = ((count - 1).clamp(0, 1) for count in counts)
+        shares = {"radiance": light, "albedo": surfaces, "normal": surfaces}
+        even = {name: torch.lerp(getattr(alone, name), getattr(seen, name), share) for name, share in shares.items()}
         return self._oidn.step(replace(frame, **even))[0]
 
     def _single(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:

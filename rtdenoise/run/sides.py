@@ -9,10 +9,13 @@ from torch import Tensor
 
 from ..color import albedo_divisor
 from ..frame import Frame
+from ..models.past import footprint_of
 from ..models.shrinkage import SHARE_OF_FRAMES, edges, few_samples, weight
 from ..models.window import box
 from ..ops.pixels import demodulate
+from ..ops.recall import FOOTPRINT
 
+COUNTED = [0] * FOOTPRINT[0] + [1] * sum(FOOTPRINT[1:])  # which of both counts of an estimate a footprint's channel has
 SIDE = 13  # pixels, odd: of the neighbourhood in which both sides must agree
 
 
@@ -24,22 +27,25 @@ class Estimate:
     mean: Tensor  # [1, 3, H, W] irradiance averaged over time
     length: Tensor  # [1, 1, H, W] frames in this mean
     first: bool  # whether the pass begins a shot here: the image is that of the frame alone
-    footprint: Tensor | None = None  # [1, 9, H, W] `History.footprint`, where OIDN is to filter it
-    footprint_count: Tensor | None = None  # [1, 1, H, W] frames in it
+    footprint: Tensor | None = None  # [1, 9, H, W] `covered.as_covered`, where OIDN is to filter it
+    footprint_count: Tensor | None = None  # [1, 1, H, W] frames in its radiance
+    surface_count: Tensor | None = None  # [1, 1, H, W] frames in its albedo and normal
     trust: Tensor | None = None  # [1, 1, H, W] in [0, 1]: 1 - how far light gave way; beside footprints
 
 
-def seen_on_both_sides(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor]:
-    """Footprints of both passes as one, `[1, 9, H, W]`, and the number of frames in it, `[1, 1, H, W]` ≥ 1.
+def seen_on_both_sides(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor, Tensor]:
+    """Footprints of both passes as one, `[1, 9, H, W]`, and the number of frames in its radiance and in its albedo and
+    normal, `[1, 1, H, W]` ≥ 1 each.
 
     With n frames in the forward mean f and n' in the backward mean f', which share the frame itself, y:
     (n f + n' f' - y) / (n + n' - 1).
     """
-    now = torch.cat([frame.radiance, frame.albedo, frame.normal], dim=1)
-    count = forward.footprint_count + backward.footprint_count - 1
-    total = forward.footprint_count * forward.footprint + backward.footprint_count * backward.footprint - now
-    colours, normal = (total / count).split([6, 3], dim=1)
-    return torch.cat([colours.clamp(min=0), normal], dim=1), count
+    now = footprint_of(frame)
+    counts = [torch.cat([e.footprint_count, e.surface_count], dim=1) for e in (forward, backward)]
+    total = sum(n[:, COUNTED] * e.footprint for n, e in zip(counts, (forward, backward), strict=True)) - now
+    count = sum(counts) - 1
+    colours, normal = (total / count[:, COUNTED]).split([6, 3], dim=1)
+    return torch.cat([colours.clamp(min=0), normal], dim=1), *count.split(1, dim=1)
 
 
 def corrected(frame: Frame, image: Tensor, forward: Estimate, backward: Estimate) -> Tensor:

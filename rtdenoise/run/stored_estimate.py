@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
 STORED = {"radiance": "image", "mean": "mean", "length": "length"}  # in a file -> field
-FOOTPRINTS = {name: name for name in ("footprint", "footprint_count", "trust")}  # likewise, where there are any
+SEEN = "footprint", "footprint_count", "surface_count", "trust"  # where there are any
+FOOTPRINTS = {name: name for name in SEEN}  # likewise
 LIGHT = ("radiance", "mean", "footprint")  # the first three channels of each
 
 
