@@ -38,11 +38,11 @@ def test_where_nothing_else_was_seen_nothing_is_known():
     assert not agrees(coverage(random(0.5), 0.5, weight=0.05)).any()
 
 
-def passed(own_edge, edges, count=2.0):
+def passed(own_edge, edges, count=2.0, samples=None):
     """`as_covered` of a frame whose front ends at one column, with frames before that saw it end at others. The columns
     next to it: footprint and frames."""
     seen, depth = seen_now(), picture(EDGE)
-    frame = Frame(seen[:, :3], seen[:, 3:6], seen[:, 6:], picture(own_edge), motion(own_edge))
+    frame = Frame(seen[:, :3], seen[:, 3:6], seen[:, 6:], picture(own_edge), motion(own_edge), samples=samples)
     history = History(seen[:, :3], motion(), depth, seen[:, 6:], recent=tuple(kept(edge) for edge in edges))
     after = replace(history, footprint=seen, footprint_count=torch.full_like(depth, count))
     footprint, frames = as_covered(frame, history, after)
@@ -64,6 +64,13 @@ def test_what_the_frame_does_not_bear_out_stays_as_it_was():
     """The frames before saw the front two pixels farther than its motion leads."""
     footprint, frames = passed(EDGE, [EDGE - SPEED * k + 2 for k in range(1, 4)])
     assert torch.equal(footprint, seen_now()[0, :, 4]) and (frames == 2).all()
+
+
+def test_frames_of_many_samples_show_both_sides_already():
+    at = [EDGE - SPEED * k for k in range(1, 4)]
+    for samples, frames in ((2, 4), (4, 2)):
+        _, found = passed(EDGE, [at[0] + 1, at[1], at[2] - 1], samples=torch.full((1, 1, *SIZE), float(samples)))
+        assert found[EDGE] == frames
 
 
 def test_a_pass_that_begins_has_the_frame_alone():

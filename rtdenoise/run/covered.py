@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..frame import Frame, History
 from ..models.past import footprint_of
+from ..models.shrinkage import few_samples
 from ..models.window import box
 from ..ops.over import over_and_coverage
 
@@ -23,13 +24,15 @@ LEAST_VARIANCE = 0.05  # of a sample that shows the front or not: few frames may
 
 def as_covered(frame: Frame, history: History | None, after: History) -> tuple[Tensor, Tensor]:
     """`after.footprint` of a sanitised frame with edges that move against what is behind them, `[B, 9, H, W]`, and the
-    frames in its albedo and normal, `[B, 1, H, W]` ≥ 1: at these edges all that looked there. `history`: before."""
+    frames in its albedo and normal, `[B, 1, H, W]` ≥ 1: at these edges all that looked there. `history`: before.
+
+    Pixels of FEW_SAMPLES or more stay: their albedo is the mean of both sides of an edge already."""
     if history is None:
         return after.footprint, after.footprint_count
     composed, coverage = over_and_coverage(
         after.footprint, footprint_of(frame), frame.motion, frame.depth, history.recent
     )
-    usable = agrees(coverage)
+    usable = agrees(coverage) & few_samples(frame)
     footprint = torch.where(usable, composed, after.footprint)
     return footprint, torch.where(usable, 1 + coverage[:, 2:], after.footprint_count)
 
