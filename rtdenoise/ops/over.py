@@ -19,7 +19,7 @@ from .dispatch import Fused, Support, falls_back
 from .fetch import fetch
 from .recall import BESIDE, Path, distance
 
-FUSED = Fused("over", native=Support())
+FUSED = Fused("over.over_and_coverage", native=Support())
 
 
 def over(
@@ -45,27 +45,21 @@ def over(
 
     Raises ValueError where the shapes do not fit. No gradients.
     """
-    return _over(seen, now, motion, depth, recent, False)[0]
+    return over_and_coverage(seen, now, motion, depth, recent)[0]
 
 
+@falls_back
 def over_and_coverage(
     seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Sequence[Tensor]
 ) -> tuple[Tensor, Tensor]:
     """`over`, and what it knows of each pixel's coverage, `[B, 3, H, W]`: 1 where the front is seen now, otherwise 0;
     Σ w_j, j > 0, of the frames that saw the front; and of all of them. Zero where there is no such edge."""
-    return _over(seen, now, motion, depth, recent, True)
-
-
-@falls_back
-def _over(
-    seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Sequence[Tensor], with_coverage: bool
-) -> tuple[Tensor, Tensor | None]:
     B, _, H, W = seen.shape
     for kept in recent:
         if kept.shape != (B, RECALL_FOOTPRINT_WORDS, H, W):
             raise ValueError(f"expected kept frames of {(B, RECALL_FOOTPRINT_WORDS, H, W)}, got {tuple(kept.shape)}")
     if recent and (run := FUSED(seen=seen, now=now, motion=motion, depth=depth)):
-        return run(seen, now, motion, depth, recent, with_coverage)
+        return run(seen, now, motion, depth, recent)
     front, behind, near, far = _ends(distance(depth))
     onward = fetch(motion, front)
     apart = (onward - fetch(motion, behind)).square().sum(1, keepdim=True) > OVER_SPEED**2
@@ -86,7 +80,7 @@ def _over(
     (light, surfaces), (was, _) = (x.split([3, 6], dim=1) for x in (total / weights, seen))
     light = torch.where((light - was).abs() <= OVER_SAME * was, was, light)
     composed = torch.cat([torch.lerp(was, light, OVER_LIGHT), surfaces], dim=1)
-    coverage = torch.cat([now_front, front_weights, weights - 1], dim=1).where(edge, 0) if with_coverage else None
+    coverage = torch.cat([now_front, front_weights, weights - 1], dim=1).where(edge, 0)
     return torch.where(edge, composed, seen), coverage
 
 

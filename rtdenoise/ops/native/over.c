@@ -10,7 +10,7 @@
 typedef struct {
     const float *seen, *now, *motion, *depth;  // planes of the current frame
     const uint32_t *const *kept;               // K frames [H, W, WORDS]
-    float *out, *coverage, apart, speed, light, same;  // coverage may be NULL
+    float *out, *coverage, apart, speed, light, same;
     int64_t plane;
     int K, H, W;
 } Job;
@@ -85,12 +85,11 @@ static inline void compose(Job j, int x, int y) {
         if (c < 3 && fabsf(composed - was) <= j.same * was) continue;
         j.out[to] = lerp(was, composed, c < 3 ? j.light : 1);
     }
-    if (!j.coverage) return;
     j.coverage[own] = now_front, j.coverage[plane + own] = fronts, j.coverage[2 * plane + own] = weights - 1;
 }
 
 // seen, now, out [B, 9, H, W], motion [B, 2, H, W], depth [B, 1, H, W], kept: B × K times [H, W, WORDS]; all contiguous.
-// coverage: NULL, or zeros [B, 3, H, W]. found has W bytes for each of `threads` threads.
+// coverage: zeros [B, 3, H, W]. found has W bytes for each of `threads` threads.
 void over(const float *seen, const float *now, const float *motion, const float *depth, const uint32_t *const *kept, float *out,
           float *coverage, uint8_t *found, int K, int B, int H, int W, float apart, float speed, float light, float same,
           int threads) {
@@ -100,7 +99,7 @@ void over(const float *seen, const float *now, const float *motion, const float 
         for (int64_t row = (int64_t)B * H * t / threads; row < (int64_t)B * H * (t + 1) / threads; row++) {
             int64_t b = row / H, y = row % H;
             Job j = {seen + SEEN * b * plane, now + SEEN * b * plane, motion + 2 * b * plane, depth + b * plane, kept + b * K,
-                     out + SEEN * b * plane, coverage ? coverage + 3 * b * plane : 0, apart, speed, light, same, plane,
+                     out + SEEN * b * plane, coverage + 3 * b * plane, apart, speed, light, same, plane,
                      K, H, W};
             for (int c = 0; c < SEEN; c++) {
                 int64_t from = c * plane + y * W;

@@ -1,4 +1,4 @@
-"""`over` and the coverage it knows, without gradients."""
+"""`over_and_coverage`, without gradients."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ...constants import FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVE
 from .compiler import library, pointer
 
 
-def over(
-    seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Sequence[Tensor], with_coverage: bool
-) -> tuple[Tensor, Tensor | None]:
+def over_and_coverage(
+    seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Sequence[Tensor]
+) -> tuple[Tensor, Tensor]:
     images = [t.contiguous() for t in (seen, now, motion, depth)]
     recent = [t.contiguous(memory_format=torch.channels_last) for t in recent]
     B, _, H, W = seen.shape
     threads, K = torch.get_num_threads(), len(recent)
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
     out, found = torch.empty_like(images[0]), torch.empty(threads, W, dtype=torch.uint8)
-    coverage = seen.new_zeros(B, 3, H, W) if with_coverage else None
+    coverage = seen.new_zeros(B, 3, H, W)
     constants = map(c_float, (OVER_APART, OVER_SPEED, OVER_LIGHT, OVER_SAME))
     run = library("over", FAR_AWAY=FAR_AWAY, GLOSS=GLOSS).over
     run(*map(pointer, images), kept, pointer(out), pointer(coverage), pointer(found), K, B, H, W, *constants, threads)
