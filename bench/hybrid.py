@@ -42,10 +42,11 @@ METHODS = {
     "default-oidn": "`default` with `--oidn`",
     "hybrid-fast": "**`hybrid-fast`**",
     "hybrid": "**`hybrid`**",
+    "default int8": "`default`, int8",
     "hybrid-fast int8": "**`hybrid-fast`**, int8",
     "hybrid int8": "**`hybrid`**, int8",
 }
-IN_BYTES = ("hybrid-fast", "hybrid")
+IN_BYTES = ("default", "hybrid-fast", "hybrid")
 SIZES = {"720p": (720, 1280), "144p": (144, 256)}  # that steps are timed at
 METRICS = ("psnr", "psnr_corrected", "flip", "tpsnr")
 
@@ -70,8 +71,8 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
 
 
 def times_of(size: str, precision: str) -> dict:
-    """Milliseconds of a step with history, by method; OIDN has one precision of its own, and with int8 the kernels have
-    this one."""
+    """Milliseconds of a step with history, by method; OIDN has one precision of its own, and what is not in bytes
+    has this one with int8."""
     frame = synthetic_frame(*SIZES[size])
     steps = {"oidn": partial(Oidn().step, frame)}
     for name in ("default", "quality", "hybrid-fast", "hybrid"):
@@ -79,7 +80,9 @@ def times_of(size: str, precision: str) -> dict:
         steps[name] = partial(model.step, frame, settled(model, frame))
     for name in IN_BYTES:
         model = load(name, precision=precision)
-        model.pixels = load(name, precision="int8").pixels
+        for part, network in load(name, precision="int8").named_children():
+            if part in ("unet", "pixels"):
+                setattr(model, part, network)
         steps[f"{name} int8"] = partial(model.step, frame, settled(model, frame))
     model = load("default", precision=precision, recent=RECENT, footprint=True)
     steps["default-oidn"] = partial(Opinion(model.config).step, model.step, frame, settled(model, frame))

@@ -26,13 +26,14 @@ from rtdenoise.report.readings import label
 RESULT, PAGES = RESULTS / "large.json", (DOCS / "results" / "large.md",)
 OUT, PICTURES = ROOT / "out" / "large", DOCS / "images" / "large"
 SIGNALS = ("color", "indirect")
-SPP = (4, 8, 16)  # beside 1
+SPP = (4, 8, 16, 64)  # beside 1
 OURS = ("default-spatial", "hybrid-fast-spatial", "hybrid-spatial", "default", "hybrid-fast", "hybrid", "default-oidn",
         "offline")  # fmt: skip
-IN_BYTES = ("hybrid-fast", "hybrid")  # measured in int8, too
+IN_BYTES = ("default", "hybrid-fast", "hybrid")  # measured in int8, too
 SHOWN_OURS = *OURS[:-1], *(f"{name} int8" for name in IN_BYTES), OURS[-1]
 MANY = ("many", "many-oidn", "oidn+combiner")
 METRICS = ("psnr_corrected", "ssim", "relmse", "flip", "tpsnr_corrected")
+SEEN = "fovvideovdp"  # over the frame at 1 sample; needs pyfvvdp
 FRAMES = (1, 4, 9, 15)  # numbers of frames that are shown by themselves
 SHOWN = {"OIDN": "oidn", "default": "default", "hybrid": "hybrid", "offline": "offline"}
 REFERENCE = "oidn"
@@ -46,11 +47,12 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
     """
     rows = []
     for signal in SIGNALS:
-        counts, at = SPP if signal == "color" else (), {"metrics": METRICS, "signal": signal}
+        counts, at = SPP if signal == "color" else (), {"metrics": (*METRICS, SEEN), "signal": signal}
         run(sequences, OUT / signal, EvaluateOptions((REFERENCE, "oidn-prefiltered", *OURS), **at))
         document = run(sequences, OUT / signal, EvaluateOptions(IN_BYTES, ("int8",), **at))
         if counts:
-            document = run(sequences, OUT / signal, EvaluateOptions((REFERENCE, *MANY), spp=counts, **at))
+            more = EvaluateOptions((REFERENCE, *MANY), spp=counts, metrics=METRICS, signal=signal)
+            document = run(sequences, OUT / signal, more)
             for name, facts in document.sequences.items():
                 strips.draw(OUT / signal, name, facts, SHOWN, PICTURES / f"{name}.webp")
         for row in (row for row in document.results if row["spp"] in (1, *counts)):
@@ -58,6 +60,7 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
                 "signal": signal, "sequence": row["sequence"], "method": label(row), "spp": row["spp"],
                 "ms": row["ms"]["median"],
                 **{region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")},
+                **({SEEN: row["errors"]["frame"][SEEN]} if row["spp"] == 1 else {}),
                 "frames": {str(f["number"]): f["frame"]["psnr_corrected"] for f in row["frames"]},
             })  # fmt: skip
     harness.publish(RESULT, {"rows": rows}, digits=5, pages=PAGES, tables=tables)
@@ -99,8 +102,8 @@ def _ratio(rows: dict, base: dict, read) -> float:
 def _over_oidn(at_1: dict) -> str:
     lines = [
         "| | corrected PSNR, beauty, indirect | least | uncovered | least | SSIM | relMSE | FLIP | corrected tPSNR "
-        "| time |",
-        "|---" * 10 + "|",
+        "| FovVideoVDP | time |",
+        "|---" * 11 + "|",
     ]
     base = at_1[REFERENCE]
     for method in ("oidn-prefiltered", *SHOWN_OURS):
@@ -112,6 +115,7 @@ def _over_oidn(at_1: dict) -> str:
             f"{min(uncovered):+.2f}", f"{np.mean(_leads(rows, base, 'ssim')):+.3f}",
             *(f"{_ratio(rows, base, lambda row, m=m: row['frame'][m]):.2f}×" for m in ("relmse", "flip")),
             f"{np.mean(_leads(rows, base, 'tpsnr_corrected')):+.2f}",
+            f"{np.mean([row[SEEN] - base[key][SEEN] for key, row in rows.items()]):+.3f}",
             f"{_ratio(rows, base, lambda row: row['ms']):.2f}×",
         ]  # fmt: skip
         lines.append(f"| `{method}` | {' | '.join(cells)} |")
