@@ -69,6 +69,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise import ops
     from rtdenoise.frame import Frame, History
     from rtdenoise.ops import pixels
+    from rtdenoise.ops.around import expand_within
     from rtdenoise.ops.blend_history import blend_history
     from rtdenoise.ops.block_luminance import block_luminance
     from rtdenoise.ops.convolve_bytes import convolve_bytes
@@ -76,7 +77,8 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.feature_bytes import feature_bytes
     from rtdenoise.ops.features import features
     from rtdenoise.ops.logits import cells
-    from rtdenoise.ops.over import over, over_and_coverage
+    from rtdenoise.ops.mix import mix
+    from rtdenoise.ops.over import over_and_coverage
     from rtdenoise.ops.recall import keep, recall
     from rtdenoise.ops.shares import shares
     from rtdenoise.ops.soften import soften
@@ -88,7 +90,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     image, other = _image(3, H, W, kind), _image(3, H, W, "ordinary")
     coarse, share, alpha = _image(3, h, w, kind), _image(1, H, W, "ordinary"), _image(1, h, w, "ordinary")
     depth, normal, motion = _image(1, H, W, kind), _image(3, H, W, kind), _motion(H, W, kind)
-    seen = share > 0.5
+    seen, one = share > 0.5, torch.ones(1, 1, 1, 1)
     for pool in ("mean", "max"):
         yield f"downsample {pool}", ops.downsample(image, pool)
         yield f"compose {pool}", ops.compose(image, coarse, alpha, pool)
@@ -107,25 +109,28 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     yield "demodulate", pixels.demodulate(other, other, depth)
     yield "modulate", pixels.modulate(other, other, other, share, depth)
     yield "accumulate", pixels.accumulate(image, image, share * 9, share, 32.0)
-    yield "nearness", pixels.nearness(depth, torch.ones(1, 1, 1, 1))
+    yield "nearness", pixels.nearness(depth, one)
     yield "soften", soften(image, other, share)
     for sky in (depth, torch.zeros_like(depth), torch.where(seen, 1.0, 0.0)):
         yield "even_sky", even_sky(other, torch.where(seen, other, 0.5), sky)
     yield "within", pixels.within(image, 0.0, 1.0)
+    yield "expand_within", expand_within(3 * other, one, other, image.abs())
+    pictures = other, other.flip(3), one, share, (0.4, 0.1)
+    for more in ((), (image.abs(), seen.float()), (image.abs(), seen.float(), other, share)):
+        yield f"mix {len(more)}", mix(*pictures, *more)
     yield "block_luminance", block_luminance(image, 8)
     kept = [keep(image, depth, normal, share, _motion(H, W, kind), other) for _ in range(3)]
     yield "keep", keep(image, depth, normal, share, None)
-    for uncovered in (None, seen):
-        yield f"recall {uncovered is not None}", recall(image, motion, (depth, normal), kept, uncovered)
+    for for_footprints in ((), (seen,), (seen, one)):
+        yield f"recall {len(for_footprints)}", recall(image, motion, (depth, normal), kept, *for_footprints)
     footprint = torch.cat([image, other, normal], dim=1)
-    yield "over", over(footprint, footprint, motion, depth, kept)
     yield "over_and_coverage", over_and_coverage(footprint, footprint, motion, depth, kept)
     shift = torch.zeros(1, 2, -(-H // 16), -(-W // 16))
     yield "displacement_sums", displacement_sums(depth, share, motion, shift, share, depth, depth, 16, 2)
     like = torch.zeros(1, 1, 1, 1).contiguous(memory_format=torch.channels_last)
     for dtype in (torch.float32, torch.bfloat16):
-        yield "features", features([image], [normal, depth, seen], torch.ones(1, 1, 1, 1), like.to(dtype))
-    x = feature_bytes(image, other, normal, torch.ones(1, 1, 1, 1))
+        yield "features", features([image], [normal, depth, seen], one, like.to(dtype))
+    x = feature_bytes(image, other, normal, one)
     yield "feature_bytes", x
     whole = torch.arange(9 * 4 * 32 * 4).to(torch.int8).view(1, 36, 32, 4)
     for outputs in (32, 20):
@@ -133,7 +138,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
         for dtype in (torch.uint8, torch.bfloat16):
             yield "convolve_bytes", convolve_bytes(x, whole, *numbers, dtype=dtype)
     fine = feature_bytes(*(layer.repeat_interleave(2, 2).repeat_interleave(2, 3) for layer in (image, other, normal)),
-                         torch.ones(1, 1, 1, 1))  # fmt: skip
+                         one)  # fmt: skip
     both = torch.cat([whole[:, :16], whole], dim=1).expand(4, -1, -1, -1).contiguous()
     yield "convolve_bytes", convolve_bytes(fine, both, torch.full((4, 20), 0.01), torch.zeros(4, 20), x)
     many = small and not few
