@@ -26,6 +26,9 @@ def random(share):
 def test_a_frame_that_sees_the_front_as_often_agrees(share):
     found = agrees(coverage(random(share), share))
     assert not found[~EDGES].any() and found[EDGES].float().mean() > 0.75
+    border = torch.ones_like(EDGES)
+    border[..., 6:-6, 6:-6] = False
+    assert found[EDGES & border].float().mean() > 0.75
 
 
 @pytest.mark.parametrize(("now", "share"), [(0.0, 0.5), (0.5, 1.0), (1.0, 0.0)])

@@ -1,5 +1,6 @@
 """Networks in bytes (`models.in_bytes`, `tools/weights_in_bytes.py`)."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.metrics import psnr
 from rtdenoise.models import AccumulatedKPNConfig, HybridConfig, create, load, read, save
-from rtdenoise.models.bytes_layout import shapes
+from rtdenoise.models.bytes_layout import made_for, shapes
 from rtdenoise.models.in_bytes import PixelNetworkInBytes, ToBytes, UNetInBytes, phases, rounded
 from rtdenoise.models.weights import bytes_of
 from rtdenoise.ops.convolve_bytes import convolve_bytes, packed, unpacked
@@ -103,7 +104,7 @@ def test_rounding_makes_up_for_its_errors(tool):
     weight, bias = torch.randn(8, 90).double(), torch.randn(8).double()
     weight[:, :5] *= 20
     x = torch.cat([inputs, torch.ones(4000, 1)], dim=1).double()
-    whole, factor, new_bias = tool.rounded(weight, bias, x.T @ x)
+    whole, factor, new_bias = tool.rounded_with_care(weight, bias, x.T @ x)
     assert whole.dtype == torch.int8 and whole.abs().max() <= 127
     expected = x[:, :-1] @ weight.T + bias
     careful = x[:, :-1] @ (whole * factor[:, None]).T + new_bias
@@ -133,6 +134,8 @@ def test_numbers_become_bytes(dtype):
     step = torch.tensor([0.5, 0.01])
     x = torch.tensor([[0.0, 0.24, 1.0, 1e9], [0.0, 0.024, 1.0, 2.5]]).view(1, 2, 2, 2).to(dtype)
     assert ToBytes(step)(x).flatten(2).tolist() == [[[0, 0, 2, 255], [0, 2, 100, 250]]]
+    whole = torch.arange(256).view(1, 1, 16, 16)
+    assert torch.equal(ToBytes(torch.ones(1))(whole.to(dtype)), whole.to(torch.uint8))
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 13), (48, 80)], ids=str)
@@ -191,10 +194,11 @@ def test_models_without_such_weights_are_named(tmp_path):
         load(path, precision="int8")
 
 
-def test_widths_come_in_fours(tool, tmp_path):
+@pytest.mark.parametrize("width", [10, 132])
+def test_widths_come_in_fours_and_have_a_bound(tool, tmp_path, width):
     path = tmp_path / "odd.safetensors"
-    save(create(AccumulatedKPNConfig(widths=(8, 10, 8), scales=3)), path)
-    with pytest.raises(InputError, match=r"widths that are multiples of 4; unet.encoder.1.2 reads 10"):
+    save(create(AccumulatedKPNConfig(widths=(8, width, 8), scales=3)), path)
+    with pytest.raises(InputError, match=rf"multiples of 4 up to 128; unet.encoder.1.2 reads {width}"):
         tool.main(str(path), str(bytes_of(path)), str(SAMPLE))
 
 
@@ -211,12 +215,28 @@ def test_damaged_files_are_named(small, tmp_path):
         ({"unet.encoder.1.0.step": good["unet.encoder.1.0.step"][:3]}, "expected finite float32"),
         ({"other": torch.zeros(1)}, "other is"),
     ):
-        save_file({name: x.contiguous() for name, x in (good | change).items() if x is not None}, bytes_of(path))
+        tensors = {name: x.contiguous() for name, x in (good | change).items() if x is not None}
+        save_file(tensors, bytes_of(path), made_for(path))
         with pytest.raises(InputError, match=told):
             load(path, precision="int8")
     bytes_of(path).write_bytes(b"not weights")
     with pytest.raises(InputError, match="not a readable safetensors file"):
         load(path, precision="int8")
+
+
+def test_files_made_for_other_weights_are_named(small, tmp_path, monkeypatch, caplog):
+    """As after training on; `auto` goes on without them."""
+    trained = read(small)
+    trained.stem.bias += 0.1
+    path = tmp_path / "small.safetensors"
+    save(trained, path)
+    shutil.copy(bytes_of(small), bytes_of(path))
+    told = "small.int8: was made for other weights than small.safetensors has; make it anew"
+    with pytest.raises(InputError, match=told):
+        load(path, precision="int8")
+    monkeypatch.setattr("rtdenoise.models.loading.takes_bytes", lambda *_: True)
+    assert not isinstance(load(path).unet, UNetInBytes) and told in caplog.text
+    assert isinstance(load(small).unet, UNetInBytes)
 
 
 def test_gpus_have_none():

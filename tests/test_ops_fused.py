@@ -167,10 +167,11 @@ def test_recall(both, assert_images_close, size, count):
     recent = tuple(keep(*frame(), albedo()) for _ in range(count))
     light, depth, normal, _, motion = frame()
     uncovered, misplaced = torch.rand(2, 1, *size) < 0.3, torch.tensor([0.0, 9.0]).view(2, 1, 1, 1)
-    for footprints in ((), (uncovered,), (uncovered, misplaced)):
+    mixed = keep(*frame()), *recent, keep(*frame())  # as where one network takes another's history
+    for frames, *footprints in ((recent,), (mixed,), (recent, uncovered), (recent, uncovered, misplaced)):
         plain, fused = both(
-            lambda *now: [
-                t for t in vars(recall(*now[:2], now[2:4], recent, *now[4:])).values() if t is not None
+            lambda *now, frames=frames: [
+                t for t in vars(recall(*now[:2], now[2:4], frames, *now[4:])).values() if t is not None
             ],
             light, motion, depth, normal, *footprints,
         )  # fmt: skip

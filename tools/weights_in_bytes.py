@@ -8,9 +8,7 @@ reaches each layer.
 
 from __future__ import annotations
 
-import json
 import sys
-from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
 
@@ -23,9 +21,10 @@ from torch.nn import functional as F
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.files import write_atomically
 from rtdenoise.models import Denoiser, read
-from rtdenoise.models.bytes_layout import INPUT, PIXELS, UNET, Picture, layout
+from rtdenoise.models.bytes_layout import INPUT, PIXELS, UNET, Picture, layout, made_for
 from rtdenoise.models.hybrid import UNIT
 from rtdenoise.models.in_bytes import WHOLE, phases
+from rtdenoise.models.weights import find
 from rtdenoise.ops.convolve_bytes import packed
 from rtdenoise.ops.feature_bytes import ALBEDO, CHANNELS, LIGHT, NORMAL, feature_bytes
 
@@ -52,7 +51,7 @@ def main(model: str, out: str, *sequences: str) -> None:
     for name, layer in seen.layers.items():
         if name.startswith(UNET):
             continue
-        found = [rounded(*seen.layer(name, phase)) for phase in range(layer.phases)]
+        found = [rounded_with_care(*seen.layer(name, phase)) for phase in range(layer.phases)]
         step = 1.0 if layer.numbers else seen.steps(name)
         weights = [whole.split([p.channels * p.taps**2 for p in layer.reads], dim=1) for whole, _, _ in found]
         tensors |= {
@@ -63,7 +62,7 @@ def main(model: str, out: str, *sequences: str) -> None:
             f"{name}.factor": torch.stack([factor for _, factor, _ in found]).float() / step,
             f"{name}.bias": torch.stack([bias for _, _, bias in found]).float() / step,
         }  # fmt: skip
-    write_atomically(Path(out), save(tensors, metadata={"config": json.dumps(asdict(network.config))}))
+    write_atomically(Path(out), save(tensors, metadata=made_for(find(model))))
 
 
 class Seen:
@@ -139,7 +138,7 @@ def of_bytes(weight: Tensor) -> Tensor:
     return torch.cat([light, light, albedo, normal, -normal, torch.zeros_like(light[:, :1])], dim=1)
 
 
-def rounded(weight: Tensor, bias: Tensor, moments: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def rounded_with_care(weight: Tensor, bias: Tensor, moments: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Whole weights `[O, inputs]` (int8), what 1 of them is worth `[O]`, and the bias that goes with them `[O]`.
 
     Input by input, that of most variance first, each weight is rounded and its error is taken up by those to come, as

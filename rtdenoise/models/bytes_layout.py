@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +12,12 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from ..errors import InputError
-from ..ops.convolve_bytes import BLOCK, QUAD
+from ..ops.convolve_bytes import BLOCK, MOST, QUAD
 from ..ops.feature_bytes import CHANNELS
 from .config import AccumulatedKPNConfig
 from .hybrid_config import HybridConfig
 from .presets import Config
+from .weights import bytes_of
 
 UNET, PIXELS = "unet", "pixels"  # the networks, and the modules that they are
 INPUT = "input"  # of a network, as a layer
@@ -56,8 +58,8 @@ def layout(config: Config) -> dict[str, Layer]:
     if isinstance(config, HybridConfig):
         layers |= _pixels(config)
     for name, layer in layers.items():
-        if any(picture.channels % QUAD for picture in layer.reads):
-            raise InputError(f"precision int8: expected widths that are multiples of {QUAD}; {name} reads "
+        if any(picture.channels % QUAD or picture.channels > MOST for picture in layer.reads):
+            raise InputError(f"precision int8: expected widths that are multiples of {QUAD} up to {MOST}; {name} reads "
                              f"{' and '.join(str(picture.channels) for picture in layer.reads)}")  # fmt: skip
     return layers
 
@@ -108,20 +110,29 @@ def shapes(config: Config) -> dict[str, tuple[int, ...]]:
     return found
 
 
-def read(path: Path, config: Config) -> dict[str, dict[str, Tensor]]:
-    """Layer -> its tensors (`shapes`).
+def made_for(model: Path) -> dict[str, str]:
+    """What the file's metadata say of the model's own file, whose weights it goes with."""
+    return {"model": hashlib.sha256(model.read_bytes()).hexdigest()}
 
-    Raises InputError as `layout`, and where the file is missing, damaged, or of another network.
+
+def read(model: Path, config: Config) -> dict[str, dict[str, Tensor]]:
+    """Layer -> its tensors (`shapes`), for the weights in the file `model`.
+
+    Raises InputError as `layout`, and where the file is missing, damaged, or was made for other weights.
     """
-    expected, layers = shapes(config), {}
+    path, expected, layers = bytes_of(model), shapes(config), {}
     try:
         with safe_open(path, framework="numpy") as file:
+            other = not made_for(model).items() <= (file.metadata() or {}).items()
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except FileNotFoundError:
         raise InputError(f"precision int8: there is no {path.name} beside the model, which says what it needs; take "
                          "bf16 or fp32, or make it (tools/weights_in_bytes.py)") from None  # fmt: skip
     except (SafetensorError, OSError, TypeError) as error:
         raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+    if other:
+        raise InputError(f"{path}: was made for other weights than {model.name} has; make it anew "
+                         "(tools/weights_in_bytes.py)")  # fmt: skip
     for name in sorted(expected.keys() | tensors.keys()):
         x, dtype = tensors.get(name), np.int8 if name.endswith("weight") else np.float32
         if x is None or x.shape != expected.get(name) or x.dtype != dtype or not np.isfinite(x).all():

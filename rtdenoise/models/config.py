@@ -34,6 +34,7 @@ class NetworkConfig:
     features: ClassVar[int]  # channels of the network's input
     reads: ClassVar[tuple[str, ...]] = ()  # layers of `Frame` that it needs beside those that every denoiser reads
     recent: ClassVar[int] = 0  # last frames whose noisy light its history keeps
+    footprint: ClassVar[bool] = False  # whether that history has `History.footprint`
     max_levels: ClassVar[int]  # of the U-Net: the coarsest pixels are `CELL` wide at most
 
     widths: tuple[int, ...]

@@ -87,7 +87,9 @@ class ToBytes(nn.Module):
         self.scale = 1 / step.view(-1, 1, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        x = torch.addcmul(x.new_tensor(0.5), x, self.scale.to(x.dtype))  # what is below the point is cut off
+        # What is below the point is cut off. A whole number and a half is none in bfloat16 from 128 on: rounded to the
+        # next one, it would be one too many.
+        x = torch.addcmul(x.new_tensor(0.498), x, self.scale.to(x.dtype))
         return x.clamp_(max=255).to(torch.uint8, memory_format=torch.channels_last)
 
 

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..errors import InputError
-from ..ops.dispatch import backend, plain
+from ..ops.dispatch import compiled, plain
 from .unet import ConvRelu, Up
 
 INT8 = "int8"
@@ -51,7 +51,7 @@ def takes_bytes(precision: str, device: str | torch.device) -> bool:
     if precision != "auto":
         return precision == INT8
     on_cpu = torch.device(device).type == "cpu" and resolve(precision, device) == torch.float32
-    return on_cpu and _has("vnni") and not plain() and backend("cpu")[0] is not None
+    return on_cpu and _has("vnni") and not plain() and compiled("cpu")
 
 
 def _has(instructions: str) -> bool:

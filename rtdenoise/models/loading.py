@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import asdict
 from pathlib import Path
 
@@ -55,12 +56,26 @@ def load(
     """
     dtype, file = resolve(precision, device), read_denoiser(model, **overrides)
     network = _built(file)
-    if takes_bytes(precision, device) and (precision == INT8 or bytes_of(file.path).is_file()):
-        stored = read_bytes(bytes_of(file.path), network.config)
-        network.unet = UNetInBytes(network.unet, stored, network.config)
-        if isinstance(network, Hybrid):
-            network.pixels = PixelNetworkInBytes(network.pixels, stored)
+    if takes_bytes(precision, device):
+        _into_bytes(network, file.path, must=precision == INT8)
     return prepare(network, dtype).to(device)
+
+
+def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
+    """Put networks in bytes in the place of a denoiser's own. Where what they need is not there or not usable, raise
+    InputError if they `must`, and else leave it."""
+    if not must and not bytes_of(path).is_file():
+        return
+    try:
+        stored = read_bytes(path, network.config)
+    except InputError as error:
+        if must:
+            raise
+        logging.getLogger("rtdenoise").warning("rtdenoise: slower, as not in bytes: %s", error)
+        return
+    network.unet = UNetInBytes(network.unet, stored, network.config)
+    if isinstance(network, Hybrid):
+        network.pixels = PixelNetworkInBytes(network.pixels, stored)
 
 
 def load_combiner(

@@ -123,6 +123,11 @@ def falls_back(op: Callable) -> Callable:
 _lost: dict[str, str] = {}  # device -> why its fused ops are used no more
 
 
+def compiled(device: str) -> bool:
+    """Whether fused ops of a kind of device are there."""
+    return _available(device)[0] is not None
+
+
 def _available(device: str) -> tuple[str | None, str | None]:
     return (None, _lost[device]) if device in _lost else backend(device)
 

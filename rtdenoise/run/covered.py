@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from ..frame import Frame, History
 from ..models.past import footprint_of
@@ -51,4 +52,5 @@ def agrees(coverage: Tensor) -> Tensor:
     share, both = front / weight.clamp(min=LEAST_WEIGHT), (front + now) / (weight + 1)
     variance = (both * (1 - both)).clamp(min=LEAST_VARIANCE) * (1 + 1 / weight.clamp(min=LEAST_WEIGHT))
     off, expected = (box(known * x, SIDE) for x in (share - now, variance))
-    return known & (SIDE**2 * off.square() <= AGREES * expected)
+    pixels = F.avg_pool2d(torch.ones_like(now), SIDE, stride=1, padding=SIDE // 2) * SIDE**2  # inside the picture
+    return known & (pixels * off.square() <= AGREES * expected)

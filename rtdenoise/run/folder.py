@@ -17,7 +17,7 @@ from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import dumps, write_atomically
 from ..models.presets import SHRINKAGE
-from ..models.weights import find
+from ..models.weights import bytes_of, find
 
 if TYPE_CHECKING:
     from .options import Options, Summary
@@ -53,7 +53,10 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     parts = {name: value for name, value in _decisive(options).items() if YOUNG.get(name) != value or name not in YOUNG}
     parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     if options.model != SHRINKAGE:
-        parts["weights"] = hashlib.sha256(find(options.model).read_bytes()).hexdigest()
+        weights = find(options.model)
+        parts["weights"] = hashlib.sha256(weights.read_bytes()).hexdigest()
+        if options.precision == "int8" and bytes_of(weights).is_file():
+            parts["bytes"] = hashlib.sha256(bytes_of(weights).read_bytes()).hexdigest()
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
     cameras = {entry["number"]: entry for entry in scene.get("frames", ())}

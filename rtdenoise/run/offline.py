@@ -85,7 +85,8 @@ class _Run:
 
     def run(self, overwrite: bool) -> Summary:
         opinions = "with OIDN" if self.passes.has_oidn else "without OIDN"  # frames of both must not be mixed
-        self.fingerprint = f"{digest(self.sequence, self.options)[-1]} {opinions}"
+        # likewise estimates of another version
+        self.fingerprint = f"{digest(self.sequence, self.options)[-1]} {opinions}, {BYTES_PER_PIXEL} bytes"
         self.names = output_names(self.sequence, self.options.layout, self.options.recombine)[::-1]  # as they appear
         count = len(self.sequence)
         done, history, summary = (0, None, Summary()) if overwrite else self._resume()

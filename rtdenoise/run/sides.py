@@ -38,7 +38,8 @@ def seen_on_both_sides(frame: Frame, forward: Estimate, backward: Estimate) -> t
     normal, `[1, 1, H, W]` ≥ 1 each.
 
     With n frames in the forward mean f and n' in the backward mean f', which share the frame itself, y:
-    (n f + n' f' - y) / (n + n' - 1).
+    (n f + n' f' - y) / (n + n' - 1). At edges that move (`covered`) that is nearly so: where the frame sees what is
+    behind, f has the mean of that instead of y.
     """
     now = footprint_of(frame)
     counts = [torch.cat([e.footprint_count, e.surface_count], dim=1) for e in (forward, backward)]

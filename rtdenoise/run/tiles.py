@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ..exposure import noise_level
-from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..frame import NOTHING_KNOWN, RECENT, Frame, History, Known
 from ..models import Denoiser
 from ..models.config import CELL
 from ..models.past import followed, shifted
@@ -60,7 +60,7 @@ def step_in_windows(
     """One step, window by window."""
     frame = frame if known.sanitised else sanitise(frame)
     scale, distance = denoiser.statistics(frame)
-    noise = noise_level(frame.radiance, frame.depth)
+    noise = noise_level(frame.radiance, frame.depth) if denoiser.config.footprint else None
     known = replace(known, sanitised=True, exposure=scale, distance=distance, noise=noise)
     known = shifted(frame, history, known)
     image = torch.zeros_like(frame.radiance) + elsewhere
@@ -82,7 +82,8 @@ def step_in_windows(
         for name, tensor in part_history.layers().items():
             if name not in after:
                 h, w = (-(-whole * n // s) for whole, n, s in zip(frame.size, tensor.shape[2:], size, strict=True))
-                after[name] = tensor.new_zeros(*tensor.shape[:2], h, w)
+                form = torch.channels_last if name.startswith(RECENT) else torch.contiguous_format
+                after[name] = tensor.new_zeros(*tensor.shape[:2], h, w).contiguous(memory_format=form)
             _paste(after[name], tensor, core, window, frame.size)
     after |= {name: tensor for name in GEOMETRY if (tensor := getattr(frame, name)) is not None}
     after = History.from_layers(after)

@@ -97,7 +97,7 @@ static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int
 }
 
 // first, other, before, noisy, out [B, 3, H, W], trust, held, tells [B, 1, H, W], scale [B]; before and held, noisy and tells
-// may be NULL. cells and around have B · rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads` threads.
+// may be NULL. cells and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads` threads.
 void mix(const float *first, const float *other, const float *scale, const float *trust, const float *before, const float *held,
          const float *noisy, const float *tells, float *cells, float *around, float *space, float *out, int B, int H, int W,
          float usual, float share, int threads) {

@@ -36,7 +36,8 @@ def recall(
     misplaced: Tensor | None,
 ) -> tuple[Tensor, ...]:
     now = [t.contiguous() for t in (light, motion, depth, normal)]
-    recent = [t.contiguous(memory_format=torch.channels_last) for t in recent]
+    words = min(t.shape[1] for t in recent)  # frames of a history that another network began may have more
+    recent = [t[:, :words].contiguous(memory_format=torch.channels_last) for t in recent]
     B, _, H, W = light.shape
     footprint = uncovered is not None
     threads, K = torch.get_num_threads(), len(recent)
@@ -60,7 +61,7 @@ def recall(
         B,
         H,
         W,
-        recent[0].shape[1],
+        words,
         *tolerances,
         threads,
     )
