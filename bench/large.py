@@ -4,7 +4,7 @@ python bench/large.py SEQ ...    # sequences with references that no network was
 
 SEQ/spp4, SEQ/spp8 ... hold the same frames at more samples. Both signals are measured at 1 sample, and beauty at more:
 OIDN, `many` and the combiner. Writes bench/results/large.json, the tables of docs/results/large.md and strips of beauty
-in docs/images/large. An interrupted run continues.
+in docs/images/large. An interrupted run continues. FovVideoVDP needs `pip install pyfvvdp`.
 """
 
 from __future__ import annotations
