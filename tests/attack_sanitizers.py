@@ -115,7 +115,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
         yield "even_sky", even_sky(other, torch.where(seen, other, 0.5), sky)
     yield "within", pixels.within(image, 0.0, 1.0)
     yield "expand_within", expand_within(3 * other, one, other, image.abs())
-    pictures = other, other.flip(3), one, share, (0.4, 0.1)
+    pictures = other, other.flip(3), one, share, (0.4, 0.1, 0.1)
     for more in ((), (image.abs(), seen.float()), (image.abs(), seen.float(), other, share)):
         yield f"mix {len(more)}", mix(*pictures, *more)
     yield "block_luminance", block_luminance(image, 8)

@@ -39,7 +39,7 @@ def shares(monkeypatch, kernels, before=0.0):
     """Set the shares of the kernels' image and of the previous picture, whatever the noisy frame tells."""
 
     def mix(*arguments, noisy):
-        return mixing.mix(*arguments, shares=(kernels, before))
+        return mixing.mix(*arguments, shares=(kernels, before, kernels))
 
     monkeypatch.setattr(hybrid, "mix", mix)
 

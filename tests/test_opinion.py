@@ -14,7 +14,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.exposure import exposure
 from rtdenoise.models import AccumulatedKPNConfig, past
-from rtdenoise.models.mixing import BEFORE, KERNELS, mix
+from rtdenoise.models.mixing import SHARES, mix
 from rtdenoise.ops import warp
 from rtdenoise.ops.mix import share_told
 from rtdenoise.ops.recall import reset_of
@@ -88,6 +88,9 @@ def test_the_mixture_goes_where_the_frame_leads():
     held[..., :16, :16] = 0  # just uncovered, among pixels that tell of their own past
     plain, led = (mix(smooth, truth, one, before=smooth, held=held, noisy=noisy) for noisy in (None, truth))
     assert torch.equal(led[..., :16, :16], plain[..., :16, :16]) and (led != plain)[..., 16:].float().mean() > 0.9
+    few = mix(smooth, truth, one, before=smooth, held=held, shares=(0.4, 0.1, 0.1), noisy=truth)  # 0.1 at least
+    less = mix(smooth, truth, one, before=smooth, held=held, shares=(0.1, 0.1, 0.1))
+    torch.testing.assert_close(few[..., :16, :16], less[..., :16, :16])
     nowhere = mix(smooth, truth, one, before=smooth, held=0 * held, noisy=truth)  # none has a past: as a first frame
     assert torch.equal(nowhere, mix(smooth, truth, one, noisy=truth))
 
@@ -131,7 +134,7 @@ def test_oidn_gets_the_average_and_the_picture_is_history(weights, few, monkeypa
             trust = 1 - held * reset_of(after.recent[0])
             assert (trust > 0).all() and (trust < 1).any()
             before = warp(history.radiance, motion, on_screen, plain, cubic=True) if few else None
-        shares = (KERNELS, BEFORE) if few else opinion.FOR_MANY
+        shares = SHARES if few else opinion.FOR_MANY
         picture = Oidn().step(seen[-1])[0]
         expected = mix(plain, picture, exposure(plain), trust, before, held, shares, sanitise(frame).radiance)
         assert np.allclose(image, expected.numpy(), rtol=1e-4, atol=1e-5)

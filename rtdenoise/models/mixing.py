@@ -14,6 +14,7 @@ from ..ops.around import greatest_around
 from ..ops.mix import mix as mixture
 
 KERNELS, BEFORE = 0.4, 0.1  # the shares of the kernels' picture and of the previous one
+SHARES = KERNELS, BEFORE, KERNELS  # those of `ops.mix`
 SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history (`evened`)
 
 
@@ -24,7 +25,7 @@ def mix(
     trust: Tensor | float = 1.0,  # [B, 1, H, W] in [0, 1]
     before: Tensor | None = None,  # [B, 3, H, W]; None: there is none
     held: Tensor | float = 1.0,  # [B, 1, H, W] in [0, 1]: 0 where motion leads to no previous picture
-    shares: tuple[float, float] = (KERNELS, BEFORE),
+    shares: tuple[float, float, float] = SHARES,
     noisy: Tensor | None = None,  # [B, 3, H, W] the frame; None: shares are as they are
 ) -> Tensor:  # [B, 3, H, W] ≥ 0
     """`ops.mix`. Where a pixel was just uncovered and others around have a history, the noisy frame tells of these, not

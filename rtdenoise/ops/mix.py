@@ -6,7 +6,7 @@ With f(x) = log(1 + x), exposure s, the previous picture where each pixel was (`
     image = f⁻¹(t b · f(s · before) + (1 - t b) · mixed) / s
 
 with the shares a and b. Where the noisy frame is known, a is what it tells (`share_told`): the more samples a pixel,
-the more that is. Where it tells of other pixels, a is that at most.
+the more that is. Where it tells of other pixels, a is that, but not more than usual, and not less than a third share.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def mix(
     other: Tensor,  # [B, 3, H, W]
     scale: Tensor,  # [B, 1, 1, 1] exposure
     trust: Tensor,  # [B, 1, H, W] in [0, 1]
-    shares: tuple[float, float],  # a and b
+    shares: tuple[float, float, float],  # the usual a, b, and the least a where the noisy frame tells of other pixels
     before: Tensor | None = None,  # [B, 3, H, W]; None: there is none
     held: Tensor | None = None,  # [B, 1, H, W] in [0, 1], with `before`: 0 where motion leads to no previous picture
     noisy: Tensor | None = None,  # [B, 3, H, W] the frame; None: shares are as they are
@@ -45,7 +45,7 @@ def mix(
     share = shares[0]
     if noisy is not None:
         told = share_told(noisy, first, other, scale, share)
-        share = torch.lerp(told.clamp(max=share), told, tells)
+        share = torch.lerp(told.clamp(shares[2], share), told, tells)
     mixed = torch.lerp(shown(other), shown(first), trust * share)
     if before is not None:
         mixed = torch.lerp(mixed, shown(before), trust * shares[1] * held)

@@ -10,7 +10,7 @@ typedef struct {
     const float *first, *other, *before, *noisy;  // [3, H, W]; the last two may be NULL
     const float *trust, *held, *tells;            // [H, W]; the last two as those
     float *cells, *around, *out;                  // [rows, SUMS, columns] twice; [3, H, W]
-    float scale, usual, share;
+    float scale, usual, share, least;
     int64_t plane;
     int H, W, rows, columns;
 } Job;
@@ -77,7 +77,7 @@ static inline void told(Job j, int y, float *between, float *share) {
         float near = 1 - (u - left), far = u - left, noise = near * noisy[left] + far * noisy[right] + (float)NOISE;
         float a = (j.usual * noise + near * along[left] + far * along[right]) / (noise + near * square[left] + far * square[right]);
         a = MIN(MAX(a, 0), 1);
-        share[x] = lerp(MIN(a, j.usual), a, tells[x]);
+        share[x] = lerp(MIN(MAX(a, j.least), j.usual), a, tells[x]);
     }
 }
 
@@ -100,14 +100,14 @@ static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int
 // may be NULL. cells and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads` threads.
 void mix(const float *first, const float *other, const float *scale, const float *trust, const float *before, const float *held,
          const float *noisy, const float *tells, float *cells, float *around, float *space, float *out, int B, int H, int W,
-         float usual, float share, int threads) {
+         float usual, float share, float least, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
     for (int b = 0; b < B; b++) {
         Job j = {first + 3 * b * plane, other + 3 * b * plane, before ? before + 3 * b * plane : NULL,
                  noisy ? noisy + 3 * b * plane : NULL, trust + b * plane, before ? held + b * plane : NULL,
-                 noisy ? tells + b * plane : NULL, cells, around, out + 3 * b * plane, scale[b], usual, share, plane, H, W, rows,
-                 columns};
+                 noisy ? tells + b * plane : NULL, cells, around, out + 3 * b * plane, scale[b], usual, share, least, plane, H, W,
+                 rows, columns};
         for (int step = noisy ? 0 : 2; step < 3; step++) {
             int count = step < 2 ? rows : H;
 #pragma omp parallel for num_threads(threads) schedule(static)

@@ -18,7 +18,7 @@ def mix(
     other: Tensor,
     scale: Tensor,
     trust: Tensor,
-    shares: tuple[float, float],
+    shares: tuple[float, float, float],
     before: Tensor | None,
     held: Tensor | None,
     noisy: Tensor | None,
