@@ -23,6 +23,7 @@ from rtdenoise.evaluate.registry import DEFAULTS
 from rtdenoise.evaluate.run import NEEDS, EvaluateOptions, run
 from rtdenoise.files import lock
 from rtdenoise.models import PRESETS, CombinerConfig, available, create, find, load, save
+from rtdenoise.models.weights import bytes_of
 from rtdenoise.report import report
 
 PLAIN = ("noisy", "accumulate")
@@ -68,6 +69,7 @@ def test_weights_that_ship_later_are_found(monkeypatch):
 def test_weights_of_ones_own_are_measured_under_their_name(tmp_path):
     mine = tmp_path / "weights.safetensors"
     shutil.copy(find("fast"), mine)
+    shutil.copy(bytes_of(find("fast")), bytes_of(mine))
     ours, theirs = evaluate(make_frames(2, H=32, W=32), [f"mine={mine}", "fast", f"mine={mine}"])
     assert (ours.method, theirs.method) == ("mine", "fast") and torch.equal(ours.images[1], theirs.images[1])
 
