@@ -33,7 +33,7 @@ def mix(
     one = torch.ones_like(kernels[:, :1])
     trust, held = trust * one, held * one
     tells = held + (1 - held) * (1 - greatest_around(held)) if noisy is not None else None
-    return mixture(kernels, pixels, scale, trust, shares, before, held if before is not None else None, noisy, tells)
+    return mixture(kernels, pixels, scale, trust, shares, before, held, noisy, tells)
 
 
 def evened(light: Tensor, count: Tensor, image: Tensor, trust: Tensor | float = 1.0) -> Tensor:

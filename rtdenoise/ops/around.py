@@ -24,13 +24,13 @@ def greatest_around(x: Tensor) -> Tensor:
 def expand_within(
     compressed: Tensor,  # [B, 3, H, W] ≥ 0: log(1 + scale · light)
     scale: Tensor,  # [B, 1, 1, 1]
-    *pictures: Tensor,  # [B, 3, H, W] each; two
+    first: Tensor,  # [B, 3, H, W] a picture
+    other: Tensor,  # [B, 3, H, W] another one
 ) -> Tensor:  # [B, 3, H, W]
     """The light, held between the least and the greatest value of both pictures around each pixel: where a network that
     writes pixels must stay, so that black stays black and even light even."""
-    if run := FUSED(compressed=compressed, scale=scale, pictures=pictures):
-        return run(compressed, scale, *pictures)
-    first, other = pictures
+    if run := FUSED(compressed=compressed, scale=scale, first=first, other=other):
+        return run(compressed, scale, first, other)
     with torch.no_grad():
         least = -greatest_around(-torch.minimum(first, other))
         most = greatest_around(torch.maximum(first, other))

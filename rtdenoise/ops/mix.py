@@ -6,7 +6,7 @@ With f(x) = log(1 + x), exposure s, the previous picture where each pixel was (`
     image = f⁻¹(t b · f(s · before) + (1 - t b) · mixed) / s
 
 with the shares a and b. Where the noisy frame is known, a is what it tells (`share_told`): the more samples a pixel,
-the more that is. Where it tells of other pixels, a is that, but not more than usual, and not less than a third share.
+the more that is. Where it tells of other pixels, a is that, but not more than usual and not less than the last share.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def mix(
     trust: Tensor,  # [B, 1, H, W] in [0, 1]
     shares: tuple[float, float, float],  # the usual a, b, and the least a where the noisy frame tells of other pixels
     before: Tensor | None = None,  # [B, 3, H, W]; None: there is none
-    held: Tensor | None = None,  # [B, 1, H, W] in [0, 1], with `before`: 0 where motion leads to no previous picture
+    held: Tensor | None = None,  # [B, 1, H, W] in [0, 1], read with `before`: 0 where motion leads to no such picture
     noisy: Tensor | None = None,  # [B, 3, H, W] the frame; None: shares are as they are
     tells: Tensor | None = None,  # [B, 1, H, W] in [0, 1], with `noisy`: how far it tells of the pixel
 ) -> Tensor:  # [B, 3, H, W] ≥ 0

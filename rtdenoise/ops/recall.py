@@ -121,7 +121,8 @@ def keep(
     motion: Tensor | None,  # [B, 2, H, W] (x, y) in pixels; paths end at a frame without
     albedo: Tensor | None = None,  # [B, 3, H, W] for footprints
 ) -> Tensor:  # [B, 5, H, W] int32; 8 channels with albedo
-    """A frame as `recall` takes it: two bfloat16 in each integer, the first in its lower half."""
+    """A frame as `recall` takes it: two bfloat16 in each integer, the first in its lower half. Compiled code keeps them
+    together for each pixel (channels last)."""
     if motion is None:
         motion = torch.full_like(light[:, :2], FAR_AWAY)
     if run := KEEP(light=light, depth=depth, normal=normal, reset=reset, motion=motion, albedo=albedo):

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
 STORED = {"radiance": "image", "mean": "mean", "length": "length"}  # in a file -> field
-SEEN = "footprint", "footprint_count", "surface_count", "trust"  # where there are any
-FOOTPRINTS = {name: name for name in SEEN}  # likewise
+FOOTPRINTS = {name: name for name in ("footprint", "footprint_count", "surface_count", "trust")}  # if there are any
 LIGHT = ("radiance", "mean", "footprint")  # the first three channels of each
 
 

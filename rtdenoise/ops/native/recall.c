@@ -62,7 +62,7 @@ static inline void transpose(row r[WORDS]) {
     }
 }
 
-// The words of pixels at[0 ... n) of a kept frame; `at` has PART values.
+// The words of pixels at[0 ... n) of a kept frame; those of its first pixel up to a multiple of WORDS.
 static inline void fetch(const uint32_t *kept, int64_t plane, int words, int n, const int *at, uint32_t (*pixels)[PART]) {
     for (int x = 0; x < n; x += WORDS) {
         row rows[WORDS];
