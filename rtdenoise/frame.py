@@ -205,9 +205,22 @@ class Known:
     distance: Tensor | None = None  # [B, 1, 1, 1] likewise: the mean distance of its surfaces (`Denoiser.statistics`)
     noise: Tensor | None = None  # [B, 1, 1, 1] likewise: `exposure.noise_level`
     shift: Tensor | None = None  # [B, 2, H, W] pixels that belong to motion (`shift`)
+    # The frames after, the next one first, sanitised and with motion; all but the last have motion_next, as has the
+    # frame itself. For networks that keep recent frames (`run.lookahead`).
+    ahead: tuple[Frame, ...] = ()
 
 
 NOTHING_KNOWN = Known()
+
+
+def geometry(frame: Frame) -> History:
+    """A sanitised frame as the history that tells whether the next one belongs to its shot (`history.mismatch`)."""
+    return History(frame.radiance, frame.motion_next, frame.depth, frame.normal)
+
+
+def reverse(frame: Frame) -> Frame:
+    """The frame as it is when time runs backward: motion and motion_next have changed places."""
+    return replace(frame, motion=frame.motion_next, motion_next=frame.motion)
 
 
 def stack(frames: list[Frame]) -> Frame:

@@ -7,6 +7,8 @@ background that it has just uncovered. y showed one of them, and the depth of th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -50,6 +52,14 @@ def history_motion(
 def traditional(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
     """`history_motion` where no pixel is uncovered."""
     return frame.motion, on_screen(frame.motion), torch.zeros_like(frame.depth, dtype=torch.bool)
+
+
+def completed(frame: Frame, following: Frame | None = None) -> Frame:
+    """A frame with `motion_next`: where it has none, an approximate one from the next frame of the shot
+    (`splat_motion_next`), None at its end."""
+    if frame.motion_next is not None or following is None:
+        return frame
+    return replace(frame, motion_next=splat_motion_next(following.motion, following.depth, frame.depth))
 
 
 def splat_motion_next(

@@ -99,7 +99,11 @@ def clip():
     broken = frames[7].radiance.clone()
     broken[..., 4, 5] = math.nan
     frames[7] = replace(frames[7], radiance=broken)
-    return [(frame, number in (0, 5, 9), Known(covered=number in (2, 4))) for number, frame in enumerate(frames)]
+    ahead = {number: (sanitise(frames[number + 1]),) for number in (1, 4)}
+    return [
+        (frame, number in (0, 5, 9), Known(covered=number in (2, 4), ahead=ahead.get(number, ())))
+        for number, frame in enumerate(frames)
+    ]
 
 
 def play(step, device, rounds=3):
@@ -109,7 +113,7 @@ def play(step, device, rounds=3):
         history = None
         for frame, cut, known in clip():
             history = None if cut else history
-            known = replace(known, first=history is None)
+            known = replace(known, first=history is None, ahead=tuple(other.to(device) for other in known.ahead))
             if frame.number % 3 == 0:
                 frame, known = sanitise(frame), replace(known, sanitised=True)
             image, history = step(frame.to(device), history, known)
@@ -360,6 +364,9 @@ def every_kind_of_step(denoiser, H=37, W=50):
     for known in (Known(), window, Known(covered=True), Known(covered=True, still=True)):
         denoiser.step(frame, history, known)
     denoiser.step(frame, replace(history, motion_next=None))
+    if history.recent:
+        denoiser.step(frame, None, Known(ahead=(frame,)))
+        denoiser.step(frame, history, Known(ahead=(frame, frame)))
 
 
 @pytest.mark.parametrize("name", sorted(models.PRESETS))

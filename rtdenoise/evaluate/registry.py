@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -22,8 +22,11 @@ from ..models.inference import INT8
 from ..models.presets import SHRINKAGE
 from ..models.shrinkage import corrected
 from ..models.weights import bytes_of, find, read_config, read_model
+from ..run.backends import TorchBackend
 from ..run.graphs import stepper
+from ..run.lookahead import Lookahead
 from ..run.opinion import RECENT, Opinion
+from ..run.options import check_lookahead
 from ..run.passes import InMemory, Passes
 from ..sanitise import sanitise
 from .corrected import Corrected
@@ -32,6 +35,7 @@ from .sequence import Step
 PRECISIONS = ("fp32", "bf16", INT8)
 DEFAULTS = ("noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "quality")  # measured if none is named
 ALL = "all"
+AHEAD = re.compile(r"(.+)-ahead(\d+)")  # METHOD-aheadN: denoise --lookahead N
 CORRECTED = ("oidn", "default")  # methods that 'all' also has with every combiner
 
 
@@ -87,7 +91,8 @@ def methods() -> dict[str, Method]:
 def choose(names: Iterable[str]) -> list[Method]:
     """The methods of these names, in order, each once; `DEFAULTS` if there are none, every method for 'all'. NAME=FILE
     is the network of a weights file, under that name. METHOD+COMBINER is a method corrected by a combiner: `shrinkage`,
-    a model that ships, a weights file, or dc:FILE for a deep combiner.
+    a model that ships, a weights file, or dc:FILE for a deep combiner. METHOD-aheadN is a network that looks N frames
+    ahead.
 
     Raises InputError for an unknown name, a name that stands for two methods, and a missing file.
     """
@@ -95,8 +100,11 @@ def choose(names: Iterable[str]) -> list[Method]:
     asked = list(names) or [name for name in DEFAULTS if name in known]
     for name in [n for a in asked for n in (known if a == ALL else [a])]:
         base, plus, combiner = name.partition("+")
+        ahead = AHEAD.fullmatch(name)
         if plus and base in known and name not in known:
             method = _corrected(known[base], combiner)
+        elif ahead and ahead[1] in known:
+            method = _ahead(known[ahead[1]], int(ahead[2]))
         else:
             method = _of_file(*name.split("=", 1)) if "=" in name else known.get(name)
         if method is None:
@@ -167,6 +175,22 @@ def _with_oidn(name: str) -> list[Method]:
 
     return [Method(f"{name}-oidn", f"denoise --oidn with {name}", "network", None if reason else start, reason,
                    _precisions(find(name)), (name,))]  # fmt: skip
+
+
+def _ahead(base: Method, frames: int) -> Method:
+    """A network that looks ahead. Raises InputError for other methods and numbers out of range."""
+    check_lookahead(frames, f"{base.name}-ahead{frames}")
+    name = base.name.removesuffix("-oidn")
+    if name not in available() or "mean" not in read_config(name).carries:
+        raise InputError(f"{base.name}-ahead{frames}: {base.name} does not look ahead: it averages no light")
+
+    def start(device: str | torch.device, precision: str) -> Step:
+        backend = TorchBackend(name, str(device), precision, oidn=name != base.name, lookahead=frames)
+        step = Lookahead(backend.denoise, frames).step
+        return lambda frame, history: step(frame and backend.prepare(frame), history)
+
+    return replace(base, name=f"{base.name}-ahead{frames}", what=f"{base.what}, {frames} frames ahead",
+                   start=start if base.start else None, delay=frames)  # fmt: skip
 
 
 def _corrected(base: Method, combiner: str) -> Method:

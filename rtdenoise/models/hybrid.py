@@ -55,7 +55,7 @@ class Hybrid(AccumulatedKPN):
             trust = 1 - held * kernels.heads.reset
 
             # Show the other network what has been seen in each pixel.
-            radiance, *guides = seen(frame, history, after, known).split(FOOTPRINT, dim=1)
+            radiance, *guides = seen(frame, history, after, known, past.later).split(FOOTPRINT, dim=1)
             radiance = evened(radiance, after.footprint_count, image, trust)
             scale = CONTRAST * known.exposure
         pixels = expand_within(self.pixels(radiance, *guides, scale), scale, radiance, image)

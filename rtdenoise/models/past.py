@@ -10,11 +10,11 @@ from torch import Tensor
 
 from ..constants import RECALL_MISPLACED, RECALL_NOISY
 from ..exposure import noise_level
-from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
-from ..ops.over import over
+from ..ops.over import over, over_and_coverage
 from ..ops.pixels import accumulate, demodulate
-from ..ops.recall import keep, recall
+from ..ops.recall import Recalled, keep, recall
 from ..shift import picture
 from ..shift.light import light_shift
 from ..splat import history_motion
@@ -36,6 +36,7 @@ class Past:
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
     footprint: Tensor | None = None  # [B, 9, H, W] mean of `footprint` in recent frames, where the history keeps any
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
+    later: History | None = None  # what the frames after know (`later`)
 
 
 def reprojected(
@@ -46,18 +47,26 @@ def reprojected(
     known: Known = NOTHING_KNOWN,
 ) -> Past:
     """History, reprojected to this frame: means from the same surface only, the previous output from any. Light is the
-    mean of recent frames where `config.recent` keeps any, or else a running mean."""
-    if history is None:
-        nothing = torch.zeros_like(frame.radiance)
-        never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
-        return Past(nothing, nothing, nothing[:, :1], nothing[:, :1], frame.radiance, never, never)
+    mean of recent frames where `config.recent` keeps any, and of those of `known.ahead`, or else a running mean."""
+    past = _nothing(frame) if history is None else _before(config, frame, noisy, history, known)
+    return _and_after(past, config, frame, noisy, known) if known.ahead else past
+
+
+def _nothing(frame: Frame) -> Past:
+    """The past of a first frame."""
+    nothing = torch.zeros_like(frame.radiance)
+    never = torch.zeros_like(nothing[:, :1], dtype=torch.bool)
+    return Past(nothing, nothing, nothing[:, :1], nothing[:, :1], frame.radiance, never, never)
+
+
+def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known: Known) -> Past:
+    """What the frames before know."""
     kind = "traditional" if known.covered else config.motion
     motion, seen, uncovered = history_motion(frame, history, kind, known.shift)
     here, before = (frame.depth, frame.normal), (history.depth, history.normal)
     seen_there = None, None
     if config.recent:
-        for_footprints = (uncovered, misplaced(frame, known)) if config.footprint else ()
-        recalled = recall(noisy, motion, here, history.recent, *for_footprints)
+        recalled = _recalled(config, frame, noisy, motion, history, uncovered, known)
         light, length, seen_there = recalled.light, recalled.count, (recalled.footprint, recalled.footprint_count)
         albedo, found = reproject(history.mean_albedo, motion, here, before)
         albedo_length = length * found
@@ -69,6 +78,43 @@ def reprojected(
     return Past(light, albedo, length, albedo_length, output, seen, uncovered, *seen_there)
 
 
+def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: Known) -> Past:
+    """`past` with the light, and the footprint, of the frames after in its means."""
+    after, shift = later(config, frame, known), None if known.shift is None else -known.shift
+    motion, _, covered = history_motion(reverse(frame), after, config.motion, shift)
+    found = _recalled(config, frame, noisy, motion, after, covered, known)
+    light, length = _joined(past.light, past.length, found.light, found.count)
+    past, seen = replace(past, light=light, length=length, later=after), (found.footprint, found.footprint_count)
+    if config.footprint and past.footprint is not None:
+        seen = _joined(past.footprint, past.footprint_count, *seen)
+    return replace(past, footprint=seen[0], footprint_count=seen[1])
+
+
+def later(config: Config, frame: Frame, known: Known) -> History | None:
+    """The frames after as a history of the reversed frame, None where there are none: geometry and `recent`. Light
+    moves on over its surfaces as it has moved here (`Known.shift`)."""
+    if not known.ahead:
+        return None
+    following, shift = known.ahead[0], None if known.shift is None else -known.shift
+    stays = torch.zeros_like(frame.depth)
+    recent = tuple(kept(config, reverse(other), stays, shift=shift) for other in known.ahead)
+    return History(following.radiance, following.motion, following.depth, following.normal, recent=recent)
+
+
+def _recalled(
+    config: Config, frame: Frame, noisy: Tensor, motion: Tensor, history: History, uncovered: Tensor, known: Known
+) -> Recalled:
+    """`recall` of the history's recent frames."""
+    for_footprints = (uncovered, misplaced(frame, known)) if config.footprint else ()
+    return recall(noisy, motion, (frame.depth, frame.normal), history.recent, *for_footprints)
+
+
+def _joined(a: Tensor, n: Tensor, b: Tensor, m: Tensor) -> tuple[Tensor, Tensor]:
+    """Means of n and of m frames as one, and the frames in it."""
+    total = n + m
+    return (n * a + m * b) / total.clamp(min=1e-6), total
+
+
 def misplaced(frame: Frame, known: Known) -> Tensor:
     """How much less lookups off the pixel count, `[B, 1, 1, 1]` (`ops.recall`): the less noise, the more."""
     noise = noise_level(frame.radiance, frame.depth) if known.noise is None else known.noise
@@ -76,8 +122,15 @@ def misplaced(frame: Frame, known: Known) -> Tensor:
 
 
 def shifted(frame: Frame, history: History | None, known: Known) -> Known:
-    """`known` with how far light has moved over its surfaces in a sanitised frame, if it has and that is not known."""
-    if history is None or history.noisy is None or known.on_surfaces or known.shift is not None:
+    """`known` with how far light has moved over its surfaces in a sanitised frame, if it has and that is not known. In
+    a first frame it is supposed to have moved as it will to the frame after."""
+    if known.on_surfaces or known.shift is not None:
+        return known
+    if history is None and known.ahead:
+        other = known.ahead[0]
+        shift = light_shift(frame.radiance, other.radiance, frame.motion_next, frame.depth, other.depth)
+        return replace(known, on_surfaces=True) if shift is None else replace(known, shift=-shift)
+    if history is None or history.noisy is None:
         return known
     shift = shift_of(frame, history.noisy, history.depth, history.shifts[:1])
     return replace(known, on_surfaces=True) if shift is None else replace(known, shift=shift, still=False)
@@ -109,7 +162,7 @@ def kept(
     `Known.shift`."""
     if noisy is None:
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)
-    motion = frame.motion if shift is None else frame.motion + shift
+    motion = frame.motion if shift is None or frame.motion is None else frame.motion + shift
     return keep(noisy, frame.depth, frame.normal, reset, motion, frame.albedo if config.footprint else None)
 
 
@@ -127,9 +180,20 @@ def footprint_of(frame: Frame) -> Tensor:
     return torch.cat([frame.radiance, frame.albedo, frame.normal], dim=1)
 
 
-def seen(frame: Frame, history: History | None, after: History, known: Known = NOTHING_KNOWN) -> Tensor:
+def seen(
+    frame: Frame, history: History | None, after: History, known: Known = NOTHING_KNOWN, later: History | None = None
+) -> Tensor:
     """`after.footprint` of a sanitised frame of one sample a pixel, with edges that move against what is behind them
-    (`ops.over`), `[B, 9, H, W]`: for networks that filter what a pixel shows."""
-    if history is None or known.still:
-        return after.footprint
-    return over(after.footprint, footprint_of(frame), frame.motion, frame.depth, history.recent)
+    (`ops.over`), `[B, 9, H, W]`: for networks that filter what a pixel shows. `later`: as the function has it. Where
+    frames before and frames after know such an edge, it is their mean, weighted by the frames that looked there."""
+    seen, now, sides = after.footprint, footprint_of(frame), []
+    if history is not None and not known.still:
+        sides.append((frame.motion, history.recent))
+    if later is not None:
+        sides.append((frame.motion_next, later.recent))
+    if len(sides) < 2:
+        return over(seen, now, sides[0][0], frame.depth, sides[0][1]) if sides else seen
+    (a, of_a), (b, of_b) = (over_and_coverage(seen, now, motion, frame.depth, recent) for motion, recent in sides)
+    edge_a, edge_b = ((coverage != 0).any(1, keepdim=True) for coverage in (of_a, of_b))
+    both, _ = _joined(a, 1 + of_a[:, 2:], b, 1 + of_b[:, 2:])
+    return torch.where(edge_a & edge_b, both, torch.where(edge_b, b, a))

@@ -43,10 +43,10 @@ class Backend(Protocol):
     def mismatch(self, frame: Frame, history: Any) -> float:
         """`history.mismatch` of a prepared frame: above `frame.MAX_CUT_MISMATCH` history belongs to another shot."""
 
-    def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
-        """Denoise a prepared frame: `[1, 3, H, W]`, and the history for the next one."""
+    def step(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[np.ndarray, Any]:
+        """Denoise a prepared frame: `[1, 3, H, W]`, and the history for the next one. `ahead`: `Known.ahead`."""
 
-    def denoise(self, frame: Frame, history: Any) -> tuple[Any, Any]:
+    def denoise(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[Any, Any]:
         """`step` with the image where the backend has it: a tensor on its device, or a numpy array."""
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
@@ -69,10 +69,11 @@ def open_backend(
     correct: bool = False,
     oidn: bool = False,
     recent: int | None = None,
+    lookahead: int = 0,
 ) -> Backend:
     """The backend `name` with a model in it; 'auto' is torch where it is installed. With `correct` its images are
-    corrected by the residuals of the frames before (`models.shrinkage.correct`). `oidn` and `recent`: as for
-    `TorchBackend`.
+    corrected by the residuals of the frames before (`models.shrinkage.correct`). `oidn`, `recent` and `lookahead`: as
+    for `TorchBackend`.
 
     Raises InputError for an unknown name, a device, precision or correction that the backend lacks, and as `load` for
     the model.
@@ -83,8 +84,8 @@ def open_backend(
     if name == "torch" and not has_torch:
         raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
     if name == "torch" or (name == "auto" and has_torch):
-        return TorchBackend(model, device, precision, correct, oidn, recent)
-    for chosen, what in ((correct, "the correction"), (oidn, "--oidn")):
+        return TorchBackend(model, device, precision, correct, oidn, recent, lookahead=lookahead)
+    for chosen, what in ((correct, "the correction"), (oidn, "--oidn"), (lookahead, "--lookahead")):
         if chosen:
             advice = "take the backend torch" if has_torch else INSTALL_TORCH
             raise InputError(f"{what} runs in PyTorch alone; {advice}, or leave it out")
@@ -103,10 +104,12 @@ class TorchBackend:
         oidn: bool = False,
         recent: int | None = None,
         footprint: bool = False,
+        lookahead: int = 0,
     ) -> None:
         """`oidn` mixes OIDN's opinion into the images (`opinion`). `recent`: frames that a network which averages light
         keeps, in place of its configuration's; 0 is a running mean, by the same weights. `footprint`:
-        its histories have one, of `opinion.RECENT` frames; `oidn` needs them, too."""
+        its histories have one, of `opinion.RECENT` frames; `oidn` needs them, too. `lookahead`: frames that its steps
+        will get `ahead`; networks that keep none then keep `opinion.RECENT`. Raises InputError where one cannot."""
         from ..models import load
         from ..models.inference import choose_device
         from .graphs import stepper
@@ -117,12 +120,17 @@ class TorchBackend:
         if correct and self._denoiser.config.motion is None:
             raise InputError(f"{model}: denoises single pictures, and the correction needs the frames before")
         averages = "mean" in self._denoiser.config.carries
+        if lookahead and not averages:
+            raise InputError(f"--lookahead: model {model!r} does not average light over time; choose hybrid, default, "
+                             "many, fast or quality")  # fmt: skip
         if oidn and not averages:
             raise InputError(f"--oidn: model {model!r} does not average light; choose default, many, fast or quality")
         self._correct, self._opinion = correct, Opinion(self._denoiser.config) if oidn else None
         wanted = {} if recent is None else {"recent": recent}
         if oidn or footprint:
             wanted = {"recent": RECENT, "footprint": True}
+        elif lookahead and averages and not self._denoiser.config.recent:
+            wanted = {"recent": RECENT}
         if averages:
             self._denoiser.config = replace(self._denoiser.config, **wanted)
         self._step = self._whole = stepper(self._denoiser)
@@ -145,14 +153,14 @@ class TorchBackend:
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
             return sanitise(frame.map(torch.as_tensor).to(self.device))
 
-    def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+    def step(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[np.ndarray, Any]:
         import torch
 
-        image, history = self.denoise(frame, history)
+        image, history = self.denoise(frame, history, ahead)
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
             return image.cpu().numpy(), history
 
-    def denoise(self, frame: Frame, history: Any) -> tuple[Tensor, Any]:
+    def denoise(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[Tensor, Any]:
         import torch
 
         from ..models.shrinkage import corrected
@@ -161,7 +169,7 @@ class TorchBackend:
         step = corrected(step) if self._correct else step
         step = partial(self._opinion.step, step) if self._opinion else step
         with torch.inference_mode(), explained(frame.name, frame.size, self.device):
-            return step(frame, history, Known(sanitised=True))
+            return step(frame, history, Known(sanitised=True, ahead=ahead))
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         from .planned import Planned
@@ -247,7 +255,7 @@ class GlslBackend:
     def mismatch(self, frame: Frame, history: Any) -> float:
         return self._pipeline.mismatch(frame, history[0])
 
-    def step(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+    def step(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[np.ndarray, Any]:
         resident, motion_next = history or (None, None)
         known = NOTHING_KNOWN
         if self._left_out is not None:
@@ -256,7 +264,7 @@ class GlslBackend:
         image, resident = self._pipeline.step(frame, resident, known)
         return image, (resident, frame.motion_next)  # the next frame's plan needs this motion_next
 
-    def denoise(self, frame: Frame, history: Any) -> tuple[np.ndarray, Any]:
+    def denoise(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[np.ndarray, Any]:
         return self.step(frame, history)
 
     def save(self, history: Any) -> dict[str, np.ndarray]:

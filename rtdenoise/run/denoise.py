@@ -13,14 +13,15 @@ from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from ..frame import MAX_CUT_MISMATCH, Frame
+from ..frame import Frame
 from ..models.weights import read_config
 from ..sanitise import faults
 from .backends import Backend, open_backend
 from .choice import open_chosen
+from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
 from .light import in_parts
-from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, check_samples
+from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, check_lookahead, check_samples
 from .state import STATE, last_of_shot, read_state, save_state
 
 
@@ -37,6 +38,9 @@ def denoise(
     Frames that an earlier run with the same options has finished are skipped, and history goes on from its saved
     state, so the outcome is that of one undisturbed run: also where it was interrupted, and where frames have been
     appended to the input since. `on_frame(done, total)` is called at the start and after each frame.
+
+    With `options.lookahead` or `offline` appended frames change what those before them look like, so that a finished
+    run is not continued: `overwrite` starts anew.
 
     With `options.offline` see `offline.denoise_offline`: there `total` counts the frames of both passes.
 
@@ -65,6 +69,7 @@ def denoise(
         options.correct,
         options.oidn,
         recent=0 if in_passes else None,
+        lookahead=options.lookahead,
     )
     if len(sequence) > 1 and backend.config.motion is not None:
         sequence.require("motion")
@@ -95,6 +100,8 @@ def _run(
     on_frame: Callable[[int, int], None],
 ) -> Summary:
     fingerprints = digest(sequence, options)
+    if options.lookahead:  # appended frames change what the frames before them look like
+        fingerprints = [fingerprints[-1]] * len(fingerprints)
     done, history, summary = (
         (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend, options)
     )
@@ -117,22 +124,23 @@ def _run(
         sequence = sequence.only({*summary.plan.layers, *(("samples",) if options.correct else ())})
 
     on_frame(done, len(sequence))
+    def frame(i: int) -> Frame:
+        found = read(sequence, i)
+        return found.with_samples(options.samples or sequence.header.samples) if options.correct else found
+
+    reader = Reader(frame, sequence.numbers, backend, options.lookahead, options.detect_cuts)
+    spent = summary.seconds
     for i in range(done, len(sequence)):
-        frame = read(sequence, i)
-        if options.correct:
-            frame = frame.with_samples(options.samples or sequence.header.samples)
-        for what, count in faults(frame).items():
+        this, ahead = reader.take(i, history)
+        for what, count in faults(this.raw).items():
             summary.replaced[what] = summary.replaced.get(what, 0) + count
-        if i and frame.number != sequence.numbers[i - 1] + 1:
-            history = None
+        if this.cut:
+            summary.cuts.append(this.raw.number)
         started = time.perf_counter()
-        prepared = backend.prepare(frame)
-        if options.detect_cuts and history is not None and backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
-            summary.cuts.append(frame.number)
-            history = None
-        image, history = backend.step(prepared, history)
-        summary.seconds += time.perf_counter() - started
-        for channel, count in write(out, sequence, i, frame, image).items():
+        image, history = backend.step(this.prepared, history if this.goes_on else None, ahead)
+        spent += time.perf_counter() - started
+        summary.seconds = spent + reader.seconds
+        for channel, count in write(out, sequence, i, this.raw, image).items():
             summary.passed_on[channel] = summary.passed_on.get(channel, 0) + count
         written.add(names[i])
         save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options, written.digest)
@@ -149,6 +157,9 @@ def _check(options: Options) -> None:
     if options.oidn and (options.offline or options.correct or options.lights or options.also):
         raise InputError("--oidn: goes without --offline, which asks OIDN anyway, --correct, --lights and --also")
     check_samples(options.samples)
+    check_lookahead(options.lookahead)
+    if options.lookahead and (options.offline or options.lights or options.also):
+        raise InputError("--lookahead: goes without --offline, which looks at all frames, --lights and --also")
     if options.samples and not options.correct and options.model != AUTO:
         raise InputError(f"--samples {options.samples}: goes with --correct, or without --model")
 

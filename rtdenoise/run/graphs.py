@@ -91,7 +91,7 @@ class Graphed:
         """As the denoiser's own step."""
         self._steps += 1
         given = _tensors(frame, history, known, (*LAYERS, *self.denoiser.config.reads))
-        flags = replace(known, exposure=None, distance=None, noise=None, shift=None)
+        flags = replace(known, exposure=None, distance=None, noise=None, shift=None, ahead=())
         kind = flags, tuple(_description(name, tensor) for name, tensor in given.items())
         if kind not in self.recordings and kind in self._seen and self._room():
             self._add(kind, given)
@@ -170,6 +170,8 @@ def _tensors(frame: Frame, history: History | None, known: Known, read: Collecti
     statistics = {n: t for n in ("exposure", "distance", "noise", "shift") if (t := getattr(known, n)) is not None}
     layers = {n: t for n, t in frame.layers() if n in read}
     owners = {"frame": layers, "history": history.layers() if history else {}, "known": statistics}
+    for i, other in enumerate(known.ahead):
+        owners[f"ahead{i}"] = {n: t for n, t in other.layers() if n in read}
     return {f"{owner}.{name}": tensor for owner, tensors in owners.items() for name, tensor in tensors.items()}
 
 
@@ -179,5 +181,6 @@ def _arguments(tensors: dict[str, Tensor], known: Known) -> tuple[Frame, History
     def of(owner: str) -> dict[str, Tensor]:
         return {n.removeprefix(owner): t for n, t in tensors.items() if n.startswith(owner)}
 
-    past = of("history.")
-    return Frame(**of("frame.")), History.from_layers(past) if past else None, replace(known, **of("known."))
+    past, count = of("history."), len({name.partition(".")[0] for name in tensors if name.startswith("ahead")})
+    known = replace(known, **of("known."), ahead=tuple(Frame(**of(f"ahead{i}.")) for i in range(count)))
+    return Frame(**of("frame.")), History.from_layers(past) if past else None, known

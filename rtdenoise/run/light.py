@@ -119,7 +119,7 @@ class LightBackend:
     def mismatch(self, frame: Prepared, history: Any) -> float:
         return self._inner.mismatch(frame.frame, history)
 
-    def step(self, frame: Prepared, history: Any) -> tuple[dict[str, np.ndarray], Any]:
+    def step(self, frame: Prepared, history: Any, ahead: tuple = ()) -> tuple[dict[str, np.ndarray], Any]:
         import torch
 
         from ..models.parts import step
@@ -137,7 +137,7 @@ class LightBackend:
                 found[PICTURE] = sum(found[name] for name in lights) if lights else whole
             return {name: image.cpu().numpy() for name, image in found.items()}, history
 
-    def denoise(self, frame: Prepared, history: Any) -> tuple[dict[str, np.ndarray], Any]:
+    def denoise(self, frame: Prepared, history: Any, ahead: tuple = ()) -> tuple[dict[str, np.ndarray], Any]:
         return self.step(frame, history)
 
     def save(self, history: Any) -> dict[str, np.ndarray]:

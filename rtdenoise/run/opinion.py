@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..models.mixing import SHARES, evened, mix
-from ..models.past import followed, seen, shifted
+from ..models.past import followed, later, seen, shifted
 from ..models.presets import Config
 from ..ops import warp
 from ..ops.even_sky import even_sky
@@ -42,6 +42,7 @@ class Opinion:
         if not installed():
             raise InputError("--oidn: OIDN is not installed: pip install pyoidn")
         self._oidn, self._motion, self._few = Oidn(), config.motion, config.recent > 0
+        self._config = replace(config, footprint=True) if self._few else config
         self.shares = SHARES if self._few else FOR_MANY
 
     def step(
@@ -54,7 +55,9 @@ class Opinion:
         frame, known = frame if known.sanitised else sanitise(frame), replace(known, sanitised=True)
         known = shifted(frame, history, known)
         image, onward = step(frame, history, replace(known, part=True))
-        shown = seen(frame, history, onward, known) if self._few else onward.footprint
+        shown = onward.footprint
+        if self._few:
+            shown = seen(frame, history, onward, known, later(self._config, frame, known))
         radiance, albedo, normal = shown.split(FOOTPRINT, dim=1)
         trust, before, held = 1.0, None, 1.0
         if history is not None:

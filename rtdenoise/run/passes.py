@@ -24,11 +24,11 @@ from torch import Tensor
 
 from ..baselines.oidn import Oidn, installed
 from ..errors import InputError
-from ..frame import Frame, History
+from ..frame import Frame, History, reverse
 from ..ops.even_sky import even_sky
 from ..ops.recall import FOOTPRINT, reset_of
 from ..sanitise import sanitise
-from ..splat import splat_motion_next
+from ..splat import completed
 from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
 from .covered import as_covered
@@ -97,19 +97,6 @@ class Passes:
             if estimate.first:
                 return estimate.image
         return torch.from_numpy(self.backend.step(frame, None)[0]).to(frame.radiance.device)
-
-
-def completed(frame: Frame, following: Frame | None = None) -> Frame:
-    """A frame with `motion_next`: where it has none, an approximate one from the next frame of the shot
-    (`splat.splat_motion_next`), None at its end."""
-    if frame.motion_next is not None or following is None:
-        return frame
-    return replace(frame, motion_next=splat_motion_next(following.motion, following.depth, frame.depth))
-
-
-def reverse(frame: Frame) -> Frame:
-    """A completed frame as the backward pass sees it: motion and motion_next have changed places."""
-    return replace(frame, motion=frame.motion_next, motion_next=frame.motion)
 
 
 class InMemory:

@@ -36,7 +36,8 @@ class Planned:
         """As the denoiser's own step."""
         frame = frame if known.sanitised else sanitise(frame)
         found = look(frame, history and history.motion_next, history is not None)
-        known = replace(known, first=found.first, still=found.still, covered=found.covered, sanitised=True)
+        first = found.first and not known.ahead
+        known = replace(known, first=first, still=found.still, covered=found.covered, sanitised=True)
         count(self.left_out, known, keeps_means="mean" in self.denoiser.config.carries)
         plain = self._plain(frame, history) if self._image_alone else None
         if plain is None:

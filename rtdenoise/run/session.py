@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import warnings
+from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import InputError
-from ..frame import CHANNELS, MAX_CUT_MISMATCH, Frame
-from .arrays import from_planes, to_planes
+from ..frame import CHANNELS, MAX_CUT_MISMATCH, Frame, geometry
+from .arrays import Form, from_planes, to_planes
 from .backends import open_backend
-from .options import check_samples
+from .options import check_lookahead, check_samples
 from .threads import set_defaults
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ class Denoiser:
         correct: bool = False,
         oidn: bool = False,
         samples: int = 0,
+        lookahead: int = 0,
     ) -> None:
         """`model` is the name of a model that ships ('default', 'fast', 'hybrid' ...) or a .safetensors file.
 
@@ -72,7 +74,9 @@ class Denoiser:
         glsl 'fp16') or 'auto'. `detect_cuts` starts history anew where most pixels find another surface than their
         motion promises. `correct` corrects each frame by the noisy ones before it, for 4 samples a pixel and more;
         `samples` says how many there are, so that edges are corrected, too. `oidn` mixes in OIDN's picture of the
-        averaged light, one picture at a time; it goes without `correct`.
+        averaged light, one picture at a time; it goes without `correct`. With `lookahead` each frame is denoised with
+        so many frames after it: a call returns the picture of the frame so many calls before, None at first, and
+        `flush` the last ones.
 
         Raises InputError for an unknown model, backend, device or precision, a correction without torch, and `samples`
         without a correction or beyond all sense.
@@ -86,8 +90,15 @@ class Denoiser:
         self.started = True
         """Whether the last call started history anew."""
         self._detect_cuts = detect_cuts
-        self._backend, self._samples = open_backend(backend, str(model), device, precision, correct, oidn), samples
-        self._history: Any = None
+        check_lookahead(lookahead, "lookahead")
+        self._backend = open_backend(backend, str(model), device, precision, correct, oidn, lookahead=lookahead)
+        self._samples, self._history = samples, None
+        self._delayed = None  # with `lookahead`; then the history is that of cuts alone
+        if lookahead:
+            from .lookahead import Delayed
+
+            self._delayed = Delayed(self._backend.denoise, lookahead)
+        self._forms: deque[Form] = deque()  # of the frames whose picture is yet to come
         self._shape: tuple[int, ...] = ()  # of the frame before
         self._count = 0  # frames so far
         self._said: set[str] = set()
@@ -101,8 +112,9 @@ class Denoiser:
         depth: np.ndarray | Tensor | None = None,
         motion: np.ndarray | Tensor | None = None,
         motion_next: np.ndarray | Tensor | None = None,
-    ) -> np.ndarray | Tensor:
-        """The next frame, denoised: an array like `color`. See `help(rtdenoise.Denoiser)` for the arguments.
+    ) -> np.ndarray | Tensor | None:
+        """The next frame, denoised: an array like `color`. See `help(rtdenoise.Denoiser)` for the arguments. With
+        `lookahead` the frame so many calls before; None at first.
 
         Raises InputError, in one line, for arrays of other shapes, integers, and layers of another size than `color`.
         """
@@ -116,9 +128,22 @@ class Denoiser:
         prepared = self._backend.prepare(frame)
         if self._detect_cuts and history is not None and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             history = None
-        image, self._history = self._backend.denoise(prepared, history)
         self.started, self._shape, self._count = history is None, tuple(radiance.shape), self._count + 1
-        return from_planes(image, form)
+        self._forms.append(form)
+        if self._delayed is None:
+            image, self._history = self._backend.denoise(prepared, history)
+        else:
+            if history is None:
+                self._delayed.end_shot()
+            image, self._history = self._delayed.add(prepared), geometry(prepared)
+        return None if image is None else from_planes(image, self._forms.popleft())
+
+    def flush(self) -> list[np.ndarray | Tensor]:
+        """With `lookahead`, the frames that are yet to come, in order, at the end of an animation. The next frame
+        starts a new shot."""
+        self._history = None
+        images = self._delayed.flush() if self._delayed else []
+        return [from_planes(image, self._forms.popleft()) for image in images]
 
     def reset(self) -> None:
         """Forget the frames so far: the next one starts a new shot."""

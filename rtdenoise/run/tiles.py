@@ -65,7 +65,7 @@ def step_in_windows(
     known = shifted(frame, history, known)
     image = torch.zeros_like(frame.radiance) + elsewhere
     after = {"radiance": image.clone()}
-    lengths = carried(frame, history)
+    lengths = _farther(carried(frame, history), carried_ahead(frame, known.ahead))
     if lengths is not None and known.shift is not None:
         lengths = lengths + known.shift.abs()
     before = history and replace(history, found=None, shifts=())
@@ -75,6 +75,7 @@ def step_in_windows(
         within = replace(known, part=True)
         if known.shift is not None:
             within = replace(within, shift=known.shift[..., top:bottom, left:right])
+        within = replace(within, ahead=tuple(other.crop(top, left, *size) for other in known.ahead))
         part, part_history = denoiser.step(
             frame.crop(top, left, *size), before and _crop_history(before, window, frame.size), within
         )
@@ -102,12 +103,29 @@ def carried(frame: Frame, history: History | None) -> Tensor | None:
     if history.motion_next is None:  # splatted to the target of motion, and looked up there
         lengths = 2 * lengths
     else:
-        dual = history.motion_next.abs()
-        lengths = lengths.maximum(torch.where(dual < max(frame.size), dual, 0.0))
+        lengths = lengths.maximum(_on_screen(history.motion_next, frame.size))
     for kept in history.recent[:-1]:  # each leads on to the one before
-        onward = motion_of(kept).abs()
-        lengths = lengths + torch.where(onward < max(frame.size), onward, 0.0).amax((2, 3), keepdim=True) + 1
+        lengths = lengths + _on_screen(motion_of(kept), frame.size).amax((2, 3), keepdim=True) + 1
     return lengths + 5  # lookup between pixels, cracks of the splat
+
+
+def carried_ahead(frame: Frame, ahead: tuple[Frame, ...]) -> Tensor | None:
+    """`carried` of the frames after."""
+    if not ahead:
+        return None
+    lengths = _on_screen(frame.motion_next, frame.size).maximum(_on_screen(ahead[0].motion, frame.size))
+    for other in ahead[:-1]:
+        lengths = lengths + _on_screen(other.motion_next, frame.size).amax((2, 3), keepdim=True) + 1
+    return lengths + 5
+
+
+def _on_screen(motion: Tensor, size: tuple[int, int]) -> Tensor:
+    """The length of motion that can lead to the screen, in x and y; else 0."""
+    return torch.where(motion.abs() < max(size), motion.abs(), 0.0)
+
+
+def _farther(a: Tensor | None, b: Tensor | None) -> Tensor | None:
+    return a.maximum(b) if a is not None and b is not None else a if b is None else b
 
 
 def widened(core: Window, lengths: Tensor | None, reach: int, size: tuple[int, int]) -> Window:

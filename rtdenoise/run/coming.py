@@ -1,0 +1,59 @@
+"""The frames of a sequence as `denoise` takes them: each prepared, and with those after it in its shot."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ..frame import MAX_CUT_MISMATCH, Frame, geometry
+from .backends import Backend
+
+
+@dataclass(frozen=True)
+class Coming:
+    """A frame that has been read."""
+
+    raw: Frame  # as it was read
+    prepared: Any  # by the backend
+    goes_on: bool  # with the shot of the frame before
+    cut: bool  # it would, but for what it shows
+
+
+class Reader:
+    """Reads on `lookahead` frames beyond the one to denoise. `seconds`: how long the backend took to prepare them."""
+
+    def __init__(
+        self, read: Callable[[int], Frame], numbers: list[int], backend: Backend, lookahead: int, detect_cuts: bool
+    ) -> None:
+        """`numbers`: those of all frames."""
+        self.seconds = 0.0
+        self._read, self._numbers, self._backend = read, numbers, backend
+        self._lookahead, self._detect_cuts = lookahead, detect_cuts
+        self._waiting: list[Coming] = []
+
+    def take(self, i: int, history: Any) -> tuple[Coming, tuple[Frame, ...]]:
+        """Frame i, which comes after the last one taken, and those after it in its shot, prepared. `history`: after the
+        frame before."""
+        while len(self._waiting) <= self._lookahead and i + len(self._waiting) < len(self._numbers):
+            self._add(i + len(self._waiting), history)
+        this, *self._waiting = self._waiting
+        cut = next((k for k, other in enumerate(self._waiting) if not other.goes_on), len(self._waiting))
+        return this, tuple(other.prepared for other in self._waiting[:cut])
+
+    def _add(self, i: int, history: Any) -> None:
+        """Read frame i."""
+        raw = self._read(i)
+        started = time.perf_counter()
+        prepared, last = self._backend.prepare(raw), self._waiting[-1] if self._waiting else None
+        if last is not None:
+            history = geometry(last.prepared)
+        goes_on = history is not None and i > 0 and raw.number == self._numbers[i - 1] + 1
+        cut = goes_on and self._detect_cuts and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH
+        if last is not None and goes_on and not cut:
+            from ..splat import completed
+
+            self._waiting[-1] = replace(last, prepared=completed(last.prepared, prepared))
+        self._waiting.append(Coming(raw, prepared, goes_on and not cut, cut))
+        self.seconds += time.perf_counter() - started

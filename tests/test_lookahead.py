@@ -1,0 +1,219 @@
+"""`denoise --lookahead`: frames after count as those before do; runs, cuts and programs; what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import Stop, behind_glass, make_frames, stop_after, write_sequence
+from test_denoise import pixels
+
+from rtdenoise import Denoiser, models
+from rtdenoise.errors import InputError
+from rtdenoise.evaluate import evaluate, outputs
+from rtdenoise.evaluate.registry import choose
+from rtdenoise.frame import Known, reverse
+from rtdenoise.models import AccumulatedKPNConfig, past
+from rtdenoise.ops.pixels import demodulate
+from rtdenoise.run.backends import TorchBackend
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.lookahead import linked
+from rtdenoise.run.tiles import Tiled
+from rtdenoise.sanitise import sanitise
+from rtdenoise.splat import completed
+
+SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3)
+FEATURES = ("albedo", "normal", "depth", "motion", "motion_next")
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
+    models.save(models.create(SMALL), path)
+    return str(path)
+
+
+@pytest.fixture
+def frames():
+    return [sanitise(frame) for frame in make_frames(6)]
+
+
+def light(frame):
+    return demodulate(frame.radiance, frame.albedo, frame.depth)
+
+
+def test_a_first_frame_has_the_light_of_those_after(frames):
+    known = Known(sanitised=True, ahead=tuple(frames[1:3]))
+    config = replace(SMALL, footprint=True)
+    found = past.reprojected(config, frames[0], light(frames[0]), None, known)
+    assert found.length.max() > 1.5 and not found.on_screen.any() and found.later is not None
+    still = frames[0].motion_next.abs().amax(1, keepdim=True) == 0
+    seen = still & (found.length > 1.9)
+    assert seen.float().mean() > 0.2  # the wall, where it is not covered
+    mean, seen = (light(frames[1]) + light(frames[2])) / 2, seen.expand(-1, 3, -1, -1)
+    torch.testing.assert_close(found.light[seen], mean[seen], rtol=0.02, atol=0.02)
+
+
+def test_time_runs_both_ways(frames):
+    """The frames after, looked up, are what the history of the reversed sequence would be."""
+    config = replace(SMALL, footprint=True, recent=2)
+    known = Known(sanitised=True, ahead=tuple(frames[3:5]))
+    forward = past.reprojected(config, frames[2], light(frames[2]), None, known)
+    later = past.later(config, frames[2], known)
+    history = replace(later, radiance=frames[3].radiance, mean_albedo=frames[3].albedo)
+    backward = past.reprojected(config, reverse(frames[2]), light(frames[2]), history, Known(sanitised=True))
+    for name in ("light", "length", "footprint", "footprint_count"):
+        torch.testing.assert_close(getattr(forward, name), getattr(backward, name))
+
+
+def test_both_sides_are_joined_by_how_many_frames_they_are(frames):
+    network = models.create(SMALL).eval()
+    with torch.no_grad():
+        _, history = network.step(frames[0])
+        _, history = network.step(frames[1], history)
+    ahead = tuple(frames[3:5])
+    before, after, both = (
+        past.reprojected(SMALL, frames[2], light(frames[2]), h, Known(sanitised=True, ahead=a))
+        for h, a in ((history, ()), (None, ahead), (history, ahead))
+    )
+    torch.testing.assert_close(both.length, before.length + after.length)
+    torch.testing.assert_close(both.light * both.length, before.light * before.length + after.light * after.length)
+    assert torch.equal(both.output, before.output) and torch.equal(both.uncovered, before.uncovered)
+
+
+def test_what_was_just_uncovered_was_seen_again(frames):
+    frame, network = frames[2], models.load("default")
+    _, history = network.step(frames[0])
+    _, history = network.step(frames[1], history)
+    before, both = (
+        past.reprojected(network.config, frame, light(frame), history, Known(sanitised=True, ahead=ahead))
+        for ahead in ((), tuple(frames[3:5]))
+    )
+    new = before.uncovered
+    assert new.any() and both.length[new].mean() > before.length[new].mean() + 1.5
+
+
+def test_it_gains():
+    results = evaluate(make_frames(8), ["hybrid", "hybrid-ahead1", "hybrid-ahead3"], skip=0)
+    psnr = {result.method: result.errors["frame"]["psnr"] for result in results}
+    assert psnr["hybrid"] + 0.2 < psnr["hybrid-ahead1"] < psnr["hybrid-ahead3"] - 0.2
+
+
+def test_light_that_moves_in_a_pane_is_followed_from_the_first_frame_on():
+    first, second = (sanitise(frame) for frame in behind_glass())
+    back, there = past.shifted(first, None, Known(ahead=(second,))).shift, first.motion_next
+    assert there is not None
+    expected = past.shift_of(second, first.radiance, first.depth, ())
+    assert expected is not None and back is not None
+    moved = (expected.abs().sum(1) > 0) & (back.abs().sum(1) > 0)
+    assert moved.any() and (back - expected).abs().amax(1)[moved].median() < 0.15
+
+
+def test_tiles_are_as_the_whole(assert_images_close):
+    frames = [sanitise(frame) for frame in make_frames(4, H=96, W=128)]
+    network = models.load("hybrid", precision="fp32")
+    whole, tiled = None, None
+    for i, frame in enumerate(frames):
+        known = Known(ahead=tuple(frames[i + 1 : i + 3]))
+        a, whole = network.step(frame, whole, known)
+        b, tiled = Tiled(network, 64).step(frame, tiled, known)
+        assert_images_close(b.numpy(), a.numpy(), "float32 tiles")
+
+
+@pytest.mark.parametrize("killed", [(1,), (2, 4), (5,)])
+def test_an_interrupted_run_goes_on_to_the_same_result(tmp_path, weights, killed):
+    shot, options = write_sequence(tmp_path / "shot", make_frames(6)), Options(model=weights, float32=True, lookahead=2)
+    denoise(str(shot), tmp_path / "whole", options)
+    for count in killed:
+        with pytest.raises(Stop):
+            denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(count))
+    assert denoise(str(shot), tmp_path / "out", options).skipped == killed[-1]
+    for i in range(6):
+        name = f"frame.{i:04d}.exr"
+        assert np.array_equal(pixels(tmp_path / "out" / name), pixels(tmp_path / "whole" / name)), name
+
+
+def test_files_programs_and_the_evaluation_give_the_same_pictures(tmp_path, weights, assert_images_close):
+    frames = make_frames(5)
+    options = Options(model=weights, float32=True, lookahead=2)
+    denoise(str(write_sequence(tmp_path / "shot", frames)), tmp_path / "out", options)
+    backend = TorchBackend(weights, "cpu", "auto", lookahead=2)
+    denoiser = Denoiser(weights, lookahead=2)
+    found = [denoiser(f.radiance, **{name: getattr(f, name) for name in FEATURES}) for f in frames]
+    assert found[0] is None and found[1] is None
+    found = [*found[2:], *denoiser.flush()]
+    assert len(found) == 5 and denoiser.flush() == [] and backend.config.recent == 3
+    for i, image in enumerate(found):
+        file = pixels(tmp_path / "out" / f"frame.{i:04d}.exr")[None]
+        assert_images_close(image.numpy(), file, "float32 network")
+    method = choose(["default-ahead2"])[0]
+    measured = [output.image for output in outputs(method.step(), frames, method.delay)]
+    shipped = Denoiser(lookahead=2)
+    shown = [shipped(f.radiance, **{name: getattr(f, name) for name in FEATURES}) for f in frames] + shipped.flush()
+    for a, b in zip(measured, shown[2:], strict=True):
+        assert torch.equal(a, b)
+
+
+def test_no_frame_looks_beyond_a_cut(tmp_path, weights):
+    """Nor does a program's delay change there."""
+    one, two = make_frames(3), make_frames(3, seed=5)
+    two = [replace(f, number=f.number + 3, depth=3 * f.depth, normal=-f.normal) for f in two]
+    summary = denoise(str(write_sequence(tmp_path / "both", [*one, *two])), tmp_path / "out",
+                      Options(model=weights, float32=True, lookahead=2))  # fmt: skip
+    assert summary.cuts == [3]
+    for name, frames in (("one", one), ("two", two)):
+        denoise(str(write_sequence(tmp_path / name, frames)), tmp_path / f"out {name}",
+                Options(model=weights, float32=True, lookahead=2))  # fmt: skip
+        for frame in frames:
+            file = f"frame.{frame.number:04d}.exr"
+            assert np.array_equal(pixels(tmp_path / "out" / file), pixels(tmp_path / f"out {name}" / file)), file
+    denoiser = Denoiser(weights, lookahead=2)
+    found = [denoiser(f.radiance, **{n: getattr(f, n) for n in FEATURES}) is None for f in [*one, *two]]
+    assert found == [True, True, False, False, False, False] and len(denoiser.flush()) == 2
+
+
+def test_files_without_motion_next(tmp_path, weights):
+    """It is approximated, as for the history."""
+    frames = make_frames(4)
+    shot = write_sequence(tmp_path / "shot", frames, without=("motion_next",))
+    denoise(str(shot), tmp_path / "out", Options(model=weights, lookahead=2))
+    bare = [replace(sanitise(frame), motion_next=None) for frame in frames]
+    waiting = linked(tuple(bare[:2]))
+    assert torch.equal(waiting[0].motion_next, completed(bare[0], bare[1]).motion_next)
+    assert waiting[1].motion_next is None
+
+
+def test_appended_frames_need_a_new_run(tmp_path, weights):
+    """They change what the last ones look like."""
+    frames, options = make_frames(5), Options(model=weights, lookahead=1)
+    shot = write_sequence(tmp_path / "shot", frames[:4])
+    denoise(str(shot), tmp_path / "out", options)
+    write_sequence(shot, frames)
+    with pytest.raises(InputError, match="other options or input"):
+        denoise(str(shot), tmp_path / "out", options)
+    assert denoise(str(shot), tmp_path / "out", options, overwrite=True).written == 5
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"lookahead": -1}, "--lookahead: expected 0 to 16 frames, got -1"),
+        ({"lookahead": 17}, "--lookahead: expected 0 to 16 frames, got 17"),
+        ({"lookahead": 1, "offline": True}, "--lookahead: goes without --offline"),
+        ({"lookahead": 1, "lights": True}, "--lookahead: goes without"),
+        ({"lookahead": 1, "model": "paper"}, "--lookahead: model 'paper' does not average light"),
+        ({"lookahead": 1, "backend": "glsl"}, "--lookahead runs in PyTorch alone"),
+    ],
+)
+def test_what_it_does_not_go_with(tmp_path, options, reason):
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    with pytest.raises(InputError, match=reason):
+        denoise(str(shot), tmp_path / "out", Options(**{"model": "default"} | options))
+
+
+def test_methods_that_cannot_look_ahead():
+    for name in ("oidn-ahead1", "paper-ahead1", "default-ahead17", "offline-ahead2"):
+        with pytest.raises(InputError):
+            choose([name])
+    assert choose(["many-oidn-ahead3"])[0].delay == 3
