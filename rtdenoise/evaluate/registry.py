@@ -21,7 +21,7 @@ from ..models import STILLS, CombinerConfig, Shrinkage, available, available_com
 from ..models.inference import INT8
 from ..models.presets import SHRINKAGE
 from ..models.shrinkage import corrected
-from ..models.weights import bytes_of, find, read_config, read_model
+from ..models.weights import find, has_bytes, read_config, read_model
 from ..run.backends import TorchBackend
 from ..run.graphs import stepper
 from ..run.lookahead import Lookahead
@@ -232,7 +232,7 @@ def _of_file(name: str, file: str) -> Method:
 
 def _precisions(weights: Path) -> tuple[str, ...]:
     """Those in which the network of these weights runs."""
-    return PRECISIONS if bytes_of(weights).is_file() else tuple(p for p in PRECISIONS if p != INT8)
+    return PRECISIONS if has_bytes(weights) else tuple(p for p in PRECISIONS if p != INT8)
 
 
 def _start(

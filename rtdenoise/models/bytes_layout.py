@@ -17,9 +17,9 @@ from ..ops.feature_bytes import CHANNELS
 from .config import AccumulatedKPNConfig
 from .hybrid_config import HybridConfig
 from .presets import Config
-from .weights import bytes_of
+from .weights import PIXELS, bytes_of, parts_of, read_config
 
-UNET, PIXELS = "unet", "pixels"  # the networks, and the modules that they are
+UNET = "unet"  # the networks, UNET and PIXELS, are the modules of these names
 INPUT = "input"  # of a network, as a layer
 
 
@@ -116,10 +116,15 @@ def made_for(model: Path) -> dict[str, str]:
 
 
 def read(model: Path, config: Config) -> dict[str, dict[str, Tensor]]:
-    """Layer -> its tensors (`shapes`), for the weights in the file `model`.
+    """Layer -> its tensors (`shapes`), for the weights in the file `model`, which may be those of others
+    (`weights.parts_of`).
 
     Raises InputError as `layout`, and where the file is missing, damaged, or was made for other weights.
     """
+    if parts := parts_of(model):
+        found = {part: read(other, read_config(other)) for part, other in parts.items()}
+        return {name: layer for part, of_part in found.items() for name, layer in of_part.items()
+                if name.startswith(f"{PIXELS}.") == (part == PIXELS)}  # fmt: skip
     path, expected, layers = bytes_of(model), shapes(config), {}
     try:
         with safe_open(path, framework="numpy") as file:

@@ -24,7 +24,7 @@ from ..ops.to_planes import to_planes
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
-from .mixing import evened, mix
+from .mixing import FOR_MANY, SHARES, evened, mix
 from .past import followed, seen
 from .unet import ConvRelu, Up, pool
 
@@ -55,12 +55,15 @@ class Hybrid(AccumulatedKPN):
             trust = 1 - held * kernels.heads.reset
 
             # Show the other network what has been seen in each pixel.
-            radiance, *guides = seen(frame, history, after, known, past.later).split(FOOTPRINT, dim=1)
-            radiance = evened(radiance, after.footprint_count, image, trust)
+            shown = after.footprint if self.config.many else seen(frame, history, after, known, past.later)
+            radiance, *guides = shown.split(FOOTPRINT, dim=1)
+            if not self.config.many:
+                radiance = evened(radiance, after.footprint_count, image, trust)
             scale = CONTRAST * known.exposure
         pixels = expand_within(self.pixels(radiance, *guides, scale), scale, radiance, image)
 
-        shown = mix(image, pixels, known.exposure, trust, past.output, held, noisy=frame.radiance)
+        before, shares = (None, FOR_MANY) if self.config.many else (past.output, SHARES)
+        shown = mix(image, pixels, known.exposure, trust, before, held, shares, frame.radiance)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())
         return shown, after if known.part else followed(frame, history, after, self.config.recent + 1)

@@ -18,6 +18,8 @@ class HybridConfig(AccumulatedKPNConfig):
 
     recent: int = 8
     footprint: bool = True
+    many: bool = False
+    """For many samples a pixel: kernels count less, history as it is, and edges and uneven noise are left alone."""
     down: tuple[int, ...] = (32, 48, 64, 80, 96)
     """Channels of the network that writes pixels on its way down, at 1, 1/2, 1/4 ... of the image size."""
     up: tuple[int, ...] = (64, 64, 96, 112)

@@ -24,7 +24,7 @@ from .mltd import RecurrentTransformer
 from .presets import SHRINKAGE, Config
 from .shrinkage import Shrinkage
 from .temporal_kpn import TemporalKPN
-from .weights import StoredModel, bytes_of, read_denoiser, read_model
+from .weights import StoredModel, has_bytes, read_denoiser, read_model
 
 NETWORKS = {
     "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "afgsa": GuidedAttention,
@@ -64,7 +64,7 @@ def load(
 def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
     """Put networks in bytes in the place of a denoiser's own. Where what they need is not there or not usable, raise
     InputError if they `must`, and else leave it."""
-    if not must and not bytes_of(path).is_file():
+    if not must and not has_bytes(path):
         return
     try:
         stored = read_bytes(path, network.config)

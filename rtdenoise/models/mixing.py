@@ -15,6 +15,9 @@ from ..ops.mix import mix as mixture
 
 KERNELS, BEFORE = 0.4, 0.1  # the shares of the kernels' picture and of the previous one
 SHARES = KERNELS, BEFORE, KERNELS  # those of `ops.mix`
+# The shares for many samples a pixel: a lookup of the previous picture costs more than it takes noise away, and kernels
+# may be worse than written pixels everywhere.
+FOR_MANY = 0.3, 0.0, 0.0
 SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history (`evened`)
 
 

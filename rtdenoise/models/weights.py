@@ -1,6 +1,7 @@
 """Weights files: safetensors, with the model's configuration in their metadata. Never pickle, which can run code.
 
-They are read as numpy arrays, without torch; `loading` and `glsl` make denoisers of them.
+They are read as numpy arrays, without torch; `loading` and `glsl` make denoisers of them. A hybrid's file may leave
+its kernels' weights, or those that write pixels, to models that ship: `parts` in its metadata names them.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from .combiner_config import CombinerConfig
 from .presets import COMBINERS, PRESETS, STILLS, Config, from_stored
 
 MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
+KERNELS, PIXELS = "kernels", "pixels"  # parts of a `hybrid`; `PIXELS` is the module of that name
 _SHIPPED = resources.files("rtdenoise") / "weights"
 
 
@@ -66,6 +68,26 @@ def bytes_of(path: Path) -> Path:
     return path.with_suffix(".int8")
 
 
+def files_of(path: Path) -> list[Path]:
+    """The weights file, and those of other models whose weights it takes. Raises InputError as `read_model`."""
+    return [path, *parts_of(path).values()]
+
+
+def parts_of(path: Path) -> dict[str, Path]:
+    """The files of other models whose weights a file takes: `KERNELS` or `PIXELS` -> file. Raises InputError as
+    `read_model`."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            return _parts(path, file.metadata() or {})
+    except (SafetensorError, OSError) as error:
+        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+
+
+def has_bytes(path: Path) -> bool:
+    """Whether there are weights in bytes for the weights file."""
+    return all(bytes_of(file).is_file() for file in parts_of(path).values() or [path])
+
+
 def read_config(model: str | Path) -> Config:
     """The configuration of a model, from the head of its file alone. Raises InputError as `read_model`."""
     path = find(model)
@@ -86,9 +108,12 @@ def read_model(model: str | Path, **overrides: object) -> StoredModel:
     try:
         with safe_open(path, framework="numpy") as file:
             config = _overridden(_config(path, file.metadata() or {}), str(model), overrides)
-            found = {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118 (not a dict)
-            _expect(path, found, config, overrides)
-            tensors = {key: file.get_tensor(key).astype(np.float32) for key in found}
+            parts = _parts(path, file.metadata() or {})
+        tensors = _tensors(path)
+        for part, other in parts.items():
+            taken = _tensors(other).items()
+            tensors |= {key: x for key, x in taken if key.startswith(f"{PIXELS}.") == (part == PIXELS)}
+        _expect(path, {key: x.shape for key, x in tensors.items()}, config, overrides)
     except (SafetensorError, OSError, TypeError) as error:  # numpy has no bfloat16: TypeError
         raise InputError(f"{path}: not a readable safetensors file ({error})") from None
     for name, tensor in tensors.items():
@@ -96,6 +121,21 @@ def read_model(model: str | Path, **overrides: object) -> StoredModel:
             raise InputError(f"{path}: {name} holds values that are not finite or beyond ±{MAX_WEIGHT:g}; the file is "
                              "damaged: train or download it again")  # fmt: skip
     return StoredModel(path, config, tensors)
+
+
+def _tensors(path: Path) -> dict[str, np.ndarray]:
+    with safe_open(path, framework="numpy") as file:
+        return {key: file.get_tensor(key).astype(np.float32) for key in file.keys()}  # noqa: SIM118 (not a dict)
+
+
+def _parts(path: Path, metadata: Mapping[str, str]) -> dict[str, Path]:
+    try:
+        names = json.loads(metadata.get("parts", "{}"))
+        if not (isinstance(names, dict) and names.keys() <= {KERNELS, PIXELS} and set(names.values()) <= {*_shipped()}):
+            raise ValueError(f"expected names of models that ship for {KERNELS} and {PIXELS}, got {names}")
+    except (ValueError, TypeError, RecursionError) as error:
+        raise InputError(f"{path}: the models whose weights it takes are none of this version: {error}") from None
+    return {part: find(name) for part, name in names.items()}
 
 
 def read_denoiser(model: str | Path, **overrides: object) -> StoredModel:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 
 from ..data.sequences import Sequence, open_sequence
 from .options import AUTO, Options
 
-FEW, MANY = "default", "many"
-LEAST = 4  # samples a pixel from which `many` is better (docs/results/held.md)
+BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture (docs/notes/hybrid.md)
+KERNELS = "default", "many"  # kernels alone, for all that goes with these only
+LEAST = 4  # samples a pixel from which those for many are better (docs/results/held.md)
 
 
 def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> tuple[Sequence, Options, list[str]]:
@@ -27,9 +29,17 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     samples = _known_samples(sequence, options)
     if "samples" not in layers:
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
+    few, many = BEST if _takes_pixels(options) else KERNELS
     if samples < LEAST:
-        return sequence, replace(options, model=FEW), []
-    return sequence, replace(options, model=MANY), [f"model: {MANY}, for {samples:g} samples a pixel"]
+        return sequence, replace(options, model=few), []
+    return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel"]
+
+
+def _takes_pixels(options: Options) -> bool:
+    """Whether networks that write pixels go with these options."""
+    if options.offline or options.oidn or options.correct or options.lights or options.also:
+        return False
+    return options.backend == "torch" or (options.backend == "auto" and find_spec("torch") is not None)
 
 
 def _known_samples(sequence: Sequence, options: Options) -> float:

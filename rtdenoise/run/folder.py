@@ -17,7 +17,7 @@ from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import dumps, write_atomically
 from ..models.presets import SHRINKAGE
-from ..models.weights import bytes_of, find
+from ..models.weights import bytes_of, files_of, find
 
 if TYPE_CHECKING:
     from .options import Options, Summary
@@ -53,10 +53,10 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     parts = {name: value for name, value in _decisive(options).items() if YOUNG.get(name) != value or name not in YOUNG}
     parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     if options.model != SHRINKAGE:
-        weights = find(options.model)
-        parts["weights"] = hashlib.sha256(weights.read_bytes()).hexdigest()
-        if options.precision == "int8" and bytes_of(weights).is_file():
-            parts["bytes"] = hashlib.sha256(bytes_of(weights).read_bytes()).hexdigest()
+        files = files_of(find(options.model))
+        parts["weights"] = _digest_of(files)
+        if options.precision == "int8" and (in_bytes := [f for f in map(bytes_of, files) if f.is_file()]):
+            parts["bytes"] = _digest_of(in_bytes)
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
     cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
@@ -68,6 +68,11 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
         running.update(json.dumps([inputs, seen], sort_keys=True).encode())
         found.append(running.hexdigest())
     return found
+
+
+def _digest_of(files: list[Path]) -> str:
+    """SHA-256 of their contents, one after the other."""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) -> None:

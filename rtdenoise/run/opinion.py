@@ -18,7 +18,7 @@ from ..baselines.oidn import Oidn, installed
 from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
-from ..models.mixing import SHARES, evened, mix
+from ..models.mixing import FOR_MANY, SHARES, evened, mix
 from ..models.past import followed, later, seen, shifted
 from ..models.presets import Config
 from ..ops import warp
@@ -29,9 +29,6 @@ from ..splat import history_motion
 from .graphs import Step
 
 RECENT = 8  # frames that the network keeps here, whatever its configuration says
-# Shares of networks that do not keep recent frames by themselves, `many` above all, for many samples a pixel: a lookup
-# of the previous picture costs more than it takes noise away, and the network may be worse than OIDN everywhere.
-FOR_MANY = 0.3, 0.0, 0.0
 
 
 class Opinion:
@@ -43,7 +40,7 @@ class Opinion:
             raise InputError("--oidn: OIDN is not installed: pip install pyoidn")
         self._oidn, self._motion, self._few = Oidn(), config.motion, config.recent > 0
         self._config = replace(config, footprint=True) if self._few else config
-        self.shares = SHARES if self._few else FOR_MANY
+        self.shares = SHARES if self._few else FOR_MANY  # without recent frames of its own it is `many`
 
     def step(
         self, step: Step, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN

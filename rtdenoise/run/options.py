@@ -24,8 +24,10 @@ class Options:
     signal: str = "color"
     """The signal to denoise: 'color' (the beauty) or 'indirect'."""
     model: str = AUTO
-    """The network: 'default', 'many', 'fast', 'quality', 'paper', or a .safetensors file that `rtdenoise train` wrote.
-    'auto': 'many' from 4 samples a pixel on, where these are known, else 'default'."""
+    """The network: 'hybrid', 'hybrid-many', 'hybrid-fast', 'default', 'many', 'fast', 'quality', 'paper', or a
+    .safetensors file that `rtdenoise train` wrote. 'auto': the best picture, 'hybrid', and from 4 samples a pixel on,
+    where these are known, 'hybrid-many'. With glsl, --offline, --oidn, --correct, --lights and --also 'default' and
+    'many', which take less than half of the time."""
     preset: str = "auto"
     """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
     file."""

@@ -1,0 +1,38 @@
+"""Join a hybrid of two models that ship: the kernels of one, and the network of a hybrid that writes pixels.
+
+python tools/join_hybrid.py OUT KERNELS PIXELS    # rtdenoise/weights/hybrid-many.safetensors many hybrid
+
+The file holds names alone. Kernels that keep no recent frames by themselves are taken for those of many samples.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from safetensors.numpy import save
+
+from rtdenoise.files import write_atomically
+from rtdenoise.models.hybrid_config import HybridConfig
+from rtdenoise.models.weights import KERNELS, PIXELS, read_config
+
+
+def main(out: str, kernels: str, pixels: str) -> None:
+    of_kernels, of_pixels = read_config(kernels), read_config(pixels)
+    config = HybridConfig(
+        **asdict(of_kernels) | {"footprint": True, "recent": of_pixels.recent},
+        many=not of_kernels.recent,
+        **{name: getattr(of_pixels, name) for name in ("down", "up", "out")},
+    )
+    metadata = {
+        "architecture": config.architecture,
+        "config": json.dumps(asdict(config)),
+        "parts": json.dumps({KERNELS: kernels, PIXELS: pixels}),
+    }
+    write_atomically(Path(out), save({}, metadata=metadata))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
