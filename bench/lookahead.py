@@ -4,7 +4,7 @@ python bench/lookahead.py SEQ ...    # sequences with references that no network
 
 Measures networks that look 1, 2 and 4 frames ahead (`denoise --lookahead`) at 1 sample, both signals. Sequences are
 told apart by the folder that they lie in. Where SEQ/spp4, SEQ/spp8 ... hold the same frames at more samples, also
-`hybrid` and `hybrid-many`, in beauty. Then the time of a step. Writes bench/results/lookahead.json and the tables of
+`hybrid` and `hybrid-many`. Then the time of a step. Writes bench/results/lookahead.json and the tables of
 docs/notes/lookahead.md. An interrupted run continues.
 """
 
@@ -59,7 +59,7 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
             at = {"metrics": METRICS, "signal": signal}
             run(members, OUT / where / signal, EvaluateOptions((REFERENCE, *METHODS), **at))
             document = run(members, OUT / where / signal, EvaluateOptions(IN_BYTES, ("int8",), **at))
-            if counts and signal == "color":
+            if counts:
                 run(members, OUT / where / signal, EvaluateOptions((REFERENCE, *MANY), spp=tuple(counts), **at))
                 options = EvaluateOptions(MANY_IN_BYTES, ("int8",), spp=tuple(counts), **at)
                 document = run(members, OUT / where / signal, options)
@@ -139,13 +139,15 @@ def _many(rows: dict) -> str:
         f"| | {' | '.join(f'{spp} spp' for spp in counts)} | {' | '.join(f'uncovered, {spp} spp' for spp in counts)} |",
         "|---" * (2 * len(counts) + 1) + "|",
     ]
-    for method in (*MANY, *(f"{name} int8" for name in MANY_IN_BYTES)):
-        cells = []
-        for region in ("frame", "uncovered"):
-            for spp in counts:
-                leads = _leads(_pairs(rows, "standard720", spp, method), region)
-                cells.append(f"{np.mean(leads):+.2f}, {min(leads):+.2f}")
-        lines.append(f"| `{method}` | {' | '.join(cells)} |")
+    for signal, shown in zip(SIGNALS, ("beauty", "indirect light"), strict=True):
+        lines.append(f"| *{shown}* |{' |' * 2 * len(counts)}")
+        for method in (*MANY, *(f"{name} int8" for name in MANY_IN_BYTES)):
+            cells = []
+            for region in ("frame", "uncovered"):
+                for spp in counts:
+                    leads = _leads(_pairs(rows, "standard720", spp, method, signal), region)
+                    cells.append(f"{np.mean(leads):+.2f}, {min(leads):+.2f}")
+            lines.append(f"| `{method}` | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -26,8 +26,9 @@ LABELS = {
     "paper-traditional": "rtdenoise `paper`, traditional motion",
     "paper": "rtdenoise `paper`",
     "fast": "rtdenoise `fast`",
-    "default": "**rtdenoise `default`**",
+    "default": "rtdenoise `default`",
     "quality": "rtdenoise `quality`",
+    "hybrid": "**rtdenoise `hybrid`**",
 }
 
 

@@ -59,30 +59,58 @@ def test_the_samples_that_cycles_notes_are_read(tmp_path):
 
 
 def test_the_network_is_that_of_the_samples(shot, tmp_path):
-    assert chosen(shot, Options()) == (Options(model="default"), [])
-    for samples, model in ((3, "default"), (4, "many"), (16, "many")):
+    assert chosen(shot, Options()) == (Options(model="hybrid"), [])
+    for samples, model in ((3, "hybrid"), (4, "hybrid-many"), (16, "hybrid-many")):
         assert chosen(shot, Options(samples=samples))[0].model == model
     assert chosen(shot, Options(model="fast"))[0].model == "fast"
     for file in shot.glob("*.exr"):
         write_again(file, {}, **{"cycles.ViewLayer.samples": "8"})
-    assert chosen(shot, Options()) == (Options(model="many"), ["model: many, for 8 samples a pixel"])
-    assert chosen(shot, Options(samples=2))[0].model == "default"  # what the user says counts
+    assert chosen(shot, Options()) == (Options(model="hybrid-many"), ["model: hybrid-many, for 8 samples a pixel"])
+    assert chosen(shot, Options(samples=2))[0].model == "hybrid"  # what the user says counts
+
+
+def test_noise_tells_where_nothing_else_does(shot):
+    """The sample has one sample a pixel; albedo has no noise."""
+    albedo = {file: read_channels(file, [f"albedo.{c}" for c in "RGB"]) for file in shot.glob("*.exr")}
+    for file, planes in albedo.items():
+        write_again(file, {c: planes[f"albedo.{c}"] for c in "RGB"})
+    assert chosen(shot, Options()) == (
+        Options(model="hybrid-many"), ["model: hybrid-many, for frames of little noise"]
+    )  # fmt: skip
+    assert chosen(shot, Options(samples=1))[0].model == "hybrid"
+    for file, planes in albedo.items():  # black: unknown
+        write_again(file, {c: 0 * planes[f"albedo.{c}"] for c in "RGB"})
+    assert chosen(shot, Options())[0].model == "hybrid"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"backend": "glsl"}, {"offline": True}, {"oidn": True}, {"correct": True}, {"lights": True}, {"also": ("x",)}],
+)
+def test_what_goes_with_kernels_alone_gets_kernels_alone(shot, options):
+    for samples, model in ((1, "default"), (16, "many")):
+        assert chosen(shot, Options(samples=samples, **options))[0].model == model
+
+
+def test_without_torch_there_are_kernels(shot, monkeypatch):
+    monkeypatch.setattr("rtdenoise.run.choice.find_spec", lambda name: None)
+    assert chosen(shot, Options())[0].model == "default"
 
 
 def test_a_layer_of_samples_counts_most(shot):
     for file in shot.glob("*.exr"):
         header = read_header(file)
         write_again(file, {"samples.V": np.full((header.height, header.width), 32, np.float32)})
-    assert chosen(shot, Options(samples=1))[1] == ["model: many, for 32 samples a pixel"]
+    assert chosen(shot, Options(samples=1))[1] == ["model: hybrid-many, for 32 samples a pixel"]
 
 
 def test_a_run_with_many_samples_is_that_of_its_network(shot, tmp_path, capsys):
     main(["denoise", str(shot), "--out", str(tmp_path / "auto"), "--samples", "16", "--float32"])
-    assert "model: many, for 16 samples a pixel" in capsys.readouterr().out
-    denoise(str(shot), tmp_path / "named", Options(model="many", float32=True))
+    assert "model: hybrid-many, for 16 samples a pixel" in capsys.readouterr().out
+    denoise(str(shot), tmp_path / "named", Options(model="hybrid-many", float32=True))
     for file in (tmp_path / "named").glob("*.exr"):
         for name, plane in read_channels(file, ["R", "G", "B"]).items():
             assert np.array_equal(read_channels(tmp_path / "auto" / file.name, [name])[name], plane)
-    assert json.loads((tmp_path / "auto" / "denoise.json").read_text())["options"]["model"] == "many"
+    assert json.loads((tmp_path / "auto" / "denoise.json").read_text())["options"]["model"] == "hybrid-many"
     with pytest.raises(InputError, match="goes with --correct, or without --model"):
         denoise(str(shot), tmp_path / "no", Options(model="fast", samples=16))

@@ -1,12 +1,14 @@
 """Kernels and a network that writes pixels, mixed (`models.hybrid`)."""
 
+import json
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors.numpy import save as serialise
 from synthetic import make_frames
 
 from rtdenoise.baselines import Oidn
@@ -19,6 +21,7 @@ from rtdenoise.models import HybridConfig, create, grow, hybrid, load, mixing, r
 from rtdenoise.models.hybrid import CONTRAST
 from rtdenoise.models.past import reprojected
 from rtdenoise.models.presets import PRESETS
+from rtdenoise.models.weights import files_of, find, has_bytes
 from rtdenoise.ops.around import expand_within
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.light import LightBackend
@@ -38,7 +41,7 @@ def model():
 def shares(monkeypatch, kernels, before=0.0):
     """Set the shares of the kernels' image and of the previous picture, whatever the noisy frame tells."""
 
-    def mix(*arguments, noisy):
+    def mix(*arguments, noisy, **_):
         return mixing.mix(*arguments, shares=(kernels, before, kernels))
 
     monkeypatch.setattr(hybrid, "mix", mix)
@@ -170,6 +173,46 @@ def test_the_shipped_weights_keep_the_kernels_of_default_and_oidns_network(model
     assert all(torch.equal(hybrid[name], weight) for name, weight in kernels.items())
     oidns = {name: weight for name, weight in begin.items() if name.startswith("pixels.")}
     assert oidns and all(torch.equal(hybrid[name], weight.half().float()) for name, weight in oidns.items())
+
+
+def test_hybrid_many_is_of_two_models():
+    many, pixels, both = (read(name).state_dict() for name in ("many", "hybrid", "hybrid-many"))
+    for name, tensor in both.items():
+        assert torch.equal(tensor, (pixels if name.startswith("pixels.") else many)[name]), name
+    shipped = files_of(find("hybrid-many"))
+    assert [path.stem for path in shipped] == ["hybrid-many", "many", "hybrid"] and files_of(shipped[1]) == shipped[1:2]
+    assert has_bytes(shipped[0]) and shipped[0].stat().st_size < 1000
+    in_bytes, model = load("hybrid-many", precision="int8"), load("hybrid-many", precision="fp32")
+    assert [type(part).__name__ for part in (in_bytes.unet, in_bytes.pixels)] == ["UNetInBytes", "PixelNetworkInBytes"]
+    for a, b in zip(play(in_bytes, make_frames(2)), play(model, make_frames(2)), strict=True):
+        assert (compress(a) - compress(b)).abs().mean() < 0.01
+
+
+def test_weights_of_unknown_models_are_refused(tmp_path):
+    config = json.dumps(asdict(read("hybrid-many").config))
+    wrong = '{"kernels": "none", "pixels": "hybrid"}', '{"other": "many"}', '["many"]', "many", '{"kernels": ["many"]}'
+    for parts in wrong:
+        metadata = {"architecture": "hybrid", "config": config, "parts": parts}
+        (tmp_path / "w.safetensors").write_bytes(serialise({}, metadata=metadata))
+        with pytest.raises(InputError, match="the models whose weights it takes are none of this version"):
+            load(tmp_path / "w.safetensors")
+    metadata["parts"] = '{"kernels": "fast", "pixels": "hybrid"}'
+    (tmp_path / "w.safetensors").write_bytes(serialise({}, metadata=metadata))
+    with pytest.raises(InputError, match="weights do not fit the configuration"):
+        load(tmp_path / "w.safetensors")
+
+
+def test_for_many_samples_light_is_filtered_as_it_is(model, monkeypatch):
+    """Neither evened nor with moving edges, and no previous picture is blended in."""
+    for name in ("seen", "evened"):
+        monkeypatch.setattr(hybrid, name, lambda *_, name=name: pytest.fail(name))
+    told = []
+    monkeypatch.setattr(hybrid, "mix", lambda *a, **b: told.append((a[4], b["shares"])) or mixing.mix(*a, **b))
+    many = create(replace(SMALL, many=True)).eval()
+    many.load_state_dict(model.state_dict())
+    with torch.no_grad():
+        play(many, make_frames(3))
+    assert told == 3 * [(None, mixing.FOR_MANY)]
 
 
 def test_what_it_cannot_do_is_refused():

@@ -100,6 +100,23 @@ def test_it_gains():
     assert psnr["hybrid"] + 0.2 < psnr["hybrid-ahead1"] < psnr["hybrid-ahead3"] - 0.2
 
 
+@pytest.mark.parametrize("factor", [8.0, 2.0, 1.3, 0.1])
+@pytest.mark.parametrize("name", ["default", "hybrid"])
+def test_a_lamp_shows_no_earlier_than_it_is_switched(name, factor):
+    """Nor does one that goes out: light that changes is told from noise."""
+    network, switched, history, found = models.load(name, precision="fp32"), 4, None, []
+    frames = [sanitise(frame) for frame in make_frames(6, H=96, W=128)]
+    frames = [replace(f, radiance=f.radiance * (factor if i >= switched else 1)) for i, f in enumerate(frames)]
+    with torch.inference_mode():
+        for i, frame in enumerate(frames[:switched]):
+            ahead = tuple(frames[i + 1 : i + 3])
+            image, _ = network.step(frame, history, Known(sanitised=True, ahead=ahead))
+            expected, _ = network.step(frame, history, Known(sanitised=True, ahead=tuple(frames[i + 1 : switched])))
+            _, history = network.step(frame, history, Known(sanitised=True))
+            found.append((image.mean() / expected.mean()).item())
+    assert found == pytest.approx([1.0] * switched, abs=0.02)
+
+
 def test_light_that_moves_in_a_pane_is_followed_from_the_first_frame_on():
     first, second = (sanitise(frame) for frame in behind_glass())
     back, there = past.shifted(first, None, Known(ahead=(second,))).shift, first.motion_next

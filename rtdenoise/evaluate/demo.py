@@ -18,7 +18,7 @@ from . import METRICS, REGIONS, Result, evaluate, uncovered
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "mural"  # in a source tree
 WINDOW = Path(__file__).parents[1] / "sample" / "mural-window"  # in an installed package: a part of the same frames
-METHODS = ("noisy", "accumulate", "paper-traditional", "paper", "default")
+METHODS = ("noisy", "accumulate", "paper-traditional", "paper", "default", "hybrid")
 HEADINGS = {"psnr": "PSNR", "ssim": "SSIM", "relmse": "relMSE"}
 
 

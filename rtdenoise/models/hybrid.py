@@ -63,7 +63,7 @@ class Hybrid(AccumulatedKPN):
         pixels = expand_within(self.pixels(radiance, *guides, scale), scale, radiance, image)
 
         before, shares = (None, FOR_MANY) if self.config.many else (past.output, SHARES)
-        shown = mix(image, pixels, known.exposure, trust, before, held, shares, frame.radiance)
+        shown = mix(image, pixels, known.exposure, trust, before, held, shares=shares, noisy=frame.radiance)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())
         return shown, after if known.part else followed(frame, history, after, self.config.recent + 1)

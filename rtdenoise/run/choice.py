@@ -6,17 +6,20 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 from ..data.sequences import Sequence, open_sequence
+from ..errors import InputError
 from .options import AUTO, Options
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture (docs/notes/hybrid.md)
 KERNELS = "default", "many"  # kernels alone, for all that goes with these only
 LEAST = 4  # samples a pixel from which those for many are better (docs/results/held.md)
+LITTLE = 0.3  # `exposure.noise_level`: below, a frame of unknown samples has many (docs/notes/lookahead.md)
 
 
 def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> tuple[Sequence, Options, list[str]]:
     """The sequence, with these optional layers; the options with a network in place of 'auto'; what to tell about it.
 
-    The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files.
+    The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
+    where none is known, the noise of the first frame tells.
     Raises InputError as `open_sequence` and reading the first frame do.
     """
     auto = options.model == AUTO
@@ -30,6 +33,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     if "samples" not in layers:
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
     few, many = BEST if _takes_pixels(options) else KERNELS
+    if not samples and _has_little_noise(sequence):
+        return sequence, replace(options, model=many), [f"model: {many}, for frames of little noise"]
     if samples < LEAST:
         return sequence, replace(options, model=few), []
     return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel"]
@@ -40,6 +45,23 @@ def _takes_pixels(options: Options) -> bool:
     if options.offline or options.oidn or options.correct or options.lights or options.also:
         return False
     return options.backend == "torch" or (options.backend == "auto" and find_spec("torch") is not None)
+
+
+def _has_little_noise(sequence: Sequence) -> bool:
+    """Whether the first frame does. False without torch, and where depth is missing."""
+    try:
+        sequence.require("depth")
+    except InputError:
+        return False
+    if find_spec("torch") is None:
+        return False
+    import torch
+
+    from ..exposure import noise_level
+    from ..sanitise import sanitise
+
+    frame = sanitise(sequence.only({"radiance", "depth"}).read(0).map(torch.as_tensor))
+    return noise_level(frame.radiance, frame.depth).item() < LITTLE
 
 
 def _known_samples(sequence: Sequence, options: Options) -> float:

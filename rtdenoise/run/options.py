@@ -26,8 +26,8 @@ class Options:
     model: str = AUTO
     """The network: 'hybrid', 'hybrid-many', 'hybrid-fast', 'default', 'many', 'fast', 'quality', 'paper', or a
     .safetensors file that `rtdenoise train` wrote. 'auto': the best picture, 'hybrid', and from 4 samples a pixel on,
-    where these are known, 'hybrid-many'. With glsl, --offline, --oidn, --correct, --lights and --also 'default' and
-    'many', which take less than half of the time."""
+    where their number is known or noise is little, 'hybrid-many'. With glsl, --offline, --oidn, --correct, --lights and
+    --also 'default' and 'many', which take less than half of the time."""
     preset: str = "auto"
     """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
     file."""
