@@ -46,9 +46,11 @@ LABELS = {
     "C": "C: B and the occlusion loss",
     "paper": "`paper`, as it ships",
     "fast": "`fast`",
-    "default": "**`default`**",
+    "default": "`default`",
     "quality": "`quality`",
     "default-oidn": "`default` with `--oidn`",
+    "hybrid": "**`hybrid`**",
+    "hybrid-ahead2": "**`hybrid`** with `--lookahead 2`",
 }
 # Weights of the paper's settings, which do not ship. Relative to the current folder, because legends show the path.
 SETTINGS = {n: os.path.relpath(ROOT / f"runs/paper-{n}/weights.safetensors") for n in "ABC"}
@@ -117,7 +119,7 @@ def draw(documents: dict[str, Document]) -> None:
     """Write the strips into docs/images."""
     for signal, document in documents.items():
         for name, sequence in document.sequences.items():
-            shown = {"noisy": "noisy", "OIDN": "oidn", "default": "default"}
+            shown = {"noisy": "noisy", "OIDN": "oidn", "hybrid": "hybrid"}
             strips.draw(OUT / signal, name, sequence, shown, PICTURES / f"{name}-{signal}.webp")
 
 
@@ -127,8 +129,10 @@ def draw(documents: dict[str, Document]) -> None:
 def tables(document: dict) -> dict[str, str]:
     """Sections `against` peers, `settings` of the paper, `aims`, and `scenes`: a table per sequence and signal."""
     ahead = {
-        "against": _against(document, "default", "oidn"),
-        "against-prefiltered": _against(document, "default", "oidn-prefiltered"),
+        "against": _against(document, "hybrid", "oidn"),
+        "against-prefiltered": _against(document, "hybrid", "oidn-prefiltered"),
+        "against-ahead": _against(document, "hybrid-ahead2", "oidn"),
+        "against-default": _against(document, "default", "oidn"),
         "against-fast": _against(document, "fast", "oidn"),
         "against-quality": _against(document, "quality", "oidn"),
         "against-opinion": _against(document, "default-oidn", "oidn"),
@@ -142,10 +146,10 @@ def _against(document: dict, model: str, peer: str) -> str:
 
 
 def _settings(document: dict) -> str:
-    """Gain of each setting of the paper over the one before, and of `default` over C."""
+    """Gain of each setting of the paper over the one before, and of `default` and `hybrid` over C."""
     pairs = [
         ("B over A", "B", "A"), ("C over B", "C", "B"), ("C over `paper` as it ships", "C", "paper"),
-        ("`default` over C", "default", "C"),
+        ("`default` over C", "default", "C"), ("`hybrid` over C", "hybrid", "C"),
     ]  # fmt: skip
     return _gains(document, " corrected PSNR ", [(*pair, "psnr_corrected") for pair in pairs])
 
@@ -174,7 +178,7 @@ def _gain(document: dict, model: str, peer: str, region: str, metric: str) -> tu
 
 
 def _aims(document: dict) -> str:
-    """Gains of `default` over OIDN and over setting A on every sequence."""
+    """Gains of `hybrid` over OIDN and over setting A on every sequence."""
     lines = [
         "| | signal | PSNR over OIDN's | corrected PSNR over OIDN's | PSNR over A's | corrected PSNR over A's | FLIP / "
         "OIDN's | MSE / A's, uncovered | corrected MSE / A's, uncovered |",
@@ -183,7 +187,7 @@ def _aims(document: dict) -> str:
     for signal in SIGNALS:
         for name in document["sequences"].get(signal, ()):
             rows = _rows(document, signal, name)
-            ours, oidn, a = (rows.get(name) for name in ("default", "oidn", "A"))
+            ours, oidn, a = (rows.get(name) for name in ("hybrid", "oidn", "A"))
             cells = [
                 *(_difference(ours, peer, metric) for peer in (oidn, a) for metric in ("psnr", "psnr_corrected")),
                 _ratio(ours, oidn, "frame", "flip"),
@@ -214,7 +218,7 @@ def _scenes(document: dict) -> list[str]:
                 f"### {name}, {signal}",
                 f"{facts['frames']} frames of {width}×{height}, {100 * facts['uncovered_share']:.1f} % uncovered; the "
                 f"references' own error: {own[0]} dB PSNR, relMSE {own[1]}.",
-                f"![noisy, OIDN, default, reference](../images/quality/{name}-{signal}.webp)",
+                f"![noisy, OIDN, hybrid, reference](../images/quality/{name}-{signal}.webp)",
                 _table(_rows(document, signal, name)),
             ]
     return parts

@@ -45,7 +45,7 @@ def document(*rows):
 
 
 def test_the_aims_compare_with_oidn_and_with_setting_a(quality):
-    rows = [row("oidn", 22.0, 24.0), row("A", 20.0, 21.0), row("default", 25.0, 31.0)]
+    rows = [row("oidn", 22.0, 24.0), row("A", 20.0, 21.0), row("hybrid", 25.0, 31.0)]
     last = quality.tables(document(*rows))["aims"].splitlines()[-1]
     ratios = f"{0.5 / 0.8:.2f} | {10**-0.5:.2f} | {10**-1.0:.2f}"
     assert last == f"| hall | indirect | +3.00 dB | +7.00 dB | +5.00 dB | +10.00 dB | {ratios} |"
@@ -60,17 +60,17 @@ def test_the_settings_are_compared_one_by_one(quality):
 
 
 def test_missing_measurements_are_dashes(quality):
-    rows = [row("oidn", 22.0, None), row("default", 25.0, None)]
+    rows = [row("oidn", 22.0, None), row("hybrid", 25.0, None)]
     found = quality.tables(document(*rows))
     assert found["aims"].splitlines()[-1] == "| hall | indirect | +3.00 dB | – | – | – | 0.62 | – | – |"
     assert "| OIDN | 22.00 | – | 0.500 |" in found["scenes"]
 
 
 def test_a_scene_says_how_good_its_references_are(quality):
-    text = quality.tables(document(row("default", 25.0, 31.0), row("noisy", 9.0, 9.1)))["scenes"]
+    text = quality.tables(document(row("hybrid", 25.0, 31.0), row("noisy", 9.0, 9.1)))["scenes"]
     assert "16 frames of 320×180, 1.2 % uncovered; the references' own error: 28.50 dB PSNR, relMSE 0.0200." in text
     head, _, *methods = text.splitlines()[-4:]
-    assert methods[0].startswith("| noisy, 1 spp | 9.00 | 9.10 |") and methods[1].startswith("| **`default`** | 25.00")
+    assert methods[0].startswith("| noisy, 1 spp | 9.00 | 9.10 |") and methods[1].startswith("| **`hybrid`** | 25.00")
     assert all(line.count("|") == head.count("|") for line in methods)
     assert methods[1].endswith("| 3 |") and "| 7.12 |" in methods[1]
 
