@@ -5,6 +5,7 @@ import json
 import os
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,17 @@ def test_hybrid_is_put_together_and_not_trained(model, quality):
     assert len(printed(model)) == len(words) - 7  # without scene files
 
 
+def test_hybrid_many_is_joined(tmp_path):
+    """To the file that ships."""
+    ((_, tool, out, *models),) = printed("hybrid-many")
+    assert (Path(tool).name, out, models) == (
+        "join_hybrid.py", "rtdenoise/weights/hybrid-many.safetensors", ["many", "hybrid"]
+    )  # fmt: skip
+    subprocess.run([sys.executable, ROOT / "tools" / "join_hybrid.py", tmp_path / "w.safetensors", *models], check=True)
+    made, ships = (safe_open(path, framework="numpy") for path in (tmp_path / "w.safetensors", ROOT / out))
+    assert made.metadata() == ships.metadata() and not list(made.keys())
+
+
 def test_the_settings_differ_in_nothing_else():
     a, b, c = (compared(config) for config in parsed(printed("settings", SCENES="scenes")))
     assert (a["motion"], a["occlusion_loss"]) == ("traditional", False)
@@ -98,7 +110,7 @@ def test_scene_files_are_used_only_where_a_folder_is_named():
 def test_a_model_without_a_recipe_is_refused():
     result = subprocess.run(["sh", RECIPE, "paper"], capture_output=True, text=True)
     assert result.returncode == 2
-    known = "default, fast, quality, many, hybrid, hybrid-fast, combiner or settings"
+    known = "default, fast, quality, many, hybrid, hybrid-fast, hybrid-many, combiner or settings"
     assert result.stderr == f"expected {known}, got 'paper'\n"
 
 

@@ -112,7 +112,7 @@ def _recalled(
 def _joined(a: Tensor, n: Tensor, b: Tensor, m: Tensor) -> tuple[Tensor, Tensor]:
     """Means of n and of m frames as one, and the frames in it."""
     total = n + m
-    return (n * a + m * b) / total.clamp(min=1e-6), total
+    return torch.lerp(a, b, m / total.clamp(min=1e-6)), total
 
 
 def misplaced(frame: Frame, known: Known) -> Tensor:
@@ -194,6 +194,5 @@ def seen(
     if len(sides) < 2:
         return over(seen, now, sides[0][0], frame.depth, sides[0][1]) if sides else seen
     (a, of_a), (b, of_b) = (over_and_coverage(seen, now, motion, frame.depth, recent) for motion, recent in sides)
-    edge_a, edge_b = ((coverage != 0).any(1, keepdim=True) for coverage in (of_a, of_b))
-    both, _ = _joined(a, 1 + of_a[:, 2:], b, 1 + of_b[:, 2:])
-    return torch.where(edge_a & edge_b, both, torch.where(edge_b, b, a))
+    n, m = ((1 + c[:, 2:]) * (c != 0).any(1, keepdim=True) for c in (of_a, of_b))  # 0: `seen`, as there is no edge
+    return _joined(a, n, b, m)[0]
