@@ -119,7 +119,7 @@ def draw(documents: dict[str, Document]) -> None:
     """Write the strips into docs/images."""
     for signal, document in documents.items():
         for name, sequence in document.sequences.items():
-            shown = {"noisy": "noisy", "OIDN": "oidn", "hybrid": "hybrid"}
+            shown = {"noisy": "noisy", "OIDN": "oidn", "default": "default", "hybrid": "hybrid"}
             strips.draw(OUT / signal, name, sequence, shown, PICTURES / f"{name}-{signal}.webp")
 
 
@@ -218,7 +218,7 @@ def _scenes(document: dict) -> list[str]:
                 f"### {name}, {signal}",
                 f"{facts['frames']} frames of {width}×{height}, {100 * facts['uncovered_share']:.1f} % uncovered; the "
                 f"references' own error: {own[0]} dB PSNR, relMSE {own[1]}.",
-                f"![noisy, OIDN, hybrid, reference](../images/quality/{name}-{signal}.webp)",
+                f"![noisy, OIDN, default, hybrid, reference](../images/quality/{name}-{signal}.webp)",
                 _table(_rows(document, signal, name)),
             ]
     return parts

@@ -27,8 +27,8 @@ def exposure(radiance: Tensor, block: int = BRIGHTNESS_BLOCK) -> Tensor:
 def noise_level(radiance: Tensor, depth: Tensor) -> Tensor:
     """The noise of a frame, `[B, 3, H, W]` and its depth `[B, 1, H, W]` to `[B, 1, 1, 1]`: the median over windows of
     3 × 3 pixels, all of which hit something, of the variance of their light over the square of its mean; infinite where
-    there are none. Most windows hold no edge, so that it falls with the number of samples: from 0.3 to 4 at 1 sample a
-    pixel to 0.04 to 0.2 at 64.
+    there are none. Most windows hold no edge, so that it falls with the number of samples: from 0.3 to 8 at 1 sample a
+    pixel to 0.04 to 0.4 at 64.
     """
     light = radiance.mean(1, keepdim=True)
     if min(light.shape[2:]) < NOISE_WINDOW:

@@ -75,7 +75,7 @@ def test_noise_tells_where_nothing_else_does(shot):
     for file, planes in albedo.items():
         write_again(file, {c: planes[f"albedo.{c}"] for c in "RGB"})
     assert chosen(shot, Options()) == (
-        Options(model="hybrid-many"), ["model: hybrid-many, for frames of little noise"]
+        Options(model="hybrid-many"), ["model: hybrid-many, for frames of little noise; --samples 1 says otherwise"]
     )  # fmt: skip
     assert chosen(shot, Options(samples=1))[0].model == "hybrid"
     for file, planes in albedo.items():  # black: unknown

@@ -190,7 +190,10 @@ def test_hybrid_many_is_of_two_models():
 
 def test_weights_of_unknown_models_are_refused(tmp_path):
     config = json.dumps(asdict(read("hybrid-many").config))
-    wrong = '{"kernels": "none", "pixels": "hybrid"}', '{"other": "many"}', '["many"]', "many", '{"kernels": ["many"]}'
+    wrong = (
+        '{"pixels": "hybrid"}', '{"kernels": "none", "pixels": "hybrid"}', '{"other": "many"}', '["many"]', "many",
+        '{"kernels": ["many"], "pixels": "hybrid"}',
+    )  # fmt: skip
     for parts in wrong:
         metadata = {"architecture": "hybrid", "config": config, "parts": parts}
         (tmp_path / "w.safetensors").write_bytes(serialise({}, metadata=metadata))

@@ -190,6 +190,30 @@ def test_no_frame_looks_beyond_a_cut(tmp_path, weights):
     assert found == [True, True, False, False, False, False] and len(denoiser.flush()) == 2
 
 
+def test_another_size_comes_after_what_waits(weights):
+    """The plan of a size is made when all frames of the one before are done."""
+    denoiser, done = Denoiser(weights, lookahead=2), []
+    backend = denoiser._backend
+    plan, real = backend.plan, backend.denoise
+    backend.plan = lambda size, *rest: done.append(("plan", size)) or plan(size, *rest)
+    denoiser._delayed._step = replace(
+        denoiser._delayed._step, inner=lambda frame, *rest: done.append(("frame", frame.size)) or real(frame, *rest)
+    )
+    for frame in [*make_frames(3), *make_frames(2, H=40, W=48)]:
+        denoiser(frame.radiance, **{name: getattr(frame, name) for name in FEATURES})
+    assert done == [("plan", (24, 32)), *3 * [("frame", (24, 32))], ("plan", (40, 48))]
+    assert [tuple(image.shape[2:]) for image in denoiser.flush()] == 2 * [(40, 48)]
+
+
+def test_motion_forward_is_read_where_frames_after_are(weights):
+    """Also by models whose history needs none of it."""
+    frames = make_frames(3)
+    for ahead, reads in ((0, False), (1, True)):
+        backend = TorchBackend(weights, "cpu", "auto", lookahead=ahead)
+        backend.network.config = replace(backend.config, motion="traditional")
+        assert ("motion_next" in backend.plan((24, 32), 3, frames, {}).layers) == reads
+
+
 def test_files_without_motion_next(tmp_path, weights):
     """It is approximated, as for the history."""
     frames = make_frames(4)

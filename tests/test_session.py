@@ -11,6 +11,7 @@ from synthetic import make_frames
 import rtdenoise
 from rtdenoise import InputError, models
 from rtdenoise.glsl import Pipeline
+from rtdenoise.run.lookahead import Delayed
 
 FEATURES = ("albedo", "normal", "depth", "motion", "motion_next")
 
@@ -51,6 +52,31 @@ def test_three_lines_from_numpy_to_clean_frames(frames, expected, assert_images_
     assert all(image.shape == (24, 32, 3) and image.dtype == np.float32 for image in found)
     for image, wanted in zip(found, expected, strict=True):
         assert_images_close(np.moveaxis(image, 2, 0)[None], wanted, "float32 network")
+
+
+@pytest.mark.parametrize("lookahead", [0, 1])
+def test_a_picture_that_fails_leaves_no_trace(frames, lookahead):
+    """The next ones have their own form."""
+    denoiser, broken = rtdenoise.Denoiser("fast", lookahead=lookahead), [True]
+    real = denoiser._backend.denoise
+
+    def dies(*arguments):
+        if broken:
+            raise InputError("no")
+        return real(*arguments)
+
+    denoiser._backend.denoise = dies
+    if lookahead:
+        denoiser._delayed = Delayed(dies, lookahead)
+        color, features = batches(frames[0])
+        assert denoiser(color, **features) is None
+    with pytest.raises(InputError, match="no"):
+        denoiser(frames[1].radiance, **batches(frames[1])[1])
+    broken.clear()
+    color, features = pictures(frames[2])
+    found = [denoiser(color, **features), *denoiser.flush()]
+    assert isinstance(found[-1], np.ndarray) and found[-1].shape == (24, 32, 3)
+    assert not denoiser._forms
 
 
 def test_tensors_and_batches_come_back_as_they_are(frames, expected, assert_images_close):

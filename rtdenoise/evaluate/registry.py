@@ -182,7 +182,7 @@ def _ahead(base: Method, frames: int) -> Method:
     check_lookahead(frames, f"{base.name}-ahead{frames}")
     name = base.name.removesuffix("-oidn")
     if name not in available() or "mean" not in read_config(name).carries:
-        raise InputError(f"{base.name}-ahead{frames}: {base.name} does not look ahead: it averages no light")
+        raise InputError(f"{base.name}-ahead{frames}: expected the name of a network that averages light, or NAME-oidn")
 
     def start(device: str | torch.device, precision: str) -> Step:
         backend = TorchBackend(name, str(device), precision, oidn=name != base.name, lookahead=frames)

@@ -31,6 +31,8 @@ class HybridConfig(AccumulatedKPNConfig):
         super().__post_init__()
         if not self.footprint:
             raise ValueError("footprint: expected true, got false")
+        if not isinstance(self.many, bool):
+            raise ValueError(f"many: expected true or false, got {self.many!r}")
         for name in ("down", "up", "out"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
             self.check_widths(name)

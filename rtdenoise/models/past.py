@@ -184,7 +184,7 @@ def seen(
     frame: Frame, history: History | None, after: History, known: Known = NOTHING_KNOWN, later: History | None = None
 ) -> Tensor:
     """`after.footprint` of a sanitised frame of one sample a pixel, with edges that move against what is behind them
-    (`ops.over`), `[B, 9, H, W]`: for networks that filter what a pixel shows. `later`: as the function has it. Where
+    (`ops.over`), `[B, 9, H, W]`: for networks that filter what a pixel shows. `later`: what the function returns. Where
     frames before and frames after know such an edge, it is their mean, weighted by the frames that looked there."""
     seen, now, sides = after.footprint, footprint_of(frame), []
     if history is not None and not known.still:

@@ -1,7 +1,7 @@
 """Weights files: safetensors, with the model's configuration in their metadata. Never pickle, which can run code.
 
 They are read as numpy arrays, without torch; `loading` and `glsl` make denoisers of them. A hybrid's file may leave
-its kernels' weights, or those that write pixels, to models that ship: `parts` in its metadata names them.
+its weights to two models that ship, one for kernels, one for what writes pixels: `parts` in its metadata names them.
 """
 
 from __future__ import annotations
@@ -124,16 +124,19 @@ def read_model(model: str | Path, **overrides: object) -> StoredModel:
 
 
 def _tensors(path: Path) -> dict[str, np.ndarray]:
-    with safe_open(path, framework="numpy") as file:
-        return {key: file.get_tensor(key).astype(np.float32) for key in file.keys()}  # noqa: SIM118 (not a dict)
+    try:
+        with safe_open(path, framework="numpy") as file:
+            return {key: file.get_tensor(key).astype(np.float32) for key in file.keys()}  # noqa: SIM118 (not a dict)
+    except (SafetensorError, OSError, TypeError) as error:  # numpy has no bfloat16: TypeError
+        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
 
 
 def _parts(path: Path, metadata: Mapping[str, str]) -> dict[str, Path]:
     try:
         names = json.loads(metadata.get("parts", "{}"))
-        if not (isinstance(names, dict) and names.keys() <= {KERNELS, PIXELS} and set(names.values()) <= {*_shipped()}):
+        if names != {} and not (names.keys() == {KERNELS, PIXELS} and set(names.values()) <= {*_shipped()}):
             raise ValueError(f"expected names of models that ship for {KERNELS} and {PIXELS}, got {names}")
-    except (ValueError, TypeError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: the models whose weights it takes are none of this version: {error}") from None
     return {part: find(name) for part, name in names.items()}
 

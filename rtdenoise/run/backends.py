@@ -129,11 +129,12 @@ class TorchBackend:
         wanted = {} if recent is None else {"recent": recent}
         if oidn or footprint:
             wanted = {"recent": RECENT, "footprint": True}
-        elif lookahead and averages and not self._denoiser.config.recent:
+        elif lookahead and not self._denoiser.config.recent:
             wanted = {"recent": RECENT}
         if averages:
             self._denoiser.config = replace(self._denoiser.config, **wanted)
         self._step = self._whole = stepper(self._denoiser)
+        self._lookahead = lookahead
 
     @property
     def config(self) -> Config:
@@ -176,7 +177,8 @@ class TorchBackend:
 
         config = self._denoiser.config
         windows = config.network_reach is not None
-        plan = make_plan(size, frames, config.motion, first, windows, config.reads)
+        motion = "dual" if self._lookahead else config.motion  # frames after are led to by motion_next
+        plan = make_plan(size, frames, motion, first, windows, config.reads)
         planned = Planned(self._denoiser, plan, self._whole)
         left_out |= planned.left_out | left_out  # the counts of earlier runs, where there are any
         planned.left_out, self._step = left_out, planned.step

@@ -12,7 +12,7 @@ from .options import AUTO, Options
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture (docs/notes/hybrid.md)
 KERNELS = "default", "many"  # kernels alone, for all that goes with these only
 LEAST = 4  # samples a pixel from which those for many are better (docs/results/held.md)
-LITTLE = 0.3  # `exposure.noise_level`: below, a frame of unknown samples has many (docs/notes/lookahead.md)
+LITTLE = 0.08  # `exposure.noise_level`: below, a frame of unknown samples has many (docs/notes/lookahead.md)
 
 
 def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> tuple[Sequence, Options, list[str]]:
@@ -34,7 +34,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
     few, many = BEST if _takes_pixels(options) else KERNELS
     if not samples and _has_little_noise(sequence):
-        return sequence, replace(options, model=many), [f"model: {many}, for frames of little noise"]
+        told = f"model: {many}, for frames of little noise; --samples 1 says otherwise"
+        return sequence, replace(options, model=many), [told]
     if samples < LEAST:
         return sequence, replace(options, model=few), []
     return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel"]

@@ -39,8 +39,8 @@ class Reader:
         while len(self._waiting) <= self._lookahead and i + len(self._waiting) < len(self._numbers):
             self._add(i + len(self._waiting), history)
         this, *self._waiting = self._waiting
-        cut = next((k for k, other in enumerate(self._waiting) if not other.goes_on), len(self._waiting))
-        return this, tuple(other.prepared for other in self._waiting[:cut])
+        end = next((k for k, other in enumerate(self._waiting) if not other.goes_on), len(self._waiting))
+        return this, tuple(other.prepared for other in self._waiting[:end])
 
     def _add(self, i: int, history: Any) -> None:
         """Read frame i."""

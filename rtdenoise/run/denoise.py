@@ -124,6 +124,7 @@ def _run(
         sequence = sequence.only({*summary.plan.layers, *(("samples",) if options.correct else ())})
 
     on_frame(done, len(sequence))
+
     def frame(i: int) -> Frame:
         found = read(sequence, i)
         return found.with_samples(options.samples or sequence.header.samples) if options.correct else found

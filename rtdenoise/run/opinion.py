@@ -38,9 +38,10 @@ class Opinion:
         """`config` of the network as it is stored. Raises InputError where `pyoidn` is not installed."""
         if not installed():
             raise InputError("--oidn: OIDN is not installed: pip install pyoidn")
-        self._oidn, self._motion, self._few = Oidn(), config.motion, config.recent > 0
+        self._oidn, self._motion = Oidn(), config.motion
+        self._few = config.recent > 0 and not getattr(config, "many", False)
         self._config = replace(config, footprint=True) if self._few else config
-        self.shares = SHARES if self._few else FOR_MANY  # without recent frames of its own it is `many`
+        self.shares = SHARES if self._few else FOR_MANY  # a network without recent frames of its own is `many`
 
     def step(
         self, step: Step, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 SUMMARY = "denoise.json"
 AUTO = "auto"
 EXAMINED = 3  # frames that the plan examines
-MAX_LOOKAHEAD = 16  # frames; nothing is gained beyond 8
+MAX_LOOKAHEAD = 16  # frames; beyond 4 little is gained
 MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
 
 
@@ -62,8 +62,7 @@ class Options:
     """Mix in OIDN's picture of the light that the network has averaged: better, and several times the time. Needs
     pyoidn."""
     lookahead: int = 0
-    """Frames after each one that it is denoised with: 2 gain a third of what --offline gains, for a twentieth of its
-    time."""
+    """Denoise each frame with so many of those after it: 2 gain 0.2 to 0.4 dB for little time."""
     correct: bool = False
     """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
     samples: int = 0

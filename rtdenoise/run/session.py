@@ -78,8 +78,8 @@ class Denoiser:
         so many frames after it: a call returns the picture of the frame so many calls before, None at first, and
         `flush` the last ones.
 
-        Raises InputError for an unknown model, backend, device or precision, a correction without torch, and `samples`
-        without a correction or beyond all sense.
+        Raises InputError for an unknown model, backend, device or precision, a correction without torch, `samples`
+        without a correction or beyond all sense, and a `lookahead` out of range or with a model that averages no light.
         """
         set_defaults()
         check_samples(samples, "samples")
@@ -129,13 +129,15 @@ class Denoiser:
         if self._detect_cuts and history is not None and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             history = None
         self.started, self._shape, self._count = history is None, tuple(radiance.shape), self._count + 1
-        self._forms.append(form)
         if self._delayed is None:
             image, self._history = self._backend.denoise(prepared, history)
-        else:
-            if history is None:
-                self._delayed.end_shot()
-            image, self._history = self._delayed.add(prepared), geometry(prepared)
+            return from_planes(image, form)
+        if history is None:
+            self._delayed.end_shot()
+        self._history = None  # should this frame fail, the next one begins a shot
+        image = self._delayed.add(prepared)
+        self._history = geometry(prepared)
+        self._forms.append(form)
         return None if image is None else from_planes(image, self._forms.popleft())
 
     def flush(self) -> list[np.ndarray | Tensor]:
@@ -146,7 +148,7 @@ class Denoiser:
         return [from_planes(image, self._forms.popleft()) for image in images]
 
     def reset(self) -> None:
-        """Forget the frames so far: the next one starts a new shot."""
+        """Forget the frames so far: the next one starts a new shot. What `lookahead` has delayed still comes."""
         self._history = None
 
     def _completed(self, radiance: np.ndarray | Tensor, layers: dict[str, np.ndarray | Tensor]) -> Frame:
@@ -166,6 +168,8 @@ class Denoiser:
         """The history that this frame may use; None where it starts anew."""
         shape = tuple(frame.radiance.shape)
         if self._shape != shape:
+            if self._delayed:
+                self._delayed.end_shot()  # by the plan of its size
             self._backend.plan(frame.size, 2, [], {})
         if self._history is None:
             return None
