@@ -69,18 +69,18 @@ def bytes_of(path: Path) -> Path:
 
 
 def files_of(path: Path) -> list[Path]:
-    """The weights file, and those of other models whose weights it takes. Raises InputError as `read_model`."""
+    """The weights file, and those of other models whose weights it takes (`parts_of`)."""
     return [path, *parts_of(path).values()]
 
 
 def parts_of(path: Path) -> dict[str, Path]:
-    """The files of other models whose weights a file takes: `KERNELS` or `PIXELS` -> file. Raises InputError as
-    `read_model`."""
+    """The files of other models whose weights a file takes: `KERNELS` and `PIXELS` -> file. None of a file that cannot
+    be read; `read_model` says why."""
     try:
         with safe_open(path, framework="numpy") as file:
             return _parts(path, file.metadata() or {})
-    except (SafetensorError, OSError) as error:
-        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+    except (SafetensorError, OSError, InputError):
+        return {}
 
 
 def has_bytes(path: Path) -> bool:
