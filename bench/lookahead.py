@@ -4,8 +4,8 @@ python bench/lookahead.py SEQ ...    # sequences with references that no network
 
 Measures networks that look 1, 2 and 4 frames ahead (`denoise --lookahead`) at 1 sample, both signals. Sequences are
 told apart by the folder that they lie in. Where SEQ/spp4, SEQ/spp8 ... hold the same frames at more samples, also
-`hybrid` and `hybrid-many`. Then the time of a step. Writes bench/results/lookahead.json and the tables of
-docs/notes/lookahead.md. An interrupted run continues.
+`hybrid` and `hybrid-many`. Then the time of a step. Writes bench/results/lookahead.json, the tables of
+docs/notes/lookahead.md and strips in docs/images/lookahead. An interrupted run continues.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
 from bench import DOCS, RESULTS, ROOT, harness
+from bench.harness import strips
 
 # isort: split
 import numpy as np
@@ -31,7 +32,7 @@ from rtdenoise.models.inference import resolve
 from rtdenoise.report.readings import label
 
 RESULT, PAGES = RESULTS / "lookahead.json", (DOCS / "notes" / "lookahead.md",)
-OUT = ROOT / "out" / "lookahead"
+OUT, PICTURES = ROOT / "out" / "lookahead", DOCS / "images" / "lookahead"
 SIGNALS = ("color", "indirect")
 REFERENCE = "oidn"
 METHODS = ("default", "default-ahead2", "hybrid-fast", "hybrid-fast-ahead2", "hybrid", "hybrid-ahead1", "hybrid-ahead2",
@@ -40,6 +41,8 @@ IN_BYTES = ("hybrid-fast-ahead2", "hybrid-ahead2")
 MANY = ("many-oidn", "hybrid", "hybrid-many", "hybrid-many-ahead2")
 MANY_IN_BYTES = ("hybrid-many",)
 METRICS = ("psnr_corrected", "flip", "tpsnr_corrected")
+SHOWN = {"OIDN": "oidn", "hybrid": "hybrid", "two ahead": "hybrid-ahead2"}
+DRAWN = ("standard720", "color"), ("street", "staircase2")  # the sequences that are drawn
 SETS = {"standard720": "windows of 1280×720", "standard": "small pictures"}
 TIMED, AHEAD = ("hybrid-fast", "hybrid"), (0, 1, 2, 4)
 
@@ -63,6 +66,10 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
                 run(members, OUT / where / signal, EvaluateOptions((REFERENCE, *MANY), spp=tuple(counts), **at))
                 options = EvaluateOptions(MANY_IN_BYTES, ("int8",), spp=tuple(counts), **at)
                 document = run(members, OUT / where / signal, options)
+            for name in document.sequences if (where, signal) == DRAWN[0] else ():
+                if name in DRAWN[1]:
+                    facts = document.sequences[name]
+                    strips.draw(OUT / where / signal, name, facts, SHOWN, PICTURES / f"{name}.webp")
             for row in document.results:
                 errors = {region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")}
                 rows.append({"set": where, "signal": signal, "sequence": row["sequence"], "method": label(row),
