@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.around import expand_within
 from ..ops.even_sky import even_sky
@@ -47,6 +48,8 @@ class Hybrid(AccumulatedKPN):
         if known.exposure is None:
             exposure, distance = self.statistics(frame)
             known = replace(known, exposure=exposure, distance=distance)
+        if known.noise is None:
+            known = replace(known, noise=noise_level(frame.radiance, frame.depth))
         with torch.no_grad():
             # Filter by kernels, and average.
             image, after, kernels = self.step_and_kernels(frame, history, replace(known, sanitised=True))
