@@ -62,7 +62,7 @@ class Options:
     """Mix in OIDN's picture of the light that the network has averaged: better, and several times the time. Needs
     pyoidn."""
     lookahead: int = 0
-    """Denoise each frame with so many of those after it: 2 gain 0.2 to 0.4 dB for little time."""
+    """Denoise each frame with so many of those after it: 2 gain 0.2 to 0.5 dB for little time."""
     correct: bool = False
     """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
     samples: int = 0
