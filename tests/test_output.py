@@ -191,7 +191,7 @@ def test_a_result_that_is_not_finite_is_never_written(tmp_path, model, layout, m
     shot = write_sequence(tmp_path / "shot", make_frames(2))
     step = TorchBackend.step
 
-    def broken(self, frame, history):
+    def broken(self, frame, history, ahead):
         image, history = step(self, frame, history)
         image[0, 1, 3, 3:5] = np.nan if frame.number else 0.5
         return image, history
