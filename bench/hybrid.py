@@ -21,7 +21,7 @@ import numpy as np
 import torch
 import tyro
 
-from bench.latency.methods import settled, synthetic_frame
+from bench.latency.methods import partly_in_bytes, settled, synthetic_frame
 from rtdenoise.baselines import Oidn
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.models import load
@@ -79,10 +79,7 @@ def times_of(size: str, precision: str) -> dict:
         model = load(name, precision=precision)
         steps[name] = partial(model.step, frame, settled(model, frame))
     for name in IN_BYTES:
-        model = load(name, precision=precision)
-        for part, network in load(name, precision="int8").named_children():
-            if part in ("unet", "pixels"):
-                setattr(model, part, network)
+        model = partly_in_bytes(name, precision)
         steps[f"{name} int8"] = partial(model.step, frame, settled(model, frame))
     model = load("default", precision=precision, recent=RECENT, footprint=True)
     steps["default-oidn"] = partial(Opinion(model.config).step, model.step, frame, settled(model, frame))

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 import tyro
 
-from bench.latency.methods import settled, synthetic_frame
+from bench.latency.methods import partly_in_bytes, settled, synthetic_frame
 from rtdenoise.baselines import Oidn
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.frame import Known
@@ -86,12 +86,8 @@ def times_of(precision: str) -> dict:
     frame = synthetic_frame(720, 1280)
     steps = {REFERENCE: partial(Oidn().step, frame)}
     for name in TIMED:
-        model = load(name, precision=precision)
-        in_bytes = load(name, precision=precision)
-        for part, network in load(name, precision="int8").named_children():
-            if part in ("unet", "pixels"):
-                setattr(in_bytes, part, network)
-        for shown, network in ((name, model), (f"{name} int8", in_bytes)):
+        models = {name: load(name, precision=precision), f"{name} int8": partly_in_bytes(name, precision)}
+        for shown, network in models.items():
             history = settled(network, frame)
             for count in AHEAD:
                 known = Known(ahead=(frame,) * count)

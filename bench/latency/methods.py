@@ -108,6 +108,15 @@ def settled(model: torch.nn.Module, frame: Frame) -> History:
     return replace(history, recent=tuple(kept.clone() for kept in history.recent * model.config.recent))
 
 
+def partly_in_bytes(name: str, precision: str) -> torch.nn.Module:
+    """A model whose networks compute in bytes, and what is left of it in another precision than on this CPU."""
+    model = models.load(name, precision=precision)
+    for part, network in models.load(name, precision="int8").named_children():
+        if part in ("unet", "pixels"):
+            setattr(model, part, network)
+    return model
+
+
 def fresh(preset: str) -> torch.nn.Module:
     """The model as it is trained, with shipped weights where there are some."""
     if preset in models.available():

@@ -7,7 +7,8 @@ its weights to two models that ship, one for kernels, one for what writes pixels
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -77,9 +78,9 @@ def parts_of(path: Path) -> dict[str, Path]:
     """The files of other models whose weights a file takes: `KERNELS` and `PIXELS` -> file. None of a file that cannot
     be read; `read_model` says why."""
     try:
-        with safe_open(path, framework="numpy") as file:
+        with _opened(path) as file:
             return _parts(path, file.metadata() or {})
-    except (SafetensorError, OSError, InputError):
+    except InputError:
         return {}
 
 
@@ -91,11 +92,8 @@ def has_bytes(path: Path) -> bool:
 def read_config(model: str | Path) -> Config:
     """The configuration of a model, from the head of its file alone. Raises InputError as `read_model`."""
     path = find(model)
-    try:
-        with safe_open(path, framework="numpy") as file:
-            return _config(path, file.metadata() or {})
-    except (SafetensorError, OSError) as error:
-        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+    with _opened(path) as file:
+        return _config(path, file.metadata() or {})
 
 
 def read_model(model: str | Path, **overrides: object) -> StoredModel:
@@ -105,17 +103,15 @@ def read_model(model: str | Path, **overrides: object) -> StoredModel:
     or the tensors are not finite or do not fit the configuration.
     """
     path = find(model)
-    try:
-        with safe_open(path, framework="numpy") as file:
-            config = _overridden(_config(path, file.metadata() or {}), str(model), overrides)
-            parts = _parts(path, file.metadata() or {})
-        tensors = _tensors(path)
-        for part, other in parts.items():
-            taken = _tensors(other).items()
-            tensors |= {key: x for key, x in taken if key.startswith(f"{PIXELS}.") == (part == PIXELS)}
-        _expect(path, {key: x.shape for key, x in tensors.items()}, config, overrides)
-    except (SafetensorError, OSError, TypeError) as error:  # numpy has no bfloat16: TypeError
-        raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+    with _opened(path) as file:
+        config = _overridden(_config(path, file.metadata() or {}), str(model), overrides)
+        parts = _parts(path, file.metadata() or {})
+    sources = [(path, _shapes(path))]
+    for part, other in parts.items():
+        taken = _shapes(other).items()
+        sources.append((other, {k: v for k, v in taken if k.startswith(f"{PIXELS}.") == (part == PIXELS)}))
+    _expect(path, {key: shape for _, shapes in sources for key, shape in shapes.items()}, config, overrides)
+    tensors = {key: tensor for source, keys in sources for key, tensor in _tensors(source, keys).items()}
     for name, tensor in tensors.items():
         if not (np.abs(tensor) <= MAX_WEIGHT).all():  # False for NaN too
             raise InputError(f"{path}: {name} holds values that are not finite or beyond ±{MAX_WEIGHT:g}; the file is "
@@ -123,12 +119,24 @@ def read_model(model: str | Path, **overrides: object) -> StoredModel:
     return StoredModel(path, config, tensors)
 
 
-def _tensors(path: Path) -> dict[str, np.ndarray]:
+@contextmanager
+def _opened(path: Path) -> Iterator[safe_open]:
+    """The file, open. Raises InputError where it cannot be read, in the block, too."""
     try:
         with safe_open(path, framework="numpy") as file:
-            return {key: file.get_tensor(key).astype(np.float32) for key in file.keys()}  # noqa: SIM118 (not a dict)
+            yield file
     except (SafetensorError, OSError, TypeError) as error:  # numpy has no bfloat16: TypeError
         raise InputError(f"{path}: not a readable safetensors file ({error})") from None
+
+
+def _shapes(path: Path) -> dict[str, tuple]:
+    with _opened(path) as file:
+        return {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118 (not a dict)
+
+
+def _tensors(path: Path, keys: Collection[str]) -> dict[str, np.ndarray]:
+    with _opened(path) as file:
+        return {key: file.get_tensor(key).astype(np.float32) for key in keys}
 
 
 def _parts(path: Path, metadata: Mapping[str, str]) -> dict[str, Path]:

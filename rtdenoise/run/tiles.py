@@ -7,6 +7,7 @@ convolutions over another size, if it is denoised with the statistics of the who
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import torch
@@ -99,29 +100,28 @@ def carried(frame: Frame, history: History | None) -> Tensor | None:
     without history."""
     if history is None:
         return None
-    lengths = torch.where(on_screen(frame.motion), frame.motion.abs(), 0.0)
-    if history.motion_next is None:  # splatted to the target of motion, and looked up there
-        lengths = 2 * lengths
-    else:
-        lengths = lengths.maximum(_on_screen(history.motion_next, frame.size))
-    for kept in history.recent[:-1]:  # each leads on to the one before
-        lengths = lengths + _on_screen(motion_of(kept), frame.size).amax((2, 3), keepdim=True) + 1
-    return lengths + 5  # lookup between pixels, cracks of the splat
+    return _lengths(frame.motion, history.motion_next, map(motion_of, history.recent[:-1]))
 
 
 def carried_ahead(frame: Frame, ahead: tuple[Frame, ...]) -> Tensor | None:
     """`carried` of the frames after."""
     if not ahead:
         return None
-    lengths = _on_screen(frame.motion_next, frame.size).maximum(_on_screen(ahead[0].motion, frame.size))
-    for other in ahead[:-1]:
-        lengths = lengths + _on_screen(other.motion_next, frame.size).amax((2, 3), keepdim=True) + 1
-    return lengths + 5
+    return _lengths(frame.motion_next, ahead[0].motion, (other.motion_next for other in ahead[:-1]))
 
 
-def _on_screen(motion: Tensor, size: tuple[int, int]) -> Tensor:
-    """The length of motion that can lead to the screen, in x and y; else 0."""
-    return torch.where(motion.abs() < max(size), motion.abs(), 0.0)
+def _lengths(motion: Tensor, back: Tensor | None, onward: Iterable[Tensor]) -> Tensor:
+    """`carried`, for the motion to a neighbour in time, that from there `back`, and those from it to the next ones."""
+
+    def within(motion: Tensor) -> Tensor:
+        return torch.where(motion.abs() < max(motion.shape[2:]), motion.abs(), 0.0)
+
+    lengths = torch.where(on_screen(motion), motion.abs(), 0.0)
+    # Without `back` it is splatted to the target of motion, and looked up there.
+    lengths = 2 * lengths if back is None else lengths.maximum(within(back))
+    for other in onward:
+        lengths = lengths + within(other).amax((2, 3), keepdim=True) + 1
+    return lengths + 5  # lookup between pixels, cracks of the splat
 
 
 def _farther(a: Tensor | None, b: Tensor | None) -> Tensor | None:
