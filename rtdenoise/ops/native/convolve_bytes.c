@@ -47,6 +47,31 @@ typedef uint8_t number;
 static inline number result(float y) { return (number)rintf(MIN(MAX(y, 0), 255)); }
 #endif
 
+// Results of `many` outputs, at most LANES, from their sums.
+#if LANES == 16  // its instructions are none that compilers find
+static inline void store(number *to, vector sum, const float *factor, const float *bias, int many) {
+    __mmask16 there = (__mmask16)((1u << many) - 1);
+    __m512 y = _mm512_fmadd_ps(_mm512_cvtepi32_ps(sum), _mm512_maskz_loadu_ps(there, factor), _mm512_maskz_loadu_ps(there, bias));
+    y = _mm512_max_ps(y, _mm512_setzero_ps());
+#if HALF
+    __m512i bits = _mm512_castps_si512(y), odd = _mm512_and_si512(_mm512_srli_epi32(bits, 16), repeated(1));
+    bits = _mm512_srli_epi32(_mm512_add_epi32(bits, _mm512_add_epi32(odd, repeated(0x7fff))), 16);
+    _mm256_mask_storeu_epi16(to, there, _mm512_cvtepi32_epi16(bits));
+#else
+    _mm_mask_storeu_epi8(to, there, _mm512_cvtusepi32_epi8(_mm512_cvtps_epi32(y)));  // to nearest, ties to even
+#endif
+}
+#else
+static inline void store(number *to, vector sum, const float *factor, const float *bias, int many) {
+    int32_t totals[LANES];
+    memcpy(totals, &sum, sizeof totals);
+    if (many == LANES)  // a constant, for the vector code
+        for (int o = 0; o < LANES; o++) to[o] = result(fmaf((float)totals[o], factor[o], bias[o]));
+    else
+        for (int o = 0; o < many; o++) to[o] = result(fmaf((float)totals[o], factor[o], bias[o]));
+}
+#endif
+
 // A picture that a convolution reads: bytes [height, width, channels], through windows of taps × taps pixels. Neighbouring
 // outputs of a block read windows that are `step` pixels apart.
 typedef struct {
@@ -67,41 +92,70 @@ static inline void window(const source *s, int top, int left, const uint8_t **ro
     }
 }
 
-// Add a source's products to the sums of PIXELS pixels and BLOCK outputs; returns the weights after its own. `stride`: bytes
-// from the weights of four channels to those of the next four.
+// Add a source's products to the sums of PIXELS pixels and `parts` vectors of outputs; returns the weights after its own.
+// `stride`: bytes from the weights of four channels to those of the next four.
 static inline __attribute__((always_inline)) const int8_t *
-added(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight, int stride, int taps, int step, int C) {
+added(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight, int stride, int taps, int step, int parts,
+      int C) {
     for (int v = 0; v < taps; v++)
         for (int u = 0; u < taps; u++)
             for (int c = 0; c < C; c += 4, weight += stride) {
                 const uint8_t *x = rows[v] + u * C + c;
                 vector w[PARTS];
-                for (int k = 0; k < PARTS; k++) memcpy(w + k, weight + k * LANES * 4, sizeof *w);
+                for (int k = 0; k < parts; k++) memcpy(w + k, weight + k * LANES * 4, sizeof *w);
                 _Pragma("GCC unroll 12") for (int p = 0; p < PIXELS; p++) {
                     int32_t four;
                     memcpy(&four, x + p * step * C, 4);
                     vector same = repeated(four);
-                    for (int k = 0; k < PARTS; k++) sums[p][k] = plus_products(sums[p][k], same, w[k]);
+                    for (int k = 0; k < parts; k++) sums[p][k] = plus_products(sums[p][k], same, w[k]);
                 }
             }
     return weight;
 }
 
-// Results of `many` outputs, at most BLOCK.
-static inline void store(number *to, const int32_t *totals, const float *factor, const float *bias, int many) {
-    if (many == BLOCK)  // a constant, for the vector code
-        for (int o = 0; o < BLOCK; o++) to[o] = result(fmaf((float)totals[o], factor[o], bias[o]));
-    else
-        for (int o = 0; o < many; o++) to[o] = result(fmaf((float)totals[o], factor[o], bias[o]));
-}
-
 // As `added`; common numbers of channels are constants to the compiler, so that it need not keep PIXELS addresses.
 static inline __attribute__((always_inline)) const int8_t *
-add(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight, int stride, int taps, int step, int C) {
+add(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight, int stride, int taps, int step, int parts,
+    int C) {
     switch (C) {
-#define CASE(channels) case channels: return added(sums, rows, weight, stride, taps, step, channels);
+#define CASE(channels) case channels: return added(sums, rows, weight, stride, taps, step, parts, channels);
         CASE(16) CASE(32) CASE(48) CASE(56) CASE(64) CASE(72) CASE(80) CASE(88) CASE(96) CASE(104) CASE(112)
-        default: return added(sums, rows, weight, stride, taps, step, C);
+        default: return added(sums, rows, weight, stride, taps, step, parts, C);
+    }
+}
+
+// The result's pixels of a phase in a row, for `parts` vectors of outputs from the first of `out` on.
+typedef struct {
+    const source *below, *beside;
+    const int8_t *weight;
+    const float *factor, *bias;
+    number *out;  // the first pixel of the row
+    int stride, outputs, many, W, i, a, b;  // the row, and the phase; `many` of `outputs` are stored
+} Row;
+
+static inline __attribute__((always_inline)) void convolved(Row r, int parts) {
+    int scale = r.below->taps ? 2 : 1;
+    for (int j = 0; j * scale + r.b < r.W; j += PIXELS) {
+        uint8_t space[3][SPAN * MOST];
+        const uint8_t *rows[3];
+        const int8_t *w = r.weight;
+        vector sums[PIXELS][PARTS], totals[PIXELS][PARTS];
+        for (int p = 0; p < PIXELS; p++)
+            for (int k = 0; k < parts; k++) sums[p][k] = repeated(0);
+        if (scale == 2) {
+            window(r.below, r.i / 2 + r.a - 1, j + r.b - 1, rows, space);
+            w = add(sums, rows, w, r.stride, 2, 1, parts, r.below->channels);
+            window(r.beside, r.i - 1, j * 2 + r.b - 1, rows, space);
+            add(sums, rows, w, r.stride, 3, 2, parts, r.beside->channels);
+        } else {
+            window(r.beside, r.i - 1, j - 1, rows, space);
+            add(sums, rows, w, r.stride, 3, 1, parts, r.beside->channels);
+        }
+        memcpy(totals, sums, sizeof totals);  // registers have no index
+        number *to = r.out + (int64_t)(j * scale + r.b) * r.outputs;
+        for (int p = 0; p < PIXELS && (j + p) * scale + r.b < r.W; p++, to += scale * r.outputs)
+            for (int k = 0; k < parts; k++)
+                store(to + k * LANES, totals[p][k], r.factor + k * LANES, r.bias + k * LANES, MIN(LANES, r.many - k * LANES));
     }
 }
 
@@ -110,36 +164,17 @@ add(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight
 // `below`; without that there is one.
 void convolve_bytes(const source *below, const source *beside, const int8_t *weight, const float *factor, const float *bias,
                     number *out, int quads, int stored, int outputs, int H, int W, int threads) {
-    int scale = below->taps ? 2 : 1, stride = stored * 4;
+    int scale = below->taps ? 2 : 1;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int i = 0; i < H; i++)
-        for (int b = 0; b < scale; b++) {
-            int a = i % scale, phase = a * scale + b;
+        for (int b = 0; b < scale; b++)
             for (int first = 0; first < outputs; first += BLOCK) {
-                const int8_t *weights = weight + ((int64_t)phase * quads * stored + first) * 4;
-                const float *f = factor + phase * outputs + first, *d = bias + phase * outputs + first;
-                for (int j = 0; j * scale + b < W; j += PIXELS) {
-                    uint8_t space[3][SPAN * MOST];
-                    const uint8_t *rows[3];
-                    const int8_t *w = weights;
-                    vector sums[PIXELS][PARTS];
-                    for (int p = 0; p < PIXELS; p++)
-                        for (int k = 0; k < PARTS; k++) sums[p][k] = repeated(0);
-                    if (scale == 2) {
-                        window(below, i / 2 + a - 1, j + b - 1, rows, space);
-                        w = add(sums, rows, w, stride, 2, 1, below->channels);
-                        window(beside, i - 1, j * 2 + b - 1, rows, space);
-                        add(sums, rows, w, stride, 3, 2, beside->channels);
-                    } else {
-                        window(beside, i - 1, j - 1, rows, space);
-                        add(sums, rows, w, stride, 3, 1, beside->channels);
-                    }
-                    int32_t totals[PIXELS][BLOCK];  // registers have no index
-                    memcpy(totals, sums, sizeof totals);
-                    number *to = out + ((int64_t)i * W + j * scale + b) * outputs + first;
-                    for (int p = 0; p < PIXELS && (j + p) * scale + b < W; p++, to += scale * outputs)
-                        store(to, totals[p], f, d, MIN(BLOCK, outputs - first));
-                }
+                int a = i % scale, phase = a * scale + b, from = phase * outputs + first;
+                const int8_t *its = weight + ((int64_t)phase * quads * stored + first) * 4;
+                number *to = out + (int64_t)i * W * outputs + first;
+                Row r = {below, beside, its, factor + from, bias + from, to, stored * 4, outputs, MIN(BLOCK, outputs - first), W, i, a,
+                         b};
+                if (r.many > LANES) convolved(r, PARTS);
+                else convolved(r, 1);
             }
-        }
 }
