@@ -12,9 +12,11 @@ from .compiler import library, pointer
 
 def to_planes(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     B, C, H, W = x.shape
-    taps = weight.float().permute(2, 3, 0, 1).contiguous()  # [3, 3, O, C]
+    half, half_taps = (t.dtype == torch.bfloat16 for t in (x, weight))
+    half_taps &= half
+    taps = (weight if half_taps else weight.float()).permute(2, 3, 0, 1).contiguous()  # [3, 3, O, C]
     bias, out = bias.float().contiguous(), torch.empty(B, len(bias), H, W)
-    run = library("to_planes", C=C, O=len(bias), HALF=int(x.dtype == torch.bfloat16)).to_planes
+    run = library("to_planes", C=C, O=len(bias), HALF=int(half), HALF_TAPS=int(half_taps)).to_planes
     for image, planes in zip(x, out, strict=True):
         run(*map(pointer, (image, taps, bias, planes)), c_int(H), c_int(W), torch.get_num_threads())
     return out
