@@ -92,7 +92,7 @@ static inline void read(Job j, uint32_t (*pixels)[PART], int64_t first, int n, c
         int in = inside[x];
         uint32_t blue = pixels[1][x], normal = pixels[2][x], forgets = pixels[3][x], motion = pixels[4][x];
         Surface here = surface_at(j.depth + first, j.normal + first, plane, x);
-        Surface there = {high(blue), low(normal), high(normal), low(forgets)};
+        Surface there = surface(high(blue), low(normal), high(normal), low(forgets));
         found[x] = pixels[0][x];
         found[stride + x] = (blue & 0xffff) | (in & alike(here, there, j.depth_tolerance, j.normal_tolerance) ? SAME : 0);
         found[2 * stride + x] = bits_of(s[x]);
@@ -102,15 +102,43 @@ static inline void read(Job j, uint32_t (*pixels)[PART], int64_t first, int n, c
     }
 }
 
-// The pixel whose motion the edge in pixel (x, y) of a picture has: ops/recall.py, edge_motion. `motion` has two planes.
-static inline int64_t edge(const float *motion, const float *depth, int64_t plane, int W, int H, int x, int y,
-                           float tolerance, float speed) {
-    int64_t at = (int64_t)y * W + x, nearest = at;
-    int64_t beside[4] = {y ? at - W : at, x ? at - 1 : at, x + 1 < W ? at + 1 : at, y + 1 < H ? at + W : at};
-    for (int i = 0; i < 4; i++)
-        if (distance(depth[beside[i]]) < (1 - tolerance) * distance(depth[nearest])) nearest = beside[i];
-    float dx = motion[nearest] - motion[at], dy = motion[plane + nearest] - motion[plane + at];
-    return dx * dx + dy * dy <= speed * speed ? nearest : at;
+// n values of a row of a picture from column `from` on, with a column on each side; the picture's own edge stands for what is
+// beyond it.
+static inline void padded(const float *picture, int H, int W, int y, int from, int n, float *out) {
+    const float *row = picture + (int64_t)MIN(MAX(y, 0), H - 1) * W;
+    out[0] = row[MAX(from - 1, 0)];
+    memcpy(out + 1, row + from, n * sizeof *out);
+    out[n + 1] = row[MIN(from + n, W - 1)];
+}
+
+// The motion of the edges in n pixels of row y, from column `from` on, and the distance of what has it: ops/recall.py,
+// edge_motion. `motion` has two planes.
+static inline void edges(const float *motion, const float *depth, int64_t plane, int H, int W, int y, int from, int n,
+                         float tolerance, float speed, float *mx, float *my, float *nearest) {
+    float d[3][BLOCK + 2], u[3][BLOCK + 2], v[3][BLOCK + 2];
+    for (int i = 0; i < 3; i++) {
+        padded(depth, H, W, y + i - 1, from, n, d[i]);
+        padded(motion, H, W, y + i - 1, from, n, u[i]);
+        padded(motion + plane, H, W, y + i - 1, from, n, v[i]);
+    }
+#pragma omp simd
+    for (int x = 0; x < n; x++) {
+        float own = distance(d[1][x + 1]), near = own, its_u = u[1][x + 1], its_v = v[1][x + 1];
+#pragma GCC unroll 4
+        for (int i = 0; i < 4; i++) {
+            int row = (int[]){0, 1, 1, 2}[i], column = x + (int[]){1, 0, 2, 1}[i];
+            float other = distance(d[row][column]);
+            int nearer = other < (1 - tolerance) * near;
+            near = nearer ? other : near;
+            its_u = nearer ? u[row][column] : its_u;
+            its_v = nearer ? v[row][column] : its_v;
+        }
+        float du = its_u - u[1][x + 1], dv = its_v - v[1][x + 1];
+        int slow = du * du + dv * dv <= speed * speed;
+        mx[x] = slow ? its_u : u[1][x + 1];
+        my[x] = slow ? its_v : v[1][x + 1];
+        nearest[x] = slow ? near : own;
+    }
 }
 
 // The pixels that n paths of row y lead to, from column `from` on.
@@ -197,20 +225,19 @@ static inline void divide(float sum[][BLOCK], int channels, float *mean, float *
     }
 }
 
-// The surfaces of a block of pixels of a row, of the row above and of that below, with a column on each side; the picture's
-// own edge stands for what is beyond it.
-typedef struct { float depth[3][BLOCK + 2], x[3][BLOCK + 2], y[3][BLOCK + 2], z[3][BLOCK + 2]; } Surroundings;
+// The surfaces of a block of pixels of a row, of the row above and of that below, `padded`.
+typedef struct {
+    float depth[3][BLOCK + 2], x[3][BLOCK + 2], y[3][BLOCK + 2], z[3][BLOCK + 2], square[3][BLOCK + 2];
+} Surroundings;
 
 static inline void surroundings(Job j, int y, int from, int n, Surroundings *s) {
     for (int i = 0; i < 3; i++) {
-        int64_t row = (int64_t)MIN(MAX(y + i - 1, 0), j.H - 1) * j.W;
-        float *out[4] = {s->depth[i], s->x[i], s->y[i], s->z[i]};
-        for (int c = 0; c < 4; c++) {
-            const float *in = c ? j.normal + (c - 1) * j.plane + row : j.depth + row;
-            out[c][0] = in[MAX(from - 1, 0)];
-            memcpy(out[c] + 1, in + from, n * sizeof *in);
-            out[c][n + 1] = in[MIN(from + n, j.W - 1)];
-        }
+        padded(j.depth, j.H, j.W, y + i - 1, from, n, s->depth[i]);
+        padded(j.normal, j.H, j.W, y + i - 1, from, n, s->x[i]);
+        padded(j.normal + j.plane, j.H, j.W, y + i - 1, from, n, s->y[i]);
+        padded(j.normal + 2 * j.plane, j.H, j.W, y + i - 1, from, n, s->z[i]);
+#pragma omp simd
+        for (int x = 0; x < n + 2; x++) s->square[i][x] = squared(s->x[i][x], s->y[i][x], s->z[i][x]);
     }
 }
 
@@ -225,11 +252,12 @@ static inline void see(Job j, uint32_t (*pixels)[PART], int n, const int *inside
         uint32_t words[WORDS];
 #pragma GCC unroll 8
         for (int c = 0; c < WORDS; c++) words[c] = pixels[c][x];
-        Surface its = {high(words[1]), low(words[2]), high(words[2]), low(words[3])};
+        Surface its = surface(high(words[1]), low(words[2]), high(words[2]), low(words[3]));
 #pragma GCC unroll 5
         for (int i = 0; i < 5; i++) {
             int row = (int[]){1, 0, 1, 1, 2}[i], column = p + x + (int[]){1, 1, 0, 2, 1}[i];
-            Surface here = {around->depth[row][column], around->x[row][column], around->y[row][column], around->z[row][column]};
+            Surface here = {around->depth[row][column], around->x[row][column], around->y[row][column], around->z[row][column],
+                            around->square[row][column]};
             beside |= alike(here, its, j.depth_tolerance, j.normal_tolerance);
         }
         beside &= in & (distance(its.depth) >= nearest[p + x]);
@@ -260,12 +288,10 @@ static inline void footprints(Job j, int y, int from, int n, float weight[][BLOC
     Surroundings around;
     float nearest[BLOCK], sum[SUMMED][BLOCK] = {{0}};
     surroundings(j, y, from, n, &around);
+    edges(j.motion, j.depth, j.plane, j.H, j.W, y, from, n, j.depth_tolerance, j.speed, paths.mx, paths.my, nearest);
     for (int x = 0; x < n; x++) {
-        int64_t its = edge(j.motion, j.depth, j.plane, j.W, j.H, from + x, y, j.depth_tolerance, j.speed);
-        paths.mx[x] = j.motion[its];
-        paths.my[x] = j.motion[j.plane + its];
         paths.s[x] = 1;
-        nearest[x] = j.uncovered[first + x] ? NAN : (1 - j.depth_tolerance) * distance(j.depth[its]);
+        nearest[x] = j.uncovered[first + x] ? NAN : (1 - j.depth_tolerance) * nearest[x];
     }
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
@@ -364,32 +390,36 @@ void keep(const float *light, const float *depth, const float *normal, const flo
     for (int line = 0; line < B * H; line++) {
         int64_t b = line / H, y = line % H, first = y * W;
         const float *l = light + 3 * b * plane + first, *d = depth + b * plane + first, *r = reset + b * plane + first;
-        const float *n = normal + 3 * b * plane + first, *whole = motion + 2 * b * plane, *m = whole + first;
+        const float *n = normal + 3 * b * plane + first, *m = motion + 2 * b * plane + first;
         const float *a = albedo ? albedo + 3 * b * plane + first : NULL;
         uint32_t *out = kept + words * (b * plane + first);
-        for (int from = 0; from < W; from += WORDS) {
-            int size = MIN(WORDS, W - from);
-            row rows[WORDS];
-            uint32_t found[WORDS][WORDS] = {{0}};
+        for (int from = 0; from < W; from += BLOCK) {
+            int many = MIN(BLOCK, W - from);
+            float u[BLOCK], v[BLOCK], nearest[BLOCK];
+            if (a) edges(m - first, d - first, plane, H, W, y, from, many, depth_tolerance, speed, u, v, nearest);
+            for (int part = 0; part < many; part += WORDS) {
+                int size = MIN(WORDS, many - part);
+                row rows[WORDS];
+                uint32_t found[WORDS][WORDS] = {{0}};
 #pragma omp simd
-            for (int x = 0; x < size; x++) {
-                int i = from + x;
-                found[0][x] = half(l[i]) | half(l[plane + i]) << 16;
-                found[1][x] = half(l[2 * plane + i]) | half(d[i]) << 16;
-                found[2][x] = half(n[i]) | half(n[plane + i]) << 16;
-                found[3][x] = half(n[2 * plane + i]) | half(r[i]) << 16;
-                found[4][x] = half(m[i]) | half(m[plane + i]) << 16;
+                for (int x = 0; x < size; x++) {
+                    int i = from + part + x;
+                    found[0][x] = half(l[i]) | half(l[plane + i]) << 16;
+                    found[1][x] = half(l[2 * plane + i]) | half(d[i]) << 16;
+                    found[2][x] = half(n[i]) | half(n[plane + i]) << 16;
+                    found[3][x] = half(n[2 * plane + i]) | half(r[i]) << 16;
+                    found[4][x] = half(m[i]) | half(m[plane + i]) << 16;
+                }
+                for (int x = 0; a && x < size; x++) {
+                    int i = from + part + x;
+                    found[5][x] = half(a[i]) | half(a[plane + i]) << 16;
+                    found[6][x] = half(a[2 * plane + i]) | half(u[part + x]) << 16;
+                    found[7][x] = half(v[part + x]);
+                }
+                memcpy(rows, found, sizeof rows);
+                transpose(rows);
+                for (int x = 0; x < size; x++, out += words) memcpy(out, rows + x, words * sizeof *out);
             }
-            for (int x = 0; a && x < size; x++) {
-                int i = from + x;
-                int64_t its = edge(whole, d - first, plane, W, H, i, y, depth_tolerance, speed);
-                found[5][x] = half(a[i]) | half(a[plane + i]) << 16;
-                found[6][x] = half(a[2 * plane + i]) | half(whole[its]) << 16;
-                found[7][x] = half(whole[plane + its]);
-            }
-            memcpy(rows, found, sizeof rows);
-            transpose(rows);
-            for (int x = 0; x < size; x++, out += words) memcpy(out, rows + x, words * sizeof *out);
         }
     }
 }
