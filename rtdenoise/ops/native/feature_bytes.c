@@ -3,29 +3,37 @@
 #include "common.h"
 #include "log1p.h"
 
-#define BLOCK 64  // pixels
+#define BLOCK 64           // pixels
+#define WORDS (CHANNELS / 4)  // of a pixel, four bytes each: moving single bytes is slow
 
-static inline uint8_t byte(float steps) { return (uint8_t)MIN(MAX(steps, 0), 255); }
+static inline uint32_t byte(float steps) { return (uint32_t)(int)MIN(MAX(steps, 0), 255); }
+static inline uint32_t word(const float *steps) {
+    return byte(steps[0]) | byte(steps[BLOCK]) << 8 | byte(steps[2 * BLOCK]) << 16 | byte(steps[3 * BLOCK]) << 24;
+}
 
-// planes: 9 pointers to `pixels` float32 each, radiance, albedo and normal; out [pixels, CHANNELS]
-void feature_bytes(const float *const *planes, float scale, uint8_t *out, int64_t pixels, int threads) {
+// planes: 9 pointers to `pixels` float32 each, radiance, albedo and normal; out [pixels, WORDS]
+void feature_bytes(const float *const *planes, float scale, uint32_t *out, int64_t pixels, int threads) {
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t from = 0; from < pixels; from += BLOCK) {
         int n = (int)MIN(BLOCK, pixels - from);
-        uint8_t bytes[CHANNELS][BLOCK] = {0};
+        float steps[CHANNELS][BLOCK] = {0};
+        uint32_t words[WORDS][BLOCK];
         for (int c = 0; c < 3; c++) {
             const float *radiance = planes[c] + from, *albedo = planes[3 + c] + from, *normal = planes[6 + c] + from;
 #pragma omp simd
             for (int x = 0; x < n; x++) {
                 float light = rintf(log1p_positive(radiance[x] * scale) * LIGHT), up = rintf(normal[x] * NORMAL);
-                bytes[c][x] = byte(light);
-                bytes[3 + c][x] = byte(light - 255);
-                bytes[6 + c][x] = byte(rintf(albedo[x] * ALBEDO));
-                bytes[9 + c][x] = byte(up);
-                bytes[12 + c][x] = byte(-up);
+                steps[c][x] = light;
+                steps[3 + c][x] = light - 255;
+                steps[6 + c][x] = rintf(albedo[x] * ALBEDO);
+                steps[9 + c][x] = up;
+                steps[12 + c][x] = -up;
             }
         }
+        for (int w = 0; w < WORDS; w++)
+#pragma omp simd
+            for (int x = 0; x < BLOCK; x++) words[w][x] = word(steps[4 * w] + x);
         for (int x = 0; x < n; x++)
-            for (int c = 0; c < CHANNELS; c++) out[(from + x) * CHANNELS + c] = bytes[c][x];
+            for (int w = 0; w < WORDS; w++) out[(from + x) * WORDS + w] = words[w][x];
     }
 }
