@@ -201,7 +201,7 @@ def test_over(both, assert_images_close, size, count):
     assert_images_close(fused, plain, "float32")
     assert_images_close(fused_coverage, coverage, "float32")
     assert min(size) == 1 or not torch.equal(plain, seen)
-    assert torch.equal(over(seen, now, motion, depth, recent), fused)
+    assert torch.equal(over(seen, now.split(3, dim=1), motion, depth, recent), fused)
 
 
 @pytest.mark.parametrize("op", [ops.warp, cubic])
@@ -378,11 +378,11 @@ def test_features(both, assert_images_close, size, dtype):
 
 
 @pytest.mark.parametrize("size", [*SIZES, (1, 5), (4, 1)], ids=str)
-@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16], ids=str)
-@pytest.mark.parametrize(("channels", "planes"), [(32, 3), (48, 1), (16, 4)])
-def test_to_planes(both, assert_images_close, size, dtype, channels, planes):
-    x = torch.rand(2, channels, *size).to(dtype).to(memory_format=torch.channels_last)
-    weight, bias = torch.rand(planes, channels, 3, 3).to(dtype), torch.rand(planes).to(dtype)
+@pytest.mark.parametrize("dtypes", [(torch.float32,) * 2, (torch.bfloat16,) * 2, (torch.bfloat16, torch.float32)], ids=str)
+@pytest.mark.parametrize(("channels", "planes"), [(32, 3), (48, 1), (16, 4), (64, 2)])
+def test_to_planes(both, assert_images_close, size, dtypes, channels, planes):
+    x = torch.rand(2, channels, *size).to(dtypes[0]).to(memory_format=torch.channels_last)
+    weight, bias = torch.rand(planes, channels, 3, 3).to(dtypes[1]), torch.rand(planes).to(dtypes[1])
     plain, fused = both(lambda x: to_planes(x, weight, bias), x)
     assert plain.shape == (2, planes, *size) and plain.dtype == fused.dtype == torch.float32
     assert_images_close(fused, plain, "float32")
@@ -493,9 +493,11 @@ def test_pixelwise_ops(both, assert_images_close, size):
     ):
         assert_images_close(fused, plain, "float32")
     reset = image(1).round()  # a restart leaves no trace of the mean, however bright it was
-    results = both(pixels.accumulate, image(), 1e15 * image(), (9 * image(1)).floor() * (1 - reset), reset, 15.0)
-    for plain, fused in zip(*results, strict=True):
-        assert_images_close(fused, plain, "float32")
+    for new, channels in ((image(), 3), ((image(), image(), image(1)), 7)):
+        length = (9 * image(1)).floor() * (1 - reset)
+        results = both(pixels.accumulate, new, 1e15 * image(channels), length, reset, 15.0)
+        for plain, fused in zip(*results, strict=True):
+            assert_images_close(fused, plain, "float32")
 
 
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)

@@ -171,13 +171,13 @@ def footprint(frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:
     way to it."""
     seen = footprint_of(frame)
     if past.footprint is None:
-        return seen, torch.ones_like(frame.depth)
+        return torch.cat(seen, dim=1), torch.ones_like(frame.depth)
     return accumulate(seen, past.footprint, past.footprint_count, reset, torch.inf)
 
 
-def footprint_of(frame: Frame) -> Tensor:
-    """What one frame sees in each pixel, `[B, 9, H, W]` (`recall.FOOTPRINT`)."""
-    return torch.cat([frame.radiance, frame.albedo, frame.normal], dim=1)
+def footprint_of(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
+    """What one frame sees in each pixel: the parts of `recall.FOOTPRINT`."""
+    return frame.radiance, frame.albedo, frame.normal
 
 
 def seen(

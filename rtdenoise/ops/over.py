@@ -24,7 +24,7 @@ FUSED = Fused("over.over_and_coverage", native=Support())
 
 def over(
     seen: Tensor,  # [B, 9, H, W] footprints with the current frame in them: `recall.FOOTPRINT`
-    now: Tensor,  # [B, 9, H, W] the current frame alone
+    now: Tensor | Sequence[Tensor],  # [B, 9, H, W] the current frame alone; several are joined along channels
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels, to the frame before
     depth: Tensor,  # [B, 1, H, W]
     recent: Sequence[Tensor],  # [B, 8, H, W] int32 each (`recall.keep`), the frame before first
@@ -50,7 +50,7 @@ def over(
 
 @falls_back
 def over_and_coverage(
-    seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Sequence[Tensor]
+    seen: Tensor, now: Tensor | Sequence[Tensor], motion: Tensor, depth: Tensor, recent: Sequence[Tensor]
 ) -> tuple[Tensor, Tensor]:
     """`over`, and what it knows of each pixel's coverage, `[B, 3, H, W]`: 1 where the front is seen now, otherwise 0;
     Σ w_j, j > 0, of the frames that saw the front; and of all of them. Zero where there is no such edge."""
@@ -58,6 +58,7 @@ def over_and_coverage(
     for kept in recent:
         if kept.shape != (B, RECALL_FOOTPRINT_WORDS, H, W):
             raise ValueError(f"expected kept frames of {(B, RECALL_FOOTPRINT_WORDS, H, W)}, got {tuple(kept.shape)}")
+    now = [now] if isinstance(now, Tensor) else [*now]
     if recent and (run := FUSED(seen=seen, now=now, motion=motion, depth=depth)):
         return run(seen, now, motion, depth, recent)
     front, behind, near, far = _ends(distance(depth))
@@ -67,7 +68,8 @@ def over_and_coverage(
     between = torch.where(far.isinf(), 2 * near, near.sqrt() * far.sqrt())
     path, back = Path(onward), fetch(seen, behind)
     now_front = distance(depth) < between
-    total, weights, front_weights = torch.where(now_front, now, back), torch.ones_like(depth), torch.zeros_like(depth)
+    total = torch.where(now_front, torch.cat(now, dim=1), back)
+    weights, front_weights = torch.ones_like(depth), torch.zeros_like(depth)
     for kept in recent:
         there = path.look(kept)
         weight = path.inside * path.left * path.cover

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -44,7 +46,7 @@ def modulate(
 
 @falls_back
 def accumulate(
-    new: Tensor,  # [B, C, H, W]
+    new: Tensor | Sequence[Tensor],  # [B, C, H, W]; several are joined along channels
     mean: Tensor,  # [B, C, H, W] of the frames before
     length: Tensor,  # [B, 1, H, W] number of those frames
     reset: Tensor,  # [B, 1, H, W] in [0, 1]: share of the mean that the new frame replaces; 1 restarts it
@@ -54,8 +56,10 @@ def accumulate(
 
     w = 1 / (1 + length),  a = w + reset · (1 - w),  mean' = a · new + (1 - a) · mean,  length' = min(1/a, max_length)
     """
+    new = [new] if isinstance(new, Tensor) else [*new]
     if run := ACCUMULATE(new=new, mean=mean, length=length, reset=reset):
         return run(new, mean, length, reset, max_length)
+    new = torch.cat(new, dim=1)
     weight = 1 / (1 + length)
     weight = weight + reset * (1 - weight)
     return blend(new, mean, weight), (1 / weight).clamp(max=max_length)

@@ -41,7 +41,7 @@ def seen_on_both_sides(frame: Frame, forward: Estimate, backward: Estimate) -> t
     (n f + n' f' - y) / (n + n' - 1). At edges that move (`covered`) that is nearly so: where the frame sees what is
     behind, f has the mean of that instead of y.
     """
-    now = footprint_of(frame)
+    now = torch.cat(footprint_of(frame), dim=1)
     counts = [torch.cat([e.footprint_count, e.surface_count], dim=1) for e in (forward, backward)]
     total = sum(n[:, COUNTED] * e.footprint for n, e in zip(counts, (forward, backward), strict=True)) - now
     count = sum(counts) - 1

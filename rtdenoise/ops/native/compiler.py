@@ -11,6 +11,8 @@ import platform
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
+from ctypes import Array
 from importlib import resources
 from pathlib import Path
 
@@ -56,6 +58,12 @@ def _announce() -> None:
 def pointer(tensor: Tensor | None) -> ctypes.c_void_p:
     """The address of a tensor's first value; null for None."""
     return ctypes.c_void_p(tensor.data_ptr() if tensor is not None else None)
+
+
+def planes(images: Sequence[Tensor]) -> Array[ctypes.c_void_p]:
+    """The addresses of the planes of contiguous images, `[B, C, H, W]` each, joined along channels: B × ΣC."""
+    found = [plane.data_ptr() for parts in zip(*images, strict=True) for part in parts for plane in part]
+    return (ctypes.c_void_p * len(found))(*found)
 
 
 def _literal(value: int | float) -> str:

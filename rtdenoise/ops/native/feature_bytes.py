@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from ctypes import c_float, c_int64, c_void_p
+from ctypes import c_float, c_int64
 
 import torch
 from torch import Tensor
 
 from ..feature_bytes import ALBEDO, CHANNELS, LIGHT, NORMAL
-from .compiler import library, pointer
+from .compiler import library, planes, pointer
 
 
 def feature_bytes(radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
@@ -18,6 +18,6 @@ def feature_bytes(radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tenso
     constants = {"LIGHT": LIGHT, "ALBEDO": ALBEDO, "NORMAL": NORMAL, "CHANNELS": CHANNELS}
     run = library("feature_bytes", **constants).feature_bytes
     for b in range(B):
-        planes = (c_void_p * 9)(*(plane.data_ptr() for layer in layers for plane in layer[b]))
-        run(planes, c_float(scale[b].item()), pointer(out[b]), c_int64(H * W), torch.get_num_threads())
+        each = planes([layer[b : b + 1] for layer in layers])
+        run(each, c_float(scale[b].item()), pointer(out[b]), c_int64(H * W), torch.get_num_threads())
     return out

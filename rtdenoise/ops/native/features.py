@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from ctypes import c_float, c_int64, c_void_p
+from ctypes import c_float, c_int64
 
 import torch
 from torch import Tensor
 
-from .compiler import library, pointer
+from .compiler import library, planes, pointer
 
 
 def features(light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype) -> Tensor:
@@ -18,6 +18,6 @@ def features(light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, d
     out = torch.empty(B, channels, H, W, dtype=dtype, memory_format=torch.channels_last)
     run = library("features", C=channels, LIGHT=lit, HALF=int(dtype == torch.bfloat16)).features
     for b in range(B):
-        planes = (c_void_p * channels)(*(plane.data_ptr() for layer in layers for plane in layer[b]))
-        run(planes, c_float(scale[b].item()), pointer(out[b]), c_int64(H * W), torch.get_num_threads())
+        each = planes([layer[b : b + 1] for layer in layers])
+        run(each, c_float(scale[b].item()), pointer(out[b]), c_int64(H * W), torch.get_num_threads())
     return out

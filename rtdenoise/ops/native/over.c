@@ -8,7 +8,8 @@
 #define WORDS 8  // of a kept frame
 
 typedef struct {
-    const float *seen, *now, *motion, *depth;  // planes of the current frame
+    const float *seen, *motion, *depth;  // planes of the current frame
+    const float *const *now;             // likewise
     const uint32_t *const *kept;               // K frames [H, W, WORDS]
     float *out, *coverage, apart, speed, light, same;
     int64_t plane;
@@ -55,7 +56,7 @@ static inline void compose(Job j, int x, int y) {
     int now_front = distance(j.depth[own]) < between;
     for (int c = 0; c < SEEN; c++) {
         back[c] = j.seen[c * plane + behind];
-        sum[c] = now_front ? j.now[c * plane + own] : back[c];
+        sum[c] = now_front ? j.now[c][own] : back[c];
     }
     float mx = onward_x, my = onward_y;
     for (int k = 0; k < j.K; k++) {
@@ -88,19 +89,18 @@ static inline void compose(Job j, int x, int y) {
     j.coverage[own] = now_front, j.coverage[plane + own] = fronts, j.coverage[2 * plane + own] = weights - 1;
 }
 
-// seen, now, out [B, 9, H, W], motion [B, 2, H, W], depth [B, 1, H, W], kept: B × K times [H, W, WORDS]; all contiguous.
-// coverage: zeros [B, 3, H, W]. found has W bytes for each of `threads` threads.
-void over(const float *seen, const float *now, const float *motion, const float *depth, const uint32_t *const *kept, float *out,
-          float *coverage, uint8_t *found, int K, int B, int H, int W, float apart, float speed, float light, float same,
-          int threads) {
+// seen, out [B, 9, H, W], now: B × 9 planes, motion [B, 2, H, W], depth [B, 1, H, W], kept: B × K times [H, W, WORDS]; all
+// contiguous. coverage: zeros [B, 3, H, W]. found has W bytes for each of `threads` threads.
+void over(const float *seen, const float *const *now, const float *motion, const float *depth, const uint32_t *const *kept,
+          float *out, float *coverage, uint8_t *found, int K, int B, int H, int W, float apart, float speed, float light,
+          float same, int threads) {
     int64_t plane = (int64_t)H * W;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int t = 0; t < threads; t++)
         for (int64_t row = (int64_t)B * H * t / threads; row < (int64_t)B * H * (t + 1) / threads; row++) {
             int64_t b = row / H, y = row % H;
-            Job j = {seen + SEEN * b * plane, now + SEEN * b * plane, motion + 2 * b * plane, depth + b * plane, kept + b * K,
-                     out + SEEN * b * plane, coverage + 3 * b * plane, apart, speed, light, same, plane,
-                     K, H, W};
+            Job j = {seen + SEEN * b * plane, motion + 2 * b * plane, depth + b * plane, now + SEEN * b, kept + b * K,
+                     out + SEEN * b * plane, coverage + 3 * b * plane, apart, speed, light, same, plane, K, H, W};
             for (int c = 0; c < SEEN; c++) {
                 int64_t from = c * plane + y * W;
                 memcpy(j.out + from, j.seen + from, W * sizeof *j.out);

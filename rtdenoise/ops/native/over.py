@@ -9,20 +9,22 @@ import torch
 from torch import Tensor
 
 from ...constants import FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED
-from .compiler import library, pointer
+from .compiler import library, planes, pointer
 
 
 def over_and_coverage(
-    seen: Tensor, now: Tensor, motion: Tensor, depth: Tensor, recent: Sequence[Tensor]
+    seen: Tensor, now: Sequence[Tensor], motion: Tensor, depth: Tensor, recent: Sequence[Tensor]
 ) -> tuple[Tensor, Tensor]:
-    images = [t.contiguous() for t in (seen, now, motion, depth)]
+    seen, *now = (t.contiguous() for t in (seen, *now))
+    where = [t.contiguous() for t in (motion, depth)]
     recent = [t.contiguous(memory_format=torch.channels_last) for t in recent]
     B, _, H, W = seen.shape
     threads, K = torch.get_num_threads(), len(recent)
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
-    out, found = torch.empty_like(images[0]), torch.empty(threads, W, dtype=torch.uint8)
+    out, found = torch.empty_like(seen), torch.empty(threads, W, dtype=torch.uint8)
     coverage = seen.new_zeros(B, 3, H, W)
     constants = map(c_float, (OVER_APART, OVER_SPEED, OVER_LIGHT, OVER_SAME))
     run = library("over", FAR_AWAY=FAR_AWAY, GLOSS=GLOSS).over
-    run(*map(pointer, images), kept, pointer(out), pointer(coverage), pointer(found), K, B, H, W, *constants, threads)
+    pointers = pointer(seen), planes(now), *map(pointer, where), kept, *map(pointer, (out, coverage, found))
+    run(*pointers, K, B, H, W, *constants, threads)
     return out, coverage

@@ -34,19 +34,22 @@ void modulate(const float *irradiance, const float *albedo, const float *mean_al
     }
 }
 
-void accumulate(const float *new, const float *mean, const float *length, const float *reset, float *out, float *next_length,
+// `new`: B × C pointers to planes.
+void accumulate(const float *const *new, const float *mean, const float *length, const float *reset, float *out, float *next_length,
                 int B, int64_t plane, float max_length, int threads) {
     EACH_BLOCK(B, plane) {
         int64_t to = MIN(from + BLOCK, plane), first = b * C * plane;
-        const float *n = new + first, *m = mean + first, *l = length + b * plane, *r = reset + b * plane;
+        const float *m = mean + first, *l = length + b * plane, *r = reset + b * plane;
         float *o = out + first, *next = next_length + b * plane, weight[BLOCK];
         EACH_PIXEL {
             float w = 1 / (1 + l[x]), a = fmaf(r[x], 1 - w, w);
             weight[x - from] = a;
             next[x] = MIN(1 / a, max_length);
         }
-        for (int c = 0; c < C; c++, n += plane, m += plane, o += plane)
+        for (int c = 0; c < C; c++, m += plane, o += plane) {
+            const float *n = new[b * C + c];
             EACH_PIXEL o[x] = lerp(m[x], n[x], weight[x - from]);
+        }
     }
 }
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from ctypes import c_float, c_int64
 
 import torch
 from torch import Tensor
 
 from ...constants import GLOSS
-from .compiler import library, pointer
+from .compiler import library, planes, pointer
 
 
 def demodulate(radiance: Tensor, albedo: Tensor, depth: Tensor) -> Tensor:
@@ -24,9 +25,14 @@ def modulate(irradiance: Tensor, albedo: Tensor, mean_albedo: Tensor, sharp: Ten
     return out
 
 
-def accumulate(new: Tensor, mean: Tensor, length: Tensor, reset: Tensor, max_length: float) -> tuple[Tensor, Tensor]:
-    out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in (new, length)]
-    _each_pixel("accumulate", [new, mean, length, reset], out, c_float(max_length))
+def accumulate(
+    new: Sequence[Tensor], mean: Tensor, length: Tensor, reset: Tensor, max_length: float
+) -> tuple[Tensor, Tensor]:
+    new, inputs = [t.contiguous() for t in new], [t.contiguous() for t in (mean, length, reset)]
+    out = [torch.empty_like(t) for t in inputs[:2]]
+    B, C, H, W = mean.shape
+    run, size = _library(C).accumulate, c_int64(H * W)
+    run(planes(new), *map(pointer, (*inputs, *out)), B, size, c_float(max_length), torch.get_num_threads())
     return out[0], out[1]
 
 
@@ -44,11 +50,11 @@ def within(values: Tensor, low: float, high: float) -> bool:
     return bool(_library(1).within(pointer(values), size, *limits, torch.get_num_threads()))
 
 
-def _each_pixel(name: str, inputs: list[Tensor], outputs: list[Tensor], *more: c_float) -> None:
+def _each_pixel(name: str, inputs: list[Tensor], outputs: list[Tensor]) -> None:
     B, C, H, W = inputs[0].shape
     inputs = [t.contiguous() for t in inputs]
     run = getattr(_library(C), name)
-    run(*map(pointer, (*inputs, *outputs)), B, c_int64(H * W), *more, torch.get_num_threads())
+    run(*map(pointer, (*inputs, *outputs)), B, c_int64(H * W), torch.get_num_threads())
 
 
 def _library(channels: int) -> ctypes.CDLL:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from ctypes import c_float, c_void_p
+from ctypes import c_float
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...constants import FAR_AWAY, MIN_HISTORY_WEIGHT
-from .compiler import library, pointer
+from .compiler import library, planes, pointer
 
 
 def reproject(
@@ -49,11 +49,10 @@ def _forward(
     tolerances: tuple[float, float], where: Sequence[Tensor], stored: Sequence[Tensor]
 ) -> tuple[Tensor, Tensor]:
     stored = [t.contiguous() for t in stored]
-    planes = [plane.data_ptr() for images in zip(*stored, strict=True) for image in images for plane in image]
     B, _, H, W = where[0].shape
-    C = len(planes) // B
+    C = sum(t.shape[1] for t in stored)
     out, valid = torch.empty(B, C, H, W), torch.empty(B, 1, H, W, dtype=torch.bool)
-    pointers = (c_void_p * (B * C))(*planes), *map(pointer, (*where, out, valid))
+    pointers = planes(stored), *map(pointer, (*where, out, valid))
     _library(C).reproject(*pointers, B, H, W, *map(c_float, tolerances), torch.get_num_threads())
     return out, valid
 
