@@ -245,14 +245,20 @@ def test_gpus_have_none():
 
 
 @pytest.mark.parametrize(
-    ("bytes_alone", "choice", "expected"), [(True, "auto", True), (False, "auto", False), (True, "plain", False)]
-)
-def test_auto_takes_bytes_where_a_cpu_multiplies_no_bfloat16(monkeypatch, tmp_path, bytes_alone, choice, expected):
-    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: not bytes_alone)
-    monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: True)
+    ("vnni", "amx", "choice", "expected"),
+    [(True, False, "auto", True), (False, False, "auto", False), (True, True, "auto", False),
+     (True, False, "plain", False)],
+)  # fmt: skip
+def test_auto_takes_bytes_where_a_cpu_multiplies_them_fastest(monkeypatch, tmp_path, vnni, amx, choice, expected):
+    monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: vnni)
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: amx)
     save(read("fast"), tmp_path / "mine.safetensors")
     with ops.use(choice):
         assert isinstance(load("fast").unet, UNetInBytes) == expected
+        for name, many in (("hybrid", False), ("hybrid-many", True)):  # whose steps of light would show
+            model = load(name)
+            assert isinstance(model.unet, UNetInBytes) == expected
+            assert isinstance(model.pixels, PixelNetworkInBytes) == (expected and not many)
         assert not any(isinstance(load(name).unet, UNetInBytes) for name in ("paper", tmp_path / "mine.safetensors"))
         assert not isinstance(load("fast", precision="fp32").unet, UNetInBytes)
 

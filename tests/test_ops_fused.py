@@ -378,11 +378,12 @@ def test_features(both, assert_images_close, size, dtype):
 
 
 @pytest.mark.parametrize("size", [*SIZES, (1, 5), (4, 1)], ids=str)
-@pytest.mark.parametrize("dtypes", [(torch.float32,) * 2, (torch.bfloat16,) * 2, (torch.bfloat16, torch.float32)], ids=str)
+@pytest.mark.parametrize("dtypes", [("float32", "float32"), ("bfloat16", "bfloat16"), ("bfloat16", "float32")], ids=str)
 @pytest.mark.parametrize(("channels", "planes"), [(32, 3), (48, 1), (16, 4), (64, 2)])
 def test_to_planes(both, assert_images_close, size, dtypes, channels, planes):
-    x = torch.rand(2, channels, *size).to(dtypes[0]).to(memory_format=torch.channels_last)
-    weight, bias = torch.rand(planes, channels, 3, 3).to(dtypes[1]), torch.rand(planes).to(dtypes[1])
+    of_x, of_weights = (getattr(torch, name) for name in dtypes)
+    x = torch.rand(2, channels, *size).to(of_x).to(memory_format=torch.channels_last)
+    weight, bias = torch.rand(planes, channels, 3, 3).to(of_weights), torch.rand(planes).to(of_weights)
     plain, fused = both(lambda x: to_planes(x, weight, bias), x)
     assert plain.shape == (2, planes, *size) and plain.dtype == fused.dtype == torch.float32
     assert_images_close(fused, plain, "float32")

@@ -74,7 +74,7 @@ def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
         logging.getLogger("rtdenoise").warning("rtdenoise: slower, as not in bytes: %s", error)
         return
     network.unet = UNetInBytes(network.unet, stored, network.config)
-    if isinstance(network, Hybrid):
+    if isinstance(network, Hybrid) and (must or not network.config.many):  # steps of light show where noise is little
         network.pixels = PixelNetworkInBytes(network.pixels, stored)
 
 
