@@ -3,9 +3,9 @@
 python bench/stability.py [--frames 10000]
 
 The cases are those of the tests (tests/stability_cases.py, tests/stability_ops.py), for every shipped model in float32,
-bfloat16, float16 and in training, and for every backend of the operations. Static input runs for `--frames` frames in
-float32 and a tenth of that in the other modes. On the bundled sequence, whose noise is a path tracer's: the light that
-the firefly limit removes, and how much the exposure flickers beyond the reference's.
+bfloat16, int8, float16 and in training, as far as it has them, and for every backend of the operations. Static input
+runs for `--frames` frames in float32 and a tenth of that in the other modes. On the bundled sequence, whose noise is a
+path tracer's: the light that the firefly limit removes, and how much the exposure flickers beyond the reference's.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from bench import DOCS, RESULTS, harness
 
 # isort: split
 import torch
-from stability_cases import CASES, FIREFLY, MODES, Subject
+from stability_cases import CASES, FIREFLY, Subject, modes_of
 from stability_ops import BACKENDS, OP_CASES, backend
 
 from rtdenoise.exposure import exposure, limit_fireflies
@@ -31,7 +31,7 @@ RESULT, PAGES = RESULTS / "stability.json", (DOCS / "results" / "stability.md",)
 def main(frames: int = 10_000) -> None:
     rows = [
         {"case": case.name, "promise": case.promise, "unit": case.unit,
-         "models": {name: {mode: _run(case, name, mode, frames) for mode in MODES} for name in available()}}
+         "models": {name: {mode: _run(case, name, mode, frames) for mode in modes_of(name)} for name in available()}}
         for case in CASES
     ]  # fmt: skip
     ops = [
@@ -76,7 +76,7 @@ def tables(document: dict) -> dict[str, str]:
     """Sections `sample`, `denoiser` and `operations`."""
     models = document["denoisers"][0]["models"]
     frames = document["frames"]
-    length = f"Long sequences: {frames} frames in float32, {max(100, frames // 10)} in half precision.\n\n"
+    length = f"Long sequences: {frames} frames in float32, {max(100, frames // 10)} in other precisions.\n\n"
     denoisers = length + "\n\n".join(f"Model `{name}`:\n\n{table(document, name)}" for name in models)
     lines = ["| bundled sample, 1 spp | light cut | exposure, from frame to frame | exposure, by one firefly of 1e7 |",
              "|---|---|---|---|"]  # fmt: skip
@@ -88,7 +88,7 @@ def tables(document: dict) -> dict[str, str]:
 
 def table(document: dict, model: str) -> str:
     """The cases of one model as Markdown; a broken promise is bold."""
-    shown = [mode for mode in MODES if mode != "training"]
+    shown = [mode for mode in document["denoisers"][0]["models"][model] if mode != "training"]
     lines = [f"| case | promised | at most | {' | '.join(shown)} | not finite |", "|---" * (4 + len(shown)) + "|"]
     for row in document["denoisers"]:
         runs = row["models"][model]

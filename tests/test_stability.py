@@ -4,27 +4,28 @@ import pytest
 import stability_cases
 import stability_ops
 import torch
-from stability_cases import CASES, MODES, Subject
+from stability_cases import CASES, MODES, Subject, modes_of
 
 from rtdenoise.models import available
 
 # Promises that a model breaks, and how far: docs/reference/models/hybrid-many.md says why.
 BROKEN = {("hybrid-many", "paper's failure case: fast object, dark to light"): 1.7}
 
+MODELS = {mode: [name for name in available() if mode in modes_of(name)] for mode in MODES}
 # Frames of long sequences; a CPU is slow in formats that it has not.
-FRAMES = {"float32": 100} | ({"bfloat16": 50} if torch.ops.mkldnn._is_mkldnn_bf16_supported() else {})
+FRAMES = {"float32": 100, "int8": 50} | ({"bfloat16": 50} if torch.ops.mkldnn._is_mkldnn_bf16_supported() else {})
 
 
 @pytest.fixture(scope="module")
 def denoisers():
     """(model, mode) -> a subject's denoiser."""
-    return {(name, mode): Subject.of(name, mode).denoiser for name in available() for mode in MODES}
+    return {(name, mode): Subject.of(name, mode).denoiser for mode in MODES for name in MODELS[mode]}
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 @pytest.mark.parametrize("mode", MODES)
 def test_promises_of_the_denoiser(denoisers, case, mode):
-    for name in available():
+    for name in MODELS[mode]:
         subject = Subject(denoisers[name, mode], mode, frames=FRAMES.get(mode, 30))
         value = case.measure(subject)
         assert subject.non_finite == 0, f"{name}: {subject.non_finite} values are not finite"
