@@ -245,12 +245,12 @@ def test_gpus_have_none():
 
 
 @pytest.mark.parametrize(
-    ("vnni", "amx", "choice", "expected"),
+    ("multiplies", "amx", "choice", "expected"),
     [(True, False, "auto", True), (False, False, "auto", False), (True, True, "auto", False),
      (True, False, "plain", False)],
 )  # fmt: skip
-def test_auto_takes_bytes_where_a_cpu_multiplies_them_fastest(monkeypatch, tmp_path, vnni, amx, choice, expected):
-    monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: vnni)
+def test_auto_takes_bytes_where_a_cpu_multiplies_them_fastest(monkeypatch, tmp_path, multiplies, amx, choice, expected):
+    monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.multiplies_bytes", lambda: multiplies)
     monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: amx)
     save(read("fast"), tmp_path / "mine.safetensors")
     with ops.use(choice):

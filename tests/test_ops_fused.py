@@ -421,18 +421,17 @@ def test_convolve_bytes_that_enlarges(both, size, dtype, below, beside, outputs)
     assert plain.shape == (2, outputs, 2 * H, 2 * W) and torch.equal(plain, fused)
 
 
-def test_convolve_bytes_on_any_cpu(both, monkeypatch):
-    """Without instructions for products of bytes."""
-    anywhere = functools.partial(compiler.library, LANES=4)
-    monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.library", anywhere)
-    x, coarse, factor, bias = (
-        some_bytes(1, 16, 6, 14),
-        some_bytes(1, 8, 3, 7),
-        torch.rand(4, 24) * 2e-3,
-        torch.randn(4, 24),
-    )
-    weights = [packed([whole_weights(24, 8, 2, 2), whole_weights(24, 16, 3, 3)]) for _ in range(4)]
-    plain, fused = both(convolve_bytes, x, torch.stack(weights), factor, bias, coarse)
+@pytest.mark.parametrize("lanes", [8, 4])
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.bfloat16], ids=str)
+@pytest.mark.parametrize("outputs", [24, 48, 13])
+def test_convolve_bytes_on_other_cpus(both, monkeypatch, lanes, dtype, outputs):
+    """With vectors of 256 bits, where this one has their instructions, and without any for products of bytes."""
+    less = functools.partial(compiler.library, LANES=lanes)
+    monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.library", less)
+    x, coarse, bias = some_bytes(1, 16, 6, 14), some_bytes(1, 8, 3, 7), 50 * torch.randn(4, outputs)
+    weights = [packed([whole_weights(outputs, 8, 2, 2), whole_weights(outputs, 16, 3, 3)]) for _ in range(4)]
+    arguments = x, torch.stack(weights), torch.rand(4, outputs) * 2e-3, bias, coarse
+    plain, fused = both(lambda *tensors: convolve_bytes(*tensors, dtype), *arguments)
     assert torch.equal(plain, fused)
 
 

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..errors import InputError
-from ..ops.dispatch import compiled, plain
+from ..ops.convolve_bytes import multiplies_bytes
 from .unet import ConvRelu, Up
 
 INT8 = "int8"
@@ -46,12 +46,11 @@ def resolve(precision: str, device: str | torch.device) -> torch.dtype:
 
 
 def takes_bytes(precision: str, device: str | torch.device) -> bool:
-    """Whether a network that can computes in bytes: with 'int8', and with 'auto' on CPUs that multiply bytes
-    (AVX512-VNNI) faster than anything else (AMX multiplies bfloat16 faster), where its operations are compiled."""
+    """Whether a network that can computes in bytes: with 'int8', and with 'auto' on CPUs that multiply bytes faster
+    than anything else (`multiplies_bytes`; AMX multiplies bfloat16 faster)."""
     if precision != "auto":
         return precision == INT8
-    on_cpu = torch.device(device).type == "cpu"
-    return on_cpu and _has("vnni") and not _has("amx_tile") and not plain() and compiled("cpu")
+    return torch.device(device).type == "cpu" and not _has("amx_tile") and multiplies_bytes()
 
 
 def _has(instructions: str) -> bool:

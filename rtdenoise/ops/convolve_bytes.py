@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .dispatch import Fused, Support, falls_back
+from ..errors import NotCompiled
+from .dispatch import Fused, Support, compiled, falls_back, plain
 
 FUSED = Fused("convolve_bytes", native=Support(bytes=("x", "below")))  # channels last only
 QUAD = 4  # inputs whose products are summed at once
@@ -55,6 +56,18 @@ def convolve_bytes(
         B, O, H, W = phases[0].shape
         phases = [torch.stack(phases, dim=-1).view(B, O, H, W, 2, 2).transpose(3, 4).reshape(B, O, 2 * H, 2 * W)]
     return phases[0].to(dtype, memory_format=torch.channels_last)
+
+
+def multiplies_bytes() -> bool:
+    """Whether the fused op is there, and this CPU has instructions for its products: AVX512-VNNI or AVX-VNNI."""
+    if plain() or not compiled("cpu"):
+        return False
+    from .native.convolve_bytes import multiplies_bytes as asked
+
+    try:
+        return asked()
+    except NotCompiled:
+        return False
 
 
 def packed(weights: Sequence[Tensor]) -> Tensor:

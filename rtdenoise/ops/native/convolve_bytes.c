@@ -1,40 +1,7 @@
 // A convolution of bytes, channels last, or one that doubles the size of a coarser picture and joins a finer one. The
-// specification is ops/convolve_bytes.py. HALF is 1 for results in bfloat16, 0 for bytes; a picture has
-// MOST channels at most. LANES may be given as 4, for code
-// that every CPU runs.
+// specification is ops/convolve_bytes.py. HALF is 1 for results in bfloat16, 0 for bytes; a picture has MOST channels at most.
+// LANES may be given: 8 or 4, for code of CPUs that have less.
 #include "common.h"
-
-// Sums of four products of bytes: on x86 one instruction (VNNI), in vectors of 16 or 8 sums. `x` is unsigned, `w` signed.
-#if defined __AVX512VNNI__ && !defined LANES
-#include <immintrin.h>
-#define LANES 16
-#define PIXELS 12  // times PARTS vectors of sums: they fill the registers
-typedef __m512i vector;
-static inline vector repeated(int32_t x) { return _mm512_set1_epi32(x); }
-static inline vector plus_products(vector sum, vector x, vector w) { return _mm512_dpbusd_epi32(sum, x, w); }
-#elif defined __AVXVNNI__ && !defined LANES
-#include <immintrin.h>
-#define LANES 8
-#define PIXELS 6
-typedef __m256i vector;
-static inline vector repeated(int32_t x) { return _mm256_set1_epi32(x); }
-static inline vector plus_products(vector sum, vector x, vector w) { return _mm256_dpbusd_avx_epi32(sum, x, w); }
-#else
-#undef LANES
-#define LANES 4
-#define PIXELS 4
-typedef int32_t vector __attribute__((vector_size(LANES * 4)));
-typedef uint32_t bits __attribute__((vector_size(LANES * 4)));
-static inline vector repeated(int32_t x) { return (vector){0} + x; }
-static inline vector plus_products(vector sum, vector x, vector w) {
-    for (int k = 24; k >= 0; k -= 8) sum += (vector)((bits)x >> (24 - k) & 255) * ((vector)((bits)w << k) >> 24);
-    return sum;
-}
-#endif
-
-#define PARTS 2                // vectors of outputs at once
-#define BLOCK (PARTS * LANES)  // outputs
-#define SPAN (2 * PIXELS + 1)  // pixels of a row that a block reads at most
 
 #if HALF
 typedef uint16_t number;
@@ -47,30 +14,78 @@ typedef uint8_t number;
 static inline number result(float y) { return (number)rintf(MIN(MAX(y, 0), 255)); }
 #endif
 
-// Results of `many` outputs, at most LANES, from their sums.
-#if LANES == 16  // its instructions are none that compilers find
+// Vectors of sums. `plus_products` adds four products of bytes to each, `x` unsigned and `w` signed: on x86 one instruction
+// (VNNI). `store` makes `many` results of them, at most LANES; its instructions are none that compilers find.
+#if defined __AVX512VNNI__ || defined __AVXVNNI__
+#include <immintrin.h>
+#endif
+#if defined __AVX512VNNI__ && !defined LANES
+#define LANES 16
+#define PIXELS 12  // times PARTS vectors of sums: they fill the registers
+typedef __m512i vector;
+static inline vector repeated(int32_t x) { return _mm512_set1_epi32(x); }
+static inline vector plus_products(vector sum, vector x, vector w) { return _mm512_dpbusd_epi32(sum, x, w); }
 static inline void store(number *to, vector sum, const float *factor, const float *bias, int many) {
     __mmask16 there = (__mmask16)((1u << many) - 1);
     __m512 y = _mm512_fmadd_ps(_mm512_cvtepi32_ps(sum), _mm512_maskz_loadu_ps(there, factor), _mm512_maskz_loadu_ps(there, bias));
     y = _mm512_max_ps(y, _mm512_setzero_ps());
 #if HALF
-    __m512i bits = _mm512_castps_si512(y), odd = _mm512_and_si512(_mm512_srli_epi32(bits, 16), repeated(1));
+    vector bits = _mm512_castps_si512(y), odd = _mm512_and_si512(_mm512_srli_epi32(bits, 16), repeated(1));
     bits = _mm512_srli_epi32(_mm512_add_epi32(bits, _mm512_add_epi32(odd, repeated(0x7fff))), 16);
     _mm256_mask_storeu_epi16(to, there, _mm512_cvtepi32_epi16(bits));
 #else
     _mm_mask_storeu_epi8(to, there, _mm512_cvtusepi32_epi8(_mm512_cvtps_epi32(y)));  // to nearest, ties to even
 #endif
 }
+#elif (defined __AVX512VNNI__ || defined __AVXVNNI__) && (!defined LANES || LANES == 8)
+#undef LANES
+#define LANES 8
+#define PIXELS 6
+typedef __m256i vector;
+static inline vector repeated(int32_t x) { return _mm256_set1_epi32(x); }
+#if defined __AVXVNNI__
+static inline vector plus_products(vector sum, vector x, vector w) { return _mm256_dpbusd_avx_epi32(sum, x, w); }
 #else
+static inline vector plus_products(vector sum, vector x, vector w) { return _mm256_dpbusd_epi32(sum, x, w); }
+#endif
 static inline void store(number *to, vector sum, const float *factor, const float *bias, int many) {
-    int32_t totals[LANES];
-    memcpy(totals, &sum, sizeof totals);
-    if (many == LANES)  // a constant, for the vector code
-        for (int o = 0; o < LANES; o++) to[o] = result(fmaf((float)totals[o], factor[o], bias[o]));
-    else
-        for (int o = 0; o < many; o++) to[o] = result(fmaf((float)totals[o], factor[o], bias[o]));
+    float padded[2][LANES] = {{0}};
+    if (many < LANES) {
+        for (int o = 0; o < many; o++) padded[0][o] = factor[o], padded[1][o] = bias[o];
+        factor = padded[0], bias = padded[1];
+    }
+    __m256 y = _mm256_fmadd_ps(_mm256_cvtepi32_ps(sum), _mm256_loadu_ps(factor), _mm256_loadu_ps(bias));
+    y = _mm256_max_ps(y, _mm256_setzero_ps());
+#if HALF
+    vector bits = _mm256_castps_si256(y), odd = _mm256_and_si256(_mm256_srli_epi32(bits, 16), repeated(1));
+    bits = _mm256_srli_epi32(_mm256_add_epi32(bits, _mm256_add_epi32(odd, repeated(0x7fff))), 16);
+#else
+    vector bits = _mm256_cvtps_epi32(_mm256_min_ps(y, _mm256_set1_ps(255)));  // to nearest, ties to even
+#endif
+    __m128i results = _mm_packus_epi32(_mm256_castsi256_si128(bits), _mm256_extracti128_si256(bits, 1));
+    if (!HALF) results = _mm_packus_epi16(results, results);
+    if (many == LANES) memcpy(to, &results, LANES * sizeof *to);  // a constant: one instruction
+    else memcpy(to, &results, many * sizeof *to);
+}
+#else
+#undef LANES
+#define LANES 4
+#define PIXELS 4
+typedef int32_t vector __attribute__((vector_size(LANES * 4)));
+typedef uint32_t bits __attribute__((vector_size(LANES * 4)));
+static inline vector repeated(int32_t x) { return (vector){0} + x; }
+static inline vector plus_products(vector sum, vector x, vector w) {
+    for (int k = 24; k >= 0; k -= 8) sum += (vector)((bits)x >> (24 - k) & 255) * ((vector)((bits)w << k) >> 24);
+    return sum;
+}
+static inline void store(number *to, vector sum, const float *factor, const float *bias, int many) {
+    for (int o = 0; o < many; o++) to[o] = result(fmaf((float)sum[o], factor[o], bias[o]));
 }
 #endif
+
+#define PARTS 2                // vectors of outputs at once
+#define BLOCK (PARTS * LANES)  // outputs
+#define SPAN (2 * PIXELS + 1)  // pixels of a row that a block reads at most
 
 // A picture that a convolution reads: bytes [height, width, channels], through windows of taps × taps pixels. Neighbouring
 // outputs of a block read windows that are `step` pixels apart.
@@ -123,6 +138,8 @@ add(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight
         default: return added(sums, rows, weight, stride, taps, step, parts, C);
     }
 }
+
+int multiplies_bytes(void) { return LANES > 4; }  // whether this CPU has instructions for it
 
 // The result's pixels of a phase in a row, for `parts` vectors of outputs from the first of `out` on.
 typedef struct {
