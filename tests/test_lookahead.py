@@ -166,7 +166,7 @@ def test_files_programs_and_the_evaluation_give_the_same_pictures(tmp_path, weig
         assert_images_close(image.numpy(), file, "float32 network")
     method = choose(["default-ahead2"])[0]
     measured = [output.image for output in outputs(method.step(), frames, method.delay)]
-    shipped = Denoiser(lookahead=2)
+    shipped = Denoiser("default", lookahead=2)
     shown = [shipped(f.radiance, **{name: getattr(f, name) for name in FEATURES}) for f in frames] + shipped.flush()
     for a, b in zip(measured, shown[2:], strict=True):
         assert torch.equal(a, b)

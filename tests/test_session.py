@@ -42,8 +42,8 @@ def expected(frames):
     return images
 
 
-def play(frames, convert, **options):
-    denoiser = rtdenoise.Denoiser("fast", **options)
+def play(frames, convert, model="fast", **options):
+    denoiser = rtdenoise.Denoiser(model, **options)
     return [denoiser(color, **features) for color, features in map(convert, frames)]
 
 
@@ -291,6 +291,20 @@ def test_the_correction_needs_torch_and_shaders_refuse_it():
 def test_samples_go_with_a_correction_and_are_a_number_of_samples(correct, samples):
     with pytest.raises(InputError, match="samples"):
         rtdenoise.Denoiser("fast", correct=correct, samples=samples)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [({}, "hybrid"), ({"samples": 3}, "hybrid"), ({"samples": 4}, "hybrid-many"), ({"backend": "glsl"}, "default"),
+     ({"correct": True}, "default"), ({"correct": True, "samples": 8}, "many"), ({"oidn": True}, "default")],
+    ids=str,
+)  # fmt: skip
+def test_who_names_no_model_gets_the_best_picture(frames, options, name):
+    by_name = options if "correct" in options else {key: options[key] for key in options.keys() - {"samples"}}
+    convert = pictures if "backend" in options else batches
+    found = play(frames[:2], convert, "auto", **options), play(frames[:2], convert, name, **by_name)
+    for image, wanted in zip(*found, strict=True):
+        assert np.array_equal(image, wanted)
 
 
 def test_a_pixel_that_is_not_finite_has_samples_too(frames):

@@ -32,7 +32,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     samples = _known_samples(sequence, options)
     if "samples" not in layers:
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
-    few, many = BEST if _takes_pixels(options) else KERNELS
+    kernels_alone = options.offline or options.oidn or options.correct or options.lights or bool(options.also)
+    few, many = candidates(options.backend, kernels_alone)
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise; --samples 1 says otherwise"
         return sequence, replace(options, model=many), [told]
@@ -41,11 +42,11 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel"]
 
 
-def _takes_pixels(options: Options) -> bool:
-    """Whether networks that write pixels go with these options."""
-    if options.offline or options.oidn or options.correct or options.lights or options.also:
-        return False
-    return options.backend == "torch" or (options.backend == "auto" and find_spec("torch") is not None)
+def candidates(backend: str, kernels_alone: bool) -> tuple[str, str]:
+    """The networks that make the best picture on a backend, of few samples a pixel and from LEAST on: those that write
+    pixels, unless something is asked for that goes with `kernels_alone`."""
+    in_torch = backend == "torch" or (backend == "auto" and find_spec("torch") is not None)
+    return BEST if in_torch and not kernels_alone else KERNELS
 
 
 def _has_little_noise(sequence: Sequence) -> bool:

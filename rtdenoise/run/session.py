@@ -13,7 +13,8 @@ from ..errors import InputError
 from ..frame import CHANNELS, MAX_CUT_MISMATCH, Frame, geometry
 from .arrays import Form, from_planes, to_planes
 from .backends import open_backend
-from .options import check_lookahead, check_samples
+from .choice import LEAST, candidates
+from .options import AUTO, check_lookahead, check_samples
 from .threads import set_defaults
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class Denoiser:
 
     def __init__(
         self,
-        model: str | Path = "default",
+        model: str | Path = AUTO,
         *,
         backend: str = "auto",
         device: str = "auto",
@@ -67,7 +68,9 @@ class Denoiser:
         samples: int = 0,
         lookahead: int = 0,
     ) -> None:
-        """`model` is the name of a model that ships ('default', 'fast', 'hybrid' ...) or a .safetensors file.
+        """`model` is the name of a model that ships ('hybrid', 'default', 'fast' ...) or a .safetensors file; 'auto'
+        makes the best picture: 'hybrid', or from 4 `samples` a pixel on 'hybrid-many'; with glsl, `oidn` and `correct`
+        'default' and 'many', which take less than half of the time.
 
         `backend` is 'torch', 'glsl' (OpenGL shaders, without PyTorch; one picture at a time), or 'auto': torch where it
         is installed. `device` is torch's, 'cpu', 'cuda' or 'auto', and the network's `precision` 'fp32', 'bf16' (with
@@ -79,14 +82,16 @@ class Denoiser:
         `flush` the last ones.
 
         Raises InputError for an unknown model, backend, device or precision, a correction without torch, `samples`
-        without a correction or beyond all sense, and a `lookahead` out of range or with a model that averages no light.
+        beyond all sense or that nothing goes by, and a `lookahead` out of range or with a model that averages no light.
         """
         set_defaults()
         check_samples(samples, "samples")
         if oidn and correct:
             raise InputError("oidn=True: goes without correct=True")
-        if samples and not correct:
-            raise InputError(f"samples={samples}: goes with correct=True")
+        if samples and not correct and model != AUTO:
+            raise InputError(f"samples={samples}: goes with model='auto' or correct=True")
+        if model == AUTO:
+            model = candidates(backend, oidn or correct)[samples >= LEAST]
         self.started = True
         """Whether the last call started history anew."""
         self._detect_cuts = detect_cuts
