@@ -25,8 +25,8 @@ STAND_INS = {"albedo": (1.0, 1.0, 1.0), "normal": (0.0, 0.0, 1.0), "depth": (1.0
 # Cost of a missing layer on the bundled sequence (python bench/missing_layers.py).
 COSTS = {
     "albedo": "textures blur, by about 4 dB of PSNR on the bundled sequence",
-    "normal": "edges between surfaces blur, by up to 0.3 dB of PSNR on the bundled sequence",
-    "depth": "outlines blur and cuts are not seen, by up to 0.5 dB of PSNR on the bundled sequence",
+    "normal": "edges between surfaces blur, by up to 0.2 dB of PSNR on the bundled sequence",
+    "depth": "outlines blur and cuts are not seen, by 0.1 dB of PSNR on the bundled sequence",
     "motion": "each frame is denoised alone and flickers, by about 1 dB of PSNR on the bundled sequence",
     "motion_next": "it is approximated from motion and depth, which costs next to nothing on the bundled sequence",
 }
