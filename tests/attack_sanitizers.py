@@ -82,6 +82,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.recall import keep, recall
     from rtdenoise.ops.shares import shares
     from rtdenoise.ops.soften import soften
+    from rtdenoise.ops.to_planes import to_planes
     from rtdenoise.shift.displacement import displacement_sums
     from rtdenoise.splat import history_motion
 
@@ -141,6 +142,9 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
                          one)  # fmt: skip
     both = torch.cat([whole[:, :16], whole], dim=1).expand(4, -1, -1, -1).contiguous()
     yield "convolve_bytes", convolve_bytes(fine, both, torch.full((4, 20), 0.01), torch.zeros(4, 20), x)
+    for channels, dtype in ((32, torch.float32), (48, torch.bfloat16), (32, torch.bfloat16)):
+        x = image.repeat(1, 16, 1, 1)[:, :channels].to(dtype).contiguous(memory_format=torch.channels_last)
+        yield "to_planes", to_planes(x, torch.ones(3, channels, 3, 3, dtype=dtype), torch.zeros(3))
     many = small and not few
     for K in (1, 3, 5, 7) if many else (3,):
         for dtype in (torch.float32, torch.bfloat16, torch.float16) if many else (torch.bfloat16,):

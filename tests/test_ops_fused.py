@@ -430,9 +430,11 @@ def test_convolve_bytes_on_other_cpus(both, monkeypatch, lanes, dtype, outputs):
     monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.library", less)
     x, coarse, bias = some_bytes(1, 16, 6, 14), some_bytes(1, 8, 3, 7), 50 * torch.randn(4, outputs)
     weights = [packed([whole_weights(outputs, 8, 2, 2), whole_weights(outputs, 16, 3, 3)]) for _ in range(4)]
-    arguments = x, torch.stack(weights), torch.rand(4, outputs) * 2e-3, bias, coarse
-    plain, fused = both(lambda *tensors: convolve_bytes(*tensors, dtype), *arguments)
-    assert torch.equal(plain, fused)
+    factor = torch.rand(4, outputs) * 2e-3
+    alone = x, packed([whole_weights(outputs, 16, 3, 3)])[None], factor[:1], bias[:1], None
+    for arguments in (alone, (x, torch.stack(weights), factor, bias, coarse)):
+        plain, fused = both(lambda *tensors: convolve_bytes(*tensors, dtype), *arguments)
+        assert torch.equal(plain, fused)
 
 
 def test_convolve_bytes_falls_back():
@@ -666,7 +668,8 @@ def test_every_fused_op_has_the_name_of_its_plain_one():
     for folder, expected in files.items():
         assert {file.stem for file in (Path(*ops.__path__) / folder).glob("*.py")} == expected
     sources = {file.stem for file in (Path(*ops.__path__) / "native").glob("*.c")}
-    assert sources == files["native"] - {*shared, "blend_history"}  # apply_kernel.c blends
+    # apply_kernel.c blends; convolve_bytes.py asks multiplies_bytes.c
+    assert sources == files["native"] - {*shared, "blend_history"} | {"multiplies_bytes"}
 
 
 @pytest.mark.parametrize(

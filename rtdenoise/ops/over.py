@@ -59,6 +59,8 @@ def over_and_coverage(
         if kept.shape != (B, RECALL_FOOTPRINT_WORDS, H, W):
             raise ValueError(f"expected kept frames of {(B, RECALL_FOOTPRINT_WORDS, H, W)}, got {tuple(kept.shape)}")
     now = [now] if isinstance(now, Tensor) else [*now]
+    if sum(part.shape[1] for part in now) != seen.shape[1]:
+        raise ValueError(f"expected {seen.shape[1]} channels, got {[part.shape[1] for part in now]}")
     if recent and (run := FUSED(seen=seen, now=now, motion=motion, depth=depth)):
         return run(seen, now, motion, depth, recent)
     front, behind, near, far = _ends(distance(depth))

@@ -55,11 +55,15 @@ def accumulate(
     """A running mean and its length, updated with one frame:
 
     w = 1 / (1 + length),  a = w + reset · (1 - w),  mean' = a · new + (1 - a) · mean,  length' = min(1/a, max_length)
+
+    Raises ValueError where the channels do not fit.
     """
     new = [new] if isinstance(new, Tensor) else [*new]
+    if sum(part.shape[1] for part in new) != mean.shape[1]:
+        raise ValueError(f"expected {mean.shape[1]} channels, got {[part.shape[1] for part in new]}")
     if run := ACCUMULATE(new=new, mean=mean, length=length, reset=reset):
         return run(new, mean, length, reset, max_length)
-    new = torch.cat(new, dim=1)
+    new = torch.cat(new, dim=1) if len(new) > 1 else new[0]
     weight = 1 / (1 + length)
     weight = weight + reset * (1 - weight)
     return blend(new, mean, weight), (1 / weight).clamp(max=max_length)

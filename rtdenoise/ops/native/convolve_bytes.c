@@ -15,7 +15,7 @@ static inline number result(float y) { return (number)rintf(MIN(MAX(y, 0), 255))
 #endif
 
 // Vectors of sums. `plus_products` adds four products of bytes to each, `x` unsigned and `w` signed: on x86 one instruction
-// (VNNI). `store` makes `many` results of them, at most LANES; its instructions are none that compilers find.
+// (VNNI). `store` makes `many` results of them, at most LANES; compilers do not find its instructions by themselves.
 #if defined __AVX512VNNI__ || defined __AVXVNNI__
 #include <immintrin.h>
 #endif
@@ -49,8 +49,9 @@ static inline vector plus_products(vector sum, vector x, vector w) { return _mm2
 static inline vector plus_products(vector sum, vector x, vector w) { return _mm256_dpbusd_epi32(sum, x, w); }
 #endif
 static inline void store(number *to, vector sum, const float *factor, const float *bias, int many) {
-    float padded[2][LANES] = {{0}};
+    float padded[2][LANES];
     if (many < LANES) {
+        memset(padded, 0, sizeof padded);
         for (int o = 0; o < many; o++) padded[0][o] = factor[o], padded[1][o] = bias[o];
         factor = padded[0], bias = padded[1];
     }
@@ -128,18 +129,18 @@ added(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weig
     return weight;
 }
 
-// As `added`; common numbers of channels are constants to the compiler, so that it need not keep PIXELS addresses.
+// As `added`; common numbers of channels are constants to the compiler, so that it need not keep PIXELS addresses. Few
+// pictures end with less than PARTS vectors: that is not worth the time of compiling them all again.
 static inline __attribute__((always_inline)) const int8_t *
 add(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight, int stride, int taps, int step, int parts,
     int C) {
+    if (parts < PARTS) return added(sums, rows, weight, stride, taps, step, parts, C);
     switch (C) {
 #define CASE(channels) case channels: return added(sums, rows, weight, stride, taps, step, parts, channels);
         CASE(16) CASE(32) CASE(48) CASE(56) CASE(64) CASE(72) CASE(80) CASE(88) CASE(96) CASE(104) CASE(112)
         default: return added(sums, rows, weight, stride, taps, step, parts, C);
     }
 }
-
-int multiplies_bytes(void) { return LANES > 4; }  // whether this CPU has instructions for it
 
 // The result's pixels of a phase in a row, for `parts` vectors of outputs from the first of `out` on.
 typedef struct {
@@ -158,7 +159,7 @@ static inline __attribute__((always_inline)) void convolved(Row r, int parts) {
         const int8_t *w = r.weight;
         vector sums[PIXELS][PARTS], totals[PIXELS][PARTS];
         for (int p = 0; p < PIXELS; p++)
-            for (int k = 0; k < parts; k++) sums[p][k] = repeated(0);
+            for (int k = 0; k < PARTS; k++) sums[p][k] = repeated(0);
         if (scale == 2) {
             window(r.below, r.i / 2 + r.a - 1, j + r.b - 1, rows, space);
             w = add(sums, rows, w, r.stride, 2, 1, parts, r.below->channels);
@@ -189,8 +190,8 @@ void convolve_bytes(const source *below, const source *beside, const int8_t *wei
                 int a = i % scale, phase = a * scale + b, from = phase * outputs + first;
                 const int8_t *its = weight + ((int64_t)phase * quads * stored + first) * 4;
                 number *to = out + (int64_t)i * W * outputs + first;
-                Row r = {below, beside, its, factor + from, bias + from, to, stored * 4, outputs, MIN(BLOCK, outputs - first), W, i, a,
-                         b};
+                Row r = {below, beside, its, factor + from, bias + from, to, stored * 4, outputs, MIN(BLOCK, outputs - first), W,
+                         i, a, b};
                 if (r.many > LANES) convolved(r, PARTS);
                 else convolved(r, 1);
             }

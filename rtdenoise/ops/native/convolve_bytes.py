@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ctypes import CDLL, Structure, byref, c_int, c_void_p
+from ctypes import Structure, byref, c_int, c_void_p
 
 import torch
 from torch import Tensor
@@ -24,7 +24,7 @@ def convolve_bytes(
     _, quads, stored, _ = weight.shape
     O = factor.shape[1]
     out = torch.empty(B, O, H, W, dtype=dtype, memory_format=torch.channels_last)
-    run = _library(dtype).convolve_bytes
+    run = library("convolve_bytes", HALF=int(dtype == torch.bfloat16), MOST=MOST).convolve_bytes
     for b in range(B):
         beside = _Source(x[b].data_ptr(), H, W, C, 3, 1 if below is None else 2)
         coarse = _Source() if below is None else _Source(below[b].data_ptr(), H // 2, W // 2, below.shape[1], 2, 1)
@@ -34,8 +34,4 @@ def convolve_bytes(
 
 
 def multiplies_bytes() -> bool:
-    return bool(_library(torch.uint8).multiplies_bytes())
-
-
-def _library(dtype: torch.dtype) -> CDLL:
-    return library("convolve_bytes", HALF=int(dtype == torch.bfloat16), MOST=MOST)
+    return bool(library("multiplies_bytes").multiplies_bytes())

@@ -3,7 +3,7 @@
 #include "common.h"
 #include "log1p.h"
 
-#define BLOCK 64           // pixels
+#define BLOCK 64              // pixels
 #define WORDS (CHANNELS / 4)  // of a pixel, four bytes each: moving single bytes is slow
 
 static inline uint32_t byte(float steps) { return (uint32_t)(int)MIN(MAX(steps, 0), 255); }

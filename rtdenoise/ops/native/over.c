@@ -8,8 +8,8 @@
 #define WORDS 8  // of a kept frame
 
 typedef struct {
-    const float *seen, *motion, *depth;  // planes of the current frame
-    const float *const *now;             // likewise
+    const float *seen, *motion, *depth;        // planes of the current frame
+    const float *const *now;                   // likewise
     const uint32_t *const *kept;               // K frames [H, W, WORDS]
     float *out, *coverage, apart, speed, light, same;
     int64_t plane;

@@ -1,10 +1,14 @@
 // A 3×3 convolution of features, channels last, to O planes of float32. The specification is ops/to_planes.py. C is the
-// number of channels, a multiple of LANES; HALF is 1 for bfloat16 features, 0 for float32; so is HALF_TAPS for weights, 1 with
-// bfloat16 features alone.
+// number of channels, a multiple of SUMS; HALF is 1 for bfloat16 features, 0 for float32; HALF_TAPS is 1 for bfloat16 weights,
+// which go with bfloat16 features only.
 #include "common.h"
 
 #define SUMS 16  // parts of a sum
-#define MANY 4   // pixels at once, which read each weight together
+#ifdef __AVX512F__
+#define MANY 4  // pixels at once, which read each weight together: their sums stay in registers
+#else
+#define MANY 1
+#endif
 typedef float vector __attribute__((vector_size(SUMS * 4)));
 
 #if HALF

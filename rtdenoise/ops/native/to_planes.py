@@ -12,8 +12,8 @@ from .compiler import library, pointer
 
 def to_planes(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     B, C, H, W = x.shape
-    half, half_taps = (t.dtype == torch.bfloat16 for t in (x, weight))
-    half_taps &= half
+    half = x.dtype == torch.bfloat16
+    half_taps = half and weight.dtype == torch.bfloat16
     taps = (weight if half_taps else weight.float()).permute(2, 3, 0, 1).contiguous()  # [3, 3, O, C]
     bias, out = bias.float().contiguous(), torch.empty(B, len(bias), H, W)
     run = library("to_planes", C=C, O=len(bias), HALF=int(half), HALF_TAPS=int(half_taps)).to_planes
