@@ -13,14 +13,14 @@ from torch.nn import functional as F
 from rtdenoise import ops
 from rtdenoise.color import display_exposure
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.errors import InputError
+from rtdenoise.errors import InputError, NotCompiled
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.metrics import psnr
 from rtdenoise.models import AccumulatedKPNConfig, HybridConfig, create, load, read, save
 from rtdenoise.models.bytes_layout import made_for, shapes
 from rtdenoise.models.in_bytes import PixelNetworkInBytes, ToBytes, UNetInBytes, phases, rounded
 from rtdenoise.models.weights import bytes_of
-from rtdenoise.ops.convolve_bytes import convolve_bytes, packed, unpacked
+from rtdenoise.ops.convolve_bytes import convolve_bytes, multiplies_bytes, packed, unpacked
 from rtdenoise.ops.feature_bytes import CHANNELS, feature_bytes
 
 SMALL = HybridConfig(
@@ -261,6 +261,17 @@ def test_auto_takes_bytes_where_a_cpu_multiplies_them_fastest(monkeypatch, tmp_p
             assert isinstance(model.pixels, PixelNetworkInBytes) == (expected and not many)
         assert not any(isinstance(load(name).unet, UNetInBytes) for name in ("paper", tmp_path / "mine.safetensors"))
         assert not isinstance(load("fast", precision="fp32").unet, UNetInBytes)
+
+
+def test_without_a_compiler_no_cpu_multiplies_bytes(monkeypatch):
+    def fails():
+        raise NotCompiled("no space left")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("rtdenoise.ops.native.convolve_bytes.multiplies_bytes", fails)
+        assert not multiplies_bytes()
+    monkeypatch.setattr("rtdenoise.ops.convolve_bytes.compiled", lambda _: False)
+    assert not multiplies_bytes()
 
 
 def test_it_has_no_gradients(small):

@@ -288,7 +288,7 @@ def test_the_correction_needs_torch_and_shaders_refuse_it():
 
 
 @pytest.mark.parametrize(("correct", "samples"), [(False, 4), (True, -1), (True, 10**9)])
-def test_samples_go_with_a_correction_and_are_a_number_of_samples(correct, samples):
+def test_samples_with_a_model_by_name_go_with_a_correction_and_are_a_number_of_samples(correct, samples):
     with pytest.raises(InputError, match="samples"):
         rtdenoise.Denoiser("fast", correct=correct, samples=samples)
 
@@ -296,15 +296,16 @@ def test_samples_go_with_a_correction_and_are_a_number_of_samples(correct, sampl
 @pytest.mark.parametrize(
     ("options", "name"),
     [({}, "hybrid"), ({"samples": 3}, "hybrid"), ({"samples": 4}, "hybrid-many"), ({"backend": "glsl"}, "default"),
-     ({"correct": True}, "default"), ({"correct": True, "samples": 8}, "many"), ({"oidn": True}, "default")],
+     ({"backend": "glsl", "samples": 8}, "many"), ({"correct": True}, "default"),
+     ({"correct": True, "samples": 8}, "many"), ({"oidn": True}, "default"), ({"oidn": True, "samples": 8}, "many")],
     ids=str,
 )  # fmt: skip
 def test_who_names_no_model_gets_the_best_picture(frames, options, name):
     by_name = options if "correct" in options else {key: options[key] for key in options.keys() - {"samples"}}
     convert = pictures if "backend" in options else batches
-    found = play(frames[:2], convert, "auto", **options), play(frames[:2], convert, name, **by_name)
-    for image, wanted in zip(*found, strict=True):
-        assert np.array_equal(image, wanted)
+    denoiser, wanted = rtdenoise.Denoiser(**options), play(frames[:2], convert, name, **by_name)
+    for (color, features), image in zip(map(convert, frames[:2]), wanted, strict=True):
+        assert np.array_equal(denoiser(color, **features), image)
 
 
 def test_a_pixel_that_is_not_finite_has_samples_too(frames):

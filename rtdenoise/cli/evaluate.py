@@ -26,7 +26,7 @@ class Evaluate:
     """Method names, with spaces or commas between them, or 'all'. NAME=FILE measures the network of a weights file
     under that name."""
     precision: tuple[str, ...] = ("fp32",)
-    """'fp32', 'bf16'."""
+    """'fp32', 'bf16', 'int8'."""
     metrics: Annotated[tuple[str, ...], arg(help_behavior_hint="(default: all but fovvideovdp)")] = ()
     """Metric names."""
     spp: tuple[int, ...] = (1,)

@@ -25,9 +25,9 @@ def choose_device(name: str) -> str:
 
 
 def resolve(precision: str, device: str | torch.device) -> torch.dtype:
-    """The dtype that `precision` means on a device. 'auto' is bfloat16 where the hardware multiplies it faster: CPUs
-    with AVX512-BF16 or AMX, CUDA from compute capability 8.0; float32 elsewhere. 'int8', on CPUs alone, is that of
-    'auto' for what is not in bytes. `takes_bytes` says where 'auto' is 'int8'.
+    """The dtype that `precision` means on a device, for what is not in bytes (`takes_bytes`). With 'auto', and with
+    'int8', on CPUs alone, it is bfloat16 where the hardware multiplies that faster: CPUs with AVX512-BF16 or AMX, CUDA
+    from compute capability 8.0; float32 elsewhere.
 
     Raises InputError for an unknown precision, and for 'int8' on another device.
     """

@@ -47,7 +47,7 @@ def load(
     `model` is the name of a model that ships (`available()`) or the path of a .safetensors file that `rtdenoise train`
     wrote. `precision` is that of the network: 'fp32', 'bf16', 'int8', or 'auto' (`inference.resolve`, `takes_bytes`);
     the rest is float32. 'int8' is for an `AccumulatedKPN` or `Hybrid` on a CPU: its networks in bytes (`in_bytes`), and
-    what is left of them as with 'auto'.
+    what is left of them in bfloat16 or float32. 'auto' leaves the pixels of a `Hybrid` for many samples out.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
@@ -56,7 +56,7 @@ def load(
     """
     dtype, file = resolve(precision, device), read_denoiser(model, **overrides)
     network = _built(file)
-    if takes_bytes(precision, device):
+    if precision == INT8 or (has_bytes(file.path) and takes_bytes(precision, device)):
         _into_bytes(network, file.path, must=precision == INT8)
     return prepare(network, dtype).to(device)
 
@@ -64,8 +64,6 @@ def load(
 def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
     """Put networks in bytes in the place of a denoiser's own. Where what they need is not there or not usable, raise
     InputError if they `must`, and else leave it."""
-    if not must and not has_bytes(path):
-        return
     try:
         stored = read_bytes(path, network.config)
     except InputError as error:

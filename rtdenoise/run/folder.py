@@ -55,7 +55,7 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     if options.model != SHRINKAGE:
         files = files_of(find(options.model))
         parts["weights"] = _digest_of(files)
-        if options.precision == "int8" and (in_bytes := [f for f in map(bytes_of, files) if f.is_file()]):
+        if options.precision in ("auto", "int8") and (in_bytes := [f for f in map(bytes_of, files) if f.is_file()]):
             parts["bytes"] = _digest_of(in_bytes)
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}

@@ -27,7 +27,7 @@ COSTS = {
     "albedo": "textures blur, by about 4 dB of PSNR on the bundled sequence",
     "normal": "edges between surfaces blur, by up to 0.2 dB of PSNR on the bundled sequence",
     "depth": "outlines blur and cuts are not seen, by 0.1 dB of PSNR on the bundled sequence",
-    "motion": "each frame is denoised alone and flickers, by about 1 dB of PSNR on the bundled sequence",
+    "motion": "each frame is denoised alone and flickers, by about 1.2 dB of PSNR on the bundled sequence",
     "motion_next": "it is approximated from motion and depth, which costs next to nothing on the bundled sequence",
 }
 
@@ -73,10 +73,10 @@ class Denoiser:
         'default' and 'many', which take less than half of the time.
 
         `backend` is 'torch', 'glsl' (OpenGL shaders, without PyTorch; one picture at a time), or 'auto': torch where it
-        is installed. `device` is torch's, 'cpu', 'cuda' or 'auto', and the network's `precision` 'fp32', 'bf16' (with
-        glsl 'fp16') or 'auto'. `detect_cuts` starts history anew where most pixels find another surface than their
-        motion promises. `correct` corrects each frame by the noisy ones before it, for 4 samples a pixel and more;
-        `samples` says how many there are, so that edges are corrected, too. `oidn` mixes in OIDN's picture of the
+        is installed. `device` is torch's, 'cpu', 'cuda' or 'auto', and the network's `precision` 'fp32', 'bf16', 'int8'
+        (with glsl 'fp16') or 'auto'. `detect_cuts` starts history anew where most pixels find another surface than
+        their motion promises. `correct` corrects each frame by the noisy ones before it, for 4 samples a pixel and
+        more; `samples` says how many there are, so that edges are corrected, too. `oidn` mixes in OIDN's picture of the
         averaged light, one picture at a time; it goes without `correct`. With `lookahead` each frame is denoised with
         so many frames after it: a call returns the picture of the frame so many calls before, None at first, and
         `flush` the last ones.
@@ -97,7 +97,7 @@ class Denoiser:
         self._detect_cuts = detect_cuts
         check_lookahead(lookahead, "lookahead")
         self._backend = open_backend(backend, str(model), device, precision, correct, oidn, lookahead=lookahead)
-        self._samples, self._history = samples, None
+        self._samples, self._history = samples if correct else 0, None
         self._delayed = None  # with `lookahead`; then the history is that of cuts alone
         if lookahead:
             from .lookahead import Delayed
