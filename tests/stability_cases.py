@@ -76,8 +76,8 @@ class Subject:
 
 
 def modes_of(model: str) -> tuple[str, ...]:
-    """Int8 is for models that have weights in bytes, float16 for kernels alone: no CPU computes a network as large as
-    one that writes pixels in it in reasonable time, and no precision of ours is float16."""
+    """Int8 is for models that have weights in bytes, float16 for kernels alone: with torch it is no precision of ours,
+    and most CPUs take ten times as long in it for a network that writes pixels."""
     path, pixels = find(model), isinstance(read_config(model), HybridConfig)
     return tuple(m for m in MODES if not (m == "int8" and not has_bytes(path)) and not (m == "float16" and pixels))
 
@@ -96,7 +96,8 @@ def _gradients(denoiser: torch.nn.Module, wanted: bool) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Case:
-    """One promise. `measure` returns the number that must be at most `bound`, or `half` in reduced precision."""
+    """One promise. `measure` returns the number that must be at most `bound`, or `half` in reduced precision, or
+    `whole` in bytes."""
 
     name: str
     promise: str
@@ -104,7 +105,7 @@ class Case:
     bound: float
     measure: Callable[[Subject], float]
     half: float | None = None  # None: as `bound`
-    whole: float | None = None  # in int8; None: as `half`
+    whole: float | None = None  # None: as `half`
 
     def limit(self, mode: str) -> float:
         """The bound in a mode; in training nothing but finite numbers is promised."""

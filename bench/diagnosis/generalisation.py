@@ -33,7 +33,7 @@ MODELS = ("default", "fast", "quality")
 
 def main(folder: tyro.conf.Positional[Path], more: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:
     folders = [folder, *more]
-    steps = {name: load(name).step for name in MODELS} | {"oidn": Oidn().step}
+    steps = {name: load(name, precision="fp32").step for name in MODELS} | {"oidn": Oidn().step}
     rows = []
     for folder in folders:
         for signal in ("indirect", "color"):

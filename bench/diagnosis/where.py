@@ -39,7 +39,7 @@ MIN_ALBEDO_STEP = 0.1  # of a texture
 
 
 def main(sequences: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:
-    steps = {"oidn": Oidn().step} | {name: load(name).step for name in MODELS}
+    steps = {"oidn": Oidn().step} | {name: load(name, precision="fp32").step for name in MODELS}
     rows = []
     for folder in [SAMPLE, *sequences]:
         for signal in ("indirect", "color"):
