@@ -94,13 +94,16 @@ print(told, min(faults[1:]))
 
 
 def test_the_latency_benchmark_runs(tmp_path):
-    command = [sys.executable, "bench/latency_720p.py", "--quick", "--presets", "paper", "--out", tmp_path / "l.json"]
+    out = tmp_path / "l.json"
+    command = [sys.executable, "bench/latency_720p.py", "--quick", "--presets", "paper", "fast", "--out", out]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
-    document = json.loads((tmp_path / "l.json").read_text())
+    document = json.loads(out.read_text())
     methods = [row["method"] for row in document["rows"]]
-    assert methods[:3] == ["paper eager", "paper fused fp32", "paper fused bf16"] and "oidn high" in methods
-    for row in document["rows"][:3]:
+    ours = ["paper eager", "paper fused fp32", "paper fused bf16"]
+    ours += ["fast eager", "fast fused fp32", "fast fused bf16", "fast fused int8"]
+    assert methods[: len(ours)] == ours and "oidn high" in methods
+    for row in document["rows"][: len(ours)]:
         parts = sum(stage["median_ms"] for stage in row["stages"].values())
         assert parts > 0 and row["prediction_gflop"] > 0 and row["peak_mb"] > 0
         assert row["gb"]["kernel application"] > 0

@@ -14,19 +14,21 @@ import torch
 from rtdenoise import models, ops
 from rtdenoise.baselines.oidn import OidnFilter, filter_inputs
 from rtdenoise.frame import Frame, History
-from rtdenoise.models.inference import prepare
+from rtdenoise.models.inference import INT8, prepare, resolve
+from rtdenoise.models.weights import find, has_bytes
 from rtdenoise.run.graphs import Capture, Graphed
 
 from ..harness import check
 from .shaders import PRECISIONS, Shaders
 from .stages import prediction_flop
 
-BACKENDS = {  # name -> choice of ops, dtype of the network, row of tolerances.py for its comparison with `eager`
+BACKENDS = {  # name -> choice of ops, precision of the network, row of tolerances.py for its comparison with `eager`
     "eager": ("plain", None, "exact"),  # as trained: plain ops, planes, nothing fused
-    "fused fp32": ("fused", torch.float32, "float32 network"),
-    "fused bf16": ("fused", torch.bfloat16, "bfloat16 network"),
+    "fused fp32": ("fused", "fp32", "float32 network"),
+    "fused bf16": ("fused", "bf16", "bfloat16 network"),
+    "fused int8": ("fused", INT8, "int8 network"),  # on a CPU, of models that have weights in bytes
 }
-SCALED = ("fused bf16",)  # backends that are timed at all sizes, and as a CUDA graph where there is CUDA
+SCALED = ("fused bf16", "fused int8")  # backends that are timed at all sizes, and as a CUDA graph where there is CUDA
 GRAPH = ", graph"
 OIDN_QUALITIES = ("high", "balanced", "fast")
 OIDN_MISSING = "not measured: pip install 'rtdenoise[bench]' brings OIDN"
@@ -46,12 +48,14 @@ class Method:
 def torch_methods(preset: str, frame: Frame, device: str, backends: tuple[str, ...]) -> list[Method]:
     """The model on each of the backends, compared with the eager one."""
     methods, reference = [], None
-    for backend, (path, dtype, tolerance) in BACKENDS.items():
-        if backend not in ("eager", *backends):
+    for backend, (path, precision, tolerance) in BACKENDS.items():
+        if backend not in ("eager", *backends) or (precision == INT8 and not (device == "cpu" and in_bytes(preset))):
             continue
-        model = fresh(preset).to(device)
-        if dtype is not None:
-            model = prepare(model, dtype)
+        if precision == INT8:
+            model = models.load(preset, precision=precision)
+        else:
+            model = fresh(preset).to(device)
+            model = model if precision is None else prepare(model, resolve(precision, device))
         with ops.use(path):
             history = settled(model, frame)
             image = model.step(frame, history)[0]
@@ -115,6 +119,11 @@ def partly_in_bytes(name: str, precision: str) -> torch.nn.Module:
         if part in ("unet", "pixels"):
             setattr(model, part, network)
     return model
+
+
+def in_bytes(preset: str) -> bool:
+    """Whether a model ships with weights in bytes."""
+    return preset in models.available() and has_bytes(find(preset))
 
 
 def fresh(preset: str) -> torch.nn.Module:

@@ -13,6 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
+from rtdenoise.models import past
+
 STAGES = {
     "features + kernel prediction": ("demodulate", "features", "predict"),
     "kernel application": ("apply_kernel", "downsample", "compose", "pick", "blend_history"),
@@ -33,9 +35,10 @@ class Ledger:
 def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger]:
     """Fill a ledger while the model's `step` runs inside this context. Of nested calls only the outermost counts.
 
-    Bytes are those of the tensors that a stage's functions take and return, each counted once per call.
+    Bytes are those of the tensors that a stage's functions take and return, each counted once per call. The functions
+    are those of the model, of its file and of `models.past`.
     """
-    ledger, module, running = Ledger(), sys.modules[type(model).__module__], []
+    ledger, owners, running = Ledger(), (model, sys.modules[type(model).__module__], past), []
 
     def timed(stage: str, function: Callable) -> Callable:
         @functools.wraps(function)
@@ -56,11 +59,10 @@ def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger
 
     replaced = []
     for stage, names in STAGES.items():
-        found = [name for name in names if hasattr(model, name) or hasattr(module, name)]
+        found = [(owner, name) for owner in owners for name in names if hasattr(owner, name)]
         if not found:
             raise ValueError(f"{type(model).__name__} has none of the functions of stage '{stage}': {', '.join(names)}")
-        for name in found:
-            owner = model if hasattr(model, name) else module
+        for owner, name in found:
             function = getattr(owner, name)
             replaced.append((owner, name, function))
             setattr(owner, name, timed(stage, function))

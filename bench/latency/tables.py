@@ -39,11 +39,10 @@ def _cells(row: dict, base: float | None, peaks: dict[str, float]) -> list[str]:
         stages, memory = [f"{t:.1f}" for t in times.values()], f"{row['peak_mb']:.0f}"
     if "gb" in row:
         network, kernels = list(STAGES)[:2]
-        product = peaks["bf16_gflop_per_s" if "bf16" in row["method"] else "fp32_gflop_per_s"]
-        rates = [
-            f"{100 * row['gb'][kernels] / times[kernels] * 1000 / peaks['copy_gb_per_s']:.0f} %",
-            f"{100 * row['prediction_gflop'] / times[network] * 1000 / product:.0f} %",
-        ]
+        rates = [f"{100 * row['gb'][kernels] / times[kernels] * 1000 / peaks['copy_gb_per_s']:.0f} %", EMPTY]
+        if "int8" not in row["method"]:  # torch has no product of bytes to compare with
+            product = peaks["bf16_gflop_per_s" if "bf16" in row["method"] else "fp32_gflop_per_s"]
+            rates[1] = f"{100 * row['prediction_gflop'] / times[network] * 1000 / product:.0f} %"
     return [*stages, f"{total:.1f} ± {row[TOTAL]['iqr_ms']:.1f}", ratio, *rates, memory]
 
 
