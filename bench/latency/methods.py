@@ -46,8 +46,9 @@ class Method:
 
 
 def torch_methods(preset: str, frame: Frame, device: str, backends: tuple[str, ...]) -> list[Method]:
-    """The model on each of the backends, compared with the eager one."""
-    methods, reference = [], None
+    """The model on each of the backends, compared with the eager one on a small frame: in a large noisy one some pixel
+    always lies so near a threshold of reprojection that rounding decides its side."""
+    methods, expected, small = [], None, synthetic_frame(36, 64).to(device)
     for backend, (path, precision, tolerance) in BACKENDS.items():
         if backend not in ("eager", *backends) or (precision == INT8 and not (device == "cpu" and in_bytes(preset))):
             continue
@@ -57,33 +58,33 @@ def torch_methods(preset: str, frame: Frame, device: str, backends: tuple[str, .
             model = fresh(preset).to(device)
             model = model if precision is None else prepare(model, resolve(precision, device))
         with ops.use(path):
+            image = model.step(small, settled(model, small))[0]
             history = settled(model, frame)
-            image = model.step(frame, history)[0]
-        reference = image.double().cpu().numpy() if reference is None else reference
-        check(f"{preset} {backend}", image.cpu().numpy(), reference, tolerance)
+            whole = model.step(frame, history)[0]
+        expected = image.double().cpu().numpy() if expected is None else expected
+        check(f"{preset} {backend}", image.cpu().numpy(), expected, tolerance)
         method = Method(f"{preset} {backend}", partial(model.step, frame, history), model, path)
         if backend in backends:
             methods.append(method)
         if backend in SCALED and device == "cuda":
-            methods += recorded(method, reference, tolerance)
+            methods += recorded(method, whole.double().cpu().numpy(), tolerance)
     return methods
 
 
-def recorded(method: Method, reference: np.ndarray, tolerance: str) -> list[Method]:
-    """The method's step as a CUDA graph, whose stages cannot be timed; nothing where it cannot be recorded, which is
-    logged."""
+def recorded(method: Method, expected: np.ndarray, tolerance: str) -> list[Method]:
+    """The method's step as a CUDA graph, compared with what the step gives; its stages cannot be timed. Nothing where
+    it cannot be recorded, which is logged."""
     graph = Graphed(method.model, Capture(next(method.model.parameters()).device))
     again = Method(f"{method.name}{GRAPH}", partial(graph.step, *method.step.args), ops=method.ops)
     with ops.use(method.ops):
         for _ in range(2):  # the second call records
             image = again.step()[0]
-    check(again.name, image.cpu().numpy(), reference, tolerance)
+    check(again.name, image.cpu().numpy(), expected, tolerance)
     return [again] if graph.recordings else []
 
 
 def shader_methods(preset: str, frame: Frame) -> list[Method]:
-    """The model as compute shaders. They are compared on a small frame: in a large noisy one some pixel always lies so
-    near a threshold of reprojection that rounding decides its side."""
+    """The model as compute shaders, compared on a small frame, too."""
     methods, small = [], synthetic_frame(36, 64)
     history = settled(fresh(preset), small)
     expected = fresh(preset).step(small, history)[0].double().numpy()
