@@ -62,7 +62,8 @@ def scaling(rows: list[dict]) -> str:
 
 
 def plot(document: dict, path: Path) -> None:
-    """Milliseconds per megapixel over the size of the picture. Needs matplotlib."""
+    """Milliseconds per megapixel over the size of the picture, of the methods that were timed at several sizes, or of
+    all if none was. Needs matplotlib."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 5), layout="constrained")
@@ -70,8 +71,11 @@ def plot(document: dict, path: Path) -> None:
         xlabel="megapixels", ylabel="ms a megapixel", yscale="log", title=document["devices"]["torch"]
     )
     rows = _timed(document["rows"])
-    for name in dict.fromkeys(row["method"] for row in rows):
-        points = [(math.prod(r["pixels"]) / 1e6, r[TOTAL]["median_ms"]) for r in rows if r["method"] == name]
+    found = {}
+    for row in rows:
+        found.setdefault(row["method"], []).append((math.prod(row["pixels"]) / 1e6, row[TOTAL]["median_ms"]))
+    most = max(map(len, found.values()))
+    for name, points in ((name, sorted(points)) for name, points in found.items() if len(points) == most):
         style = {"linestyle": "--"} if name.startswith("oidn") else {}
         axes.plot([m for m, _ in points], [ms / m for m, ms in points], marker="o", label=name, **style)
     axes.legend(fontsize="small")
