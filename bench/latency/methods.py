@@ -60,13 +60,14 @@ def torch_methods(preset: str, frame: Frame, device: str, backends: tuple[str, .
         with ops.use(path):
             image = model.step(small, settled(model, small))[0]
             history = settled(model, frame)
-            whole = model.step(frame, history)[0]
         expected = image.double().cpu().numpy() if expected is None else expected
         check(f"{preset} {backend}", image.cpu().numpy(), expected, tolerance)
         method = Method(f"{preset} {backend}", partial(model.step, frame, history), model, path)
         if backend in backends:
             methods.append(method)
         if backend in SCALED and device == "cuda":
+            with ops.use(path):
+                whole = method.step()[0]
             methods += recorded(method, whole.double().cpu().numpy(), tolerance)
     return methods
 

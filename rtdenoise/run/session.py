@@ -91,7 +91,8 @@ class Denoiser:
         if samples and not correct and model != AUTO:
             raise InputError(f"samples={samples}: goes with model='auto' or correct=True")
         if model == AUTO:
-            model = candidates(backend, oidn or correct)[samples >= LEAST]
+            few, many = candidates(backend, oidn or correct)
+            model = few if samples < LEAST else many
         self.started = True
         """Whether the last call started history anew."""
         self._detect_cuts = detect_cuts
