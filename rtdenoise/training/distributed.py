@@ -7,6 +7,7 @@ sent.
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -25,6 +26,9 @@ def processes(device: str) -> Iterator[tuple[int, int]]:
         return
     if device == "cuda":
         torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
+    # PyTorch loads this module with its optimisers, and defaults of its functions keep the group there is at that time:
+    # the group's threads would outlive it, and end the process by SIGABRT where one is still at work.
+    importlib.import_module("torch.distributed.nn.functional")
     distributed.init_process_group("nccl" if device == "cuda" else "gloo")
     try:
         yield distributed.get_rank(), count
