@@ -134,8 +134,10 @@ def test_the_summary_counts_the_frames_of_all_runs():
 
 
 def test_interrupted_while_it_starts():
-    """Ctrl-C while the commands are being imported: at this moment in any process, however fast the machine."""
+    """Ctrl-C while the commands are being imported: at this moment in any process, however fast the machine. Where the
+    tests run in the background, their processes ignore it unless told not to."""
     code = ("import os, signal, sys\n"
+            "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
             "class Interrupt:\n"
             "    def find_spec(self, name, path=None, target=None):\n"
             "        if name == 'tyro': os.kill(os.getpid(), signal.SIGINT)\n"
