@@ -30,7 +30,7 @@ from rtdenoise.metrics.image import decibels, mse, mse_corrected
 from rtdenoise.models import load
 
 RESULT, PAGES = RESULTS / "bias.json", (DOCS / "results" / "quality.md",)
-MODELS = ("fast", "default", "quality")
+MODELS = ("fast", "default", "quality", "hybrid")
 FIRST = 4  # frames before this one are not counted: their histories are short
 
 
