@@ -33,7 +33,7 @@ from .corrected import Corrected
 from .sequence import Step
 
 PRECISIONS = ("fp32", "bf16", INT8)
-DEFAULTS = ("noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "quality")  # measured if none is named
+DEFAULTS = ("noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "hybrid")  # measured if none is named
 ALL = "all"
 AHEAD = re.compile(r"(.+)-ahead(\d+)")  # METHOD-aheadN: denoise --lookahead N
 CORRECTED = ("oidn", "default")  # methods that 'all' also has with every combiner

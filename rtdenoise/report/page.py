@@ -155,14 +155,14 @@ def _strips(
 
 
 def _to_play(document: Document, sequence: str) -> list[str]:
-    """noisy, the best methods of `PEERS` other families, and the best network, by PSNR at the fewest samples."""
+    """noisy, the best methods of `PEERS` other families by PSNR at the fewest samples, and our network."""
     rows = [row for row in document.results if row["sequence"] == sequence and row["precision"] == "fp32"]
     fewest = min((row["spp"] for row in rows), default=1)
     psnr = {row["method"]: row["errors"]["frame"].get("psnr") or 0.0 for row in rows if row["spp"] == fewest}
     best: dict[str, str] = {}  # family -> method
     for method in sorted(psnr, key=psnr.get, reverse=True):
         best.setdefault(document.methods[method]["family"], method)
-    ours = "default" if "default" in psnr else best.get("network")
+    ours = readings.speaks_for_us(rows, document.methods)
     peers = sorted((m for f, m in best.items() if f not in ("input", "network", "ablation")), key=psnr.get)[-PEERS:]
     return [name for name in ("noisy" if "noisy" in psnr else None, *peers, ours) if name]
 
