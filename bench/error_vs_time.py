@@ -50,7 +50,7 @@ def main(o: Options) -> None:
     else:
         folders = standard.prepare()
         standard.add_samples()
-        at_1_spp = evaluation.EvaluateOptions(("all",), precisions=("fp32", "bf16"), signal="indirect")
+        at_1_spp = evaluation.EvaluateOptions(("all",), precisions=("fp32", "bf16", "int8"), signal="indirect")
         evaluation.run([*folders, *o.sequences], out, at_1_spp)
         evaluation.run(folders, out, evaluation.EvaluateOptions(OVER_SPP, spp=standard.SPP, signal="indirect"))
     written = report(out)
