@@ -49,7 +49,7 @@ def resize(history: History, size: tuple[int, int]) -> History:
     bilinearly, geometry and motion are taken from the nearest pixel, and motion is rescaled to the new pixels. Recent
     frames are left out: their noise would be interpolated."""
     (H, W), (before_H, before_W) = size, history.radiance.shape[2:]
-    scale = torch.tensor([W / before_W, H / before_H], device=history.radiance.device).reshape(1, 2, 1, 1)
+    scale = history.radiance.new_tensor([W / before_W, H / before_H]).reshape(1, 2, 1, 1)
 
     def resized(name: str, tensor: Tensor) -> Tensor:
         cell = next(c for c in CELLS if tensor.shape[2:] == (-(-before_H // c), -(-before_W // c)))

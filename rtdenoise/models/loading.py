@@ -34,8 +34,8 @@ NETWORKS = {
 
 
 def create(config: Config) -> Denoiser | Combiner:
-    """A network with random weights."""
-    return NETWORKS[config.architecture](config)
+    """A network with random weights, in float32 whatever torch's default dtype is."""
+    return NETWORKS[config.architecture](config).float()
 
 
 def load(

@@ -42,7 +42,7 @@ class _ApplyKernel(torch.autograd.Function):
             grad_image = torch.empty_like(image)
             kernels.backward_image(*map(pointer, (logits, stats, grad, grad_image)), *sizes)
         if ctx.needs_input_grad[1]:
-            grad_logits = torch.zeros(logits.shape)
+            grad_logits = image.new_zeros(logits.shape)
             kernels.backward_logits(*map(pointer, (image, logits, out, stats, grad, grad_logits)), *sizes)
             grad_logits = grad_logits.to(logits.dtype)
         return grad_image, grad_logits

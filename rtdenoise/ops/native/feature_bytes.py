@@ -14,7 +14,7 @@ from .compiler import library, planes, pointer
 def feature_bytes(radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
     layers = [layer.contiguous() for layer in (radiance, albedo, normal)]
     B, _, H, W = radiance.shape
-    out = torch.empty(B, CHANNELS, H, W, dtype=torch.uint8, memory_format=torch.channels_last)
+    out = torch.empty(B, CHANNELS, H, W, dtype=torch.uint8, device="cpu", memory_format=torch.channels_last)
     constants = {"LIGHT": LIGHT, "ALBEDO": ALBEDO, "NORMAL": NORMAL, "CHANNELS": CHANNELS}
     run = library("feature_bytes", **constants).feature_bytes
     for b in range(B):

@@ -15,7 +15,7 @@ def features(light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, d
     layers = [layer.contiguous() for layer in (*light, *guides)]
     B, _, H, W = layers[0].shape
     channels, lit = (sum(layer.shape[1] for layer in group) for group in (layers, light))
-    out = torch.empty(B, channels, H, W, dtype=dtype, memory_format=torch.channels_last)
+    out = torch.empty(B, channels, H, W, dtype=dtype, device="cpu", memory_format=torch.channels_last)
     run = library("features", C=channels, LIGHT=lit, HALF=int(dtype == torch.bfloat16)).features
     for b in range(B):
         each = planes([layer[b : b + 1] for layer in layers])

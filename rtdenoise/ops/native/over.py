@@ -21,7 +21,7 @@ def over_and_coverage(
     B, _, H, W = seen.shape
     threads, K = torch.get_num_threads(), len(recent)
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
-    out, found = torch.empty_like(seen), torch.empty(threads, W, dtype=torch.uint8)
+    out, found = torch.empty_like(seen), seen.new_empty(threads, W, dtype=torch.uint8)
     coverage = seen.new_zeros(B, 3, H, W)
     constants = map(c_float, (OVER_APART, OVER_SPEED, OVER_LIGHT, OVER_SAME))
     run = library("over", FAR_AWAY=FAR_AWAY, GLOSS=GLOSS).over

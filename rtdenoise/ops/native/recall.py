@@ -44,8 +44,8 @@ def recall(
     where = uncovered.contiguous() if footprint else None
     less = light.new_zeros(B) if misplaced is None else misplaced.expand(B, 1, 1, 1).contiguous()
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
-    found = torch.empty(threads, FOUND, K, WORDS, RECALL_CELL, W, dtype=torch.int32)
-    cells = torch.empty(threads, SUMS, K, 4, -(-W // RECALL_CELL))
+    found = light.new_empty(threads, FOUND, K, WORDS, RECALL_CELL, W, dtype=torch.int32)
+    cells = light.new_empty(threads, SUMS, K, 4, -(-W // RECALL_CELL))
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
     outputs = [*map(pointer, results), *[None] * (4 - len(results))]
     tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, RECALL_ALIKE, RECALL_CHANGED, RECALL_EDGE_SPEED))
@@ -72,7 +72,7 @@ def keep(light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Te
     images = [t.contiguous() for t in (light, depth, normal, reset, motion, albedo) if t is not None]
     B, _, H, W = light.shape
     words = RECALL_WORDS if albedo is None else RECALL_FOOTPRINT_WORDS
-    kept = torch.empty(B, words, H, W, dtype=torch.int32, memory_format=torch.channels_last)
+    kept = torch.empty(B, words, H, W, dtype=torch.int32, device="cpu", memory_format=torch.channels_last)
     pointers = [*map(pointer, images), *[None] * (6 - len(images))]
     tolerances = map(c_float, (DEPTH_TOLERANCE, RECALL_EDGE_SPEED))
     _compiled().keep(*pointers, pointer(kept), B, H, W, *tolerances, torch.get_num_threads())

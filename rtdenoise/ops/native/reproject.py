@@ -51,7 +51,7 @@ def _forward(
     stored = [t.contiguous() for t in stored]
     B, _, H, W = where[0].shape
     C = sum(t.shape[1] for t in stored)
-    out, valid = torch.empty(B, C, H, W), torch.empty(B, 1, H, W, dtype=torch.bool)
+    out, valid = stored[0].new_empty(B, C, H, W), stored[0].new_empty(B, 1, H, W, dtype=torch.bool)
     pointers = planes(stored), *map(pointer, (*where, out, valid))
     _library(C).reproject(*pointers, B, H, W, *map(c_float, tolerances), torch.get_num_threads())
     return out, valid
