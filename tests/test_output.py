@@ -4,6 +4,7 @@ import json
 import math
 
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 from synthetic import TINY, make_frames, write_sequence
@@ -99,6 +100,7 @@ def test_an_interrupted_run_with_another_layout_is_refused(tmp_path, model):
         ({"layout": "sauce"}, "unknown layout 'sauce': known are plain, source"),
         ({"layout": "source", "keep": ("albedo",)}, "layout 'source' passes every channel on: leave --keep out"),
         ({"recombine": True, "signal": "indirect"}, "--recombine needs the beauty, the file has "),
+        ({"keep": ("albedo", "foo")}, "no 'foo' to keep; the file has "),
     ],
 )
 def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, model, options, expected):
@@ -114,6 +116,58 @@ def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, model, opti
         denoise(str(shot), tmp_path / "out", Options(model=model, **options))
     assert expected in str(caught.value) and "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+PLACE = {"dataWindow": ((-8, 4), (23, 27)), "displayWindow": ((0, 0), (15, 15)), "pixelAspectRatio": 2.0,
+         "chromaticities": (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)}  # fmt: skip
+
+
+@pytest.fixture
+def placed(tmp_path):
+    """Writes frames of a shot with further attributes in their headers: (shot, function of an attribute list)."""
+
+    def write(*attributes, brighter=1.0):
+        for frame, attribute in zip(make_frames(len(attributes)), attributes, strict=True):
+            layers = {layer: tensor[0].permute(1, 2, 0).numpy() for layer, tensor in frame.layers()}
+            layers["color"] = layers.pop("radiance") * brighter
+            path = tmp_path / "shot" / f"f.{frame.number}.exr"
+            write_layers(path, layers, dtypes={"color": "float"}, attributes=attribute)
+        return str(path.parent)
+
+    (tmp_path / "shot").mkdir()
+    return write
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_the_picture_stays_where_it_was(placed, tmp_path, model, layout):
+    denoise(placed(PLACE, PLACE), tmp_path / "out", Options(model=model, layout=layout))
+    header = OpenEXR.File(str(tmp_path / "out" / "f.1.exr")).header()
+    for name, value in PLACE.items():
+        assert np.allclose(header[name], value), name
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [{"pixelAspectRatio": 1e-6}, {"displayWindow": ((-(1 << 29), 0), (1 << 29, 7))}, {"chromaticities": (1e30,) * 8}],
+    ids=lambda attributes: next(iter(attributes)),
+)
+def test_odd_attributes_do_no_harm(placed, tmp_path, model, odd):
+    assert denoise(placed(odd), tmp_path / "out", Options(model=model)).written == 1
+
+
+def test_a_data_window_that_moves_is_refused(placed, tmp_path, model):
+    moved = {"dataWindow": ((0, 4), (31, 27))}
+    with pytest.raises(InputError, match=r"f.1.exr: its data window begins at \(0, 4\), that of f.0.exr at \(-8, 4\);"):
+        denoise(placed(PLACE, moved), tmp_path / "out", Options(model=model))
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_what_half_floats_do_not_hold_is_written_in_32_bits(placed, tmp_path, model, layout):
+    shot = placed({}, {}, brighter=1e6)
+    denoise(shot, tmp_path / "half", Options(model=model, layout=layout))
+    denoise(shot, tmp_path / "float", Options(model=model, layout=layout, float32=True))
+    half, full = (rgb(tmp_path / name / "f.1.exr") for name in ("half", "float"))
+    assert full.max() > 65504 and np.array_equal(half, full)
 
 
 # --- the input is never written to ------------------------------------------------------------------------------------

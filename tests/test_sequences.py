@@ -13,6 +13,7 @@ import torch
 
 from rtdenoise.data import layouts
 from rtdenoise.data.exr import read_header, write_layers
+from rtdenoise.data.output import write_frame
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 
@@ -402,3 +403,39 @@ def test_a_device_is_not_read(tmp_path):
 def test_control_characters_in_names_are_escaped(tmp_path):
     folder = write_native(tmp_path / "s\n\x1b[31m", [1, 3])
     assert "s\\n\\x1b[31m/frame.0001.exr: the next frame is 3" in message(open_sequence, folder)
+
+
+def test_numbers_before_zero(tmp_path):
+    shot = write_native(tmp_path / "shot", [1, 2, 3, 4], name="v2.{}.exr")
+    for old, new in (("v2.1", "v2.-2"), ("v2.2", "v2.-1"), ("v2.3", "v2.0"), ("v2.4", "v2.1")):
+        (shot / f"{old}.exr").rename(shot / f"{new}.exr")
+    assert open_sequence(shot).numbers == (-2, -1, 0, 1)
+    assert open_sequence(write_native(tmp_path / "hyphens", [1, 2], name="shot-{:04d}.exr")).numbers == (1, 2)
+
+
+@pytest.mark.parametrize("part", ["color", "rgba", "RGBA", "beauty"])
+def test_the_beauty_in_a_part_of_its_own(tmp_path, part):
+    planes = {name: np.full((H, W), i, np.float32) for i, name in enumerate("RGB")}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    contents = {part: planes, "depth": {"Z": planes["R"]}}
+    parts = [OpenEXR.Part(dict(header), pixels, name) for name, pixels in contents.items()]
+    OpenEXR.File(parts).write(str(tmp_path / "1.exr"))
+    frame = open_sequence(tmp_path / "1.exr")[0]
+    assert frame.depth is not None and frame.radiance[0, :, 0, 0].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("keep", "kept"),
+    [
+        (("albedo", "depth"), {"ViewLayer.Denoising Albedo.G", "ViewLayer.Depth.Z"}),
+        (("Mist",), {"ViewLayer.Mist.Z"}),
+        (("ViewLayer.Mist", "ViewLayer.Depth.Z"), {"ViewLayer.Mist.Z", "ViewLayer.Depth.Z"}),
+    ],
+)
+def test_what_is_kept_goes_by_the_layouts_names_and_by_the_files(tmp_path, keep, kept):
+    write_cycles(tmp_path / "1.exr")
+    sequence = open_sequence(tmp_path / "1.exr")
+    (tmp_path / "out").mkdir()
+    write_frame(tmp_path / "out", sequence, 0, sequence.read(0), np.ones((1, 3, H, W), np.float32), keep=keep)
+    assert kept < set(read_header(tmp_path / "out" / "1.exr").channels)
+    assert not any("Noisy" in name for name in read_header(tmp_path / "out" / "1.exr").channels)

@@ -11,10 +11,11 @@ import numpy as np
 
 from ..errors import InputError
 from .exr_chunks import check_complete, find_table_end
-from .exr_format import DEEP, MAGIC, MULTI_PART, TILED, ExrHeader, Part
+from .exr_format import DEEP, MAGIC, MULTI_PART, TILED, ExrHeader, Part, Placing
 
 PIXEL_TYPES = ("uint", "half", "float")  # in the order of the format's codes
 MAX_SIDE, MAX_PIXELS = 1 << 16, 1 << 28  # a larger picture is a damaged header; OpenEXR would allocate it
+MAX_COORDINATE, MAX_ASPECT = (1 << 30) - 2, 1e6  # OpenEXR writes no larger ones
 MAX_NAME = 255  # bytes, as the format has it
 FIRST_READ = 1 << 16  # bytes; most headers are smaller
 TABLE_BLOCK = 4096  # chunk offsets that are looked at together
@@ -90,7 +91,8 @@ def _parse(path: Path, head: bytes) -> ExrHeader:
     _refuse_repeated(path, [full for part in parts for full in part.full_names])
     channels = {full: part.channels[stored] for part in parts for full, stored in part.full_names.items()}
     width, height = parts[0].size
-    return ExrHeader(path, width, height, channels, parts, version, _samples(descriptions[0][1]))
+    first = descriptions[0][1]
+    return ExrHeader(path, width, height, channels, parts, version, _samples(first), _placing(first))
 
 
 def _parse_attributes(path: Path, cursor: _Cursor) -> tuple[bytes, dict[str, bytes]]:
@@ -109,6 +111,26 @@ def _samples(attributes: dict[str, bytes]) -> int:
     """Samples a pixel that Cycles noted as `cycles.ViewLayer.samples`, those of the view layer with fewest; 0: none."""
     noted = [v for name, v in attributes.items() if name.startswith("cycles.") and name.endswith(".samples")]
     return min((int(value) for value in noted if value.isdigit() and len(value) < 10), default=0)
+
+
+def _placing(attributes: dict[str, bytes]) -> Placing | None:
+    """What a header says of it. What OpenEXR would not write counts as missing."""
+
+    def values(name: str, form: str, most: float) -> tuple | None:
+        stored = attributes.get(name, b"")
+        found = struct.unpack(form, stored) if len(stored) == struct.calcsize(form) else None
+        return found if found and all(abs(value) <= most for value in found) else None  # not NaN either
+
+    def window(name: str) -> tuple[tuple[int, int], tuple[int, int]] | None:
+        left, top, right, bottom = values(name, "<4i", MAX_COORDINATE) or (0, 0, -1, -1)
+        return ((left, top), (right, bottom)) if left <= right and top <= bottom else None
+
+    data = window("dataWindow")
+    if data is None:
+        return None
+    (aspect,) = values("pixelAspectRatio", "<f", MAX_ASPECT) or (1.0,)
+    aspect = aspect if aspect >= 1 / MAX_ASPECT else 1.0
+    return Placing(data, window("displayWindow") or data, aspect, values("chromaticities", "<8f", MAX_COORDINATE))
 
 
 def _parse_part(path: Path, cursor: _Cursor, raw: bytes, attributes: dict[str, bytes], flags: int) -> Part:

@@ -21,6 +21,8 @@ from ..errors import InputError
 from .exr import read_channels, read_header
 from .exr_format import ExrHeader
 
+NUMBER = r"(?:(?<=[._ ])-)?\d+"  # a sign stands behind a separator, where it is none itself
+
 
 @dataclass(frozen=True)
 class FrameFiles:
@@ -50,7 +52,7 @@ class FrameFiles:
         if "" in headers:
             return first
         channels = {f"{buffer}.{c}": t for buffer, header in headers.items() for c, t in header.channels.items()}
-        return ExrHeader(first.path, first.width, first.height, channels, (), 0, first.samples)
+        return ExrHeader(first.path, first.width, first.height, channels, (), 0, first.samples, first.placing)
 
     def read(self, names: Collection[str]) -> dict[str, np.ndarray]:
         """The pixels `[H, W]` float32 of channels, by the names that `header` gives them."""
@@ -135,9 +137,9 @@ def fits(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]
 
 
 def number_files(files: list[Path]) -> list[tuple[int, Path]]:
-    """Files with their frame numbers, ascending: the last run of digits in a name. Raises `InputError` for a name
-    without digits, and for repeated numbers."""
-    runs = {file: re.findall(r"\d+", file.stem) for file in files}
+    """Files with their frame numbers, ascending: the last run of digits in a name, negative in `shot.-0001.exr`, not in
+    `shot-0001.exr`. Raises `InputError` for a name without digits, and for repeated numbers."""
+    runs = {file: re.findall(NUMBER, file.stem) for file in files}
     unnumbered = [file for file in sorted(files) if not runs[file]]
     if unnumbered and len(files) > 1:
         raise InputError(f"{unnumbered[0]}: no frame number in the name; expected digits, as in frame.0001.exr")

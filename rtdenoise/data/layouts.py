@@ -1,7 +1,7 @@
 """The layout presets: how renderers name and scale their channels, converted to the conventions of `frame.py`.
 
-native   This project's: `R,G,B` (or `color.{R,G,B}`, as in a part named color), and `layers.py` for the others:
-         `indirect.{R,G,B}`, `albedo.{R,G,B}`, `normal.{X,Y,Z}`, `depth.Z`, …
+native   This project's: `R,G,B` (in files of several parts also in one named color, rgba, RGBA or beauty), and
+         `layers.py` for the others: `indirect.{R,G,B}`, `albedo.{R,G,B}`, `normal.{X,Y,Z}`, `depth.Z`, …
 cycles   Blender/Cycles 3.x-5.x, multilayer EXR: `<ViewLayer>.<Pass>.<Channel>`. `Vector` holds previous − current in
          X,Y and current − next in Z,W, in pixels with y up. `Diffuse Indirect` is already divided by `Diffuse Color`.
          `Denoising Normal` is in camera space and `Normal` in world space, so `Normal` is preferred.
@@ -37,7 +37,7 @@ NATIVE = Layout(
     "native",
     {
         **{name: rules(_ALIASES.get(name, name), layer.components) for name, layer in LAYERS.items()},
-        "color": rules("|color", "RGB"),
+        "color": rules("|color|rgba|RGBA|beauty", "RGB"),
         "components": (Rule(tuple(f"{name}.{c}" for name in COMPONENTS for c in "RGB"), (1,) * 3 * len(COMPONENTS)),),
     },
 )

@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError
 from .exr import write_layers, write_like
 from .light import LightPasses
-from .output import PLAIN
+from .output import PLAIN, beyond_half
 from .sequences import Sequence
 
 LEAST_COLOR = 0.01  # of a pixel with light: gloss may have spread to a pixel whose own glossy colour is 0
@@ -39,6 +39,7 @@ def write_light(
         if bad := int((~np.isfinite(image)).any(1).sum()):
             raise InputError(f"{path}: {name} has {bad} pixels that are not finite after denoising, so nothing was "
                              "written; are the weights of --model sound, and the frame plausible?")  # fmt: skip
+    float32 = float32 or any(map(beyond_half, (picture, *parts.values())))
     if layout == "source":
         planes = _source_planes(sequence, passes, picture, parts)
         return write_like(out / path.name, path, planes, dtype="float" if float32 else None)
@@ -47,7 +48,8 @@ def write_light(
         layers |= zip((f"{name}.{c}" for c in "RGB"), parts[name][0], strict=True)
     if passes.alpha:
         layers["A"] = sequence.files[index].read([passes.alpha])[passes.alpha]
-    write_layers(out / sequence.names[index], layers, dtypes=dict.fromkeys(layers, "float" if float32 else "half"))
+    dtypes, placing = dict.fromkeys(layers, "float" if float32 else "half"), sequence.header.placing
+    write_layers(out / sequence.names[index], layers, dtypes=dtypes, attributes=placing and placing.attributes)
     return {}
 
 

@@ -22,6 +22,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ..constants import MAX_HALF
 from ..errors import InputError
 from ..frame import Frame
 from ..sanitise import valid
@@ -42,6 +43,7 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
         raise InputError(f"{sequence.paths[0]}: layout 'source' copies EXR files, this is none: choose 'plain'")
     if layout == "source" and keep:
         raise InputError("layout 'source' passes every channel on: leave --keep out")
+    _kept(sequence, keep)
     if recombine and sequence.signal != "color" and "radiance" not in sequence.layout.resolve(sequence.header, "color"):
         raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has {sequence.header.summary}; "
                          f"{sequence.layout.hint('radiance', 'color')}")  # fmt: skip
@@ -137,7 +139,7 @@ def write_frame(
     layout: str = "plain",
     recombine: bool = False,
     keep: tuple[str, ...] = (),  # layers or channels of the input to pass on, or "all"; plain layout only
-    float32: bool = False,
+    float32: bool = False,  # as always where half floats do not hold the result
     extra: Mapping[str, np.ndarray] = NOTHING,  # layer -> [1, C, H, W], written too; plain layout only
 ) -> dict[str, int]:
     """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in each
@@ -156,6 +158,7 @@ def write_frame(
         if result is not None and (bad := int((~np.isfinite(result)).any(1).sum())):
             raise InputError(f"{path}: the result has {bad} pixels that are not finite, so it was not written; are the "
                              "weights of --model sound, and the frame's values plausible?")  # fmt: skip
+    float32 = float32 or any(beyond_half(result) for result in (image, beauty) if result is not None)
     if layout == "plain":
         result = image if beauty is None else beauty
         return _write_plain(out / sequence.names[index], sequence, index, result, keep, float32, extra)
@@ -167,6 +170,11 @@ def write_frame(
         changed = {stored: planes[full] for stored, full in names.items()}
         nans |= write_like(out / _name(file, path), file, changed, dtype="float" if float32 else None)
     return nans
+
+
+def beyond_half(result: np.ndarray) -> bool:
+    """Whether half floats do not hold values as large as a result's."""
+    return bool(result.max() > MAX_HALF)
 
 
 def _place(sequence: Sequence) -> Rule:
@@ -197,14 +205,11 @@ def _write_plain(
     layers = {name: np.moveaxis(array[0], 0, 2) for name, array in {"color": image, **extra}.items()}
     dtypes = {"color": "float" if float32 else "half"}
     if keep:
-        types = sequence.header.channels
-        names = [name for name in types if name not in ("R", "G", "B") and _kept(name, keep)]
-        if not names:
-            raise InputError(f"{sequence.paths[index]}: no channel of {', '.join(keep)} to keep; the file has "
-                             f"{', '.join(types)}")  # fmt: skip
+        names, types = _kept(sequence, keep), sequence.header.channels
         layers |= sequence.files[index].read(names)
         dtypes |= {name: types[name] for name in names}
-    write_layers(path, layers, dtypes=dtypes)
+    placing = sequence.header.placing
+    write_layers(path, layers, dtypes=dtypes, attributes=placing and placing.attributes)
     return {
         name: bad
         for name, plane in layers.items()
@@ -212,5 +217,19 @@ def _write_plain(
     }
 
 
-def _kept(channel: str, keep: tuple[str, ...]) -> bool:
-    return "all" in keep or channel.rpartition(".")[0] in keep or channel in keep
+def _kept(sequence: Sequence, keep: tuple[str, ...]) -> list[str]:
+    """The channels that are passed on, without `R,G,B`, where the result stands.
+
+    Each of `keep` is a layer or channel as the file calls it, with or without the view layer, a layer of `Frame` that
+    the file has under whatever name, or 'all'. Raises InputError for what is none of these.
+    """
+    kept, channels = set(), sequence.header.channels
+    layers = {channel: channel.rpartition(".")[0] for channel in channels}
+    for name in keep:
+        rule = sequence.available.get(name)
+        found = {c for c, layer in layers.items() if name in ("all", c, layer, layer.rpartition(".")[2])}
+        found = found or set(rule.channels if rule else ())
+        if not found:
+            raise InputError(f"{sequence.paths[0]}: no '{name}' to keep; the file has {sequence.header.summary}")
+        kept |= found
+    return [channel for channel in channels if channel in kept - {"R", "G", "B"}]

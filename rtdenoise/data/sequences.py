@@ -171,6 +171,10 @@ def _check_like_first(header: ExrHeader, first: ExrHeader, rules: dict[str, Rule
     if (header.width, header.height) != (first.width, first.height):
         raise InputError(f"{header.path}: is {header.width}×{header.height}, expected {first.width}×{first.height} as "
                          f"{first.path.name}; all frames of a sequence must have one size")  # fmt: skip
+    if header.placing and first.placing and header.placing.data_window != first.placing.data_window:
+        (x, y), (left, top) = header.placing.data_window[0], first.placing.data_window[0]
+        raise InputError(f"{header.path}: its data window begins at ({x}, {y}), that of {first.path.name} at "
+                         f"({left}, {top}); render all frames with one, as motion counts from its corner")  # fmt: skip
     for layer, rule in rules.items():
         if missing := [name for name in rule.channels if name not in header.channels]:
             raise InputError(f"{header.path}: lacks {layer} (channel {missing[0]}), which {first.path.name} has; "

@@ -44,7 +44,7 @@ class Options:
     keep: tuple[str, ...] = ()
     """Layers of the input to copy into the output ('albedo', 'depth' ...), or 'all'."""
     float32: bool = False
-    """Write 32-bit float instead of 16-bit half."""
+    """Write 32-bit float instead of 16-bit half, as always where a frame is too bright for half."""
     allow_gaps: bool = False
     """Accept missing frame numbers; history starts anew after each gap."""
     detect_cuts: bool = True
@@ -116,7 +116,7 @@ class CombineOptions:
     keep: tuple[str, ...] = ()
     """Layers of the noisy files to copy into the output ('albedo', 'depth' ...), or 'all'."""
     float32: bool = False
-    """Write 32-bit float instead of 16-bit half."""
+    """Write 32-bit float instead of 16-bit half, as always where a frame is too bright for half."""
     confidence: bool = False
     """Also write the size of each pixel's correction, in radiance, as the layer 'confidence'."""
     allow_gaps: bool = False
