@@ -44,6 +44,16 @@ def replacing(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
             temporary.unlink()
 
 
+def in_order(stored: bytes) -> bytes:
+    """A safetensors file whose metadata stand in alphabetical order: the library's own differs from run to run."""
+    end = 8 + int.from_bytes(stored[:8], "little")
+    header = json.loads(stored[8:end])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)  # tensors are aligned to 8 bytes
+    return len(text).to_bytes(8, "little") + text + stored[end:]
+
+
 def write_atomically(path: Path, content: bytes | memoryview, sync: bool = False) -> None:
     """Write a file that appears under its name only when it is complete; with `sync` also after a loss of power.
 

@@ -336,6 +336,14 @@ def test_the_file_is_json_without_nan(shot, tmp_path):
         Document.read(tmp_path)
 
 
+def test_a_folder_of_results_is_told_where_they_are(tmp_path):
+    for signal in ("color", "indirect"):
+        (tmp_path / signal).mkdir()
+        Document(signal).write(tmp_path / signal)
+    with pytest.raises(InputError, match=f"not there; choose {tmp_path / 'color'} or {tmp_path / 'indirect'}$"):
+        Document.read(tmp_path)
+
+
 def test_a_single_frame_is_measured_and_drawn(tmp_path):
     still = write_sequence(tmp_path / "still", make_frames(1), without=("motion", "motion_next"))
     document = run([str(still)], tmp_path / "out", EvaluateOptions(PLAIN, metrics=("psnr", "tpsnr")))

@@ -539,8 +539,8 @@ def test_mitsuba_file_is_set_in_motion(tmp_path):
                             ("[[object]]\nspeed = 1", "unknown key 'speed'"), ("[camera]\nsensor = 3", "sensor 3"),
                             ("[camera]\nvelocity = 0.1", "velocity = 0.1: expected 3 number"),
                             ("[camera]\npan = '1'", "pan = '1': expected 1 number"),
-                            ("brightness = ", "not valid TOML")):  # fmt: skip
-        motion.write_text(text)
+                            ("brightness = ", "not valid TOML"), ("# \udcff", "not valid TOML")):  # fmt: skip
+        motion.write_text(text, encoding="utf-8", errors="surrogateescape")
         with pytest.raises(InputError, match=complaint):
             open_scene(str(file), motion)
     motion.write_text("[[object]]\nshapes = ['ball']")

@@ -164,8 +164,9 @@ def test_tensorboard_that_is_missing_is_one_line(config, monkeypatch):
 
 
 def test_same_seed_same_weights_other_seed_others(config, tmp_path):
-    first = load(train(config)).state_dict()
-    again = load(train(replace(config, out=tmp_path / "again"))).state_dict()
+    path, repeated = train(config), train(replace(config, out=tmp_path / "again"))
+    first, again = load(path).state_dict(), load(repeated).state_dict()
+    assert path.read_bytes() == repeated.read_bytes()
     other = load(train(replace(config, out=tmp_path / "other", seed=1))).state_dict()
     assert all(torch.equal(first[k], again[k]) for k in first)
     assert not all(torch.equal(first[k], other[k]) for k in first)

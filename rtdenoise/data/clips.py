@@ -22,7 +22,7 @@ from safetensors.numpy import load_file, save
 
 from ..constants import MAX_HALF
 from ..errors import InputError
-from ..files import open_regular, write_atomically
+from ..files import in_order, open_regular, write_atomically
 from ..frame import Frame
 from .layers import COMPONENTS, LAYERS, SIGNALS
 
@@ -75,7 +75,7 @@ def write_clip(
         if not np.isfinite(tensors[name]).all():
             raise ValueError(f"{path}: {name} is not finite")
     metadata = {"clip": json.dumps(dict(facts))} | ({"scales": json.dumps(scales)} if scales else {})
-    write_atomically(path, save(tensors, metadata=metadata))
+    write_atomically(path, in_order(save(tensors, metadata=metadata)))
 
 
 def bytes_per_clip(size: tuple[int, int], frames: int, layers: Collection[str] = ()) -> int:

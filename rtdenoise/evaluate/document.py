@@ -55,7 +55,9 @@ class Document:
         """The document of a folder. Raises InputError where the file is missing, or `write` did not write it."""
         path = Path(folder) / NAME
         if not path.exists():
-            raise InputError(f"{path}: not there; `rtdenoise evaluate SEQ --out {folder}` writes it")
+            inside = " or ".join(str(found.parent) for found in sorted(path.parent.glob(f"*/{NAME}")))
+            advice = f"choose {inside}" if inside else f"`rtdenoise evaluate SEQ --out {folder}` writes it"
+            raise InputError(f"{path}: not there; {advice}")
         content = read_json(path)
         found = content.pop("format", None) if isinstance(content, dict) else None
         if found != FORMAT:

@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import save as serialise
 
 from ..errors import InputError
-from ..files import write_atomically
+from ..files import in_order, write_atomically
 from .accumulated_kpn import AccumulatedKPN
 from .afgsa import GuidedAttention
 from .bytes_layout import read as read_bytes
@@ -111,4 +111,4 @@ def save(denoiser: Denoiser | Combiner, path: str | Path, **metadata: str) -> No
     """Write weights and configuration, whole or not at all. Raises InputError where they cannot be written."""
     tensors = {k: v.detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
     described = {"architecture": denoiser.config.architecture, "config": json.dumps(asdict(denoiser.config))}
-    write_atomically(Path(path), serialise(tensors, metadata=described | metadata))
+    write_atomically(Path(path), in_order(serialise(tensors, metadata=described | metadata)))

@@ -45,10 +45,10 @@ def page(
         for found in (*blobs.values(), *strips.values())
         for key, blob in found.items()
     ]
-    scripts = "\n".join((ASSETS / name).read_text() for name in SCRIPTS)
+    scripts = "\n".join((ASSETS / name).read_text(encoding="utf-8") for name in SCRIPTS)
     return (
-        (ASSETS / "report.html").read_text()
-        .replace("/*STYLE*/", (ASSETS / "report.css").read_text())
+        (ASSETS / "report.html").read_text(encoding="utf-8")
+        .replace("/*STYLE*/", (ASSETS / "report.css").read_text(encoding="utf-8"))
         .replace("<!--PICTURES-->", "\n".join(parts))
         .replace("/*DATA*/", pack(dumps(data, digits=4, separators=(",", ":")).encode()))
         .replace("/*SCRIPTS*/", scripts)

@@ -72,10 +72,10 @@ def open_file(path: str | Path, motion: str | Path | None = None) -> Scene:
 
 def _read(path: Path) -> dict:
     try:
-        script = tomllib.loads(path.read_text())
+        script = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     _check(script, {"brightness", "camera", "cut", "object", "extra"}, f"{path}")
     return script
