@@ -1,4 +1,5 @@
-"""Error against time on the standard set: every method on indirect light, as one report.
+"""Error against time on the standard set: every method on indirect light, as one report. Ablations and combiners, which
+have pages of their own (docs/results/quality.md, combine.md), are left out.
 
 python bench/error_vs_time.py [SEQ ...]    # the standard set, and sequences of your own
 python bench/error_vs_time.py --quick      # four frames of the bundled sequence: renders and keeps nothing
@@ -26,6 +27,7 @@ import tyro
 from rtdenoise.evaluate import REGIONS
 from rtdenoise.evaluate import run as evaluation
 from rtdenoise.evaluate.document import Document
+from rtdenoise.evaluate.registry import methods
 from rtdenoise.models import available
 from rtdenoise.report import report
 
@@ -50,7 +52,8 @@ def main(o: Options) -> None:
     else:
         folders = standard.prepare()
         standard.add_samples()
-        at_1_spp = evaluation.EvaluateOptions(("all",), precisions=("fp32", "bf16", "int8"), signal="indirect")
+        chosen = tuple(name for name, method in methods().items() if method.family != "ablation" and "+" not in name)
+        at_1_spp = evaluation.EvaluateOptions(chosen, precisions=("fp32", "bf16", "int8"), signal="indirect")
         evaluation.run([*folders, *o.sequences], out, at_1_spp)
         evaluation.run(folders, out, evaluation.EvaluateOptions(OVER_SPP, spp=standard.SPP, signal="indirect"))
     written = report(out)
