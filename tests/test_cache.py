@@ -29,7 +29,8 @@ def place(tmp_path, monkeypatch):
 
 def forget():
     """As a new process."""
-    compiler.library.cache_clear(), dispatch.backend.cache_clear(), dispatch._lost.clear()
+    compiler.library.cache_clear(), compiler._threads.cache_clear()
+    dispatch.backend.cache_clear(), dispatch._lost.clear()
 
 
 def downsampled(choice="fused"):
@@ -40,7 +41,7 @@ def downsampled(choice="fused"):
 def compiled(place):
     """The one library in the cache, after a first run."""
     assert torch.allclose(downsampled(), downsampled("plain"))
-    (path,) = place.iterdir()
+    (path,) = place.glob("downsample-*")
     forget()
     return path
 
@@ -66,7 +67,7 @@ def test_a_truncated_library_is_compiled_again(place, length):
     whole = path.read_bytes()
     replace(path, whole[: length if isinstance(length, int) else int(length * len(whole))])
     downsampled()
-    (mended,) = place.iterdir()
+    (mended,) = place.glob("downsample-*")
     assert mended.stat().st_size == len(whole)
 
 
@@ -76,7 +77,7 @@ def test_a_library_that_lost_one_bit_is_compiled_again(place):
     damaged[len(damaged) // 2] ^= 1
     replace(path, damaged)
     downsampled()
-    assert [found.read_bytes() for found in place.iterdir()] != [bytes(damaged)]
+    assert [found.read_bytes() for found in place.glob("downsample-*")] != [bytes(damaged)]
 
 
 @pytest.mark.parametrize("planted", [b"", b"not a library", None], ids=["empty", "text", "without its symbols"])
@@ -90,7 +91,7 @@ def test_a_file_with_a_valid_checksum_that_is_not_the_library(place, tmp_path, p
     path.rename(foreign)
     replace(foreign, planted)
     downsampled()
-    assert [found.name for found in place.iterdir()] == [path.name]
+    assert [found.name for found in place.glob("downsample-*")] == [path.name]
 
 
 def test_a_link_in_the_cache_is_not_followed(place, tmp_path):
@@ -180,7 +181,7 @@ def test_processors_that_share_a_home_folder_keep_their_own_code(place, monkeypa
     compiled(place)
     monkeypatch.setattr(compiler, "machine", lambda: "another processor")
     downsampled()
-    assert len({path.stem.split("-")[1] for path in place.iterdir()}) == 2
+    assert len({path.stem.split("-")[1] for path in place.glob("downsample-*")}) == 2
     forget()
     monkeypatch.setattr(compiler, "_compile", lambda *_: pytest.fail("compiled again"))
     downsampled()
@@ -196,9 +197,35 @@ def test_loading_does_not_trust_the_name_alone(place):
     """A library of another op under this op's name: whole, ours, but with another key."""
     path = compiled(place)
     compiler.library("fetch", C=3)
-    (other,) = (found for found in place.iterdir() if found != path)
+    (other,) = place.glob("fetch-*")
     path.unlink()
     other.rename(place / f"{path.stem.rpartition('-')[0]}-{other.stem.rpartition('-')[2]}.so")
     forget()
     downsampled()
     assert path.exists() and isinstance(compiler.library("downsample", POOL=0), ctypes.CDLL)
+
+
+OTHER_COMPILERS = {  # as clang is: without OpenMP, or with one that PyTorch does not have
+    "no OpenMP": """case " $* " in *" -fopenmp "*) echo "error: unsupported option '-fopenmp'" >&2; exit 1;; esac
+exec gcc "$@"
+""",
+    "another OpenMP": """case " $* " in *" -fopenmp "*)
+    { cat; echo 'void __kmpc_fork(void); void *needed(void) { return (void *)__kmpc_fork; }'; } | gcc "$@"; exit;; esac
+exec gcc "$@"
+""",
+}
+
+
+@pytest.mark.parametrize("script", OTHER_COMPILERS.values(), ids=OTHER_COMPILERS)
+def test_a_compiler_without_torchs_threads_compiles_for_one(place, tmp_path, monkeypatch, caplog, script):
+    other = tmp_path / "other"
+    other.write_text(f"#!/bin/sh\n{script}")
+    other.chmod(0o755)
+    monkeypatch.setenv("CC", str(other))
+    expected = downsampled("plain")
+    with caplog.at_level(logging.WARNING, "rtdenoise"):
+        assert torch.equal(downsampled(), expected)
+    assert [m for m in caplog.messages if "one thread" in m] == [
+        f"rtdenoise: kernels run on one thread: {other} does not share OpenMP with PyTorch; gcc does"
+    ]
+    assert not any("slower" in message for message in caplog.messages)

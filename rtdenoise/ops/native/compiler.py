@@ -25,6 +25,7 @@ COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
 COMPILE_SECONDS = 15  # of all files that a model needs, on one core
 THREADS = "-fopenmp"  # finds the OpenMP that torch has loaded: both share one pool of threads
+PARALLEL = "void count(int *x, int n) {\n#pragma omp parallel for\nfor (int i = 0; i < n; i++) x[i] = i;\n}\n"
 WIDE_VECTORS = "-mprefer-vector-width=512"  # x86: by default compilers use half the width
 
 
@@ -38,14 +39,34 @@ def library(name: str, **constants: int | float) -> ctypes.CDLL:
     folder = resources.files(__package__)
     source = (folder / f"{name}.c").read_text(encoding="utf-8")
     source = re.sub(r'#include "(.+)"\n', lambda file: (folder / file[1]).read_text(encoding="utf-8"), source)
-    command = [_compiler(), *FLAGS, THREADS, *([WIDE_VECTORS] if platform.machine() in ("x86_64", "AMD64") else [])]
-    command += [f"-D{key}={_literal(value)}" for key, value in sorted(constants.items())]
-    key = hashlib.sha256("\0".join([source, *command, machine()]).encode()).hexdigest()[:16]
-    source += f'\nconst char {cache.MARK}[] = "{key}";\n'
+    wide = [WIDE_VECTORS] if platform.machine() in ("x86_64", "AMD64") else []
+    defined = [f"-D{key}={_literal(value)}" for key, value in sorted(constants.items())]
     try:
-        return cache.load(name, key, lambda path: _compile(command, source, path))
+        return _loaded(name, source, [*_threads(), *wide, *defined])
     except OSError as error:
         raise NotCompiled(f"{error.filename}: {error.strerror}" if error.filename else str(error)) from None
+
+
+def _loaded(name: str, source: str, flags: Sequence[str]) -> ctypes.CDLL:
+    """A source, compiled with these and the usual flags. Raises OSError where that or loading it fails."""
+    command = [_compiler(), *FLAGS, *flags]
+    key = hashlib.sha256("\0".join([source, *command, machine()]).encode()).hexdigest()[:16]
+    source += f'\nconst char {cache.MARK}[] = "{key}";\n'
+    return cache.load(name, key, lambda path: _compile(command, source, path))
+
+
+@functools.cache
+def _threads() -> tuple[str, ...]:
+    """The flag that runs loops on torch's threads. Where the compiler knows no OpenMP, or not that of torch, as clang
+    beside a torch of GCC's, there is none: they run on one thread, which is said. Raises OSError as `_loaded`."""
+    try:
+        _loaded("threads", PARALLEL, [THREADS])
+    except OSError:
+        _loaded("threads", PARALLEL, [])
+        told = "rtdenoise: kernels run on one thread: %s does not share OpenMP with PyTorch; gcc does"
+        logging.getLogger("rtdenoise").warning(told, _compiler())
+        return ()
+    return (THREADS,)
 
 
 @functools.cache

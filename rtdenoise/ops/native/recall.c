@@ -41,7 +41,11 @@ static inline float *cells_of(Job j, int cell_row, int k) {
 typedef struct { float mx[BLOCK], my[BLOCK], s[BLOCK]; } Paths;
 
 typedef uint32_t row __attribute__((vector_size(4 * WORDS)));
+#if defined __clang__
+#define JOIN(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
 #define JOIN(a, b, ...) __builtin_shuffle(a, b, (row){__VA_ARGS__})
+#endif
 
 // Transpose 8 rows of 8 words.
 static inline void transpose(row r[WORDS]) {
