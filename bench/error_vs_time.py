@@ -1,5 +1,5 @@
-"""Error against time on the standard set: every method on indirect light, as one report. Ablations and combiners, which
-have pages of their own (docs/results/quality.md, combine.md), are left out.
+"""Error against time on the standard set: methods on indirect light, as one report. Ablations and combiners have pages
+of their own (docs/results/quality.md, combine.md).
 
 python bench/error_vs_time.py [SEQ ...]    # the standard set, and sequences of your own
 python bench/error_vs_time.py --quick      # four frames of the bundled sequence: renders and keeps nothing
@@ -27,12 +27,14 @@ import tyro
 from rtdenoise.evaluate import REGIONS
 from rtdenoise.evaluate import run as evaluation
 from rtdenoise.evaluate.document import Document
-from rtdenoise.evaluate.registry import methods
 from rtdenoise.models import available
 from rtdenoise.report import report
 
 OUT = ROOT / "out" / "standard"
 RESULT = RESULTS / "error_vs_time.json"
+AT_1_SPP = ("noisy", "accumulate", "accumulate-clamped", "svgf", "trmv", "oidn", "oidn-fast", "oidn-prefiltered",
+            "oidn-then-accumulated", "paper", "fast", "default", "default-oidn", "quality", "hybrid-fast", "hybrid",
+            "offline")  # fmt: skip
 OVER_SPP = ("noisy", "accumulate", "oidn-fast", "oidn", "oidn-prefiltered", *available())
 
 
@@ -52,8 +54,7 @@ def main(o: Options) -> None:
     else:
         folders = standard.prepare()
         standard.add_samples()
-        chosen = tuple(name for name, method in methods().items() if method.family != "ablation" and "+" not in name)
-        at_1_spp = evaluation.EvaluateOptions(chosen, precisions=("fp32", "bf16", "int8"), signal="indirect")
+        at_1_spp = evaluation.EvaluateOptions(AT_1_SPP, precisions=("fp32", "bf16", "int8"), signal="indirect")
         evaluation.run([*folders, *o.sequences], out, at_1_spp)
         evaluation.run(folders, out, evaluation.EvaluateOptions(OVER_SPP, spp=standard.SPP, signal="indirect"))
     written = report(out)
