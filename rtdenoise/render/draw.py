@@ -143,7 +143,7 @@ def _draw_length(rng: np.random.Generator) -> int:
 def _source(file: str, scene: Scene) -> dict:
     """Where a scene file comes from, for the card."""
     licence = Path(file).with_name("LICENSE.txt")
-    text = licence.read_text(encoding="utf-8") if licence.is_file() else ""
+    text = licence.read_text(encoding="utf-8", errors="replace") if licence.is_file() else ""
     return {"source": scene.name, "licence": text, "kind": "scene file", "place": scene.name}
 
 
