@@ -263,6 +263,20 @@ def test_blend_is_equation_1_and_has_gradients():
     assert torch.autograd.gradcheck(blend, inputs)
 
 
+def chosen(seen, otherwise):
+    return warp(torch.zeros(2, 3, 4, 4), torch.zeros(2, 2, 4, 4), seen, otherwise)
+
+
+def reprojected(surface, before):
+    return reproject(torch.zeros(1, 3, 4, 4), torch.zeros(1, 2, 4, 4), surface, before)
+
+
+def test_half_precision_motion_reaches_all_columns():
+    image = torch.randn(1, 1, 2, 3000)
+    for op in (fetch, warp):
+        assert torch.equal(op(image, torch.zeros(1, 2, 2, 3000).half()), image)
+
+
 @pytest.mark.parametrize(
     "call, message",
     [
@@ -271,11 +285,18 @@ def test_blend_is_equation_1_and_has_gradients():
         (lambda: apply_kernel(torch.zeros(3, 4, 4), torch.zeros(1, 25, 4, 4)), "\\[B, C, H, W\\]"),
         (lambda: warp(torch.zeros(1, 3, 4, 4), torch.zeros(1, 2, 4, 5)), "got \\(1, 2, 4, 5\\)"),
         (lambda: fetch(torch.zeros(1, 3, 4, 4), torch.zeros(2, 2, 4, 4)), "got \\(2, 2, 4, 4\\)"),
+        (lambda: chosen(torch.zeros(2, 1, 4, 4).bool(), None), "both of seen and otherwise"),
+        (lambda: chosen(torch.zeros(1, 1, 4, 4).bool(), torch.zeros(2, 3, 4, 4)), "seen \\(2, 1, 4, 4\\)"),
+        (lambda: chosen(torch.zeros(2, 1, 4, 4).bool(), torch.zeros(1, 1, 1, 1)), "otherwise \\(2, 3, 4, 4\\)"),
+        (lambda: chosen(torch.zeros(2, 1, 4, 4), torch.zeros(2, 3, 4, 4)), "seen of torch.bool, got torch.float32"),
+        (lambda: reprojected(surfaces(4, 4), surfaces(4, 3)), "depth_previous \\(1, 1, 4, 4\\)"),
+        (lambda: reprojected([x[:, :1] for x in surfaces(4, 4)], surfaces(4, 4)), "normal \\(1, 3, 4, 4\\)"),
         (lambda: downsample(torch.zeros(1, 3, 4, 4), "median"), "'median'"),
         (lambda: upsample(torch.zeros(1, 3, 4, 4), (5, 5)), "coarse image of 3×3"),
     ],
 )
 def test_wrong_shapes_are_named(call, message):
+    """Also because compiled code would read beyond them."""
     with pytest.raises(ValueError, match=message):
         call()
 

@@ -36,12 +36,15 @@ def reproject(
     Raises ValueError where the shapes do not fit.
     """
     stored = [stored] if isinstance(stored, Tensor) else [*stored]
+    (depth, normal), (depth_before, normal_before) = surface, surface_previous
     for image in stored:
-        check(image, motion)
+        check(image, motion, depth=(depth, 1), normal=(normal, 3),
+              depth_previous=(depth_before, 1), normal_previous=(normal_before, 3))  # fmt: skip
     if run := FUSED(stored=stored, motion=motion, surface=surface, surface_previous=surface_previous):
         return run(stored, motion, *surface, *surface_previous, tolerances=(depth_tolerance, normal_tolerance))
     stored = torch.cat(stored, dim=1)
     B, C, H, W = stored.shape
+    motion = motion.to(torch.promote_types(motion.dtype, torch.float32))
     x = torch.arange(W, device=motion.device, dtype=motion.dtype)
     y = torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]
     motion = torch.nan_to_num(motion, nan=FAR_AWAY, posinf=FAR_AWAY, neginf=-FAR_AWAY).clamp(-FAR_AWAY, FAR_AWAY)

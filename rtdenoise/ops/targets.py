@@ -9,16 +9,19 @@ from torch import Tensor
 def clamped_targets(motion: Tensor, H: int, W: int) -> tuple[Tensor, Tensor]:
     """Target coordinates u, v `[B, H, W]` of `motion` `[B, 2, H, W]`, clamped to the image; pixel (0, 0) is at 0. A
     motion that is not finite counts as zero."""
+    motion = motion.to(torch.promote_types(motion.dtype, torch.float32))  # half floats do not number 3000 columns
     motion = torch.nan_to_num(motion, nan=0.0, posinf=0.0, neginf=0.0)
     x = torch.arange(W, device=motion.device, dtype=motion.dtype)
     y = torch.arange(H, device=motion.device, dtype=motion.dtype)
     return (motion[:, 0] + x).clamp(0, W - 1), (motion[:, 1] + y[:, None]).clamp(0, H - 1)
 
 
-def check(image: Tensor, motion: Tensor) -> None:
-    """Raise ValueError unless `motion` is `[B, 2, H, W]` for an image `[B, C, H, W]`."""
+def check(image: Tensor, motion: Tensor, **others: tuple[Tensor, int]) -> None:
+    """Raise ValueError unless `motion` is `[B, 2, H, W]` for an image `[B, C, H, W]`, and each of `others`, a tensor
+    and its channels, `[B, channels, H, W]`."""
     if image.ndim != 4:
         raise ValueError(f"expected image [B, C, H, W], got {tuple(image.shape)}")
-    expected = (image.shape[0], 2, *image.shape[2:])
-    if tuple(motion.shape) != expected:
-        raise ValueError(f"expected motion {expected} for an image {tuple(image.shape)}, got {tuple(motion.shape)}")
+    for name, (tensor, channels) in {"motion": (motion, 2), **others}.items():
+        expected = (image.shape[0], channels, *image.shape[2:])
+        if tuple(tensor.shape) != expected:
+            raise ValueError(f"expected {name} {expected} for an image {tuple(image.shape)}, got {tuple(tensor.shape)}")

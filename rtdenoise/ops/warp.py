@@ -42,10 +42,14 @@ def warp(
     drift; only bilinear lookups in more than `MAX_CHANNELS` channels round (about 1e-7 of the image's width in pixels).
     Differentiable in `image` and, almost everywhere, in `motion`.
 
-    Raises ValueError where the shapes do not fit.
+    Raises ValueError where the shapes do not fit, or `seen` is not bool.
     """
-    check(image, motion)
+    if (seen is None) != (otherwise is None):
+        raise ValueError("expected both of seen and otherwise, or none")
     choice = () if seen is None else (seen, otherwise)
+    check(image, motion, **({"seen": (seen, 1), "otherwise": (otherwise, image.shape[1])} if choice else {}))
+    if choice and seen.dtype is not torch.bool:
+        raise ValueError(f"expected seen of torch.bool, got {seen.dtype}")
     if image.shape[1] > MAX_CHANNELS and image.numel() and not cubic and not plain():
         found = _grid_sample(image, motion)
         return found if seen is None else torch.where(seen, found, otherwise)
