@@ -159,3 +159,12 @@ def test_a_guided_network_has_no_shaders(tmp_path):
         Pipeline.load(path)
     with pytest.raises(ValueError, match="guided: expected 3 scales or more and a second width"):
         replace(WIDE, widths=(20, 25, 40, 50, 70), guided=True)
+
+
+ONWARD = ("fast", "fast"), ("default", "default"), ("quality", "quality"), ("default", "quality")
+
+
+@pytest.mark.parametrize(("model", "wanted"), ONWARD)
+def test_training_goes_on_from_what_ships(model, wanted):
+    """As docs/use/training.md says: `train --model quality --init WEIGHTS_OF_DEFAULT`."""
+    assert grow(read(model), PRESETS[wanted]).config == PRESETS[wanted]

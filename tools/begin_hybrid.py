@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
+from usage import call
 
 from rtdenoise.models import read, save
 from rtdenoise.models.hybrid import Hybrid
@@ -107,4 +108,4 @@ def with_our_normals(weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor]:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    call(main, __doc__)

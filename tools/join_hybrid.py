@@ -8,11 +8,11 @@ The file holds names alone. Kernels that keep no recent frames by themselves are
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
 from safetensors.numpy import save
+from usage import call
 
 from rtdenoise.files import write_atomically
 from rtdenoise.models.hybrid_config import HybridConfig
@@ -35,4 +35,4 @@ def main(out: str, kernels: str, pixels: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    call(main, __doc__)

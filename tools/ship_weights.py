@@ -23,7 +23,9 @@ from pathlib import Path
 import torch
 from safetensors import safe_open
 from safetensors.torch import save
+from usage import call
 
+from rtdenoise.files import in_order, write_atomically
 from rtdenoise.models import grow, read
 from rtdenoise.models.presets import with_settings
 from rtdenoise.models.weights import find
@@ -32,7 +34,8 @@ SHIPPED = Path(__file__).parent.parent / "rtdenoise" / "weights"
 SET = "set:"
 
 
-def main(name: str, *words: str) -> None:
+def main(name: str, file: str, *more: str) -> None:
+    words = file, *more
     parts = [word for word in words if not word.startswith(SET)]
     settings = [word.removeprefix(SET) for word in words if word.startswith(SET)]
     files, shares = zip(*map(parsed, parts), strict=True)
@@ -53,7 +56,7 @@ def main(name: str, *words: str) -> None:
         metadata |= {"config": json.dumps(asdict(with_settings(config, settings)))}
     out = Path(name) if name.endswith(".safetensors") else SHIPPED / f"{name}.safetensors"
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_bytes(save(tensors, metadata=metadata))
+    write_atomically(out, in_order(save(tensors, metadata=metadata)))
 
 
 def parsed(part: str) -> tuple[str, float]:
@@ -69,4 +72,4 @@ def grown(file: str, config) -> dict[str, torch.Tensor]:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    call(main, __doc__)

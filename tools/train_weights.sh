@@ -179,7 +179,7 @@ else # the first runs of `default`
     train sun $sunny $(after clips) --steps 6000 --lr 4e-4 --cuts 0.5 --validate-every 800
 fi
 if [ "$model" = quality ]; then # grows from default as it is after its run `sun`
-    start=$(after sun) network=quality fields=
+    start=$(after sun) network=quality fields="--set detail=false"
     train relit $all $start --steps 3200 --lr 4e-4 --cuts 0.5 --relight 0.33 --validate-every 800
     train less $all $(after relit) --steps 950 --lr 3e-4 --cuts 0.5 --relight 0.1 --validate-every 950
     train little $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900

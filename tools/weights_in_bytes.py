@@ -8,7 +8,6 @@ reaches each layer.
 
 from __future__ import annotations
 
-import sys
 from itertools import islice
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from safetensors.torch import save
 from torch import Tensor
 from torch.nn import Module
 from torch.nn import functional as F
+from usage import call
 
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.files import write_atomically
@@ -38,11 +38,11 @@ GIVEN = f"{PIXELS}.{INPUT}"  # its name as a layer
 
 
 @torch.no_grad()
-def main(model: str, out: str, *sequences: str) -> None:
+def main(model: str, out: str, sequence: str, *more: str) -> None:
     torch.manual_seed(0)
     network = read(model)
     seen = Seen(network)
-    for folder in sequences:
+    for folder in (sequence, *more):
         for signal in ("color", "indirect"):
             history = None
             for frame in islice(open_sequence(folder, signal=signal), FRAMES):
@@ -164,4 +164,4 @@ def rounded_with_care(weight: Tensor, bias: Tensor, moments: Tensor) -> tuple[Te
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    call(main, __doc__)

@@ -209,7 +209,7 @@ class AccumulatedKPNConfig(NetworkConfig):
                 f"{self.scales} scales and widths {self.widths}"
             )
         if not isinstance(self.longest, int | float) or not 2 <= self.longest < 1e6:
-            raise ValueError(f"expected a longest mean of 2 frames or more, got {self.longest}")
+            raise ValueError(f"longest: expected 2 frames or more, and below 1e6, got {self.longest}")
         if not isinstance(self.recent, int) or isinstance(self.recent, bool) or not 0 <= self.recent < self.longest:
             raise ValueError(f"recent: expected a whole number of frames below {self.longest:g}, got {self.recent!r}")
 

@@ -25,6 +25,7 @@ class Denoiser(Protocol):
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion. `history=None` starts a
         sequence, or starts anew after a cut. Without `motion_next` in the previous frame dual motion is approximated
         from this frame's motion and both depths. `known` facts are trusted: they save the work of finding them out.
+        The picture is part of the history: whoever changes it in place changes the next frame.
 
         Raises InputError where a layer is missing, the history has another size, or `frame` is no Frame of tensors.
         """
