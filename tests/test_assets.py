@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import struct
 from dataclasses import replace
 
@@ -142,6 +143,21 @@ def test_a_damaged_model_is_one_line(folder, part):
     document["parts"][0] |= part
     path.write_text(json.dumps(document, default=str))
     with pytest.raises(InputError, match="furniture") as caught:
+        load_model(read_library(folder).models[0])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kept", ["vertices", "nothing"])
+def test_a_model_without_faces_is_one_line(folder, kept):
+    path = folder / "models" / "furniture" / "model.json"
+    document = json.loads(path.read_text())
+    if kept == "nothing":
+        path.write_text(json.dumps(document | {"parts": []}))
+    else:
+        mesh = path.with_name("0.ply")
+        header, rows = mesh.read_bytes().split(b"end_header\n", 1)
+        mesh.write_bytes(re.sub(rb"element face \d+", b"element face 0", header) + b"end_header\n" + rows[: 24 * 32])
+    with pytest.raises(InputError, match=r"furniture.* no faces") as caught:
         load_model(read_library(folder).models[0])
     assert "\n" not in str(caught.value)
 

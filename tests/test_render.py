@@ -29,7 +29,7 @@ from rtdenoise.render.frames import (
 from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scene_clips import render_group
 from rtdenoise.render.scenes import meshes, procedural, textures
-from rtdenoise.render.scenes.motions import CameraPath, Motion
+from rtdenoise.render.scenes.motions import CameraPath, Motion, look_at
 from rtdenoise.render.scenes.named import open_scene
 from rtdenoise.render.scenes.sample import sample
 from rtdenoise.render.scenes.scene import Material, Object, Scene, Sun
@@ -516,6 +516,18 @@ velocity = [0.2, 0.0, 0.0]
 """
 
 
+@pytest.mark.parametrize(("origin", "up"), [((0, 9, 0), (0, 0, -1)), ((0, -9, 0), (0, 0, -1)), ((0, 0, 9), (0, 1, 0))])
+def test_a_camera_may_look_straight_down(origin, up):
+    axes = look_at(np.array(origin, float), np.zeros(3), 40.0).to_world[:3, :3]
+    assert np.allclose(axes.T @ axes, np.eye(3)) and np.linalg.det(axes) == pytest.approx(1)
+    assert np.allclose(axes[:, 1], np.negative(up))  # the second axis points down the picture
+
+
+def test_a_camera_that_looks_at_its_own_place_is_refused():
+    with pytest.raises(InputError, match="looks at its own place"):
+        look_at(np.ones(3), np.ones(3), 40.0)
+
+
 def test_mitsuba_file_is_set_in_motion(tmp_path):
     file, motion = tmp_path / "scene.xml", tmp_path / "motion.toml"
     file.write_text(XML)
@@ -539,6 +551,18 @@ def test_mitsuba_file_is_set_in_motion(tmp_path):
                             ("[[object]]\nspeed = 1", "unknown key 'speed'"), ("[camera]\nsensor = 3", "sensor 3"),
                             ("[camera]\nvelocity = 0.1", "velocity = 0.1: expected 3 number"),
                             ("[camera]\npan = '1'", "pan = '1': expected 1 number"),
+                            ("brightness = 'x'", "brightness = 'x': expected 1 number"),
+                            ("brightness = nan", "brightness = nan: expected 1 number"),
+                            ("brightness = 0", "brightness = 0: expected more than 0"),
+                            ("camera = 3", "camera = 3: expected a table"), ("object = 3", "expected tables"),
+                            ("cut = [3]", "expected tables"), ("[camera]\nkeys = [3]", "expected tables"),
+                            ("[camera]\nsensor = 0.5", "sensor 0.5"), ("[camera]\norbit = 1e308", "of at most"),
+                            ("[camera]\naperture = -1", "aperture = -1: expected 0 or more"),
+                            ("[[object]]\nshapes = 'ball'", "expected a list of names"),
+                            ("[[object]]\nshapes = ['crate_*']\nperiod = 0", "period = 0: expected more than 0"),
+                            ("[[object]]\nshapes = ['crate_*']\naxis = [0, 0, 0]", "expected a direction"),
+                            ("[[extra]]\nsize = 0", "size = 0: expected more than 0"),
+                            ("[[extra]]\nroughness = 3", "roughness = 3: expected 0 to 1"),
                             ("brightness = ", "not valid TOML"), ("# \udcff", "not valid TOML")):  # fmt: skip
         motion.write_text(text, encoding="utf-8", errors="surrogateescape")
         with pytest.raises(InputError, match=complaint):

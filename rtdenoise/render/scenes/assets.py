@@ -128,10 +128,13 @@ def attribution(asset: Asset) -> dict[str, str]:
 
 @lru_cache(maxsize=64)
 def load_model(asset: Asset) -> tuple[ModelPart, ...]:
-    """The parts of a model. Raises InputError where one of its files cannot be read."""
+    """The parts of a model. Raises InputError where one of its files cannot be read, or has no faces."""
     document, folder = _read_json(asset.file), asset.file.parent
     try:
-        return tuple(_part(folder, part) for part in document["parts"])
+        parts = tuple(_part(folder, part) for part in document["parts"])
+        if not parts or not all(len(part.mesh.faces) for part in parts):
+            raise InputError(f"{asset.file}: a part, or the model, has no faces")
+        return parts
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         if isinstance(error, InputError):
             raise

@@ -47,6 +47,9 @@ EXTRA_KEYS = {"name", "shape", "size", "at", "material", "colour", "roughness", 
 CAMERA_KEYS = {"sensor", "distance", "hold"} | {f.name for f in fields(CameraPath)} - {"origin", "target", "fov"}
 OBJECT_FRAME = {"offset": 3, "turn": 1}  # numbers in a keyframe of an object; 0 where left out
 CAMERA_FRAME = {"origin": 3, "target": 3}  # numbers in a keyframe of a camera; both are needed
+LARGEST = 1e9  # of any number
+ABOVE_0 = {"brightness", "size", "period", "distance", "focus"}
+FROM_0_TO_1 = {"colour", "roughness"}
 
 
 def open_file(path: str | Path, motion: str | Path | None = None) -> Scene:
@@ -57,16 +60,16 @@ def open_file(path: str | Path, motion: str | Path | None = None) -> Scene:
     script = _read(Path(motion)) if motion else {}
     loaded = load_file(path)
     where = f"{motion or path}"
-    objects = _objects(script.get("object", []), [shape.id() for shape in loaded.shapes()], where)
-    cuts = script.get("cut", [])
+    objects = _objects(_tables(script, "object", where), [shape.id() for shape in loaded.shapes()], where)
+    cuts = _tables(script, "cut", where)
     paths = [_camera(entry, loaded, where) for entry in (script.get("camera", {}), *cuts)]
     frames = tuple(_number(cut, "frame", f"{where}: cut") for cut in cuts)
     if list(frames) != sorted(set(frames)):
         raise InputError(f"{where}: cuts must be in the order of their frames, found {list(frames)}")
     camera = Shots(tuple(paths), frames) if cuts else paths[0]
-    for entry in script.get("extra", []):
+    for entry in _tables(script, "extra", where):
         objects = (*objects, _extra(entry, len(objects) + 1, loaded, paths[0], where))
-    facts = {"brightness": float(script["brightness"])} if "brightness" in script else {}
+    facts = {"brightness": float(_number(script, "brightness", where))} if "brightness" in script else {}
     return Scene(path.parent.name or path.stem, objects, camera, facts=facts, file=path)
 
 
@@ -81,7 +84,17 @@ def _read(path: Path) -> dict:
     return script
 
 
+def _tables(table: dict, key: str, where: str) -> list[dict]:
+    """The tables `[[key]]`."""
+    found = table.get(key, [])
+    if not isinstance(found, list) or not all(isinstance(entry, dict) for entry in found):
+        raise InputError(f"{where}: {key} = {found!r}: expected tables")
+    return found
+
+
 def _check(table: dict, known: set[str], where: str) -> None:
+    if not isinstance(table, dict):
+        raise InputError(f"{where} = {table!r}: expected a table")
     for key in table:
         if key not in known:
             raise InputError(f"{where}: unknown key '{key}'; expected one of {', '.join(sorted(known))}")
@@ -93,6 +106,8 @@ def _objects(entries: list[dict], shapes: list[str], where) -> tuple[Object, ...
         name = entry.get("name", "object")
         _check(entry, OBJECT_KEYS, f"{where}: object '{name}'")
         patterns = entry.get("shapes", [])
+        if not isinstance(patterns, list) or not all(isinstance(pattern, str) for pattern in patterns):
+            raise InputError(f"{where}: object '{name}': shapes = {patterns!r}: expected a list of names")
         own = tuple(s for s in left if any(fnmatchcase(s, pattern) for pattern in patterns))
         if not own:
             raise InputError(
@@ -126,7 +141,7 @@ def _motion(entry: dict, where: str) -> Motion:
 def _keyframes(entry: dict, parts: dict[str, int], where: str, default: dict) -> Keyframes:
     """`keys = [{frame = 0, …}, …]`: every frame's parts as one row of numbers."""
     frames, rows = [], []
-    for key in entry["keys"]:
+    for key in _tables(entry, "keys", where):
         _check(key, {"frame", *parts}, f"{where}: keys")
         frames.append(_number(key, "frame", f"{where}: keys"))
         row = []
@@ -154,29 +169,30 @@ def _extra(entry: dict, id: int, loaded, path: CameraPath, where: str) -> Object
         if (room := room_for(loaded, mesh, place)) < 1:
             raise InputError(f"{where}: at {entry['at']} it intersects the scene: {room:.0%} of its size are free")
     else:
-        rng = np.random.default_rng(int(entry.get("place_seed", 0)))
+        rng = np.random.default_rng(int(abs(_number({"place_seed": 0} | entry, "place_seed", where))))
         place = free_place(loaded, path(0), mesh, rng)
         if place is None:
             raise InputError(f"{where}: no free place of size {mesh.radius:g} was found in view; make it smaller")
     colour = _numbers(entry.get("colour", [0.6, 0.6, 0.6]), 3, f"{where}: colour")
     texture = np.ones((4, 4, 3), np.float32) * np.float32(colour)
-    material = Material(texture, entry.get("material", "diffuse"), float(entry.get("roughness", 0.3)))
+    roughness = float(_number({"roughness": 0.3} | entry, "roughness", where))
+    material = Material(texture, entry.get("material", "diffuse"), roughness)
     motion = _motion({"pivot": place.tolist()} | entry, where)
     return Object(id, name, mesh.transform(rigid(np.eye(3), place)), material, motion=motion)
 
 
 def _camera(entry: dict, loaded, where: str) -> CameraPath:
     mi = start_mitsuba()
-    _check({k: v for k, v in entry.items() if k != "frame"}, CAMERA_KEYS, f"{where}: camera")
+    _check(entry, CAMERA_KEYS | {"frame"}, f"{where}: camera")
     sensors, index = loaded.sensors(), entry.get("sensor", 0)
-    if not 0 <= index < len(sensors):
+    if not isinstance(index, int) or not 0 <= index < len(sensors):
         raise InputError(f"{where}: sensor {index} asked for, the scene has {len(sensors)}")
     parameters = mi.traverse(sensors[index])
     if "x_fov" not in parameters:
         raise InputError(f"{where}: sensor {index} is no perspective camera")
     pose = np.array(sensors[index].world_transform().matrix, np.float64).reshape(4, 4)
     origin, forward = pose[:3, 3], pose[:3, 2] / np.linalg.norm(pose[:3, 2])
-    target = origin + forward * entry.get("distance", 4.0)
+    target = origin + forward * _number({"distance": 4.0} | entry, "distance", f"{where}: camera")
     fov = float(parameters["x_fov"][0])
     moves = _arguments(CameraPath, entry, f"{where}: camera")
     if "keys" in entry:
@@ -200,7 +216,15 @@ def _number(entry: dict, key: str, where: str) -> float:
 
 
 def _numbers(value, count: int, where: str) -> list:
-    numbers = value if isinstance(value, list) else [value]
-    if len(numbers) != count or not all(isinstance(n, int | float) for n in numbers):
-        raise InputError(f"{where} = {value!r}: expected {count} number(s)")
+    numbers, name = value if isinstance(value, list) else [value], where.rpartition(" ")[2]
+    if len(numbers) != count or not all(isinstance(n, int | float) and abs(n) <= LARGEST for n in numbers):
+        raise InputError(f"{where} = {value!r}: expected {count} number(s) of at most {LARGEST:g}")
+    if name in ABOVE_0 and not all(n > 0 for n in numbers):
+        raise InputError(f"{where} = {value!r}: expected more than 0")
+    if name == "aperture" and numbers[0] < 0:
+        raise InputError(f"{where} = {value!r}: expected 0 or more")
+    if name in FROM_0_TO_1 and not all(0 <= n <= 1 for n in numbers):
+        raise InputError(f"{where} = {value!r}: expected 0 to 1")
+    if name == "axis" and not any(numbers):
+        raise InputError(f"{where} = {value!r}: expected a direction")
     return numbers

@@ -109,10 +109,15 @@ class Camera:
 
 
 def look_at(origin, target, fov: float, roll: float = 0.0) -> Camera:
-    """The camera at `origin` with `target` in the middle of the image and +y up."""
+    """The camera at `origin` with `target` in the middle of the image and +y up; where it looks straight up or down, -z
+    is. Raises InputError where both are in one place."""
     forward = np.asarray(target, float) - origin
+    if not np.linalg.norm(forward) > 0:
+        raise InputError(f"the camera at {origin} looks at its own place")
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0, 1, 0))
+    if np.linalg.norm(right) < 1e-6:
+        right = np.cross(forward, (0, 0, -1))
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(forward, right), forward], 1)
     return Camera(rigid(rotation(forward, roll) @ axes, origin), fov)
