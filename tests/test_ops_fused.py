@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch.autograd import forward_ad
 
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
@@ -735,3 +736,15 @@ def test_without_a_compiler_the_plain_ops_run_and_one_warning_says_so(compiler_i
     (slower,) = (message for message in messages if "compiling kernels" not in message)
     assert "slower without fused ops on cpu" in slower
     assert not list(tmp_path.rglob("*.so"))
+
+
+MOVES = torch.rand(1, 2, 8, 9, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("op", [ops.downsample, lambda x: ops.warp(x, MOVES), lambda x: ops.fetch(x, MOVES)])
+def test_derivatives_in_forward_mode_are_not_lost(op):
+    image, tangent = torch.rand(2, 1, 3, 8, 9, generator=torch.Generator().manual_seed(0))
+    with forward_ad.dual_level():
+        found = forward_ad.unpack_dual(op(forward_ad.make_dual(image, tangent))).tangent
+    with ops.use("plain"):
+        assert torch.allclose(found, op(image + tangent) - op(image), atol=1e-6)  # linear

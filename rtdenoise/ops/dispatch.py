@@ -32,6 +32,7 @@ from importlib import import_module
 
 import torch
 from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
 
 from ..errors import InputError, NotCompiled
 
@@ -170,6 +171,8 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
                 return f"{name} is {dtype}, it takes {taken}".replace("torch.", "")
             if differentiating and tensor.requires_grad and name not in support.gradients:
                 return f"it has no gradient in {name}"
+            if unpack_dual(tensor).tangent is not None:
+                return "it has no derivatives in forward mode"
     first = next(iter(arguments.values()))
     images = (first,) if isinstance(first, Tensor) else first
     shape = images[0].shape
