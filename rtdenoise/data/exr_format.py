@@ -34,23 +34,6 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Placing:
-    """Where the pixels lie in the picture, and which shape and colours they have; corners are (x, y), inclusive."""
-
-    data_window: tuple[tuple[int, int], tuple[int, int]]  # of the pixels that are stored
-    display_window: tuple[tuple[int, int], tuple[int, int]]  # of the picture
-    pixel_aspect: float = 1.0  # width over height of a pixel
-    chromaticities: tuple[float, ...] | None = None  # (x, y) of red, green, blue and white; None: not told
-
-    @property
-    def attributes(self) -> dict[str, object]:
-        """As attributes of a header."""
-        colours = {} if self.chromaticities is None else {"chromaticities": self.chromaticities}
-        return {"dataWindow": self.data_window, "displayWindow": self.display_window,
-                "pixelAspectRatio": self.pixel_aspect} | colours  # fmt: skip
-
-
-@dataclass(frozen=True)
 class ExrHeader:
     """The content of a file. Channels of multi-part files carry their part's name in front: `ViewLayer.Combined.R`."""
 
@@ -61,7 +44,7 @@ class ExrHeader:
     parts: tuple[Part, ...] = field(repr=False)
     flags: int = field(repr=False)  # of the version field
     samples: int = 0  # a pixel, as the renderer noted them; 0: unknown
-    placing: Placing | None = None  # of the first part; None: the file tells nothing
+    placing: dict[str, object] = field(default_factory=dict)  # attributes of the first part: windows, aspect, colours
 
     @property
     def summary(self) -> str:

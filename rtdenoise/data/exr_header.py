@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from .exr_chunks import check_complete, find_table_end
-from .exr_format import DEEP, MAGIC, MULTI_PART, TILED, ExrHeader, Part, Placing
+from .exr_format import DEEP, MAGIC, MULTI_PART, TILED, ExrHeader, Part
 
 PIXEL_TYPES = ("uint", "half", "float")  # in the order of the format's codes
 MAX_SIDE, MAX_PIXELS = 1 << 16, 1 << 28  # a larger picture is a damaged header; OpenEXR would allocate it
@@ -113,8 +113,9 @@ def _samples(attributes: dict[str, bytes]) -> int:
     return min((int(value) for value in noted if value.isdigit() and len(value) < 10), default=0)
 
 
-def _placing(attributes: dict[str, bytes]) -> Placing | None:
-    """What a header says of it. What OpenEXR would not write counts as missing."""
+def _placing(attributes: dict[str, bytes]) -> dict[str, object]:
+    """Where the pixels lie in the picture, and which shape and colours they have, as attributes of another header: data
+    and display window, pixel aspect, chromaticities. What OpenEXR would not write counts as missing."""
 
     def values(name: str, form: str, most: float) -> tuple | None:
         stored = attributes.get(name, b"")
@@ -127,10 +128,13 @@ def _placing(attributes: dict[str, bytes]) -> Placing | None:
 
     data = window("dataWindow")
     if data is None:
-        return None
+        return {}
     (aspect,) = values("pixelAspectRatio", "<f", MAX_ASPECT) or (1.0,)
-    aspect = aspect if aspect >= 1 / MAX_ASPECT else 1.0
-    return Placing(data, window("displayWindow") or data, aspect, values("chromaticities", "<8f", MAX_COORDINATE))
+    colours = values("chromaticities", "<8f", MAX_COORDINATE)
+    return {
+        "dataWindow": data, "displayWindow": window("displayWindow") or data,
+        "pixelAspectRatio": aspect if aspect >= 1 / MAX_ASPECT else 1.0,
+    } | ({"chromaticities": colours} if colours else {})  # fmt: skip
 
 
 def _parse_part(path: Path, cursor: _Cursor, raw: bytes, attributes: dict[str, bytes], flags: int) -> Part:

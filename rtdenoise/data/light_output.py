@@ -48,8 +48,8 @@ def write_light(
         layers |= zip((f"{name}.{c}" for c in "RGB"), parts[name][0], strict=True)
     if passes.alpha:
         layers["A"] = sequence.files[index].read([passes.alpha])[passes.alpha]
-    dtypes, placing = dict.fromkeys(layers, "float" if float32 else "half"), sequence.header.placing
-    write_layers(out / sequence.names[index], layers, dtypes=dtypes, attributes=placing and placing.attributes)
+    dtypes = dict.fromkeys(layers, "float" if float32 else "half")
+    write_layers(out / sequence.names[index], layers, dtypes=dtypes, attributes=sequence.header.placing)
     return {}
 
 

@@ -208,8 +208,7 @@ def _write_plain(
         names, types = _kept(sequence, keep), sequence.header.channels
         layers |= sequence.files[index].read(names)
         dtypes |= {name: types[name] for name in names}
-    placing = sequence.header.placing
-    write_layers(path, layers, dtypes=dtypes, attributes=placing and placing.attributes)
+    write_layers(path, layers, dtypes=dtypes, attributes=sequence.header.placing)
     return {
         name: bad
         for name, plane in layers.items()

@@ -171,8 +171,9 @@ def _check_like_first(header: ExrHeader, first: ExrHeader, rules: dict[str, Rule
     if (header.width, header.height) != (first.width, first.height):
         raise InputError(f"{header.path}: is {header.width}×{header.height}, expected {first.width}×{first.height} as "
                          f"{first.path.name}; all frames of a sequence must have one size")  # fmt: skip
-    if header.placing and first.placing and header.placing.data_window != first.placing.data_window:
-        (x, y), (left, top) = header.placing.data_window[0], first.placing.data_window[0]
+    windows = [h.placing["dataWindow"] for h in (header, first) if h.placing]
+    if len(set(windows)) > 1:
+        (x, y), (left, top) = (window[0] for window in windows)
         raise InputError(f"{header.path}: its data window begins at ({x}, {y}), that of {first.path.name} at "
                          f"({left}, {top}); render all frames with one, as motion counts from its corner")  # fmt: skip
     for layer, rule in rules.items():

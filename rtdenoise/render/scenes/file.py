@@ -148,7 +148,7 @@ def _keyframes(entry: dict, parts: dict[str, int], where: str, default: dict) ->
         for name, count in parts.items():
             if name not in key and name not in default:
                 raise InputError(f"{where}: keys: frame {frames[-1]:g} has no {name}")
-            row += _numbers(key.get(name, default.get(name)), count, f"{where}: keys: {name}")
+            row += _numbers(key.get(name, default.get(name)), count, f"{where}: keys", name)
         rows.append(tuple(row))
     if not frames or frames != sorted(set(frames)):
         raise InputError(f"{where}: keys must be in the order of their frames, found {frames}")
@@ -165,7 +165,7 @@ def _extra(entry: dict, id: int, loaded, path: CameraPath, where: str) -> Object
             raise InputError(f"{where}: {key} '{entry[key]}'; expected one of {', '.join(known)}")
     mesh = SHAPES[entry.get("shape", "sphere")](_number(entry | {"size": entry.get("size", 0.25)}, "size", where))
     if "at" in entry:
-        place = np.array(_numbers(entry["at"], 3, f"{where}: at"))
+        place = np.array(_numbers(entry["at"], 3, where, "at"))
         if (room := room_for(loaded, mesh, place)) < 1:
             raise InputError(f"{where}: at {entry['at']} it intersects the scene: {room:.0%} of its size are free")
     else:
@@ -173,7 +173,7 @@ def _extra(entry: dict, id: int, loaded, path: CameraPath, where: str) -> Object
         place = free_place(loaded, path(0), mesh, rng)
         if place is None:
             raise InputError(f"{where}: no free place of size {mesh.radius:g} was found in view; make it smaller")
-    colour = _numbers(entry.get("colour", [0.6, 0.6, 0.6]), 3, f"{where}: colour")
+    colour = _numbers(entry.get("colour", [0.6, 0.6, 0.6]), 3, where, "colour")
     texture = np.ones((4, 4, 3), np.float32) * np.float32(colour)
     roughness = float(_number({"roughness": 0.3} | entry, "roughness", where))
     material = Material(texture, entry.get("material", "diffuse"), roughness)
@@ -206,17 +206,17 @@ def _arguments(cls, entry: dict, where: str) -> dict:
     for field in fields(cls):
         if field.name in entry and field.name != "keys":
             count = 3 if field.type == "Vector" else 1
-            value = _numbers(entry[field.name], count, f"{where}: {field.name}")
+            value = _numbers(entry[field.name], count, where, field.name)
             arguments[field.name] = tuple(map(float, value)) if count > 1 else value[0]
     return arguments
 
 
 def _number(entry: dict, key: str, where: str) -> float:
-    return _numbers(entry.get(key), 1, f"{where}: {key}")[0]
+    return _numbers(entry.get(key), 1, where, key)[0]
 
 
-def _numbers(value, count: int, where: str) -> list:
-    numbers, name = value if isinstance(value, list) else [value], where.rpartition(" ")[2]
+def _numbers(value, count: int, where: str, name: str) -> list:
+    numbers, where = value if isinstance(value, list) else [value], f"{where}: {name}"
     if len(numbers) != count or not all(isinstance(n, int | float) and abs(n) <= LARGEST for n in numbers):
         raise InputError(f"{where} = {value!r}: expected {count} number(s) of at most {LARGEST:g}")
     if name in ABOVE_0 and not all(n > 0 for n in numbers):
