@@ -10,7 +10,7 @@ from ..color import expand
 from ..constants import AROUND_CELL
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("around.expand_within", native=Support())
+FUSED = Fused("around.expand_within", native=Support(other=("scale",)))
 
 
 def greatest_around(x: Tensor) -> Tensor:

@@ -9,7 +9,9 @@ from .apply_kernel import MAX_KERNEL, apply_kernel
 from .blend import blend
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("blend_history", native=Support(max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",)))
+FUSED = Fused(
+    "blend_history", native=Support(max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",), other=("logits",))
+)
 
 
 @falls_back

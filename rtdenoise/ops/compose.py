@@ -8,7 +8,7 @@ from .dispatch import Fused, Support, falls_back
 from .downsample import downsample
 from .upsample import upsample
 
-FUSED = Fused("compose", native=Support(), triton=Support())
+FUSED = Fused("compose", native=Support(other=("coarse", "alpha")), triton=Support(other=("coarse", "alpha")))
 
 
 @falls_back

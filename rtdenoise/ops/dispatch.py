@@ -65,12 +65,14 @@ def plain() -> bool:
 
 @dataclass(frozen=True)
 class Support:
-    """The arguments that a fused implementation takes. All are float32 images but for those in `halves` and `bytes`."""
+    """The arguments that a fused implementation takes. All are float32 images of the first one's batch, height and
+    width but for those in `halves`, `bytes` and `other`."""
 
     max_channels: int | None = None  # of the first argument; several images count together
     max_kernel: int | None = None  # K of the argument `logits`
     halves: tuple[str, ...] = ()  # arguments that may be bfloat16 or float16 too
     bytes: tuple[str, ...] = ()  # arguments that are uint8
+    other: tuple[str, ...] = ()  # arguments of other sizes, which the op checks itself
     gradients: tuple[str, ...] = ()  # arguments in which it is differentiable
 
 
@@ -164,6 +166,9 @@ def _function(folder: str, file: str, name: str) -> Callable:
 def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | None:
     """The first argument that `support` excludes, in words, or None."""
     differentiating = torch.is_grad_enabled()
+    first = next(iter(arguments.values()))
+    images = (first,) if isinstance(first, Tensor) else first
+    shape = images[0].shape
     for name, value in arguments.items():
         for tensor in (value,) if isinstance(value, Tensor) else value or ():
             dtype, taken = tensor.dtype, torch.uint8 if name in support.bytes else torch.float32
@@ -173,9 +178,8 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
                 return f"it has no gradient in {name}"
             if unpack_dual(tensor).tangent is not None:
                 return "it has no derivatives in forward mode"
-    first = next(iter(arguments.values()))
-    images = (first,) if isinstance(first, Tensor) else first
-    shape = images[0].shape
+            if (tensor.shape[0], *tensor.shape[2:]) != (shape[0], *shape[2:]) and name not in support.other:
+                return f"{name} is {tuple(tensor.shape)}, it takes images like {tuple(shape)}"
     if images[0].numel() == 0 or shape[-2] * shape[-1] > MAX_PIXELS or (max_rows and math.prod(shape[:-1]) > max_rows):
         return f"it takes no images of {tuple(shape)}"
     channels = sum(image.shape[1] for image in images) if support.max_channels else 0

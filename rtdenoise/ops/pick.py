@@ -12,7 +12,9 @@ from .apply_kernel import MAX_KERNEL, apply_kernel
 from .dispatch import Fused, Support, falls_back
 from .logits import cells
 
-FUSED = Fused("pick", native=Support(max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",)))
+FUSED = Fused(
+    "pick", native=Support(max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",), other=("coarse", "logits"))
+)
 
 
 @falls_back
