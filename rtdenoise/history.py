@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .data.stored import read_history, write_history
+from .data.stored import FOUND, read_history, write_history
 from .errors import InputError
-from .frame import RECENT, Frame, History
+from .frame import RECENT, SHIFTS, Frame, History
 from .motion import on_screen, same_surface
 
 # Must not be mixed across silhouettes.
@@ -46,8 +46,8 @@ def _alike(frame: Frame, history: History) -> Tensor:
 
 def resize(history: History, size: tuple[int, int]) -> History:
     """History for frames of another `size` (H, W): the same field of view at another resolution. Light is interpolated
-    bilinearly, geometry and motion are taken from the nearest pixel, and motion is rescaled to the new pixels. Recent
-    frames are left out: their noise would be interpolated."""
+    bilinearly, geometry and motion are taken from the nearest pixel, and motion and shifts are rescaled to the new
+    pixels. Recent frames are left out: their noise would be interpolated."""
     (H, W), (before_H, before_W) = size, history.radiance.shape[2:]
     scale = history.radiance.new_tensor([W / before_W, H / before_H]).reshape(1, 2, 1, 1)
 
@@ -58,7 +58,8 @@ def resize(history: History, size: tuple[int, int]) -> History:
             tensor = F.interpolate(tensor, (h, w), mode="nearest-exact")
             return tensor * scale if name == "motion_next" else tensor
         smaller = h < tensor.shape[2]  # torch has no such filter for float16 on a CPU
-        return F.interpolate(tensor.float(), (h, w), mode="bilinear", antialias=smaller).to(tensor.dtype)
+        between = F.interpolate(tensor.float(), (h, w), mode="bilinear", antialias=smaller).to(tensor.dtype)
+        return between * scale if name == FOUND or name.startswith(SHIFTS) else between
 
     layers = {name: tensor for name, tensor in history.layers().items() if not name.startswith(RECENT)}
     return History.from_layers({name: resized(name, tensor) for name, tensor in layers.items()})

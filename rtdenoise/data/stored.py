@@ -22,6 +22,7 @@ CHANNELS = {  # field of `History` -> channels; hidden features have any number 
 FOUND = "found"  # the field of shifts, of cells of pixels as `SHIFTS`
 OF_ESTIMATES = {"trust": 1, "surface_count": 1}  # fields of the offline mode's estimates that a history lacks
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
+OF_MOTION = 8, 9, 13, 14  # channels of a kept frame (`ops.recall`) that may be any finite number
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number
 
 
@@ -89,8 +90,9 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
     if not fits or not array.size:
         raise InputError(f"{label} is {array.shape}, expected {expected}")
     if recent:
-        array = array[:, :-1]  # the last word is motion, any number
-        array = np.stack([array << 16, array & -65536]).view(np.float32)
+        array = np.stack([array << 16, array & -65536], axis=2).view(np.float32)  # [B, words, 2, H, W]
+        array = array.reshape(len(array), 2 * words, *size)
+        array = np.delete(array, [c for c in OF_MOTION if c < 2 * words], axis=1)
     if resets:
         array = (array.astype(np.int32) << 16).view(np.float32)
     if not np.isfinite(array).all() or (name != "motion_next" and float(np.abs(array).max()) > LARGEST):
