@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
@@ -25,6 +26,7 @@ except ImportError:  # Windows: two runs on one folder are not kept apart
 
 UNFINISHED = re.compile(r"\.rtdenoise-(\d+)-([0-9a-f]{8})[0-9a-f]{8}\.\w+")  # process, machine, a random number
 DAY = 86400.0  # seconds
+NO_LOCKS = errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP  # as on a network's disk that is mounted without
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)  # flags that Windows lacks
 NO_WAITING = getattr(os, "O_NONBLOCK", 0)
 
@@ -63,7 +65,7 @@ def write_atomically(path: Path, content: bytes | memoryview, sync: bool = False
         with replacing(path) as temporary:
             temporary.write_bytes(content)
             if sync:
-                with open(temporary, "rb") as file:
+                with open(temporary, "rb+") as file:  # Windows syncs no file that is open for reading
                     os.fsync(file.fileno())
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; run again when that is solved") from None
@@ -113,7 +115,7 @@ def lock(folder: Path, name: str = ".rtdenoise-lock") -> Iterator[None]:
     """Hold a lock on a folder; the system releases it however the process ends.
 
     Raises InputError where another process holds it, and where the file `name` in the folder cannot be opened or is a
-    link. Where the system has no file locks nothing is held.
+    link. Where the system or the file system has no locks nothing is held.
     """
     path = folder / name
     try:
@@ -126,10 +128,13 @@ def lock(folder: Path, name: str = ".rtdenoise-lock") -> Iterator[None]:
         if fcntl is not None:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
+            except BlockingIOError:
                 raise InputError(
                     f"{folder}: another run is writing there; wait for it, or choose another --out"
                 ) from None
+            except OSError as error:
+                if error.errno not in NO_LOCKS:
+                    raise InputError(f"{path}: cannot be locked: {error.strerror}") from None
         yield
     finally:
         os.close(descriptor)

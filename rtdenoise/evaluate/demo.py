@@ -11,7 +11,7 @@ from rich.table import Table
 from ..color import display_exposure
 from ..data.sequences import open_sequence
 from ..errors import InputError
-from ..files import dumps
+from ..files import dumps, replacing, write_atomically
 from ..frame import Frame
 from ..run.preview import animate, strip
 from . import METRICS, REGIONS, Result, evaluate, uncovered
@@ -46,9 +46,8 @@ def demo(
     masks = uncovered(frames)[1:]
     share = sum(mask.float().mean().item() for mask in masks) / max(len(masks), 1)
     rows = [{"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)} for r in results]
-    (out / "demo.json").write_text(
-        dumps({"signal": signal, "uncovered_share": share, "results": rows}, indent=1) + "\n"
-    )
+    document = {"signal": signal, "uncovered_share": share, "results": rows}
+    write_atomically(out / "demo.json", (dumps(document, indent=1) + "\n").encode())
 
     console = Console()
     console.print(
@@ -73,7 +72,8 @@ def _draw(out: Path, frames: list[Frame], results: dict[str, Result], ours: str)
         )
         for i, frame in enumerate(frames)
     ]
-    strips[-1].save(out / "strip.png")
+    with replacing(out / "strip.png", suffix=".png") as temporary:
+        strips[-1].save(temporary)
     return animate(strips, out / "demo")
 
 

@@ -49,7 +49,7 @@ def _built(place: Path, name: str, key: str, build: Callable[[Path], None]) -> P
     temporary = place / f".{name}-{os.getpid()}-{secrets.token_hex(8)}.so"
     try:
         build(temporary)
-        with open(temporary, "rb") as file:
+        with open(temporary, "rb+") as file:  # Windows syncs no file that is open for reading
             checksum = _checksum(file.read())
             os.fsync(file.fileno())
         os.chmod(temporary, 0o700)
