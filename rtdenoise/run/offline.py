@@ -98,7 +98,7 @@ class _Run:
             self._clear()
             self._save(0, None)
         if done < 2 * count:
-            self._check_disk()
+            self._check_disk(count - min(done, count))
             self.estimates.mkdir(exist_ok=True)
             remove_unfinished(self.estimates)
         if self.options.plan:  # tiles for large frames
@@ -198,9 +198,10 @@ class _Run:
             notes.append("the files have no motion_next: the backward pass approximates it from motion and depth")
         return notes
 
-    def _check_disk(self) -> None:
+    def _check_disk(self, frames: int) -> None:
+        """Raise InputError where so many frames more do not fit."""
         H, W = self.sequence.size
-        needed, free = BYTES_PER_PIXEL * H * W * len(self.sequence), shutil.disk_usage(self.out).free
+        needed, free = BYTES_PER_PIXEL * H * W * frames, shutil.disk_usage(self.out).free
         if needed > free:
             raise InputError(f"{self.out}: --offline keeps {needed / 1e9:.1f} GB there while it runs, {free / 1e9:.1f} "
                              "GB are free; choose another --out or fewer frames at a time")  # fmt: skip
