@@ -16,6 +16,7 @@ from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.data.output import write_frame
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
+from rtdenoise.frame import OFF_SCREEN
 
 H, W = 12, 16
 NATIVE = {"color": 3, "indirect": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "motion_next": 2,
@@ -111,6 +112,21 @@ def test_non_finite_pixels_are_passed_on_except_infinite_depth(tmp_path):
     frame = open_sequence(tmp_path)[0]
     assert frame.radiance[0, :, 0, 0].isnan().all() and frame.radiance[0, :, 0, 1].isinf().all()
     np.testing.assert_array_equal(frame.depth[0, 0, 0, :3], [0, np.nan, 0])
+
+
+@pytest.mark.parametrize("standing", [0.0, 0.5])
+def test_a_sky_without_motion_before_a_camera_that_moves_has_no_history(tmp_path, standing):
+    layers = native_layers(0)
+    sky = np.arange(H)[:, None] < H // 2
+    layers["depth"][sky[:, 0]] = np.inf
+    for name in ("motion", "motion_next"):
+        layers[name] = np.where(sky[..., None], 0, 1 + layers[name]).astype(np.float32)
+        layers[name][H // 2 :, : round(standing * W)] = 0
+    write_layers(tmp_path / "1.exr", layers, dtypes=FLOAT)
+    frame = open_sequence(tmp_path)[0]
+    for motion in (frame.motion, frame.motion_next):
+        assert (motion[..., : H // 2, :] == (0 if standing else OFF_SCREEN)).all()
+        assert (motion[..., H // 2 :, :] < 100).all()
 
 
 # --- presets ----------------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from .layouts import choose, find, samples
 from .noisebase import NOISEBASE, find_archives
 from .scene_file import read_scene
 from .scene_motion import complete
+from .sky import without_stale_sky
 
 DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 
@@ -83,7 +84,7 @@ class Sequence:
         files = self.files[i]
         channels = files.read({name for rule in self.rules.values() for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in self.rules.items()}
-        frame = Frame(**layers, number=files.number, name=str(files.path))
+        frame = without_stale_sky(Frame(**layers, number=files.number, name=str(files.path)))
         check_components(frame)
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
         return complete(frame, self.scene) if missing and self.scene else frame
