@@ -88,7 +88,6 @@ READINGS = tuple(
         ("motion", "motion_next"), (False, True), ((1, 1), (-1, -1), (1, -1), (-1, 1)), UNITS
     )
 )
-DECLARED = Reading()
 
 
 @dataclass(frozen=True)

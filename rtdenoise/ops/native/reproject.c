@@ -1,11 +1,8 @@
 // Bilinear reprojection that tests every tap, in one pass. The specification is ops/reproject.py. C is the number of
-// channels; MIN_HISTORY_WEIGHT is that of constants.py, FAR_AWAY that of ops/reproject.py.
+// channels; MIN_HISTORY_WEIGHT and FAR_AWAY are those of constants.py.
 #include "common.h"
 #include "alike.h"
-
-static inline float bounded(float motion) {
-    return isnan(motion) ? FAR_AWAY : MIN(MAX(motion, -FAR_AWAY), FAR_AWAY);
-}
+#include "kept.h"
 
 #define BLOCK 32  // pixels
 

@@ -19,7 +19,6 @@ LONGEST = {  # metres of the longest side of models whose unit is unknown, by ca
     "instrument": 1.0, "kitchen": 0.25, "lamp": 0.9, "misc": 0.8, "outdoor": 1.5, "people": 1.75, "picture": 0.6,
     "plant": 1.2, "rock": 0.7, "statue": 0.8, "thin": 2.0, "tools": 0.7, "toy": 0.3, "vehicle": 4.3,
 }  # fmt: skip
-TEXTURE_METRES = 1.5  # side of one period of a tileable surface picture
 FLAT_TOP = 0.5  # least area of a flat top that carries things, as a share of the base's area
 MAX_TRIES = 12
 
