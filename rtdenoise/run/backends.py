@@ -3,6 +3,7 @@ saved histories as numpy arrays."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -110,12 +111,19 @@ class TorchBackend:
         keeps, in place of its configuration's; 0 is a running mean, by the same weights. `footprint`:
         its histories have one, of `opinion.RECENT` frames; `oidn` needs them, too. `lookahead`: frames that its steps
         will get `ahead`; networks that keep none then keep `opinion.RECENT`. Raises InputError where one cannot."""
+        import torch
+
         from ..models import load
-        from ..models.inference import choose_device
+        from ..models.inference import INT8, choose_device, resolve
         from .graphs import stepper
         from .opinion import RECENT, Opinion
 
         self.device = choose_device(device)
+        if recent == 0:  # bytes cannot hold a mean that is 10⁵ times as bright as the frame: where the light goes out
+            if precision == INT8:
+                raise InputError("precision int8: goes without --lights and --also; take auto")
+            if precision == "auto":
+                precision = "bf16" if resolve(precision, self.device) is torch.bfloat16 else "fp32"
         self._denoiser = load(model, self.device, precision)
         if correct and self._denoiser.config.motion is None:
             raise InputError(f"{model}: denoises single pictures, and the correction needs the frames before")
@@ -127,11 +135,12 @@ class TorchBackend:
             raise InputError(f"--oidn: model {model!r} does not average light; choose default, many, fast or quality")
         self._correct, self._opinion = correct, Opinion(self._denoiser.config) if oidn else None
         wanted = {} if recent is None else {"recent": recent}
-        if oidn or footprint:
-            wanted = {"recent": RECENT, "footprint": True}
-        elif lookahead and not self._denoiser.config.recent:
-            wanted = {"recent": RECENT}
         if averages:
+            most = min(RECENT, math.ceil(self._denoiser.config.longest) - 1)  # below the longest history
+            if oidn or footprint:
+                wanted = {"recent": most, "footprint": True}
+            elif lookahead and not self._denoiser.config.recent:
+                wanted = {"recent": most}
             self._denoiser.config = replace(self._denoiser.config, **wanted)
         self._step = self._whole = stepper(self._denoiser)
         self._lookahead = lookahead
