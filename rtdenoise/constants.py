@@ -20,6 +20,7 @@ RECALL_EDGE_SPEED = 1.0  # pixels a frame against what is behind it, up to which
 RECALL_RESET = 3  # of these the one whose higher half is the reset
 RECALL_CELL = 4  # side in pixels of the cells in which light is compared; 3 × 3 cells count together
 RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |differences|²: light counts whole; not at all
+RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED = 6.0, 12.0  # likewise over cells of twice the side
 RECALL_NOISY = 0.25  # noise (`exposure.noise_level`) from which on lookups off the pixel count as far as they cover it
 RECALL_MISPLACED = 2.0  # below that the square of their distance counts so many times 1 / noise - 1 / RECALL_NOISY, too
 

@@ -72,6 +72,38 @@ def test_light_that_has_changed_is_left_out(choice):
     assert 0.8 < mean.mean() < 1.2
 
 
+def test_a_weak_change_shows_in_wide_cells(choice):
+    """20 % less light: q is about 13 over wide cells, and 4 over others, which alone would leave it a quarter."""
+    shape = 1, 3, 96, 96
+    still, wall = torch.zeros(1, 2, 96, 96), (torch.full((1, 1, 96, 96), 4.0), torch.zeros(shape))
+    wall[1][:, 2] = 1
+    now, before, reset = torch.empty(shape).exponential_(), torch.empty(shape).exponential_(), torch.zeros(1, 1, 96, 96)
+    count = [recall(now, still, wall, [keep(x, *wall, reset, still)]).count.mean() for x in (before, 0.8 * before)]
+    assert count[0] > 0.9 and count[1] < 0.15
+
+
+def test_bright_samples_do_not_hide_a_change(choice):
+    still = image(0.0, 0.0)
+    before, now = ((torch.rand(1, 1, *SIZE) < 0.01) * 30.0 + noisy(mean) for mean in (0.4, 1.0))
+    assert recall(now, still, WALL, [kept(before, *WALL, still)]).count.mean() < 0.1
+
+
+def test_strips_meet(choice):
+    """Fused recall goes strip by strip of 240 columns, a strip being as any picture."""
+    shape = 1, 3, 43, 503
+    light, before = (torch.empty(shape).exponential_() for _ in range(2))
+    before[..., 250:] *= 0.5
+    depth, normal = 1 + torch.rand(1, 1, *shape[2:]).round(), torch.zeros(shape).index_fill(1, torch.tensor(2), 1)
+    motion = 3 * torch.randn(1, 2, *shape[2:]).round()
+    frame = keep(before, depth, normal, torch.rand(1, 1, *shape[2:]), motion, torch.rand(shape))
+    uncovered = torch.zeros_like(depth, dtype=torch.bool)
+    found = recall(light, motion, (depth, normal), [frame, frame], uncovered)
+    with ops.use("plain"):
+        expected = recall(light, motion, (depth, normal), [frame, frame], uncovered)
+    for name in ("light", "count", "footprint", "footprint_count"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-4, atol=1e-4)
+
+
 def test_a_reset_takes_weight_from_older_frames(choice):
     still, lights = image(0.0, 0.0), [noisy().bfloat16().float() for _ in range(4)]
     frames = [kept(light, *WALL, still, r) for light, r in zip(lights, (0.0, 0.5, 1.0, 0.0), strict=True)]

@@ -24,6 +24,8 @@ from ..constants import (
     RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
     RECALL_RESET,
+    RECALL_WIDE_ALIKE,
+    RECALL_WIDE_CHANGED,
     RECALL_WORDS,
 )
 from .alike import alike
@@ -59,11 +61,12 @@ def recall(
 
         p_1 = p + motion(p),    p_(j+1) = p_j + motion_j(p_j),    at the nearest pixel; a path ends off the screen
         w_j = same surface · u_j · Π_(i<j) (1 - reset_i(p_i)),
-        u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1),    q_j = |Σ d|² / Σ |d|²
+        u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1) · the same of wider cells,    q_j = |Σ d|² / Σ |d|²
 
-    with the differences d = light_j(p_j) - light(p), over cells of CELL × CELL pixels and the eight around them, of
-    pixels that show the same surface (`alike`): q_j is 1 on average if they are noise alone. `constants` has the three
-    as RECALL_CELL ...
+    with the differences d = √light_j(p_j) - √light(p), over cells of CELL × CELL pixels and the eight around them, of
+    pixels that show the same surface (`alike`): q_j is 1 on average if they are noise alone. The root keeps a few
+    bright samples from being all that counts. Cells of twice the side tell of weaker changes: what is common to more
+    pixels stands out from their noise. `constants` has these numbers as RECALL_CELL, RECALL_WIDE_ALIKE ...
 
     With `uncovered` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
     converged picture both: so the surface there need only be that of p or of a pixel beside it. An edge moves with what
@@ -93,7 +96,7 @@ def recall(
     for kept in recent:
         there = path.look(kept)
         same = (alike(surface, (there.depth, there.normal)) & path.inside).to(light.dtype)
-        stays = unchanged(same * (there.light - light))
+        stays = unchanged(same * (_root(there.light) - _root(light)))
         weight = same * stays * path.left
         mean, count = mean + weight * there.light, count + weight
         path.follow(there.motion, there.reset)
@@ -171,13 +174,23 @@ def _unpacked(kept: Tensor) -> Tensor:
 
 def unchanged(difference: Tensor) -> Tensor:
     """The second factor of w_j, `[B, 1, H, W]`, from the differences `[B, 3, H, W]`: 0 on other surfaces."""
-    H, W = difference.shape[2:]
-    padded = F.pad(difference, (0, -W % RECALL_CELL, 0, -H % RECALL_CELL))
-    terms = torch.cat([padded, padded.square().sum(1, keepdim=True)], dim=1)
-    sums = F.avg_pool2d(F.avg_pool2d(terms, RECALL_CELL), 3, stride=1, padding=1) * (9 * RECALL_CELL**2)
+    terms = torch.cat([difference, difference.square().sum(1, keepdim=True)], dim=1)
+    near = _unchanged(terms, RECALL_CELL, RECALL_ALIKE, RECALL_CHANGED)
+    return near * _unchanged(terms, 2 * RECALL_CELL, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED)
+
+
+def _unchanged(terms: Tensor, cell: int, whole: float, none: float) -> Tensor:
+    """Its part for cells of this side: light counts `whole` up to that q, and not at all from `none` on."""
+    H, W = terms.shape[2:]
+    cells = F.avg_pool2d(F.pad(terms, (0, -W % cell, 0, -H % cell)), cell)
+    sums = F.avg_pool2d(cells, 3, stride=1, padding=1) * (9 * cell**2)
     q = sums[:, :3].square().sum(1, keepdim=True) / sums[:, 3:].clamp(min=1e-30)
-    weight = ((RECALL_CHANGED - q) / (RECALL_CHANGED - RECALL_ALIKE)).clamp(0, 1)
-    return F.interpolate(weight, scale_factor=RECALL_CELL, mode="nearest")[:, :, :H, :W]
+    weight = ((none - q) / (none - whole)).clamp(0, 1)
+    return F.interpolate(weight, scale_factor=cell, mode="nearest")[:, :, :H, :W]
+
+
+def _root(light: Tensor) -> Tensor:
+    return light.clamp(min=0).sqrt()
 
 
 @dataclass(frozen=True)
@@ -212,7 +225,7 @@ class Path:
         self.inside = (u >= 0) & (u < W) & (v >= 0) & (v < H)
         self.cover = (1 - (motion - whole).abs()).prod(1, keepdim=True)
         self.off = (motion - whole).square().sum(1, keepdim=True)
-        index = (v.clamp(0, H - 1) * W + u.clamp(0, W - 1)).long().reshape(B, 1, H * W)
+        index = (v.clamp(0, H - 1).long() * W + u.clamp(0, W - 1).long()).reshape(B, 1, H * W)
         there = _unpacked(kept.flatten(2).gather(2, index.expand(B, words, -1)).unflatten(2, (H, W)))
         channels = CHANNELS[:5] if words == RECALL_WORDS else CHANNELS
         return Kept(*there.split(channels, dim=1)[:7])

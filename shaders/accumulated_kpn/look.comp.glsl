@@ -38,7 +38,7 @@ void main() {
         }
         path[i] = vec4(beyond, come.z * (1.0 - third.y), 0.0);
         found[i] = vec4(rgb, same * come.z);
-        vec3 d = same * (rgb - light[i].rgb);
+        vec3 d = same * (sqrt(max(rgb, 0.0)) - sqrt(max(light[i].rgb, 0.0)));
         term = vec4(d, dot(d, d));
     }
     terms[lane.y * GROUP_X + lane.x] = term;

@@ -1,19 +1,21 @@
 // The mean light of recent frames along chained motion. The specification is ops/recall.py, whose CELL and FAR_AWAY these are;
 // GLOSS is that of constants.py.
 //
-// One pass over the frame, a row of cells at a time: a row's weights need the rows above and below it, so each thread keeps
-// what it found in two rows and the sums of three, small enough for its cache. Footprints need the weights alone, so their paths
-// are followed when these are known, and what they lead to is summed up at once.
+// Strip by strip, a row of wide cells at a time: a cell's weight needs the cells around it, so a strip has a wide cell more on
+// either side, and a thread keeps what it found in two rows and the sums of three, small enough for its cache. Footprints need
+// the weights alone, so their paths are followed when these are known, and what they lead to is summed up at once.
 #include "common.h"
 #include "alike.h"
 #include "kept.h"
 
-#define BLOCK 256  // pixels, a multiple of CELL
+#define WIDE 2     // side of a wide cell in cells
+#define BLOCK 256  // pixels of a row of a strip and of the wide cells beside it
+#define MARGIN (WIDE * CELL)  // pixels of one of these
 #define PART 16   // pixels of a block that are fetched at once; BLOCK is a multiple of it
 #define WORDS 8   // of a pixel of a kept frame, or LESS
 #define LESS 5
-#define FOUND 2   // rows of cells of which a thread keeps what it found
-#define SUMS 3    // likewise the sums
+#define FOUND 4   // rows of cells of which a thread keeps what it found
+#define SUMS 6    // likewise the sums
 #define SAME 0x3f800000  // 1 as the high half of a word
 #define SUMMED 10 // channels of a footprint, and their weight
 
@@ -22,19 +24,20 @@ typedef struct {
     const uint8_t *uncovered;                      // whether a pixel was just uncovered, for footprints
     const uint32_t *const *kept;                   // K frames [H, W, words], two bfloat16 in each
     float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
-    uint32_t *found;  // of a thread: [FOUND, K, 3 (red, green; blue, 1 or 0: same surface; s as float32), CELL, W]
-    float *cells;     // likewise: [SUMS, K, 4 (Σ d, Σ |d|²), columns]
-    float depth_tolerance, normal_tolerance, alike, changed, speed, misplaced;
+    uint32_t *found;  // of a thread: [FOUND, K, 3 (red, green; blue, 1 or 0: same surface; s as float32), CELL, BLOCK]
+    float *cells;     // likewise: [SUMS, K, 4 (Σ d, Σ |d|²), BLOCK / CELL]
+    float depth_tolerance, normal_tolerance, alike, changed, wide_alike, wide_changed, speed, misplaced;
     int64_t plane;
-    int K, H, W, columns, rows, words;
+    int K, H, W, rows, words;
+    int from, n;  // the block: its first column, and how many it has
 } Job;
 
 static inline uint32_t *found_of(Job j, int cell_row, int k) {
-    return j.found + ((int64_t)(cell_row % FOUND) * j.K + k) * 3 * CELL * j.W;
+    return j.found + ((int64_t)(cell_row % FOUND) * j.K + k) * 3 * CELL * BLOCK;
 }
 
 static inline float *cells_of(Job j, int cell_row, int k) {
-    return j.cells + ((int64_t)(cell_row % SUMS) * j.K + k) * 4 * j.columns;
+    return j.cells + ((int64_t)(cell_row % SUMS) * j.K + k) * 4 * (BLOCK / CELL);
 }
 
 // The paths of a block of pixels: motion to the kept frame, and the share that the network has left of older light.
@@ -90,7 +93,7 @@ static inline void ahead(const uint32_t *kept, int words, int64_t at) {
 static inline void read(Job j, uint32_t (*pixels)[PART], int64_t first, int n, const int *inside, Paths *paths, int p,
                         uint32_t *found) {
     float *mx = paths->mx + p, *my = paths->my + p, *s = paths->s + p;
-    int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
+    int64_t plane = j.plane;
 #pragma omp simd
     for (int x = 0; x < n; x++) {
         int in = inside[x];
@@ -98,8 +101,8 @@ static inline void read(Job j, uint32_t (*pixels)[PART], int64_t first, int n, c
         Surface here = surface_at(j.depth + first, j.normal + first, plane, x);
         Surface there = surface(high(blue), low(normal), high(normal), low(forgets));
         found[x] = pixels[0][x];
-        found[stride + x] = (blue & 0xffff) | (in & alike(here, there, j.depth_tolerance, j.normal_tolerance) ? SAME : 0);
-        found[2 * stride + x] = bits_of(s[x]);
+        found[CELL * BLOCK + x] = (blue & 0xffff) | (in & alike(here, there, j.depth_tolerance, j.normal_tolerance) ? SAME : 0);
+        found[2 * CELL * BLOCK + x] = bits_of(s[x]);
         s[x] *= 1 - high(forgets);
         mx[x] = in ? mx[x] + low(motion) : FAR_AWAY;
         my[x] = in ? my[x] + high(motion) : FAR_AWAY;
@@ -155,8 +158,9 @@ static inline void places(Job j, int y, int from, int n, const Paths *paths, int
     }
 }
 
-// Follow the paths of n pixels of row y through all kept frames.
-static inline void look(Job j, int y, int from, int n) {
+// Follow the paths of row y through all kept frames.
+static inline void look(Job j, int y) {
+    int from = j.from, n = j.n;
     int64_t first = (int64_t)y * j.W + from;
     Paths p;
     memcpy(p.mx, j.motion + first, n * sizeof *p.mx);
@@ -164,7 +168,7 @@ static inline void look(Job j, int y, int from, int n) {
     for (int x = 0; x < n; x++) p.s[x] = 1;
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
-        uint32_t *found = found_of(j, y / CELL, k) + y % CELL * j.W + from;
+        uint32_t *found = found_of(j, y / CELL, k) + y % CELL * BLOCK;
         places(j, y, from, n, &p, at, inside);
         for (int part = 0; part < n; part += PART) {
             int size = MIN(PART, n - part);
@@ -178,43 +182,62 @@ static inline void look(Job j, int y, int from, int n) {
     }
 }
 
-// Sum up the differences between a kept frame and this one, in the cells of n pixels.
-static inline void compare(Job j, int cell_row, int k, int from, int n) {
-    int64_t plane = j.plane, stride = (int64_t)CELL * j.W;
+static inline float root(float light) { return sqrtf(MAX(light, 0)); }
+
+// The roots of this frame's light in a row of cells.
+typedef float Roots[3][CELL][BLOCK];
+
+static inline void roots(Job j, int cell_row, Roots out) {
+    for (int c = 0; c < 3; c++)
+        for (int y = cell_row * CELL; y < MIN((cell_row + 1) * CELL, j.H); y++) {
+            const float *light = j.light + c * j.plane + (int64_t)y * j.W + j.from;
+#pragma omp simd
+            for (int x = 0; x < j.n; x++) out[c][y % CELL][x] = root(light[x]);
+        }
+}
+
+// Sum up the differences between a kept frame and this one in a row of cells.
+static inline void compare(Job j, int cell_row, int k, Roots now) {
     float sum[4][BLOCK] = {{0}};
     for (int y = cell_row * CELL; y < MIN((cell_row + 1) * CELL, j.H); y++) {
-        const float *now = j.light + (int64_t)y * j.W + from;
-        const uint32_t *found = found_of(j, cell_row, k) + y % CELL * j.W + from;
+        const uint32_t *found = found_of(j, cell_row, k) + y % CELL * BLOCK;
 #pragma omp simd
-        for (int x = 0; x < n; x++) {
-            uint32_t other = found[stride + x];
+        for (int x = 0; x < j.n; x++) {
+            uint32_t other = found[CELL * BLOCK + x];
             float light[3] = {low(found[x]), high(found[x]), low(other)};
 #pragma GCC unroll 3
             for (int c = 0; c < 3; c++) {
-                float d = high(other) * (light[c] - now[c * plane + x]);
+                float d = high(other) * (root(light[c]) - now[c][y % CELL][x]);
                 sum[c][x] += d;
                 sum[3][x] += d * d;
             }
         }
     }
     for (int i = 0; i < 4; i++)
-        for (int x = 0; x < n; x += CELL) {
+        for (int x = 0; x < j.n; x += CELL) {
             float total = 0;
             for (int c = 0; c < CELL; c++) total += sum[i][x + c];
-            cells_of(j, cell_row, k)[i * j.columns + (from + x) / CELL] = total;
+            cells_of(j, cell_row, k)[i * (BLOCK / CELL) + x / CELL] = total;
         }
 }
 
-// The weight of unchanged light in a cell, from it and its neighbours.
-static inline float unchanged(Job j, int cell_row, int k, int column) {
-    float sum[4] = {0};
-    for (int i = MAX(cell_row - 1, 0); i <= MIN(cell_row + 1, j.rows - 1); i++)
+// Multiply the weights of a row of cells by that of light that is unchanged in `side` × `side` cells and as many on each side
+// of them.
+static inline void unchanged(Job j, int cell_row, int k, int side, float alike, float changed, float *weight) {
+    int top = cell_row / side * side, columns = (j.n + CELL - 1) / CELL;
+    float column[4][BLOCK / CELL + 2 * WIDE] = {{0}};  // sums, from `side` columns before the first on
+    for (int i = MAX(top - side, 0); i < MIN(top + 2 * side, j.rows); i++)
         for (int c = 0; c < 4; c++) {
-            const float *row = cells_of(j, i, k) + c * j.columns;
-            sum[c] += (column ? row[column - 1] : 0) + row[column] + (column + 1 < j.columns ? row[column + 1] : 0);
+            const float *row = cells_of(j, i, k) + c * (BLOCK / CELL);
+            for (int x = 0; x < columns; x++) column[c][side + x] += row[x];
         }
-    float q = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]) / MAX(sum[3], 1e-30f);
-    return MIN(MAX((j.changed - q) / (j.changed - j.alike), 0), 1);
+    for (int x = 0; x < columns; x++) {
+        float sum[4] = {0};
+        for (int c = 0; c < 4; c++)
+            for (int i = 0; i < 3 * side; i++) sum[c] += column[c][x / side * side + i];
+        float q = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]) / MAX(sum[3], 1e-30f);
+        weight[x] *= MIN(MAX((changed - q) / (changed - alike), 0), 1);
+    }
 }
 
 // Divide n sums of `channels` channels by the last one, their weight: the mean [channels - 1, H, W] and the weight, from pixel
@@ -316,23 +339,25 @@ static inline void footprints(Job j, int y, int from, int n, float weight[][BLOC
     divide(sum, SUMMED, j.footprint, j.footprint_count, j.plane, first, n);
 }
 
-// The means over all kept frames, for n pixels of a row of cells.
-static inline void average(Job j, int cell_row, int from, int n) {
-    int64_t stride = (int64_t)CELL * j.W;
+// The means over all kept frames, for n pixels of a row of cells from `first` of the block on, a multiple of CELL.
+static inline void average(Job j, int cell_row, int first, int n) {
+    int from = j.from + first;
     float weight[j.K][BLOCK];  // of unchanged light
-    for (int k = 0; k < j.K; k++)
-        for (int x = 0; x < n; x += CELL) {
-            float w = unchanged(j, cell_row, k, (from + x) / CELL);
-            for (int i = 0; i < CELL; i++) weight[k][x + i] = w;
-        }
+    for (int k = 0; k < j.K; k++) {
+        float cell[BLOCK / CELL];
+        for (int x = 0; x < BLOCK / CELL; x++) cell[x] = 1;
+        unchanged(j, cell_row, k, 1, j.alike, j.changed, cell);
+        unchanged(j, cell_row, k, WIDE, j.wide_alike, j.wide_changed, cell);
+        for (int x = 0; x < n; x++) weight[k][x] = cell[(first + x) / CELL];
+    }
     for (int y = cell_row * CELL; y < MIN((cell_row + 1) * CELL, j.H); y++) {
         float sum[4][BLOCK] = {{0}};
         for (int k = 0; k < j.K; k++) {
-            const uint32_t *found = found_of(j, cell_row, k) + y % CELL * j.W + from;
+            const uint32_t *found = found_of(j, cell_row, k) + y % CELL * BLOCK + first;
 #pragma omp simd
             for (int x = 0; x < n; x++) {
-                uint32_t other = found[stride + x];
-                float w = weight[k][x] * high(other) * from_bits(found[2 * stride + x]);
+                uint32_t other = found[CELL * BLOCK + x];
+                float w = weight[k][x] * high(other) * from_bits(found[2 * CELL * BLOCK + x]);
                 sum[0][x] += w * low(found[x]);
                 sum[1][x] += w * high(found[x]);
                 sum[2][x] += w * low(other);
@@ -344,17 +369,19 @@ static inline void average(Job j, int cell_row, int from, int n) {
     }
 }
 
-// Rows of cells [top, bottom).
-static void band(Job j, int top, int bottom) {
-    for (int row = MAX(top - 1, 0); row <= bottom; row++) {
-        if (row < j.rows)
-            for (int from = 0; from < j.W; from += BLOCK) {
-                int n = MIN(BLOCK, j.W - from);
-                for (int y = row * CELL; y < MIN((row + 1) * CELL, j.H); y++) look(j, y, from, n);
-                for (int k = 0; k < j.K; k++) compare(j, row, k, from, n);
-            }
-        if (row > top)
-            for (int from = 0; from < j.W; from += BLOCK) average(j, row - 1, from, MIN(BLOCK, j.W - from));
+// Rows of wide cells [top, bottom) of a strip of n pixels from column `left` on, a multiple of MARGIN.
+static void strip(Job j, int top, int bottom, int left, int n) {
+    j.from = MAX(left - MARGIN, 0);
+    j.n = MIN(left + n + MARGIN, j.W) - j.from;
+    for (int wide = MAX(top - 1, 0); wide <= bottom; wide++) {
+        for (int row = wide * WIDE; row < MIN((wide + 1) * WIDE, j.rows); row++) {
+            Roots now;
+            for (int y = row * CELL; y < MIN((row + 1) * CELL, j.H); y++) look(j, y);
+            roots(j, row, now);
+            for (int k = 0; k < j.K; k++) compare(j, row, k, now);
+        }
+        if (wide > top)
+            for (int row = (wide - 1) * WIDE; row < MIN(wide * WIDE, j.rows); row++) average(j, row, left - j.from, n);
     }
 }
 
@@ -364,18 +391,21 @@ static void band(Job j, int top, int bottom) {
 void recall(const float *light, const float *motion, const float *depth, const float *normal,
             const uint8_t *uncovered, const float *misplaced, const uint32_t *const *kept, float *mean, float *count,
             float *footprint, float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W, int words,
-            float depth_tolerance, float normal_tolerance, float alike, float changed, float speed, int threads) {
+            float depth_tolerance, float normal_tolerance, float alike, float changed, float wide_alike, float wide_changed,
+            float speed, int threads) {
     int64_t plane = (int64_t)H * W;
-    int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
+    int rows = (H + CELL - 1) / CELL, wide = (rows + WIDE - 1) / WIDE, width = BLOCK - 2 * MARGIN;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int t = 0; t < threads; t++)
         for (int b = 0; b < B; b++) {
             Job j = {light + 3 * b * plane, motion + 2 * b * plane, depth + b * plane, normal + 3 * b * plane,
                      footprint ? uncovered + b * plane : NULL, kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
                      footprint ? footprint + 9 * b * plane : NULL, footprint ? footprint_count + b * plane : NULL,
-                     found + (int64_t)t * FOUND * K * 3 * CELL * W, cells + (int64_t)t * SUMS * K * 4 * columns,
-                     depth_tolerance, normal_tolerance, alike, changed, speed, misplaced[b], plane, K, H, W, columns, rows, words};
-            band(j, (int64_t)rows * t / threads, (int64_t)rows * (t + 1) / threads);
+                     found + (int64_t)t * FOUND * K * 3 * CELL * BLOCK, cells + (int64_t)t * SUMS * K * BLOCK,
+                     depth_tolerance, normal_tolerance, alike, changed, wide_alike, wide_changed, speed, misplaced[b],
+                     plane, K, H, W, rows, words, 0, 0};
+            int top = (int64_t)wide * t / threads, bottom = (int64_t)wide * (t + 1) / threads;
+            for (int left = 0; left < W; left += width) strip(j, top, bottom, left, MIN(width, W - left));
         }
 }
 

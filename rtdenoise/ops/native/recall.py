@@ -18,11 +18,13 @@ from ...constants import (
     RECALL_CHANGED,
     RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
+    RECALL_WIDE_ALIKE,
+    RECALL_WIDE_CHANGED,
     RECALL_WORDS,
 )
 from .compiler import library, pointer
 
-FOUND, SUMS = 2, 3  # rows of cells, as in recall.c
+FOUND, SUMS, BLOCK = 4, 6, 256  # as in recall.c
 WORDS = 3  # likewise, found of a pixel in each kept frame
 
 
@@ -44,11 +46,12 @@ def recall(
     where = uncovered.contiguous() if footprint else None
     less = light.new_zeros(B) if misplaced is None else misplaced.expand(B, 1, 1, 1).contiguous()
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
-    found = light.new_empty(threads, FOUND, K, WORDS, RECALL_CELL, W, dtype=torch.int32)
-    cells = light.new_empty(threads, SUMS, K, 4, -(-W // RECALL_CELL))
+    found = light.new_empty(threads, FOUND, K, WORDS, RECALL_CELL, BLOCK, dtype=torch.int32)
+    cells = light.new_empty(threads, SUMS, K, BLOCK)
     kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
     outputs = [*map(pointer, results), *[None] * (4 - len(results))]
-    tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, RECALL_ALIKE, RECALL_CHANGED, RECALL_EDGE_SPEED))
+    tests = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
+    tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, *tests, RECALL_EDGE_SPEED))
     _compiled().recall(
         *map(pointer, now),
         where if where is None else pointer(where),
