@@ -215,6 +215,35 @@ def test_it_learns(config, optimiser):
     assert np.mean(losses[-5:]) < 0.85 * losses[0]
 
 
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [({"loss_exposure": 0.0}, "loss_exposure: expected more than 0, got 0"),
+     ({"loss_exposure": math.nan}, "loss_exposure: expected more than 0, got nan"),
+     ({"huber": -1.0}, "huber: expected 0 or more, got -1"),
+     ({"checkpoint_minutes": math.nan}, "checkpoint_minutes: expected 0 or more, got nan"),
+     ({"model": "hybrid"}, "init: hybrid leaves its kernels as they are; expected weights .* --init hybrid")],
+)  # fmt: skip
+def test_options_that_cannot_train_are_refused(config, change, expected):
+    with pytest.raises(InputError, match=expected):
+        train(replace(config, **change))
+    assert not Path(config.out).exists()
+
+
+def test_a_step_with_a_loss_that_is_not_finite_is_skipped(config):
+    """Even where all of its gradients are finite."""
+    trainer = Trainer(config)
+    before, loss = [p.clone() for p in trainer.model.parameters()], trainer.task.loss
+
+    def broken(*arguments):
+        total, terms = loss(*arguments)
+        return total + math.nan, terms
+
+    trainer.task = replace(trainer.task, loss=broken)
+    row = trainer.train_step(batch(ClipDataset(*config.data), config, 0))
+    assert math.isfinite(row["grad_norm"]) and row["skipped"] == 1
+    assert all(torch.equal(a, b) for a, b in zip(before, trainer.model.parameters(), strict=True))
+
+
 def test_a_poisoned_clip_is_skipped_counted_and_reported(config, monkeypatch, capsys):
     load_clip = ClipDataset.load
 

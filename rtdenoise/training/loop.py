@@ -108,7 +108,7 @@ def _lead(
         for row in _steps(trainer, share, data, stopping):
             on_step(trainer.step, config.steps, row["loss"])
             last = trainer.step == config.steps
-            if trainer.step % LOG_EVERY == 0 or last or not math.isfinite(row["grad_norm"]):
+            if trainer.step % LOG_EVERY == 0 or last or trainer.skipped_in_turn:
                 log.write(row)
             if validation and (trainer.step % config.validate_every == 0 or last):
                 found = trainer.task.validate(trainer.average, validation, config)

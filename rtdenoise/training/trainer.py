@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from reprlib import repr as shown
 from typing import Any
@@ -13,7 +14,7 @@ import torch
 
 from ..errors import InputError, did_you_mean
 from ..files import open_regular, write_atomically
-from ..models import COMBINERS, PRESETS, STILLS, Combiner, Config, Denoiser, create, grow, read
+from ..models import COMBINERS, PRESETS, STILLS, Combiner, Config, Denoiser, HybridConfig, create, grow, read
 from ..models.inference import choose_device
 from .config import TrainConfig, model_config
 from .distributed import average_gradients, means
@@ -57,7 +58,8 @@ class Trainer:
         total.backward()
         average_gradients(self.model.parameters())
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0).item()
-        if math.isfinite(norm):
+        losses = means({"loss": total.item(), **terms})
+        if math.isfinite(norm) and math.isfinite(losses["loss"]):
             self.skipped_in_turn = 0
             for optimiser in self.optimisers:
                 optimiser.step()
@@ -68,7 +70,6 @@ class Trainer:
         decay = min(0.999, self.step / (self.step + 10))
         for mean, parameter in zip(self.average.parameters(), self.model.parameters(), strict=True):
             mean.lerp_(parameter.detach(), 1 - decay)
-        losses = means({"loss": total.item(), **terms})
         return {"step": self.step, **losses, "grad_norm": norm, "lr": rate, "skipped": self.skipped}
 
     def save(self, path: Path) -> None:
@@ -139,8 +140,9 @@ def _optimisers(model: Denoiser | Combiner, config: TrainConfig) -> list[torch.o
 
 def _initial(config: TrainConfig, wanted: Config) -> Denoiser | Combiner:
     """The network of the file `init`, grown to `wanted`. Raises InputError where it cannot grow to it."""
-    overrides = {"motion": config.motion} if config.model in PRESETS else {}
-    model = read(config.init, **overrides)
+    model = read(config.init)
+    if config.model in PRESETS and hasattr(model.config, "motion"):
+        model.config = replace(model.config, motion=config.motion)
     if model.config != wanted:
         try:
             model = grow(model, wanted)
@@ -164,6 +166,12 @@ def check(config: TrainConfig) -> None:
         raise InputError(f"seed: expected 0 to 2^63 - 1, got {shown(config.seed)}")
     if not 0 < config.lr <= MAX_LR:
         raise InputError(f"lr: expected more than 0 and {MAX_LR:g} at most, got {config.lr}")
+    if not 0 < config.loss_exposure < math.inf:
+        raise InputError(f"loss_exposure: expected more than 0, got {config.loss_exposure}")
+    if not 0 <= config.huber < math.inf:
+        raise InputError(f"huber: expected 0 or more, got {config.huber}")
+    if not 0 <= config.checkpoint_minutes < math.inf:
+        raise InputError(f"checkpoint_minutes: expected 0 or more, got {config.checkpoint_minutes}")
     if not 0 < config.loss_power <= 1:
         raise InputError(f"loss_power: expected more than 0 and 1 at most, got {config.loss_power}")
     for name in ("cuts", "relight", "shade"):
@@ -182,6 +190,9 @@ def check(config: TrainConfig) -> None:
         raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
     choose_device(config.device)
     wanted = model_config(config)
+    if isinstance(wanted, HybridConfig) and config.init is None:
+        raise InputError(f"init: {config.model} leaves its kernels as they are; expected weights to start from, "
+                         f"such as --init {config.model}")  # fmt: skip
     if "components" in wanted.reads and config.signal != "color":
         raise InputError(f"signal: {config.model} splits the beauty; expected 'color', got {config.signal!r}")
     for name in ("stills", "lead_in"):
