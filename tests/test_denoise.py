@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -386,6 +387,15 @@ def test_a_run_killed_anywhere_is_resumed_to_the_same_files(tmp_path, model):
     denoise(str(shot), tmp_path / "out", Options(model=model))
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.exr")} == expected
     assert not list((tmp_path / "out").glob("*.tmp"))  # files that the killed runs left are gone
+
+
+def test_a_run_of_another_backend_is_not_gone_on_with(tmp_path, model):
+    """Shaders do not follow light over its surfaces, so their pictures are others."""
+    shot = write_sequence(tmp_path / "shot", make_frames(3))
+    denoise(str(shot), tmp_path / "out", Options(model=model))
+    for backend, refused in (("torch", False), ("glsl", True)):
+        with pytest.raises(InputError, match="of a run with other options") if refused else nullcontext():
+            denoise(str(shot), tmp_path / "out", Options(model=model, backend=backend))
 
 
 def test_a_disk_that_fills_up_is_one_line_and_resumable(tmp_path, model):

@@ -18,11 +18,12 @@ from ..errors import InputError
 from ..files import dumps, write_atomically
 from ..models.presets import SHRINKAGE
 from ..models.weights import bytes_of, files_of, find
+from .backends import chosen_backend
 
 if TYPE_CHECKING:
     from .options import Options, Summary
 
-INDECISIVE = ("backend", "device")  # options that leave the files as they are
+INDECISIVE = ("backend", "device")  # options that leave the files as they are; what runs, not its option, tells shaders
 YOUNG = {  # options that older runs did not have, as these ran
     "offline": False, "confidence": False, "correct": False, "second": "", "samples": 0, "lights": False, "also": (),
     "oidn": False, "lookahead": 0,
@@ -51,6 +52,8 @@ def refuse_foreign(out: Path, names: Iterable[list[str]]) -> None:
 def digest(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
     parts = {name: value for name, value in _decisive(options).items() if YOUNG.get(name) != value or name not in YOUNG}
+    if (backend := chosen_backend(options.backend)) != "torch":
+        parts["backend"] = backend
     parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     if options.model != SHRINKAGE:
         files = files_of(find(options.model))
