@@ -3,10 +3,11 @@
 With f(x) = log(1 + x), exposure s, the previous picture where each pixel was (`before`) and the trust t in history,
 
     mixed = t a · f(s · first) + (1 - t a) · f(s · other)
-    image = f⁻¹(t b · f(s · before) + (1 - t b) · mixed) / s
+    image = f⁻¹(t h b · f(s · before) + (1 - t h b) · mixed) / s
 
-with the shares a and b. Where the noisy frame is known, a is what it tells (`share_told`): the more samples a pixel,
-the more that is. Where it tells of other pixels, a is that, but not more than usual and not less than the last share.
+with the shares a and b, and h = 1 where there is such a previous picture, else 0 (`held`). Where the noisy frame is
+known, a is what it tells (`share_told`): the more samples a pixel, the more that is. Where it tells of other pixels, a
+is that, but not more than usual and not less than the last share.
 """
 
 from __future__ import annotations
