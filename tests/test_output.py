@@ -10,7 +10,7 @@ import torch
 from synthetic import TINY, make_frames, write_sequence
 
 from rtdenoise.cli.main import main
-from rtdenoise.data.exr import read_channels, write_layers
+from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.output import recombined
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
@@ -267,6 +267,37 @@ def test_nan_in_channels_that_are_passed_on_is_told(tmp_path, model, options, ca
     assert "passed on as in the input: NaN in 4 pixels of normal.Y" in capsys.readouterr().out
     assert json.loads((tmp_path / "out" / "denoise.json").read_text())["passed_on"] == {"normal.Y": 4}
     assert denoise(str(shot), tmp_path / "out", Options(model=model, **options)).passed_on == {"normal.Y": 4}
+
+
+def test_kept_channels_are_those_of_the_input_to_the_bit(tmp_path, model):
+    """A float32 would round what is in whole numbers of 32 bits, and half floats end at 65504."""
+    (frame,) = make_frames(1)
+    size = frame.depth.shape[2:]
+    layers = {name: getattr(frame, name)[0].permute(1, 2, 0).numpy() for name in ("albedo", "normal", "depth")}
+    planes = {"crypto.R": np.full(size, 0xDEADBEEF, np.uint32), "fog.Z": np.full(size, np.inf, np.float16)}
+    layers["color"] = frame.radiance[0].permute(1, 2, 0).numpy()
+    write_layers(tmp_path / "1.exr", layers | planes, dtypes={"crypto.R": "uint", "fog.Z": "half"})
+    denoise(str(tmp_path / "1.exr"), tmp_path / "out", Options(model=model, keep=("all",)))
+    written = OpenEXR.File(str(tmp_path / "out" / "1.exr"), separate_channels=True).channels()
+    for name, plane in planes.items():
+        assert np.array_equal(written[name].pixels, plane) and written[name].pixels.dtype == plane.dtype
+
+
+@pytest.mark.parametrize(
+    "options", [{"keep": ("extra",)}, {"signal": "indirect", "recombine": True}], ids=["keep", "recombine"]
+)
+def test_a_later_frame_that_lacks_what_the_output_needs_is_refused_at_once(tmp_path, model, options):
+    shot = write_sequence(tmp_path / "shot", make_frames(3))
+    for i, path in enumerate(sorted(shot.glob("*.exr"))):
+        layers = read_channels(path, list(read_header(path).channels))
+        layers |= {f"indirect.{c}": layers[c] for c in "RGB"} | {"extra.Z": layers["R"]}
+        for name in ("R", "extra.Z") if i == 2 else ():
+            del layers[name]
+        write_layers(path, layers, dtypes=dict.fromkeys(layers, "float"))
+    what = "--keep" if "keep" in options else "--recombine"
+    with pytest.raises(InputError, match=rf"lacks channel .*, which .* has and {what} needs; the file has"):
+        denoise(str(shot), tmp_path / "out", Options(model=model, **({"signal": "indirect"} | options)))
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("layout", ["plain", "source"])

@@ -51,11 +51,12 @@ def read_header(path: str | os.PathLike) -> ExrHeader:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def read_channels(path: str | os.PathLike, names: Sequence[str]) -> dict[str, np.ndarray]:
+def read_channels(path: str | os.PathLike, names: Sequence[str], as_stored: bool = False) -> dict[str, np.ndarray]:
     """The pixels `[H, W]` float32 of the channels `names` (full names, as `read_header` gives them).
 
-    uint channels come back as float32 too: exact up to 2^24. Only the parts that hold a wanted channel are read.
-    Raises `InputError` as `read_header` does, and for a channel that is missing or cannot be decoded.
+    uint channels come back as float32 too, exact up to 2^24; with `as_stored` all have their own types. Only the parts
+    that hold a wanted channel are read. Raises `InputError` as `read_header` does, and for a channel that is missing or
+    cannot be decoded.
     """
     header = read_header(path)
     path = header.path
@@ -75,7 +76,7 @@ def read_channels(path: str | os.PathLike, names: Sequence[str]) -> dict[str, np
                 found = decoded[stored].shape if stored in decoded else "nothing"
                 raise InputError(f"{path}: damaged, or subsampled: channel '{full}' decodes to {found}, "
                                  f"expected ({header.height}, {header.width})")  # fmt: skip
-            pixels[full] = decoded[stored].astype(np.float32)
+            pixels[full] = decoded[stored] if as_stored else decoded[stored].astype(np.float32)
     return {name: pixels[name] for name in names}
 
 
@@ -161,6 +162,8 @@ def _planes(key: str, array: np.ndarray) -> list[tuple[str, np.ndarray]]:
 
 
 def _convert(plane: np.ndarray, dtype: str) -> np.ndarray:
+    if plane.dtype == NUMPY_TYPES[dtype]:  # as it was stored, infinity included
+        return np.ascontiguousarray(plane)
     if dtype == "half":
         plane = np.clip(plane, -MAX_HALF, MAX_HALF)
     elif dtype == "uint":

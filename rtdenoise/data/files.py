@@ -54,11 +54,12 @@ class FrameFiles:
         channels = {f"{buffer}.{c}": t for buffer, header in headers.items() for c, t in header.channels.items()}
         return ExrHeader(first.path, first.width, first.height, channels, (), 0, first.samples, first.placing)
 
-    def read(self, names: Collection[str]) -> dict[str, np.ndarray]:
-        """The pixels `[H, W]` float32 of channels, by the names that `header` gives them."""
+    def read(self, names: Collection[str], as_stored: bool = False) -> dict[str, np.ndarray]:
+        """The pixels `[H, W]` of channels in float32, or in the types of the file, by the names that `header` gives
+        them."""
         pixels: dict[str, np.ndarray] = {}
         for path, wanted in self.locate(names).items():
-            stored = read_channels(path, list(wanted))
+            stored = read_channels(path, list(wanted), as_stored)
             pixels |= {full: stored[name] for name, full in wanted.items()}
         return pixels
 

@@ -85,7 +85,7 @@ class ArchiveFrame(FrameFiles):
         channels = {f"{name}.{c}": types[name] for name, letters in COMPONENTS.items() for c in letters}
         return ExrHeader(self.path, width, height, channels, (), 0, self.samples)
 
-    def read(self, names: Collection[str]) -> dict[str, np.ndarray]:
+    def read(self, names: Collection[str], as_stored: bool = False) -> dict[str, np.ndarray]:
         wanted = {name.partition(".")[0] for name in names}
         planes: dict[str, np.ndarray] = {}
         with _opened(self.path) as group:

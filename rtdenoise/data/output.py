@@ -43,10 +43,13 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
         raise InputError(f"{sequence.paths[0]}: layout 'source' copies EXR files, this is none: choose 'plain'")
     if layout == "source" and keep:
         raise InputError("layout 'source' passes every channel on: leave --keep out")
-    _kept(sequence, keep)
+    sequence.require_channels(_kept(sequence, keep), "--keep")
     if recombine and sequence.signal != "color" and "radiance" not in sequence.layout.resolve(sequence.header, "color"):
         raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has {sequence.header.summary}; "
                          f"{sequence.layout.hint('radiance', 'color')}")  # fmt: skip
+    if recombine and sequence.signal != "color":
+        beauty = sequence.layout.resolve(sequence.header, "color")["radiance"]
+        sequence.require_channels(beauty.channels, "--recombine")
     if recombine and sequence.demodulated and "albedo" not in sequence.rules:
         raise InputError(f"{sequence.paths[0]}: --recombine needs the albedo that the signal was divided by; "
                          f"{sequence.layout.hint('albedo', sequence.signal)}")  # fmt: skip
@@ -206,13 +209,13 @@ def _write_plain(
     dtypes = {"color": "float" if float32 else "half"}
     if keep:
         names, types = _kept(sequence, keep), sequence.header.channels
-        layers |= sequence.files[index].read(names)
+        layers |= sequence.files[index].read(names, as_stored=True)
         dtypes |= {name: types[name] for name in names}
     write_layers(path, layers, dtypes=dtypes, attributes=sequence.header.placing)
     return {
         name: bad
         for name, plane in layers.items()
-        if name not in ("color", *extra) and (bad := int(np.isnan(plane).sum()))
+        if name not in ("color", *extra) and (bad := int((plane != plane).sum()))
     }
 
 

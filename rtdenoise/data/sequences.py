@@ -108,6 +108,14 @@ class Sequence:
             raise InputError(_missing(self.header, self.layout, self.signal, missing[0]))
         return self
 
+    def require_channels(self, names: Collection[str], what: str) -> None:
+        """Raise `InputError` where a later frame lacks channels of the first, which `what` needs."""
+        for files in self.files[1:] if names else ():
+            header = files.header()
+            if missing := [name for name in names if name not in header.channels]:
+                raise InputError(f"{header.path}: lacks channel {missing[0]}, which {self.paths[0].name} has and "
+                                 f"{what} needs; the file has {header.summary}")  # fmt: skip
+
     def _derivable(self, layer: str) -> bool:
         if not self.scene or "position" not in self.available:
             return False
