@@ -13,6 +13,7 @@ from synthetic import make_frames, write_sequence
 
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import write_layers
+from rtdenoise.data.layout import OWN
 from rtdenoise.errors import InputError
 from rtdenoise.ops import warp
 from rtdenoise.run.conventions import READINGS, Reading
@@ -224,7 +225,7 @@ def test_the_facts(tmp_path):
     assert {layer.name: layer.dtype for layer in found.layers} == {
         "radiance": "half", "albedo": "half", "depth": "float", "motion": "float", "motion_next": "float"
     }  # fmt: skip
-    assert found.missing == {"normal": "write it as normal.X, normal.Y, normal.Z"}
+    assert found.missing == {"normal": f"write it as normal.X, normal.Y, normal.Z, or name it in {OWN}"}
     assert found.ignored == ("extra.V",) and found.computed == ()
     assert found.examined == (1, 2, 3)  # 6 has no neighbour
     assert found.faults == {"radiance: NaN or Inf": 1, "motion: NaN or Inf": 5}

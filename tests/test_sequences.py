@@ -225,7 +225,8 @@ def test_a_missing_signal(tmp_path):
         f"{folder / 'frame.0000.exr'}: no signal 'indirect' (native layout); the file has R,G,B, albedo."
     )
     assert found.endswith(
-        "choose the signal 'color', which is there, or write it as indirect.R, indirect.G, indirect.B"
+        "choose the signal 'color', which is there, or write it as indirect.R, indirect.G, indirect.B, or name it in a "
+        "layout of your own (--preset my.toml)"
     )
     assert message(open_sequence, folder, signal="direct") == "unknown signal 'direct': known are color, indirect"
     assert message(open_sequence, folder, layers=["normals"]).startswith(

@@ -58,6 +58,6 @@ def group_channels(names: Iterable[str]) -> str:
     for name in names:
         layer, _, component = name.rpartition(".")
         groups.setdefault(layer, []).append(component)
-    merged = {layer: ",".join(sorted(c, key=lambda c: ("RGBA".find(c), c))) for layer, c in groups.items()}
+    merged = {layer: ",".join(sorted(c, key=lambda c: ("RGBA".find(c) % 5, c))) for layer, c in groups.items()}
     braced = {layer: f"{{{c}}}" if "," in c else c for layer, c in merged.items()}
     return ", ".join(f"{layer}.{braced[layer]}" if layer else merged[layer] for layer in groups)

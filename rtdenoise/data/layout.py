@@ -12,6 +12,7 @@ from .exr_format import ExrHeader
 from .layers import SIGNALS
 
 SCALES = ("pixels", "uv")  # uv: fractions of the picture's width and height
+OWN = "a layout of your own (--preset my.toml)"
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,9 @@ class Layout:
             if name in self.layers:
                 channels = self.layers[name][0].channels
                 buffer = channels[0].partition(".")[0]
-                return f"write it as {self.buffers[buffer][0] if buffer in self.buffers else ', '.join(channels)}"
-        return f"this layout has no name for {names[0]}: describe the files in a layout of your own (--preset my.toml)"
+                name = self.buffers[buffer][0] if buffer in self.buffers else ", ".join(channels)
+                return f"write it as {name}, or name it in {OWN}"
+        return f"this layout has no name for {names[0]}: describe the files in {OWN}"
 
 
 def _names(layer: str, signal: str) -> tuple[str, ...]:
