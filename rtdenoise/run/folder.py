@@ -88,8 +88,8 @@ def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) 
     )  # tuples become lists, as in `before`
     changed = [key for key in now if key in before and before[key] != now[key]]
     told = ", ".join(f"{key.replace('_', '-')} {before[key]}, now {now[key]}" for key in changed)
-    other = f"other options: {told}" if told else ("another input, layout, weights or backend: a frame was changed, added or "
-                                                   "removed before the last one that is finished, perhaps")  # fmt: skip
+    unseen = "another input, layout, weights or backend: a finished frame's input was changed or removed, perhaps"
+    other = f"other options: {told}" if told else unseen
     raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
 
 
