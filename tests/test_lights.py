@@ -183,9 +183,17 @@ def dark(planes):
         planes[f"ViewLayer.Diffuse Direct.{c}"] *= 0
 
 
+def clear(planes):
+    """Volume passes, for there are no volumes."""
+    for c in "RGB":
+        planes[f"ViewLayer.Volume Direct.{c}"] = 0 * planes[f"ViewLayer.Combined.{c}"]
+
+
 @pytest.mark.parametrize(("change", "options", "words"), [
     (without("Glossy Color", "Emission"), {"lights": True}, "missing: Glossy Color, Emission; switch on View Layer"),
-    (dark, {"lights": True}, "do not add up to the picture"),
+    (dark, {"lights": True},
+     "too much; are there volumes? switch on View Layer > Passes > Light > Volume, or leave --lights out"),
+    (lambda planes: (dark(planes), clear(planes)), {"lights": True}, "too much; leave --lights out"),
     (without(), {"also": ("Emision",)}, "did you mean 'Emission'?"),
     (without(), {"lights": True, "also": ("Emission",)}, "--also Emission: --lights denoises this pass already"),
     (without(), {"lights": True, "signal": "indirect"}, "goes with --signal color"),
@@ -231,6 +239,28 @@ def test_an_environment_and_an_emission_are_passed(tmp_path):
     for a, b in zip(before, after, strict=True):
         sky = image(b, "Environment") - image(a, "Environment")
         np.testing.assert_allclose(sky, np.broadcast_to([[[0.2]], [[0.3]], [[0.5]]], sky.shape), rtol=1e-3)
+
+
+@pytest.mark.parametrize("first", [0.0, 0.5], ids=["comes into view later", "from the first frame on"])
+def test_a_background_that_is_not_in_the_picture_stays_out_of_it(tmp_path, first):
+    """With a transparent film Cycles writes the sky into Environment alone."""
+    skies = iter((first, 0.5, 0.5))
+
+    def add(planes):
+        sky = next(skies)
+        for c in "RGB":
+            planes[f"ViewLayer.Environment.{c}"] += sky
+
+    before = relit(tmp_path / "shot", add, frames=3)
+    options = {"lights": True, "float32": True}
+    alone = run(tmp_path / "alone", relit(tmp_path / "dark", frames=3), **options)
+    plain = run(tmp_path / "plain", before, **options)
+    source = run(tmp_path / "source", before, layout="source", **options)
+    for noisy, a, b, c in zip(sorted(before.glob("*.exr")), alone, plain, source, strict=True):
+        assert_same_but_for_limits(image(b, ""), image(a, ""))
+        assert np.array_equal(image(c, "Environment"), image(noisy, "Environment"))
+        np.testing.assert_allclose(sum_of_lights(c) - image(c, "Environment"), image(c, "Combined"), rtol=HALF,
+                                   atol=1e-4)  # fmt: skip
 
 
 def test_broken_pixels_in_a_pass_stay_there(tmp_path):

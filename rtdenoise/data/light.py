@@ -1,7 +1,8 @@
 """The light of a renderer's frame in parts: the passes that add up to its picture, and further layers by name.
 
 Cycles splits its picture: Combined is Σ (Direct + Indirect) · Color over diffuse, glossy and transmission, plus
-volumes, Emission and Environment. Light groups are additive too: `Combined_key + Combined_fill + … = Combined`.
+volumes, Emission and Environment, the latter but for a transparent film. Light groups are additive too:
+`Combined_key + Combined_fill + … = Combined`.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ def write_light(
     index: int,
     passes: LightPasses,
     picture: np.ndarray,  # [1, 3, H, W] the beauty
-    parts: dict[str, np.ndarray],  # name of a pass -> [1, 3, H, W] radiance, colours and `also`
+    parts: dict[str, np.ndarray],  # name of a pass -> [1, 3, H, W] radiance, colours and `also`; others stay
     *,
     layout: str = "plain",
     float32: bool = False,
@@ -59,7 +59,8 @@ def _source_planes(
     beauty = sequence.layout.beauty_rule(sequence.header) or PLAIN
     planes = dict(zip(beauty.channels, picture[0], strict=True))
     for name, rule in {**passes.volumes, **passes.passed, **passes.also}.items():
-        planes |= zip(rule.channels, parts[name][0], strict=True)
+        if name in parts:
+            planes |= zip(rule.channels, parts[name][0], strict=True)
     for lobe, rule in passes.colors.items():
         mine = [name for name in passes.lights if name.split()[0] == lobe]
         color = np.where(sum(parts[name] for name in mine) > 0, np.maximum(parts[lobe], LEAST_COLOR), parts[lobe])

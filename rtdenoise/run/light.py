@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 OWN_COLOR = "Diffuse"  # the lobe whose light is divided by its own colour
 MAX_APART = 0.02  # of the mean radiance; half floats round by less than 0.001
 PICTURE = ""  # the name of the sum of all light
+BACKGROUND = "Environment"  # with a transparent film Cycles leaves it out of Combined
 
 
 def in_parts(sequence: Sequence, options: Options, backend: Backend) -> tuple[Backend, Any, Any]:
@@ -67,6 +68,7 @@ class Prepared:
     frame: Frame
     parts: Parts
     names: tuple[str, ...]
+    background: bool = True  # whether it is in the picture
 
 
 class LightBackend:
@@ -111,10 +113,15 @@ class LightBackend:
             dimmed = torch.where(ready.radiance < noisy, ready.radiance / noisy, 1.0)
             for name in images.keys() - self._passes.colors.keys():
                 images[name] = images[name] * dimmed
-            if self._passes.lights and not self._checked:
-                _check_sum(ready, images, self._passes)
-                self._checked = True
-        return Prepared(ready, *split(images, self._passes, self._each))
+            background = True
+            if self._passes.lights:
+                apart, background = _compare_sum(ready, images, self._passes)
+                if not self._checked:
+                    _check_sum(ready, apart, self._passes)
+                    self._checked = True
+                if not background:
+                    images[BACKGROUND] = torch.zeros_like(images[BACKGROUND])
+        return Prepared(ready, *split(images, self._passes, self._each), background)
 
     def mismatch(self, frame: Prepared, history: Any) -> float:
         return self._inner.mismatch(frame.frame, history)
@@ -135,6 +142,8 @@ class LightBackend:
             if PICTURE not in found:
                 lights = self._passes.summands
                 found[PICTURE] = sum(found[name] for name in lights) if lights else whole
+            if not frame.background:
+                found.pop(BACKGROUND, None)  # the layer stays as it is
             return {name: image.cpu().numpy() for name, image in found.items()}, history
 
     def denoise(self, frame: Prepared, history: Any, ahead: tuple = ()) -> tuple[dict[str, np.ndarray], Any]:
@@ -185,14 +194,21 @@ def split(images: dict[str, Tensor], passes: LightPasses, each: bool) -> tuple[P
     return parts, tuple(outputs)
 
 
-def _check_sum(frame: Frame, images: dict[str, Tensor], passes: LightPasses) -> None:
-    """Raise InputError where the passes do not add up to the picture."""
+def _compare_sum(frame: Frame, images: dict[str, Tensor], passes: LightPasses) -> tuple[float, bool]:
+    """How far the passes are from the picture, as a share of its mean, and whether they come nearer to it with the
+    background than without."""
     total = _sum(images[n] * images[n.split()[0]] if n in passes.lights else images[n] for n in passes.summands)
-    apart = ((total - frame.radiance).abs().mean() / frame.radiance.mean().clamp(min=1e-12)).item()
+    mean = frame.radiance.mean().clamp(min=1e-12)
+    whole, bare = (((x - frame.radiance).abs().mean() / mean).item() for x in (total, total - images[BACKGROUND]))
+    return min(whole, bare), whole <= bare
+
+
+def _check_sum(frame: Frame, apart: float, passes: LightPasses) -> None:
+    """Raise InputError where the passes do not add up to the picture."""
     if apart > MAX_APART:
-        advice = "" if passes.volumes else "; are there volumes? switch on View Layer > Passes > Light > Volume"
+        advice = "" if passes.volumes else "are there volumes? switch on View Layer > Passes > Light > Volume, or "
         raise InputError(f"{frame.name}: --lights: the light passes do not add up to the picture, {100 * apart:.0f} % "
-                         f"is missing or too much{advice}, or leave --lights out")  # fmt: skip
+                         f"is missing or too much; {advice}leave --lights out")  # fmt: skip
 
 
 def _sum(images) -> Tensor:
