@@ -266,6 +266,33 @@ def test_wrong_motion_comes_first(tmp_path):
     assert found.convention.status == "wrong" and next_step(found).startswith("mend the motion vectors")
 
 
+@pytest.mark.parametrize(("moves", "options"), [
+    (True, ()), (True, ("--lookahead", "1")), (True, ("--offline",)), (False, ()),
+])  # fmt: skip
+def test_motion_of_zeros_in_a_picture_that_changes_is_told_once(tmp_path, capsys, moves, options):
+    """As Blender 4 writes it with motion blur; where nothing moves it is right."""
+    zeros = torch.zeros_like(make_frames(1)[0].motion)
+    made = make_frames(3) if moves else [replace(make_frames(1)[0], number=number) for number in range(3)]
+    shot = write_sequence(tmp_path / "shot", [replace(frame, motion=zeros, motion_next=zeros) for frame in made])
+    found, words = inspect(shot), "motion is zero everywhere though the picture changes"
+    assert found.unmoved == ((1, 2) if moves else ()) and (words in render_text(found)) == moves
+    assert next_step(found).startswith("render again without motion blur" if moves else "rtdenoise denoise")
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", *options])
+    assert capsys.readouterr().out.count(words) == moves
+
+
+def test_a_cut_between_still_shots_is_no_motion(tmp_path, capsys):
+    first, last = make_frames(1)[0], make_frames(1)[0]
+    last = replace(last, depth=last.depth * 3)
+    shot = write_sequence(tmp_path / "shot", [
+        replace(frame, number=i, motion=torch.zeros_like(frame.motion), motion_next=torch.zeros_like(frame.motion))
+        for i, frame in enumerate([first, first, first, last, last])
+    ])  # fmt: skip
+    assert next_step(inspect(shot)).startswith("rtdenoise denoise")
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast"])
+    assert "motion is zero" not in capsys.readouterr().out
+
+
 def test_motion_statistics(tmp_path):
     """Every pixel but the left tenth comes from 3 px to the right and 4 px below; a box hides a part of that."""
     motion = np.broadcast_to([3.0, 4.0], (H, W, 2)).copy()

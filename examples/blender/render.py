@@ -31,7 +31,7 @@ def add_passes(scene: bpy.types.Scene) -> None:
         setattr(layer, f"use_pass_{name}", True)
     for name in VOLUME_PASSES:
         setattr(layer.cycles, f"use_pass_{name}", True)
-    scene.render.use_motion_blur = False  # with motion blur Cycles writes no vectors
+    scene.render.use_motion_blur = False  # with motion blur Cycles writes no vectors, or zeros
     settings = scene.render.image_settings
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "MULTI_LAYER_IMAGE"

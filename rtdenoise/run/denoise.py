@@ -23,6 +23,7 @@ from .folder import Written, are_finished, digest, prepare, refuse_foreign, refu
 from .light import in_parts
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, check_lookahead, check_samples
 from .state import STATE, last_of_shot, read_state, save_state
+from .unmoved import Watch
 
 
 def denoise(
@@ -130,11 +131,12 @@ def _run(
         return found.with_samples(options.samples or sequence.header.samples) if options.correct else found
 
     reader = Reader(frame, sequence.numbers, backend, options.lookahead, options.detect_cuts)
-    spent = summary.seconds
+    spent, watch = summary.seconds, Watch(summary.notes)
     for i in range(done, len(sequence)):
         this, ahead = reader.take(i, history)
         for what, count in faults(this.raw).items():
             summary.replaced[what] = summary.replaced.get(what, 0) + count
+        watch.see(this.raw, this.goes_on)
         if this.cut:
             summary.cuts.append(this.raw.number)
         started = time.perf_counter()

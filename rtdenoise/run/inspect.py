@@ -20,6 +20,7 @@ from ..errors import INSTALL_TORCH
 from ..frame import Frame
 from ..sanitise import faults
 from .plan import Plan, make_plan
+from .unmoved import UNMOVED, is_unmoved
 
 if TYPE_CHECKING:
     from .conventions import Verdict
@@ -59,6 +60,7 @@ class Inspection:
     examined: tuple[int, ...]  # numbers of the frames whose pixels were read
     faults: dict[str, int]  # "layer: fault" -> pixels of the examined frames that denoising will replace
     motion: MotionStatistics | None
+    unmoved: tuple[int, ...]  # numbers of frames whose motion is zero everywhere though the picture changes
     convention: Verdict | None  # None where there is no motion, or no two consecutive frames
     plan: Plan  # the work that `denoise` will leave out
 
@@ -107,6 +109,7 @@ def inspect(
         examined=tuple(frame.number for frame in frames.values()),
         faults=counts,
         motion=motion,
+        unmoved=tuple(now.number for before, now in moving if is_unmoved(before, now)),
         convention=convention,
         plan=make_plan(sequence.size, len(sequence), "dual", list(frames.values())),
     )
@@ -165,6 +168,8 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
         return f"add {absent[0]}, which denoising needs: {found.missing[absent[0]]}"
     if found.convention and found.convention.status == "wrong":
         return "mend the motion vectors as said above: with these, history comes from wrong places"
+    if 2 * len(found.unmoved) >= len(found.examined):  # not the cuts between still shots
+        return "render again without motion blur, or mend the motion: with zeros, what moves leaves trails"
     words = ["rtdenoise", "denoise", found.source, "--out", "clean/"]
     for name, value in options.items():
         words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
@@ -216,6 +221,8 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
             ("motion", f"mean {m.mean:.2f} px, median {m.p50:.2f}, 99 % below {m.p99:.2f}, largest {m.max:.2f}"),
             ("", f"zero in {m.still:.1%} of the pixels, from off screen {m.off_screen:.2%}, uncovered {uncovered}"),
         ]
+    if found.unmoved:
+        lines.append(("", UNMOVED.format(f"frames {_shorten(found.unmoved)}")))
     if found.convention is None:
         needs = "motion in two consecutive frames" if HAS_TORCH else f"PyTorch; {INSTALL_TORCH}"
         lines.append(("convention", f"not checked: it takes {needs}"))

@@ -31,6 +31,7 @@ from .folder import Written, are_finished, digest, prepare, refuse_foreign, refu
 from .options import EXAMINED, SUMMARY, Options, Summary
 from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
+from .unmoved import Watch
 
 if TYPE_CHECKING:
     from .passes import Passes
@@ -92,6 +93,7 @@ class _Run:
         done, history, summary = (0, None, Summary()) if overwrite else self._resume()
         self.summary, self.written = summary, Written(self.out, self.names[: max(0, done - count)])
         summary.skipped, summary.gaps, summary.notes = max(0, done - count), list(self.sequence.gaps), self._notes()
+        self.watch = Watch(summary.notes)
         if self.estimates.is_symlink() or not (self.estimates.is_dir() or not self.estimates.exists()):
             raise InputError(f"{self.estimates}: not a folder of this program; remove it or choose another --out")
         if not done:
@@ -136,6 +138,7 @@ class _Run:
         if cut and backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             self.summary.cuts.append(frame.number)
             history = None
+        self.watch.see(frame, history is not None)
         estimate, history = self.passes.step(prepared, history)
         write_estimate(self._path(i), estimate)
         return history

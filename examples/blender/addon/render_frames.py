@@ -25,7 +25,7 @@ def configure(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int) 
     for other in scene.view_layers:
         other.use = other == layer
     render, cycles = scene.render, scene.cycles
-    render.use_motion_blur = False  # with it Cycles writes no vectors
+    render.use_motion_blur = False  # with it Cycles writes no vectors, or zeros
     render.use_compositing = render.use_sequencer = render.use_border = render.use_multiview = False
     render.use_persistent_data = True
     cycles.samples, cycles.time_limit, layer.samples = samples, 0, 0
