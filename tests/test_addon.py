@@ -2,6 +2,7 @@
 
 import os
 import re
+import subprocess
 import sys
 import time
 import tomllib
@@ -85,6 +86,23 @@ def test_an_artist_installs_clicks_cancels_and_continues(zipped, blender, with_t
         assert read_header(tmp_path / name).channels.keys() == read_header(noisy).channels.keys()
         grainy, clean = (graininess(path) for path in (noisy, tmp_path / name))
         assert clean < 0.7 * grainy, (name, clean, grainy)
+
+
+def test_what_a_file_sets_spoils_no_frames_of_render_py(blender, tmp_path):
+    renderer = ROOT / "examples" / "blender" / "render.py"
+    run(blender, Path(__file__).parent / "journeys" / "blender_spoiled.py", tmp_path)
+    run(blender, renderer, tmp_path / "shot", "--scene", tmp_path / "spoiled.blend")
+    paths = sorted((tmp_path / "shot").iterdir())
+    assert [path.name for path in paths] == ["frame.0001.exr", "frame.0002.exr"]
+    for path in paths:
+        header = read_header(path)
+        assert (header.width, header.height, header.samples) == (32, 24, 1)
+        assert {name.split(".")[0] for name in header.channels} == {"first"}
+        assert "first.Combined.R" in header.channels and "first.Vector.X" in header.channels
+        assert read_channels(path, ["first.Combined.R"])["first.Combined.R"].min() > 0, "the whole picture"
+    for name, words in (("blind.blend", "has no camera"), ("missing.blend", "no such file")):
+        done = subprocess.run([blender, renderer, tmp_path / "no", "--scene", tmp_path / name], capture_output=True)
+        assert done.returncode == 2 and words in done.stderr.decode().splitlines()[-1]
 
 
 def graininess(path):

@@ -31,6 +31,8 @@ def add_passes(scene: bpy.types.Scene) -> None:
         setattr(layer, f"use_pass_{name}", True)
     for name in VOLUME_PASSES:
         setattr(layer.cycles, f"use_pass_{name}", True)
+    for other in scene.view_layers:
+        other.use = other == layer
     scene.render.use_motion_blur = False  # with motion blur Cycles writes no vectors, or zeros
     settings = scene.render.image_settings
     if hasattr(settings, "media_type"):  # Blender 5
@@ -41,15 +43,19 @@ def add_passes(scene: bpy.types.Scene) -> None:
 
 
 def configure(scene: bpy.types.Scene, width: int, height: int, samples: int, seed: int = 1) -> None:
-    """Cycles on the CPU, with new noise in every frame and no filter on it."""
+    """Cycles on the CPU, with new noise in every frame and no filter on it; every frame, whole, and as rendered."""
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
-    scene.cycles.samples = samples
+    scene.cycles.samples, scene.cycles.time_limit, scene.view_layers[0].samples = samples, 0, 0
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_denoising = False
     scene.cycles.seed = seed
     scene.cycles.use_animated_seed = True
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
+    render = scene.render
+    render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
+    render.use_compositing = render.use_sequencer = render.use_border = render.use_multiview = False
+    render.use_overwrite = render.use_file_extension = True
+    scene.frame_step = 1
 
 
 def own_size(scene: bpy.types.Scene) -> tuple[int, int]:
@@ -188,8 +194,12 @@ def main() -> None:
     options = parser.parse_args()
 
     if options.scene:
+        if not options.scene.is_file():
+            parser.error(f"{options.scene}: no such file")
         bpy.ops.wm.open_mainfile(filepath=str(options.scene.resolve()))
         scene = bpy.context.scene
+        if scene.camera is None:
+            parser.error(f"{options.scene}: the scene has no camera")
         width, height = own_size(scene)
     else:
         bpy.ops.wm.read_factory_settings(use_empty=True)
