@@ -23,7 +23,7 @@ import addon as builder  # noqa: E402
 
 @pytest.fixture(scope="module")
 def parts():
-    """The add-on's modules that need no bpy, imported as a package would."""
+    """The add-on's modules that call no bpy when they are imported, as a package would."""
     import importlib.util
     import types
 
@@ -31,7 +31,8 @@ def parts():
     package.__path__ = [str(ADDON)]
     sys.modules["addon_parts"] = package
     found = {}
-    for name in ("process", "environment"):
+    sys.modules.setdefault("bpy", types.ModuleType("bpy"))
+    for name in ("process", "environment", "work"):
         spec = importlib.util.spec_from_file_location(f"addon_parts.{name}", ADDON / f"{name}.py")
         found[name] = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(found[name])
@@ -153,6 +154,14 @@ def test_cancel_ends_the_whole_group(parts, tmp_path):
     assert time.monotonic() - started < 4 and not job.poll()
     time.sleep(1.7)
     assert not (tmp_path / "late").exists() and not (tmp_path / "next").exists()
+
+
+def test_frames_go_by_their_numbers(parts, tmp_path):
+    made = parts["work"].Work("", "", 1, -2, 10000, "BEST", (), "", "", str(tmp_path))
+    numbers = [-2, 7, 9999, 10000]
+    for number in numbers:
+        (tmp_path / f"frame.{number:04d}.exr").touch()
+    assert [int(path.name.split(".")[1]) for path in parts["work"].clean_frames(made)] == numbers
 
 
 def test_a_python_with_rtdenoise_is_found(parts, tmp_path, monkeypatch):

@@ -126,8 +126,8 @@ def stages(work: Work, rtdenoise: list[str]) -> list[Stage]:
 
 
 def clean_frames(work: Work) -> list[Path]:
-    """The results, in order."""
-    return sorted(Path(work.clean).glob("frame.*.exr"))
+    """The results, in order of their numbers, which may differ in length."""
+    return sorted(Path(work.clean).glob("frame.*.exr"), key=lambda path: int(path.name.split(".")[1]))
 
 
 def _about_denoising(lines: list[str]) -> str:
