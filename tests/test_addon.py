@@ -164,6 +164,24 @@ def test_frames_go_by_their_numbers(parts, tmp_path):
     assert [int(path.name.split(".")[1]) for path in parts["work"].clean_frames(made)] == numbers
 
 
+@pytest.mark.parametrize("links", [True, False])
+def test_a_copy_shares_the_physics_baked_to_disk(parts, tmp_path, monkeypatch, links):
+    work, file, copy = parts["work"], tmp_path / "film.blend", tmp_path / "job" / "job.blend"
+    if not links:
+        monkeypatch.setattr(Path, "symlink_to", lambda *_, **__: (_ for _ in ()).throw(OSError))
+    copy.parent.mkdir()
+    work.share_cache(file, copy)
+    assert not any(copy.parent.iterdir())
+    baked = tmp_path / "blendcache_film" / "cloth_000001_00.bphys"
+    baked.parent.mkdir()
+    baked.write_text("baked")
+    for _ in range(2):  # a job after a job
+        work.share_cache(file, copy)
+        assert (tmp_path / "job" / "blendcache_job" / baked.name).read_text() == "baked"
+    work.forget_cache(copy)
+    assert not any(copy.parent.iterdir()) and baked.exists()
+
+
 def test_a_python_with_rtdenoise_is_found(parts, tmp_path, monkeypatch):
     environment = parts["environment"]
     own = tmp_path / "own"

@@ -37,6 +37,21 @@ def configure(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int) 
     settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "16", "ZIP"
 
 
+def find_bakes(source: Path) -> None:
+    """Let geometry nodes find what they have baked beside the .blend file, in the folder `source`."""
+    for item in bpy.data.objects:
+        for modifier in item.modifiers if item.library is None else ():
+            if modifier.type == "NODES":
+                modifier.bake_directory = absolute(modifier.bake_directory, source)
+                for bake in modifier.bakes:
+                    bake.directory = absolute(bake.directory, source)
+
+
+def absolute(path: str, source: Path) -> str:
+    """A path of Blender's, where it began with // for `source`."""
+    return str(source / path[2:]) if path.startswith("//") else path
+
+
 def main() -> None:
     before, _, (file, *_) = (sys.argv[1:], 0, sys.argv[sys.argv.index("--") + 1 :])
     if not bpy.data.filepath:
@@ -45,6 +60,8 @@ def main() -> None:
     scene, out = bpy.data.scenes[job["scene"]], Path(job["noisy"])
     out.mkdir(parents=True, exist_ok=True)
     configure(scene, scene.view_layers[job["view_layer"]], job["samples"])
+    if job.get("source"):
+        find_bakes(Path(job["source"]))
     numbers = range(job["first"], job["last"] + 1)
     for done, number in enumerate(numbers):
         print(f"{done}/{len(numbers)}", flush=True)

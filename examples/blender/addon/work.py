@@ -7,6 +7,7 @@ from the same copy.
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -35,6 +36,7 @@ class Work:
     noisy: str
     clean: str
     finished: bool = False
+    source: str = ""  # folder of the .blend file
 
     @property
     def arguments(self) -> list[str]:
@@ -77,6 +79,7 @@ def begin(context: bpy.types.Context) -> Work:
     work = Work(
         scene.name, context.view_layer.name, settings.samples, scene.frame_start, scene.frame_end, settings.light,
         tuple(settings.also.replace(",", " ").split()), str(folder), str(folder / "noisy"), str(folder / "clean"),
+        source=str(Path(bpy.data.filepath).parent),
     )  # fmt: skip
     parts = Path(work.noisy), Path(work.clean)
     if not (folder / JOB).exists() and any(part.exists() and any(part.iterdir()) for part in parts):
@@ -87,6 +90,7 @@ def begin(context: bpy.types.Context) -> Work:
     remove_leftovers(work)
     write(work)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / COPY), copy=True, relative_remap=True, compress=True)
+    share_cache(Path(bpy.data.filepath), folder / COPY)
     return work
 
 
@@ -101,7 +105,31 @@ def finish(work: Work) -> Work:
     write(done)
     for name in (COPY, f"{COPY}1"):
         (Path(work.folder) / name).unlink(missing_ok=True)
+    forget_cache(Path(work.folder) / COPY)
     return done
+
+
+def cache_of(file: Path) -> Path:
+    """Where Blender keeps the physics of a .blend file that are baked to disk."""
+    return file.with_name(f"blendcache_{file.stem}")
+
+
+def share_cache(file: Path, copy: Path) -> None:
+    """Let the copy of a .blend file find the physics of the file that are baked to disk."""
+    forget_cache(copy)
+    if cache_of(file).is_dir():
+        try:
+            cache_of(copy).symlink_to(cache_of(file).resolve(), target_is_directory=True)
+        except OSError:  # Windows gives links to few
+            shutil.copytree(cache_of(file), cache_of(copy))
+
+
+def forget_cache(copy: Path) -> None:
+    """Undo `share_cache`."""
+    if cache_of(copy).is_symlink():
+        cache_of(copy).unlink()
+    else:
+        shutil.rmtree(cache_of(copy), ignore_errors=True)
 
 
 def remove_leftovers(work: Work) -> None:
