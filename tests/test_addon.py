@@ -1,5 +1,6 @@
 """The Blender add-on: its zip, its journey inside Blender, and its parts that need no Blender."""
 
+import json
 import os
 import re
 import subprocess
@@ -104,6 +105,27 @@ def test_what_a_file_sets_spoils_no_frames_of_render_py(blender, tmp_path):
     for name, words in (("blind.blend", "has no camera"), ("missing.blend", "no such file")):
         done = subprocess.run([blender, renderer, tmp_path / "no", "--scene", tmp_path / name], capture_output=True)
         assert done.returncode == 2 and words in done.stderr.decode().splitlines()[-1]
+
+
+def test_physics_fall_as_they_do_in_blender_also_after_a_cancelled_job(blender, tmp_path):
+    run(blender, Path(__file__).parent / "journeys" / "blender_cloth.py", tmp_path)
+    frames = [tmp_path / "noisy" / f"frame.{number:04d}.exr" for number in range(1, 9)]
+    render = (blender, ADDON / "render_frames.py", tmp_path / "cloth.blend", "--", tmp_path / "job.json")
+    run(*render)
+    whole = depths(frames)
+    for path in frames[4:]:
+        path.unlink()
+    run(*render)
+    assert depths(frames) == whole
+    run(blender, ROOT / "examples" / "blender" / "render.py", tmp_path / "shot", "--scene", tmp_path / "cloth.blend")
+    assert depths(sorted((tmp_path / "shot").iterdir())) == pytest.approx(whole, rel=1e-5)
+    assert whole == pytest.approx(json.loads((tmp_path / "played.json").read_text()), rel=1e-3)
+
+
+def depths(paths):
+    """Of the point in the middle of each frame."""
+    planes = (read_channels(path, ["ViewLayer.Depth.Z"])["ViewLayer.Depth.Z"] for path in paths)
+    return [float(plane[plane.shape[0] // 2, plane.shape[1] // 2]) for plane in planes]
 
 
 def graininess(path):

@@ -58,6 +58,13 @@ def configure(scene: bpy.types.Scene, width: int, height: int, samples: int, see
     scene.frame_step = 1
 
 
+def simulate(scene: bpy.types.Scene) -> None:
+    """Run through the frames once, so that physics are in Blender's cache: motion vectors take the frame after, to
+    which they would jump."""
+    for number in range(scene.frame_start - 1, scene.frame_end + 2):
+        scene.frame_set(number)
+
+
 def own_size(scene: bpy.types.Scene) -> tuple[int, int]:
     """Width and height set in the file, in pixels."""
     render = scene.render
@@ -211,6 +218,8 @@ def main() -> None:
         scene.frame_end = scene.frame_start + options.frames - 1
     configure(scene, options.width or width, options.height or height, options.samples, options.seed)
     add_passes(scene)
+    if options.scene:
+        simulate(scene)
     scene.render.filepath = str(options.out.resolve() / "frame.####")
     bpy.ops.render.render(animation=True)
 

@@ -18,6 +18,8 @@ import bpy
 sys.path.insert(0, str(Path(__file__).parent))
 import passes
 
+PHYSICS = {"CLOTH", "DYNAMIC_PAINT", "FLUID", "PARTICLE_SYSTEM", "SOFT_BODY"}  # modifiers
+
 
 def configure(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int) -> None:
     """Noise that a temporal denoiser can use, in one multilayer file a frame."""
@@ -35,6 +37,19 @@ def configure(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int) 
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "MULTI_LAYER_IMAGE"
     settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "16", "ZIP"
+
+
+def simulate(scene: bpy.types.Scene, first: int, last: int) -> None:
+    """Run through the frames once where there are physics, so that all find them in Blender's cache: motion vectors
+    take the frame after, and a frame that is there is not rendered, both of which physics would jump over."""
+    if scene.rigidbody_world or any(is_simulated(m) for item in bpy.data.objects for m in item.modifiers):
+        for number in range(first - 1, last + 2):
+            scene.frame_set(number)
+
+
+def is_simulated(modifier: bpy.types.Modifier) -> bool:
+    """Whether a modifier goes on from frame to frame."""
+    return modifier.type in PHYSICS or (modifier.type == "NODES" and len(modifier.bakes) > 0)
 
 
 def find_bakes(source: Path) -> None:
@@ -62,6 +77,7 @@ def main() -> None:
     configure(scene, scene.view_layers[job["view_layer"]], job["samples"])
     if job.get("source"):
         find_bakes(Path(job["source"]))
+    simulate(scene, job["first"], job["last"])
     numbers = range(job["first"], job["last"] + 1)
     for done, number in enumerate(numbers):
         print(f"{done}/{len(numbers)}", flush=True)
