@@ -105,6 +105,10 @@ build_scene(scene)
 scene.frame_step = 2
 fails("Set the frame step to 1")
 scene.frame_step = 1
+if bpy.app.version < (5, 0):
+    scene.view_layers[0].name = "n" * 46
+    fails("Give the view layer a name of at most 45 letters")
+    scene.view_layers[0].name = "ViewLayer"
 fails("Allow online access")
 bpy.context.preferences.system.use_online_access = True
 os.environ["PIP_NO_INDEX"] = "1"

@@ -138,7 +138,7 @@ class RTDENOISE_OT_animation(Watched, bpy.types.Operator):
 
     def job(self, context: bpy.types.Context) -> Job:
         scene, folder = context.scene, work.folder_of(context.scene)
-        if obstacle := passes.obstacle(scene):
+        if obstacle := passes.obstacle(scene, context.view_layer):
             raise Trouble(obstacle)
         if self.go_on and not work.can_go_on(folder):
             raise Trouble(f"{folder} holds no cancelled job: click Denoise Animation")

@@ -62,7 +62,7 @@ class Panel:
         if operators.running is not None:
             _draw_progress(layout, operators.running)
             return
-        obstacle = passes.obstacle(scene)
+        obstacle = passes.obstacle(scene, context.view_layer)
         column = layout.column()
         column.active = not obstacle
         for name in ("samples", "light", *(("also",) if settings.light == "PASSES" else ()), "folder"):

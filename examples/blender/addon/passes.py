@@ -16,6 +16,9 @@ CYCLES = {
 }  # fmt: skip
 
 
+LONGEST = 45  # bytes of a view layer's name before Blender 5, so that "Denoising Normal.X" fits behind it
+
+
 def missing(layer: bpy.types.ViewLayer) -> list[str]:
     """The names of the passes that are off."""
     off = [name for key, name in (DATA | LIGHT).items() if not getattr(layer, key)]
@@ -30,8 +33,8 @@ def switch_on(layer: bpy.types.ViewLayer) -> None:
         setattr(layer.cycles, key, True)
 
 
-def obstacle(scene: bpy.types.Scene) -> str:
-    """Why this scene cannot be rendered for rtdenoise, and what to do; "" if it can."""
+def obstacle(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
+    """Why this view layer cannot be rendered for rtdenoise, and what to do; "" if it can."""
     if scene.render.engine != "CYCLES":
         return "Set Render Engine to Cycles: other engines write no motion vectors and light passes"
     if not bpy.data.filepath:
@@ -40,4 +43,6 @@ def obstacle(scene: bpy.types.Scene) -> str:
         return "Add a camera: the scene has none"
     if scene.frame_step != 1:
         return "Set the frame step to 1: the denoiser looks from each frame to the one before"
+    if bpy.app.version < (5, 0) and len(layer.name.encode()) > LONGEST:
+        return f"Give the view layer a name of at most {LONGEST} letters: this Blender cuts longer names short"
     return ""
