@@ -13,6 +13,7 @@ import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers, write_like
 from rtdenoise.data.sequences import open_sequence
+from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
 from rtdenoise.run.inspect import inspect
 
@@ -98,6 +99,19 @@ def test_the_names_of_blender_3_and_4(tmp_path):
         old, new = open_sequence(tmp_path, signal=signal)[0], open_sequence(source, signal=signal)[0]
         for (layer, a), (_, b) in zip(old.layers(), new.layers(), strict=True):
             assert torch.equal(a, b), layer
+
+
+@pytest.mark.parametrize("preset", ["auto", "cycles:ViewLayer"])
+def test_a_file_of_several_views_is_told_what_to_do(tmp_path, preset):
+    planes = {f"ViewLayer.Combined.{view}.{c}": np.ones((4, 4)) for view in ("left", "right") for c in "RGB"}
+    write_layers(tmp_path / "1.exr", planes)
+    with pytest.raises(InputError, match=r"several views \(left, right\).* render with Individual.*_L.exr"):
+        open_sequence(tmp_path, preset=preset)
+
+
+def test_a_view_layer_may_be_called_as_a_file_that_describes_a_layout(tmp_path):
+    write_layers(tmp_path / "1.exr", {f"fg.toml.Combined.{c}": np.ones((4, 4)) for c in "RGB"})
+    assert open_sequence(tmp_path, preset="cycles:fg.toml").rules["radiance"].channels[0] == "fg.toml.Combined.R"
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------

@@ -183,6 +183,10 @@ def dark(planes):
         planes[f"ViewLayer.Diffuse Direct.{c}"] *= 0
 
 
+def mask(planes):
+    planes["ViewLayer.mask.X"] = planes["ViewLayer.Combined.R"]
+
+
 def clear(planes):
     """Volume passes, for there are no volumes."""
     for c in "RGB":
@@ -195,6 +199,7 @@ def clear(planes):
      "too much; are there volumes? switch on View Layer > Passes > Light > Volume, or leave --lights out"),
     (lambda planes: (dark(planes), clear(planes)), {"lights": True}, "too much; leave --lights out"),
     (without(), {"also": ("Emision",)}, "did you mean 'Emission'?"),
+    (mask, {"also": ("mask",)}, "no layer 'mask' of three colours; the file has Combined, Denoising Albedo, "),
     (without(), {"lights": True, "also": ("Emission",)}, "--also Emission: --lights denoises this pass already"),
     (without(), {"lights": True, "signal": "indirect"}, "goes with --signal color"),
     (without(), {"lights": True, "keep": ("all",)}, "goes without --keep"),

@@ -171,10 +171,12 @@ NAMES = ("native", "cycles", "mitsuba", "falcor", "bmfr", "oidn", "noisebase")
 
 def choose(name: str, source: str | os.PathLike) -> Layout | None:
     """The layout, if its name or the names of the files in `source` (folder or glob) decide it; None: the first header
-    decides (`find`). A name that ends in .toml is a file that describes a layout.
+    decides (`find`). A name that ends in .toml is a file that describes a layout, but for a view layer's (cycles:NAME).
 
     Raises `InputError` for an unknown name, and as `read_layout` does.
     """
+    if name.partition(":")[0] == "cycles":
+        return None
     if name.endswith(".toml"):
         return read_layout(Path(name))
     if name.partition(":")[0] == NOISEBASE.name or (name == "auto" and _holds_archives(Path(source))):
@@ -183,8 +185,6 @@ def choose(name: str, source: str | os.PathLike) -> Layout | None:
         return next((layout for layout in (FALCOR, BMFR, OIDN) if fits(source, layout.buffers)), None)
     if name in LAYOUTS:
         return LAYOUTS[name]
-    if name.partition(":")[0] == "cycles":
-        return None
     raise InputError(f"unknown preset '{name}'{did_you_mean(name, NAMES)}: known are auto, {', '.join(NAMES)}, "
                      "or a .toml file")  # fmt: skip
 
@@ -222,6 +222,7 @@ def detect(header: ExrHeader) -> Layout:
     }
     best = max((NATIVE, MITSUBA), key=lambda layout: len(found[layout.name]))  # ties go to native
     if "radiance" not in found[best.name]:
+        _refuse_views(header)
         raise InputError(f"{header.path}: no known layout (presets: {', '.join(NAMES)}): no R,G,B, no indirect.R,G,B, "
                          f"no <ViewLayer>.Combined.R,G,B among {header.summary}")  # fmt: skip
     return best
@@ -234,9 +235,19 @@ def view_layers(header: ExrHeader) -> list[str]:
     return [layer for layer in found if layer != "Composite"] or list(found)
 
 
+def _refuse_views(header: ExrHeader) -> None:
+    """Raise InputError for a file of several views of a picture: `ViewLayer.Combined.left.R`."""
+    pattern = re.compile(r"(?:.+\.)?(?:Combined|Noisy Image)\.([^.]+)\.R")
+    if views := [match[1] for name in header.channels if (match := pattern.fullmatch(name))]:
+        raise InputError(f"{header.path}: holds several views ({', '.join(views)}), as Blender's Views Format "
+                         "Multi-View writes them: render with Individual, and denoise each view for itself, e.g. "
+                         "'shot/*_L.exr'")  # fmt: skip
+
+
 def _choose_view_layer(header: ExrHeader, wanted: str) -> str:
     found = view_layers(header)
     if not found:
+        _refuse_views(header)
         raise InputError(f"{header.path}: no <ViewLayer>.Combined.R as Cycles writes it among {header.summary}")
     if wanted and wanted not in found:
         raise InputError(f"{header.path}: no view layer '{wanted}'; the file has {', '.join(found)}")

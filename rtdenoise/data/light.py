@@ -101,6 +101,11 @@ def _layer(sequence: Sequence, prefix: str, name: str) -> Rule:
         for components in ("RGB", "XYZ"):
             if rule := rules(full, components)[0].match(channels):
                 return rule
-    known = {c.rpartition(".")[0].removeprefix(prefix) for c in channels if c.endswith((".R", ".X"))}
+    layers = {c.rpartition(".")[0] for c in channels}
+    known = {
+        layer.removeprefix(prefix)
+        for layer in layers
+        if any(all(f"{layer}.{c}" in channels for c in components) for components in ("RGB", "XYZ"))
+    }
     raise InputError(f"{sequence.paths[0]}: --also: no layer {name!r} of three colours{did_you_mean(name, known)}; "
                      f"the file has {', '.join(sorted(known))}")  # fmt: skip
