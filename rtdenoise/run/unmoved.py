@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..frame import Frame
@@ -11,6 +13,7 @@ from ..sanitise import FAR
 # (depth), or by an amount (albedo). Such pixels of Cycles at 1 sample: up to 0.1 % of a still scene with depth of
 # field, 1 to 4 % where things move by a pixel or two.
 DEPTH_CHANGE, ALBEDO_CHANGE, LEAST = 0.02, 0.05, 0.005
+MOST = 100_000  # about so many pixels of a frame are looked at
 UNMOVED = (
     "motion is zero everywhere though the picture changes ({}), so what moves leaves trails: was motion blur on? "
     "render without it"
@@ -49,10 +52,14 @@ def _changed(before: np.ndarray, now: np.ndarray, relative: float, absolute: flo
     """Share of the pixels of `[1, C, H, W]` that have changed."""
     if np.array_equal(before, now):
         return 0.0
-    before, now = (np.nan_to_num(x, nan=0.0, posinf=FAR).clip(0, FAR) for x in (before, now))
     H, W = now.shape[2:]
+    step = max(1, math.isqrt(H * W // MOST))
     padded = np.pad(before, ((0, 0), (0, 0), (1, 1), (1, 1)), mode="edge")
-    around = [padded[..., i : i + H, j : j + W] for i in range(3) for j in range(3)]
-    low, high = np.minimum.reduce(around), np.maximum.reduce(around)
+    around = [_valid(padded[..., i : i + H : step, j : j + W : step]) for i in range(3) for j in range(3)]
+    low, high, now = np.minimum.reduce(around), np.maximum.reduce(around), _valid(now[..., ::step, ::step])
     outside = (now < low * (1 - relative) - absolute) | (now > high * (1 + relative) + absolute)
     return float(outside.any(1).mean())
+
+
+def _valid(x: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(x, nan=0.0, posinf=FAR).clip(0, FAR)
