@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from ..models.presets import Config
 
 OWN_COLOR = "Diffuse"  # the lobe whose light is divided by its own colour
-MAX_CHANGE = 4.0  # of a layer of `also`; where pictures are darkest their ratio is arbitrary
 MAX_APART = 0.02  # of the mean radiance; half floats round by less than 0.001
 PICTURE = ""  # the name of the sum of all light
 BACKGROUND = "Environment"  # with a transparent film Cycles leaves it out of Combined
@@ -143,9 +142,6 @@ class LightBackend:
             if PICTURE not in found:
                 lights = self._passes.summands
                 found[PICTURE] = sum(found[name] for name in lights) if lights else whole
-            if self._passes.lights:  # the parts of `also` add up to the whole, which the sum of the lights replaces
-                change = torch.where(whole > 0, found[PICTURE] / whole, 1.0).clamp(max=MAX_CHANGE)
-                found |= {name: found[name] * change for name in self._passes.also}
             if not frame.background:
                 found.pop(BACKGROUND, None)  # the layer stays as it is
             return {name: image.cpu().numpy() for name, image in found.items()}, history
