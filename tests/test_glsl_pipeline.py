@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -180,6 +181,59 @@ def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, s
         scale, distance = statistics.read()
         assert_images_close(scale, exposure(limit_fireflies(radiance)).item(), "float32")
         assert_images_close(distance, mean_distance(depth.clamp(min=0)).item(), "float32")
+
+
+
+# Whose context
+
+
+@pytest.fixture
+def mine(gl):
+    """A program's own context, which a test may make current."""
+    ctx = glsl.create_context()
+    gl.__enter__()
+    yield ctx
+    gl.__enter__()
+    ctx.release()
+
+
+def test_the_context_of_a_program_stays_current_and_intact(mine, weights):
+    model, frames = weights(SMALL["recent"]), [arrays(frame) for frame in make_frames(5)]
+    expected = []
+    pipeline, history = Pipeline.load(model), None
+    for frame in frames:
+        image, history = pipeline.step(frame, history)
+        expected.append(image)
+    mine.__enter__()
+    history, buffers = None, []
+    for frame, wanted in zip(frames, expected, strict=True):
+        image, history = pipeline.step(frame, history)  # drops the history before
+        assert np.array_equal(image, wanted)
+        buffers += [mine.buffer(np.full(4096, len(buffers) + i, np.float32)) for i in range(20)]
+        assert pipeline.mismatch(frame, history) < 1
+        image = np.ones((1, 3, 5, 7), np.float32)
+        assert np.array_equal(glsl.warp(image, np.zeros((1, 2, 5, 7), np.float32)), image)
+        resident = glsl.History.upload(pipeline.ctx, history.read())
+        assert np.array_equal(resident.denoised.read(), history.denoised.read())
+    for i, buffer in enumerate(buffers):
+        assert (np.frombuffer(buffer.read(), np.float32) == i).all()
+    assert mine.error == "GL_NO_ERROR"
+    assert np.array_equal(Pipeline.load(model).step(frames[0])[0], expected[0])
+
+
+def test_a_pipeline_of_another_thread_is_refused(weights):
+    pipeline, refused = Pipeline.load(weights(SMALL["paper"])), []
+
+    def step():
+        try:
+            pipeline.step(arrays(make_frames(1)[0]))
+        except InputError as error:
+            refused.append(str(error))
+
+    thread = threading.Thread(target=step)
+    thread.start()
+    thread.join()
+    assert "in the thread that made them" in refused[0]
 
 
 OPENGL_43 = """

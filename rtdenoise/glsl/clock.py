@@ -8,6 +8,8 @@ from contextlib import contextmanager
 
 import moderngl
 
+from .current import current
+
 
 class Clock:
     """Times named stages on the GPU, by GL timer queries.
@@ -43,8 +45,9 @@ class Clock:
 
     def read(self) -> dict[str, float]:
         """Seconds by stage since the last call, in order of their first appearance; waits for the GPU."""
-        for name, query in self._queries:
-            self._seconds[name] += query.elapsed * 1e-9
+        with current(self._ctx):
+            for name, query in self._queries:
+                self._seconds[name] += query.elapsed * 1e-9
         seconds, self._seconds = self._seconds, {}
         self._queries.clear()
         return seconds

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import sys
 import threading
+import weakref
 from dataclasses import dataclass
 
 import moderngl
 import numpy as np
 
 from ..errors import InputError
+from .current import current, remember_handle, restored
 
 PACKAGES = "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"  # Debian and Ubuntu; a vendor's own driver serves as well
 
@@ -23,18 +25,22 @@ class GpuMemoryError(InputError):
 
 def create_context() -> moderngl.Context:
     """A context without a window: OpenGL 4.3 or later, through EGL on Linux. It belongs to the thread that creates it.
+    Another context that is current there stays so, if it is EGL's.
 
     Raises InputError where there is no such driver.
     """
     backend = {"backend": "egl"} if sys.platform.startswith("linux") else {}
-    try:
-        ctx = moderngl.create_standalone_context(require=430, **backend)
-    except Exception as error:  # glcontext raises bare `Exception`
-        raise InputError(
-            f"no OpenGL with compute shaders: expected 4.3 or later through EGL, found {_found(backend, error)}; "
-            f"on Debian or Ubuntu type: apt install {PACKAGES}"
-        ) from None
-    ctx.gc_mode = "auto"  # buffers are freed with the Python objects that own them
+    with restored():
+        try:
+            ctx = moderngl.create_standalone_context(require=430, **backend)
+        except Exception as error:  # glcontext raises bare `Exception`
+            raise InputError(
+                f"no OpenGL with compute shaders: expected 4.3 or later through EGL, found {_found(backend, error)}; "
+                f"on Debian or Ubuntu type: apt install {PACKAGES}"
+            ) from None
+        remember_handle(ctx)
+    ctx.gc_mode = "context_gc"  # buffers die with the Python objects that own them, when the context is next current
+    weakref.finalize(ctx, ctx.mglo.release).atexit = False
     return ctx
 
 
@@ -58,7 +64,8 @@ def default_context() -> moderngl.Context:
 
 def storage_limit(ctx: moderngl.Context) -> int:
     """Bytes of one buffer that a shader can address (128 MiB in Mesa's llvmpipe, 2 GiB and more on most GPUs)."""
-    return ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
+    with current(ctx):
+        return ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
 
 
 @dataclass(frozen=True)
@@ -95,8 +102,10 @@ class GpuArray:
                 f"array {list(shape)} {dtype} is {size / 1e6:.1f} MB, but a buffer may have {limit / 1e6:.1f} MB here "
                 f"(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, {ctx.info['GL_RENDERER']}): use float16 or several arrays"
             )
-        buffer = ctx.buffer(reserve=-(-size // 4) * 4)
-        if ctx.error == "GL_OUT_OF_MEMORY":  # moderngl does not raise it
+        with current(ctx):
+            buffer = ctx.buffer(reserve=-(-size // 4) * 4)
+            full = ctx.error == "GL_OUT_OF_MEMORY"  # moderngl does not raise it
+        if full:
             raise GpuMemoryError(
                 f"array {list(shape)} {dtype}: {size / 1e6:.1f} MB more than {ctx.info['GL_RENDERER']} has memory for"
             )
@@ -113,22 +122,26 @@ class GpuArray:
         """A copy of `values`, stored as `dtype`. Raises GpuMemoryError as `empty`."""
         values = np.ascontiguousarray(values, dtype)
         array = cls.empty(ctx, values.shape, dtype, label)
-        array.buffer.write(values)
+        with current(ctx):
+            array.buffer.write(values)
         return array
 
     def read_plane(self, i: int) -> np.ndarray:
         """`read()[i]`, and no more than that."""
         values = np.empty(self.shape[1:], self.dtype)
-        self.buffer.read_into(values, values.nbytes, offset=i * values.nbytes)
+        with current(self.buffer.ctx):
+            self.buffer.read_into(values, values.nbytes, offset=i * values.nbytes)
         return values
 
     def write_plane(self, i: int, values: np.ndarray) -> None:
         """Replace `read()[i]`."""
         values = np.ascontiguousarray(values, self.dtype)
-        self.buffer.write(values, offset=i * values.nbytes)
+        with current(self.buffer.ctx):
+            self.buffer.write(values, offset=i * values.nbytes)
 
     def read(self) -> np.ndarray:
         """A copy in main memory; waits for the shaders that write the array."""
         values = np.empty(self.shape, self.dtype)
-        self.buffer.read_into(values, values.nbytes)
+        with current(self.buffer.ctx):
+            self.buffer.read_into(values, values.nbytes)
         return values

@@ -17,6 +17,7 @@ from .. import __version__
 from ..errors import InputError
 from ..files import dumps, write_atomically
 from ..models.weights import read_config
+from .current import current
 from .dispatch import Dispatch
 from .pipeline import Pipeline
 from .program import Program
@@ -164,7 +165,8 @@ def _buffers(recordings: list[Recording]) -> tuple[dict[str, dict], bytes]:
                 if entry["kind"] == "weights":
                     weights += bytes(-len(weights) % ALIGNMENT)
                     entry["offset"] = len(weights)
-                    weights += array.buffer.read()
+                    with current(array.buffer.ctx):
+                        weights += array.buffer.read()
                 found[name] = entry
     return found, bytes(weights)
 

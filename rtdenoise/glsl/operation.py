@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .context import GpuArray, default_context
+from .current import current
 from .dispatch import GROUP, dispatch
 
 Array = np.ndarray | GpuArray
@@ -51,7 +52,8 @@ def run_all(
             raise ValueError(f"{name}: expected {expected}, got {array.dtype}")
 
     B, _, H, W = next(iter(shapes.values()))
-    dispatch(f"ops/{name}", (W, H, B), arrays | results, {"size": size[::-1], **parameters}, group, **constants)
+    with current(ctx):
+        dispatch(f"ops/{name}", (W, H, B), arrays | results, {"size": size[::-1], **parameters}, group, **constants)
     return [result if on_gpu else result.read() for result in results.values()]
 
 

@@ -9,9 +9,10 @@ Read `Pipeline.run` first: it is the order of the passes. Between upload and dow
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
 
 import moderngl
@@ -24,12 +25,24 @@ from ..models.presets import Config
 from ..models.weights import read_denoiser
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
+from .current import current
 from .kernels import Kernels
 from .passes import Means, Passes
 from .scratch import Scratch
 from .state import History
 
 SHADED = ("temporal_kpn", "accumulated_kpn")  # architectures
+
+
+def _in_context(method: Callable) -> Callable:
+    """Decorate a method of a pipeline: its context is current meanwhile."""
+
+    @wraps(method)
+    def run(self: Pipeline, *arguments, **options):
+        with current(self.ctx):
+            return method(self, *arguments, **options)
+
+    return run
 
 
 class Pipeline:
@@ -66,6 +79,7 @@ class Pipeline:
                              f"{' that are guided' if guided else ''}; use the backend torch")  # fmt: skip
         return cls(stored.config, stored.tensors, half)
 
+    @_in_context
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[np.ndarray, History]:
@@ -91,6 +105,7 @@ class Pipeline:
             image = result.read()
         return image[None], history
 
+    @_in_context
     def mismatch(self, frame: Frame, history: History) -> float:
         """Share of the pixels with history on the screen that find another surface there, as `history.mismatch`: above
         `frame.MAX_CUT_MISMATCH` it is another shot, to start with `history=None`. Waits for the GPU."""
@@ -98,6 +113,7 @@ class Pipeline:
         surface = self.passes.prepare(layers).surface
         return self.passes.mismatch(self.passes.vectors(layers), surface, history.surface)
 
+    @_in_context
     def run(
         self, layers: Mapping[str, GpuArray], history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[GpuArray, History]:
@@ -139,6 +155,7 @@ class Pipeline:
             kept += (recent[: self.config.recent],)
         return result, History(denoised, inputs.surface, vectors if "motion_next" in layers else None, *kept)
 
+    @_in_context
     def remember(self, history: History, frames: Sequence[Frame]) -> History:
         """A history with recent frames, the newest first. Those that it has tell the resets."""
         passes, recent = self.passes, []
@@ -149,6 +166,7 @@ class Pipeline:
             kept.write_plane(RECALL_RESET, kept.read_plane(RECALL_RESET) | before.read_plane(RECALL_RESET))
         return replace(history, recent=tuple(recent))
 
+    @_in_context
     def upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
         """The layers that a step reads, for `run`. Raises InputError where one is missing, or history is of another
         size."""

@@ -7,6 +7,7 @@ from importlib.resources.abc import Traversable
 
 import moderngl
 
+from .current import current
 from .source import ShaderError, ShaderText, expand, locate
 
 
@@ -30,7 +31,8 @@ def program(ctx: moderngl.Context, name: str, /, *, folder: Traversable | None =
     if key not in programs:
         source = expand(name, folder=folder, **constants)
         try:
-            programs[key] = Program(name, ctx.compute_shader(source.text), source)
+            with current(ctx):
+                programs[key] = Program(name, ctx.compute_shader(source.text), source)
         except moderngl.Error as error:
             raise ShaderError(f"{name}.comp.glsl does not compile:\n{locate(str(error), source.origin)}") from None
     return programs[key]
