@@ -221,6 +221,14 @@ def test_the_context_of_a_program_stays_current_and_intact(mine, weights):
     assert np.array_equal(Pipeline.load(model).step(frames[0])[0], expected[0])
 
 
+def test_a_renderer_shares_its_context(mine, weights):
+    model, frame = weights(SMALL["paper"]), arrays(make_frames(1)[0])
+    pipeline = Pipeline.load(model, ctx=mine)
+    image, history = pipeline.step(frame)
+    assert pipeline.ctx is history.denoised.buffer.ctx is mine
+    assert np.array_equal(image, Pipeline.load(model).step(frame)[0])
+
+
 def test_a_pipeline_of_another_thread_is_refused(weights):
     pipeline, refused = Pipeline.load(weights(SMALL["paper"])), []
 

@@ -66,8 +66,11 @@ class Pipeline:
         self.kernels = Kernels(self.scratch, config, tensors)
 
     @classmethod
-    def load(cls, model: str | Path = "default", half: bool = False, **overrides) -> Pipeline:
+    def load(
+        cls, model: str | Path = "default", half: bool = False, ctx: moderngl.Context | None = None, **overrides
+    ) -> Pipeline:
         """As `rtdenoise.load`: a shipped name or a .safetensors file; `overrides` replace fields of its configuration.
+        `half`, `ctx`: as for the constructor.
 
         Raises InputError for an unknown name, a combiner, an unreadable file, weights that do not fit their
         configuration, a network that has no shaders, and where there is no OpenGL 4.3.
@@ -77,7 +80,7 @@ class Pipeline:
         if kind not in SHADED or guided:
             raise InputError(f"{model}: there are no shaders for networks of the kind {kind!r}"
                              f"{' that are guided' if guided else ''}; use the backend torch")  # fmt: skip
-        return cls(stored.config, stored.tensors, half)
+        return cls(stored.config, stored.tensors, half, ctx)
 
     @_in_context
     def step(
