@@ -76,8 +76,44 @@ def test_points_behind_the_other_camera_are_off_the_screen():
     assert (screen_motion(position, here, there) == OFF_SCREEN).all()
 
 
+def orthographic(to_world):
+    """4 units wide; `[4, 4]`, axes as OpenGL's."""
+    to_pixel = np.array([[W / 4, 0, 0, W / 2], [0, -W / 4, 0, H / 2], [0, 0, 1, 0], [0, 0, 0, 1]])
+    return to_pixel @ np.linalg.inv(to_world)
+
+
+def test_an_orthographic_camera_moves_all_surfaces_alike_and_no_sky():
+    position, _ = wall(4.0)
+    position[: H // 2] *= 2
+    position[:, 30:] = 0
+    motion = screen_motion(position, orthographic(np.eye(4)), orthographic(moved(np.eye(4), x=-0.5, z=1)))
+    np.testing.assert_allclose(motion[:, :30], np.broadcast_to([0.5 * W / 4, 0], (H, 30, 2)), atol=1e-5)
+    assert (motion[:, 30:] == 0).all()
+
+
+@pytest.mark.parametrize("camera, world", [(1e-9, 1), (1e9, 1), (1, 1e-7), (1, 1e7)])
+def test_the_scale_of_cameras_and_world_means_nothing(camera, world):
+    position, _ = wall(4.0)
+    position[:, 30:] = 0
+
+    def motion(camera, world):
+        here, there = (
+            pinhole_camera(moved(STANDING["mitsuba"], x=x * world, z=z * world), 60, SIZE)
+            for x, z in ((0, 0), (0.3, -0.1))
+        )
+        return screen_motion(position * world, here * camera, there * camera)
+
+    assert (motion(1, 1) != OFF_SCREEN).all()
+    np.testing.assert_allclose(motion(camera, world), motion(1, 1), atol=1e-4)
+
+
 def test_wrong_arguments_are_named():
-    position, camera = np.ones((H, W, 3)), np.eye(4)
+    position, camera, ids = np.ones((H, W, 3)), np.eye(4), np.ones(SIZE)
+    flat, shifted = np.diag([1.0, 1, 0, 1]), moved(np.eye(4), x=1.0)
+
+    def posed(pose, other=camera):
+        return lambda: screen_motion(position, camera, camera, ids=ids, poses={1: pose}, other_poses={1: other})
+
     for call, message in (
         (lambda: screen_motion(np.ones((3, H, W)), camera, camera), r"position: expected \[H, W, 3\], got \(3,"),
         (lambda: screen_motion(position, camera, np.eye(3)), r"other: expected a matrix \[3, 4\] or \[4, 4\], got"),
@@ -85,6 +121,21 @@ def test_wrong_arguments_are_named():
         (lambda: screen_motion(position, camera, camera, poses={1: camera}, other_poses={1: camera}), "poses need ids"),
         (lambda: screen_motion(position, camera, camera, ids=np.ones((2, 2))), r"ids: expected \(24, 40\) as position"),
         (lambda: pinhole_camera(camera, 60, SIZE, "maya"), "unknown camera convention 'maya'; expected one of mitsuba"),
+        (lambda: screen_motion("x", camera, camera), "position: expected numbers, got str"),
+        (lambda: screen_motion(position, flat[[0, 1, 2, 2]], camera), "camera: the matrix is singular or not finite"),
+        (lambda: screen_motion(position, camera, camera * np.nan), "other: the matrix is singular or not finite"),
+        (posed(camera[:3]), r"pose of object 1: expected a matrix \[4, 4\], got \(3, 4\)"),
+        (posed(flat), "pose of object 1: the matrix is singular or not finite"),
+        (posed(camera, shifted.T), "pose of object 1: expected a last row of 0, 0, 0, 1; is it transposed"),
+        (posed("x"), "pose of object 1: expected numbers, got str"),
+        (lambda: pinhole_camera(shifted.T, 60, SIZE), "to_world: expected a last row of 0, 0, 0, 1; is it transposed"),
+        (lambda: pinhole_camera(flat, 60, SIZE), "to_world: the matrix is singular or not finite"),
+        (lambda: pinhole_camera(np.full((4, 4), np.nan), 60, SIZE), "to_world: expected a last row"),
+        (lambda: pinhole_camera(camera, 180, SIZE), "fov: expected degrees between 0 and 180, got 180"),
+        (lambda: pinhole_camera(camera, np.nan, SIZE), "fov: expected degrees between 0 and 180, got nan"),
+        (lambda: pinhole_camera(camera, "60°", SIZE), "fov: expected numbers, got str"),
+        (lambda: pinhole_camera(camera, 60, (0, 9)), r"size: expected \(H, W\) of 1 or more, got \(0, 9\)"),
+        (lambda: pinhole_camera(camera, 60, 9), r"size: expected 2 numbers, got an array \(\)"),
         (lambda: pinhole_camera(np.eye(3), 60, SIZE), r"to_world: expected a matrix \[4, 4\], got \(3, 3\)"),
     ):
         with pytest.raises(InputError, match=message):

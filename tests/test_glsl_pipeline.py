@@ -183,7 +183,6 @@ def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, s
         assert_images_close(distance, mean_distance(depth.clamp(min=0)).item(), "float32")
 
 
-
 # Whose context
 
 

@@ -1,7 +1,8 @@
 """Screen motion from world positions and cameras, for renderers that write no motion vectors. numpy only.
 
-A camera is a matrix `[3, 4]` with rows x·w, y·w and w: the homogeneous point P is at pixel (x·w / w, y·w / w). A matrix
-`[4, 4]` has a row for depth in between, which plays no part here.
+A camera is a matrix `[3, 4]` with rows x·w, y·w and w: the homogeneous point P is at pixel (x·w / w, y·w / w), and in
+front of the camera where w > 0. An orthographic camera has the same w everywhere. A matrix `[4, 4]` has a row for depth
+in between, which plays no part here.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from ..errors import InputError
 from ..frame import OFF_SCREEN
 
-MIN_W = 1e-6  # w of the nearest points that count as in front of a camera
+MIN_W = 1e-7  # of points in front of a camera, relative to the terms of w: positions are float32
 AXES = {"mitsuba": (-1, -1, 1), "opengl": (1, -1, -1), "opencv": (1, 1, 1)}
 """Convention of a camera's own axes -> the signs that turn them into x right, y down, z forward."""
 
@@ -28,14 +29,19 @@ def pinhole_camera(
 
     `to_world` is camera-to-world `[4, 4]`, `fov` the angle across the picture's width in degrees, `size` is (H, W).
     Axes, in camera space: 'mitsuba' x left, y up, z forward; 'opengl' x right, y up, z backward; 'opencv' x right, y
-    down, z forward. Raises InputError for another convention, and for a matrix of another shape.
+    down, z forward. Raises InputError for another convention, an angle outside (0, 180), a size below 1, and a matrix
+    that is not a camera-to-world.
     """
     if convention not in AXES:
         raise InputError(f"unknown camera convention {convention!r}; expected one of {', '.join(AXES)}")
-    height, width = size
+    height, width = _numbers("size", size, (2,))
+    if not min(height, width) >= 1:
+        raise InputError(f"size: expected (H, W) of 1 or more, got {size}")
+    if not 0 < _numbers("fov", fov, ()) < 180:
+        raise InputError(f"fov: expected degrees between 0 and 180, got {fov}")
     focal = width / 2 / np.tan(np.radians(fov) / 2)
     intrinsic = np.array([[focal, 0, width / 2, 0], [0, focal, height / 2, 0], [0, 0, 1, 0]])
-    to_camera = np.linalg.inv(_matrix("to_world", to_world, (4,)))
+    to_camera = np.linalg.inv(_pose("to_world", to_world))
     return intrinsic @ np.diag([*AXES[convention], 1]) @ to_camera
 
 
@@ -59,14 +65,15 @@ def screen_motion(
     and `other_poses` map the numbers of those that move to object-to-world matrices `[4, 4]`.
 
     Objects without a pose stand still. Where nothing was hit the point is at infinity along the pixel's ray: only the
-    camera's rotation counts. `OFF_SCREEN` stands for points behind the other camera. Raises InputError for arrays of
-    other shapes, and for objects with a pose in one of the frames alone.
+    camera's rotation counts. An orthographic camera sees one such point, which stands still. `OFF_SCREEN` stands for
+    points behind the other camera, where its w is not positive. Raises InputError for arrays of other shapes, singular
+    matrices, and objects with a pose in one of the frames alone.
     """
-    position = np.asarray(position, np.float64)
+    position = _numbers("position", position)
     if position.ndim != 3 or position.shape[2] != 3:
         raise InputError(f"position: expected [H, W, 3], got {position.shape}")
     size = position.shape[:2]
-    here, there = (_matrix(name, m, (3, 4)) for name, m in (("camera", camera), ("other", other)))
+    here, there = (_camera(name, m) for name, m in (("camera", camera), ("other", other)))
     hit = (position != 0).any(2) if hit is None else _plane("hit", hit, size).astype(bool)
     poses, other_poses = poses or {}, other_poses or {}
     if lone := sorted(poses.keys() ^ other_poses.keys()):
@@ -74,7 +81,7 @@ def screen_motion(
     if poses and ids is None:
         raise InputError("poses need ids [H, W]: which object each pixel shows")
     numbers = np.zeros(size) if ids is None else _plane("ids", ids, size)
-    pairs = {key: (poses[key], other_poses[key]) for key in poses}
+    pairs = {key: tuple(_pose(f"pose of object {key}", p[key]) for p in (poses, other_poses)) for key in poses}
     motion = rigid_motion(np.moveaxis(position, 2, 0), hit[None], numbers[None], here, there, pairs)
     return np.ascontiguousarray(np.moveaxis(motion, 0, 2), np.float32)
 
@@ -101,9 +108,12 @@ def homogeneous(
     hit: np.ndarray,  # [1, H, W] bool
     camera: np.ndarray,  # [3, 4]
 ) -> np.ndarray:  # [4, H, W] float64
-    """Surfaces (w = 1) where something was hit, else the point at infinity along the pixel's ray (w = 0)."""
-    rows, columns = np.mgrid[: position.shape[1], : position.shape[2]] + 0.5
-    ray = np.tensordot(np.linalg.inv(camera[:, :3]), np.stack([columns, rows, np.ones_like(rows)]), 1)
+    """Surfaces (w = 1) where something was hit, else the point at infinity along the pixel's ray (w = 0); all four are
+    0 under an orthographic camera, which has a single one."""
+    ray = np.zeros(position.shape)
+    if _is_perspective(camera) and not hit.all():
+        rows, columns = np.mgrid[: position.shape[1], : position.shape[2]] + 0.5
+        ray = np.tensordot(np.linalg.inv(camera[:, :3]), np.stack([columns, rows, np.ones_like(rows)]), 1)
     return np.concatenate([np.where(hit, position, ray), hit])
 
 
@@ -113,10 +123,13 @@ def pixel_motion(
     point: np.ndarray,  # [4, H, W] as `here` sees it
     moved: np.ndarray,  # [4, H, W] the same point at the time of `there`
 ) -> np.ndarray:  # [2, H, W] pixels
-    """Where `there` sees the moved point minus where `here` sees the point; `OFF_SCREEN` where it is behind `there`."""
-    now, then = np.tensordot(here, point, 1), np.tensordot(there, moved, 1)
+    """Where `there` sees the moved point minus where `here` sees the point; `OFF_SCREEN` where it is behind `there`, 0
+    for points that are all 0."""
     with np.errstate(all="ignore"):
-        return np.where(then[2:] > MIN_W, then[:2] / then[2:] - now[:2] / now[2:], OFF_SCREEN)
+        now, then = np.tensordot(here, point, 1), np.tensordot(there, moved, 1)
+        front = then[2:] > MIN_W * np.tensordot(abs(there[2:]), abs(moved), 1)
+        motion = np.where(front, then[:2] / then[2:] - now[:2] / now[2:], OFF_SCREEN)
+    return np.where(point.any(0), motion, 0)
 
 
 def projection(matrix: np.ndarray) -> np.ndarray:
@@ -125,16 +138,53 @@ def projection(matrix: np.ndarray) -> np.ndarray:
     return matrix[[0, 1, 3]] if len(matrix) == 4 else matrix
 
 
-def _matrix(name: str, matrix: np.ndarray, rows: tuple[int, ...]) -> np.ndarray:
-    matrix = np.asarray(matrix, np.float64)
-    if matrix.shape not in {(n, 4) for n in rows}:
-        expected = " or ".join(f"[{n}, 4]" for n in rows)
-        raise InputError(f"{name}: expected a matrix {expected}, got {matrix.shape}")
-    return projection(matrix) if 3 in rows else matrix
+def _is_perspective(camera: np.ndarray) -> bool:
+    """Whether w depends on the point, beyond rounding."""
+    return np.linalg.norm(camera[2, :3]) > 1e-12 * np.linalg.norm(camera[2])
+
+
+def _camera(name: str, matrix: np.ndarray) -> np.ndarray:
+    matrix = _numbers(name, matrix)
+    if matrix.shape not in ((3, 4), (4, 4)):
+        raise InputError(f"{name}: expected a matrix [3, 4] or [4, 4], got {matrix.shape}")
+    matrix = projection(matrix)
+    _expect_regular(name, matrix, matrix[:, :3] if _is_perspective(matrix) else matrix[:2, :3])
+    return matrix
+
+
+def _pose(name: str, matrix: np.ndarray) -> np.ndarray:
+    """A matrix `[4, 4]` from an object or a camera to the world."""
+    matrix = _numbers(name, matrix)
+    if matrix.shape != (4, 4):
+        raise InputError(f"{name}: expected a matrix [4, 4], got {matrix.shape}")
+    if not np.allclose(matrix[3], [0, 0, 0, 1], rtol=0, atol=1e-6):
+        raise InputError(f"{name}: expected a last row of 0, 0, 0, 1; is it transposed?")
+    _expect_regular(name, matrix, matrix[:3, :3])
+    return matrix
+
+
+def _expect_regular(name: str, matrix: np.ndarray, part: np.ndarray) -> None:
+    """Raise InputError unless the matrix is finite without rows of zeros, and the rows of its part are independent."""
+    lengths = np.linalg.norm(part, axis=1, keepdims=True)
+    whole = np.isfinite(matrix).all() and matrix.any(1).all() and lengths.all()
+    if not (whole and np.linalg.matrix_rank(part / lengths) == len(part)):
+        raise InputError(f"{name}: the matrix is singular or not finite")
+
+
+def _numbers(name: str, array: np.ndarray, shape: tuple[int, ...] | None = None) -> np.ndarray:
+    """The array in float64. Raises InputError for what is none, or has another shape."""
+    try:
+        array = np.asarray(array, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: expected numbers, got {type(array).__name__}") from None
+    if shape not in (None, array.shape):
+        expected = f"{shape[0]} numbers" if shape else "one number"
+        raise InputError(f"{name}: expected {expected}, got an array {array.shape}")
+    return array
 
 
 def _plane(name: str, plane: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    plane = np.asarray(plane)
+    plane = _numbers(name, plane)
     plane = plane[..., 0] if plane.ndim == 3 and plane.shape[2] == 1 else plane
     if plane.shape != size:
         raise InputError(f"{name}: expected {size} as position, got {plane.shape}")
