@@ -54,6 +54,14 @@ def test_three_lines_from_numpy_to_clean_frames(frames, expected, assert_images_
         assert_images_close(np.moveaxis(image, 2, 0)[None], wanted, "float32 network")
 
 
+@pytest.mark.parametrize("model", ["fast", "hybrid-fast"])
+def test_autocast_of_the_caller_changes_nothing(frames, model):
+    expected = play(frames, batches, model)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = play(frames, batches, model)
+    assert all(map(torch.equal, found, expected))
+
+
 @pytest.mark.parametrize("lookahead", [0, 1])
 def test_a_picture_that_fails_leaves_no_trace(frames, lookahead):
     """The next ones have their own form."""

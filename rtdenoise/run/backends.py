@@ -4,7 +4,8 @@ saved histories as numpy arrays."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -129,7 +130,8 @@ class TorchBackend:
                 raise InputError("precision int8: goes without --lights and --also; take auto")
             if precision == "auto":
                 precision = "bf16" if resolve(precision, self.device) is torch.bfloat16 else "fp32"
-        self._denoiser = load(model, self.device, precision)
+        with torch.autocast(self.device, enabled=False):
+            self._denoiser = load(model, self.device, precision)
         if correct and self._denoiser.config.motion is None:
             raise InputError(f"{model}: denoises single pictures, and the correction needs the frames before")
         averages = "mean" in self._denoiser.config.carries
@@ -160,30 +162,35 @@ class TorchBackend:
         """Its network, a torch module."""
         return self._denoiser
 
+    @contextmanager
+    def _inference(self, frame: Frame) -> Iterator[None]:
+        """Without gradients, and at the network's precision whatever the caller's autocast is."""
+        import torch
+
+        plain = torch.autocast(self.device, enabled=False)
+        with torch.inference_mode(), plain, explained(frame.name, frame.size, self.device):
+            yield
+
     def prepare(self, frame: Frame) -> Frame:
         import torch
 
         from ..sanitise import sanitise
 
-        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+        with self._inference(frame):
             return sanitise(frame.map(torch.as_tensor).to(self.device))
 
     def step(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[np.ndarray, Any]:
-        import torch
-
         image, history = self.denoise(frame, history, ahead)
-        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+        with self._inference(frame):
             return image.cpu().numpy(), history
 
     def denoise(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[Tensor, Any]:
-        import torch
-
         from ..models.shrinkage import corrected
 
         step = self._step if len(frame.radiance) == 1 else self._whole  # the plan is for single pictures
         step = corrected(step) if self._correct else step
         step = partial(self._opinion.step, step) if self._opinion else step
-        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+        with self._inference(frame):
             return step(frame, history, Known(sanitised=True, ahead=ahead))
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
@@ -199,13 +206,11 @@ class TorchBackend:
         return plan
 
     def mismatch(self, frame: Frame, history: Any) -> float:
-        import torch
-
         from ..history import mismatch
 
         if self.config.motion is None:
             return 0.0  # history leaves no trace
-        with torch.inference_mode(), explained(frame.name, frame.size, self.device):
+        with self._inference(frame):
             return mismatch(frame, history).max().item()
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
