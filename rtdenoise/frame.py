@@ -16,7 +16,7 @@ A *signal* is the light to denoise: `color` (the beauty) or `indirect` (light th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
@@ -188,6 +188,14 @@ class History:
         if given.keys() - {f.name for f in fields(cls)}:
             raise ValueError(f"not the fields of a history: {', '.join(sorted(layers))}")
         return cls(**dict.fromkeys(("motion_next", "depth", "normal")) | given | several)
+
+    def require(self, carried: Sequence[str]) -> None:
+        """Raise InputError unless it is of a network that computes the fields `carried` (`Config.carries`)."""
+        there = {name.partition(".")[0] for name in self.layers()}
+        for name in ("mean", "hidden"):  # by these the kinds differ
+            if (name in there) != (name in carried):
+                found = f"the history {'has' if name in there else 'lacks'} {name!r}"
+                raise InputError(f"{found}: it is of another kind of model; pass history=None to start anew")
 
 
 @dataclass(frozen=True)

@@ -203,6 +203,17 @@ def test_history_of_another_size_is_refused(denoiser):
         denoiser.step(make_frame(16, 16), history)
 
 
+def test_history_of_another_kind_of_model_is_refused(denoiser):
+    torch.manual_seed(1)
+    for other in map(create, SMALL.values()):
+        _, history = other.step(make_frame())
+        if other.config == denoiser.config:
+            denoiser.step(make_frame(), history)
+            continue
+        with pytest.raises(InputError, match=r"history (has|lacks) 'mean': it is of another kind of model"):
+            denoiser.step(make_frame(), history)
+
+
 def test_weights_round_trip(tmp_path, denoiser):
     path = tmp_path / "small.safetensors"
     save(denoiser, path)

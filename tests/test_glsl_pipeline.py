@@ -183,6 +183,14 @@ def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, s
         assert_images_close(distance, mean_distance(depth.clamp(min=0)).item(), "float32")
 
 
+def test_history_of_another_kind_of_model_is_refused(weights):
+    paper, default = (Pipeline.load(weights(SMALL[preset])) for preset in ("paper", "default"))
+    frame = arrays(make_frames(1)[0])
+    for pipeline, other in ((paper, default), (default, paper)):
+        with pytest.raises(InputError, match="history is of another kind of model"):
+            pipeline.step(frame, other.step(frame)[1])
+
+
 # Whose context
 
 

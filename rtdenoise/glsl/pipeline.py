@@ -172,7 +172,7 @@ class Pipeline:
     @_in_context
     def upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
         """The layers that a step reads, for `run`. Raises InputError where one is missing, or history is of another
-        size."""
+        size or kind of model."""
         if not isinstance(frame, Frame):
             raise InputError(
                 f"step takes a rtdenoise.Frame of numpy arrays [1, C, H, W], got {type(frame).__name__}; "
@@ -187,6 +187,8 @@ class Pipeline:
                 f"{frame.name or 'frame'}: history is {history.size}, the frame {frame.size}; pass history=None to "
                 "start anew"
             )
+        if history is not None and self.accumulates != (history.mean is not None):
+            raise InputError("the history is of another kind of model; pass history=None to start anew")
         return {
             layer: GpuArray.upload(self.ctx, array[0])
             for layer, array in frame.layers()

@@ -101,7 +101,7 @@ class AccumulatedKPN(nn.Module):
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
         shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
-        another size, or `frame` is no Frame of tensors.
+        another size or is of another kind of model, or `frame` is no Frame of tensors.
         """
         frame = admit(frame, history and history.radiance, known)
         output, after, _ = self.step_and_kernels(frame, history, replace(known, sanitised=True))
@@ -114,6 +114,8 @@ class AccumulatedKPN(nn.Module):
     ) -> tuple[Tensor, History, Kernels]:
         """`step`, and the kernels that it applied, for other light of the same frame (`parts.step`)."""
         frame = admit(frame, history and history.radiance, known)
+        if history is not None:
+            history.require(self.config.carries)
         known = shifted(frame, history, known)
         noisy = demodulate(frame.radiance, frame.albedo, frame.depth)  # irradiance where the surface is diffuse
 

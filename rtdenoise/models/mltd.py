@@ -84,9 +84,12 @@ class RecurrentTransformer(nn.Module):
 
         `frame` needs radiance, albedo, normal, depth, the layers of `config.reads` and, unless `history` is None,
         motion (`rtdenoise.Frame` has shapes and units). `history=None` starts a sequence. Raises InputError where a
-        layer is missing, the history has another size, or `frame` is no Frame of tensors.
+        layer is missing, the history has another size or is of another kind of model, or `frame` is no Frame of
+        tensors.
         """
         frame = admit(frame, history and history.radiance, known)
+        if history is not None:
+            history.require(self.config.carries)
         frame.require(*self.config.reads)
         light = [self.components(frame)]
         for _ in range(self.config.scales - 1):

@@ -58,9 +58,11 @@ class TemporalKPN(nn.Module):
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
         shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
-        another size, or `frame` is no Frame of tensors. The paper, §4.
+        another size or is of another kind of model, or `frame` is no Frame of tensors. The paper, §4.
         """
         frame = admit(frame, history and history.radiance, known)
+        if history is not None:
+            history.require(self.config.carries)
 
         # Reproject the previous output; where that is off the screen start from the noise, like a first frame.
         if history is None:
