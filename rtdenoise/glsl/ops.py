@@ -30,7 +30,7 @@ def apply_kernel(
         w[b,k,y,x]   = softmax_k logits[b,k,y,x], over the taps k = dy·K + dx that lie inside the image
         out[b,c,y,x] = Σ_{dy,dx ∈ 0..K-1} w[b, dy·K+dx, y, x] · image[b, c, y+dy-r, x+dx-r],    r = ⌊K/2⌋
 
-    numpy logits too large for one buffer are processed in bands of rows.
+    numpy logits too large for one buffer are processed in bands of rows. Images beyond 3.4e38 / K² may overflow.
     """
     B, _, H, W = shape_of("image", image)
     K = math.isqrt(shape_of("logits", logits)[1])

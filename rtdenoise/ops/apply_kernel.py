@@ -34,7 +34,8 @@ def apply_kernel(
 
     It gathers. Weights are positive and sum to 1, at borders too: a constant image stays as it is, the output lies
     between the least and the greatest tap, and grey stays grey. Softmax subtracts the maximum and accumulates in
-    float32 (or float64) whatever the dtype of `logits`; the result has the dtype of `image`.
+    float32 (or float64) whatever the dtype of `logits`; the result has the dtype of `image`. Fused ops and shaders
+    divide by the sum of the weights at the end: images beyond 3.4e38 / K² may overflow in them.
 
     A network at half size predicts logits by cells, for all four pixels of a 2×2 cell at once: the logits of pixel
     (y, x) are logits[b, y mod 2, x mod 2, :, ⌊y/2⌋, ⌊x/2⌋].
