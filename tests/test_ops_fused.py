@@ -248,6 +248,13 @@ def test_reprojection_gradients(both, assert_images_close, op, size):
         assert_images_close(fused, plain, "float32 gradients")
 
 
+def test_a_cubic_lookup_of_nan_is_nan(both):
+    image = torch.rand(1, 3, 24, 30)
+    image[0, :, 10, 10] = torch.nan
+    plain, fused = both(cubic, image, torch.full((1, 2, 24, 30), 0.37))
+    assert plain.isnan().sum() == 3 * 16 and torch.equal(fused.isnan(), plain.isnan())
+
+
 def test_equal_pixels_that_clamp_a_cubic_lookup_share_its_gradient(both, assert_images_close):
     """Few distinct values: an overshooting lookup is clamped to several equal pixels at once."""
     grad = torch.nn.functional.pad(torch.randn(2, 3, 15, 18), (1, 2, 1, 2))  # all lookups lie between pixels

@@ -66,7 +66,7 @@ void warp(const float *image, const float *motion, const uint8_t *seen, const fl
                 float found = look_up(from + c * plane, across, down, W);
 #if TAPS == 4
                 Around a = around(from + c * plane, across, down, W);
-                found = MIN(MAX(found, a.least), a.greatest);
+                found = found < a.least ? a.least : found > a.greatest ? a.greatest : found;  // NaN stays
 #endif
                 to[c * plane + x] = found;
             }

@@ -52,7 +52,7 @@ def _warp(image, motion, out, H, W, C: tl.constexpr, CP: tl.constexpr, CUBIC: tl
                 if (i % 3 != 0) and (j % 3 != 0):
                     least, greatest = tl.minimum(least, tap), tl.maximum(greatest, tap)
             result += line * _catmull_rom(g, j)
-        result = tl.minimum(tl.maximum(result, least), greatest)
+        result = tl.where(result < least, least, tl.where(result > greatest, greatest, result))  # NaN stays
     else:
         x1, y1 = tl.minimum(x0 + 1, W - 1), tl.minimum(y0 + 1, H - 1)
         top = tl.load(source + (y0 * W + x0)[:, None], mask=real, other=0.0) * (1 - f)
