@@ -139,6 +139,19 @@ def test_warp_keeps_the_dtype_of_the_image(dtype, channels):
         torch.testing.assert_close(out.float(), warp(image, motion, cubic=cubic), atol=0.02, rtol=0)
 
 
+@pytest.mark.parametrize("dtype", [torch.int64, torch.uint8, torch.bool])
+def test_images_between_pixels_hold_floats(dtype):
+    image = torch.ones(1, 3, 6, 5, dtype=dtype)
+    for call in (
+        lambda: warp(image, torch.zeros(1, 2, 6, 5)),
+        lambda: warp(image, torch.zeros(1, 2, 6, 5), cubic=True),
+        lambda: apply_kernel(image, torch.zeros(1, 9, 6, 5)),
+    ):
+        with pytest.raises(ValueError, match="expected an image of floats, got torch"):
+            call()
+    assert torch.equal(fetch(image, torch.zeros(1, 2, 6, 5)), image)
+
+
 def test_warp_gradients():
     image = torch.randn(1, 2, 4, 5, dtype=torch.float64, requires_grad=True)
     motion = (torch.randint(-3, 3, (1, 2, 4, 5)) + 0.1 + 0.8 * torch.rand(1, 2, 4, 5)).double().requires_grad_()

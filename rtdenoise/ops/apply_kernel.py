@@ -40,7 +40,7 @@ def apply_kernel(
     A network at half size predicts logits by cells, for all four pixels of a 2×2 cell at once: the logits of pixel
     (y, x) are logits[b, y mod 2, x mod 2, :, ⌊y/2⌋, ⌊x/2⌋].
 
-    Raises ValueError where the shapes do not fit or K is even.
+    Raises ValueError where the shapes do not fit, the image holds no floats, or K is even.
     """
     if image.ndim != 4 or logits.ndim not in (4, 6):
         raise ValueError(f"expected image and logits [B, C, H, W], got {tuple(image.shape)} and {tuple(logits.shape)}")
@@ -49,6 +49,8 @@ def apply_kernel(
     cells = (B, 2, 2, K**2, (H + 1) // 2, (W + 1) // 2)
     if K % 2 == 0 or tuple(logits.shape) not in ((B, K**2, H, W), cells):
         raise ValueError(f"expected logits [{B}, K², {H}, {W}] with K odd, got {tuple(logits.shape)}")
+    if not image.is_floating_point():
+        raise ValueError(f"expected an image of floats, got {image.dtype}")
     if logits.ndim == 6 and torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
         logits = whole(logits)[:, :, :H, :W]
     if run := FUSED(image=image, logits=logits):

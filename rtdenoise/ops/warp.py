@@ -42,12 +42,14 @@ def warp(
     drift; only bilinear lookups in more than `MAX_CHANNELS` channels round (about 1e-7 of the image's width in pixels).
     Differentiable in `image` and, almost everywhere, in `motion`.
 
-    Raises ValueError where the shapes do not fit, or `seen` is not bool.
+    Raises ValueError where the shapes do not fit, the image holds no floats, or `seen` is not bool.
     """
     if (seen is None) != (otherwise is None):
         raise ValueError("expected both of seen and otherwise, or none")
     choice = () if seen is None else (seen, otherwise)
     check(image, motion, **({"seen": (seen, 1), "otherwise": (otherwise, image.shape[1])} if choice else {}))
+    if not image.is_floating_point():
+        raise ValueError(f"expected an image of floats, got {image.dtype}")
     if choice and seen.dtype is not torch.bool:
         raise ValueError(f"expected seen of torch.bool, got {seen.dtype}")
     if image.shape[1] > MAX_CHANNELS and image.numel() and not cubic and not plain():
