@@ -474,8 +474,8 @@ def test_options_that_do_not_go_together_are_refused(tmp_path, weights):
     shot = write_sequence(tmp_path / "shot", make_frames(1))
     for options, message in (
         ({"backend": "vulkan"}, "unknown backend 'vulkan'; expected one of auto, torch, glsl"),
-        ({"backend": "glsl", "device": "cuda"}, "--device cuda: goes with --backend torch"),
-        ({"backend": "glsl", "precision": "bf16"}, "precision 'bf16': --backend glsl has 'fp32' and 'fp16'"),
+        ({"backend": "glsl", "device": "cuda"}, "device 'cuda': goes with the backend torch"),
+        ({"backend": "glsl", "precision": "bf16"}, "precision 'bf16': the backend glsl has 'fp32' and 'fp16'"),
     ):
         with pytest.raises(InputError, match=message):
             denoise(str(shot), tmp_path / "out", Options(model=weights(TINY), **options))

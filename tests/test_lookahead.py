@@ -244,7 +244,7 @@ def test_appended_frames_need_a_new_run(tmp_path, weights):
         ({"lookahead": 1, "offline": True}, "--lookahead: goes without --offline"),
         ({"lookahead": 1, "lights": True}, "--lookahead: goes without"),
         ({"lookahead": 1, "model": "paper"}, "--lookahead: model 'paper' does not average light"),
-        ({"lookahead": 1, "backend": "glsl"}, "--lookahead runs in PyTorch alone"),
+        ({"lookahead": 1, "backend": "glsl"}, "lookahead runs in PyTorch alone"),
     ],
 )
 def test_what_it_does_not_go_with(tmp_path, options, reason):

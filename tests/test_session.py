@@ -1,7 +1,9 @@
 """`rtdenoise.Denoiser`: numpy or torch, any layout, and a sentence for whatever is wrong."""
 
+import re
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -240,6 +242,12 @@ def test_shaders_take_one_picture_at_a_time(frames):
     color, features = batches(frames[0].map(lambda t: torch.cat([t, t])))
     with pytest.raises(InputError, match="expected one frame at a time, got 2"):
         rtdenoise.Denoiser("fast", backend="glsl")(color, **features)
+
+
+def test_the_choices_in_the_docs_are_there():
+    text = (Path(__file__).parents[1] / "docs/use/python.md").read_text()
+    (line,) = re.findall(r'rtdenoise\.Denoiser\("fast", backend=[^)]*\)', text)
+    eval(line)
 
 
 def test_step_answers_what_is_no_frame(frames):

@@ -92,7 +92,7 @@ def open_backend(
         raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
     if chosen_backend(name) == "torch":
         return TorchBackend(model, device, precision, correct, oidn, recent, lookahead=lookahead)
-    for chosen, what in ((correct, "the correction"), (oidn, "--oidn"), (lookahead, "--lookahead")):
+    for chosen, what in ((correct, "the correction"), (oidn, "oidn"), (lookahead, "lookahead")):
         if chosen:
             advice = "take the backend torch" if has_torch else INSTALL_TORCH
             raise InputError(f"{what} runs in PyTorch alone; {advice}, or leave it out")
@@ -256,9 +256,9 @@ class GlslBackend:
         from ..glsl import Pipeline
 
         if device != "auto":
-            raise InputError(f"--device {device}: goes with --backend torch; OpenGL's driver decides where shaders run")
+            raise InputError(f"device {device!r}: goes with the backend torch; the driver chooses where shaders run")
         if precision not in ("auto", "fp32", "fp16"):
-            raise InputError(f"precision {precision!r}: --backend glsl has 'fp32' and 'fp16' ('auto' is fp32)")
+            raise InputError(f"precision {precision!r}: the backend glsl has 'fp32' and 'fp16' ('auto' is fp32)")
         self._pipeline = Pipeline.load(model, half=precision == "fp16")
         self._left_out: dict[str, int] | None = None  # None: nothing is left out
 
