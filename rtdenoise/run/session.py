@@ -52,7 +52,8 @@ class Denoiser:
 
     Only `color` is required; a warning names the cost of a missing layer once. `rtdenoise.screen_motion` computes
     motion from positions and cameras. History starts anew after `reset()`, after a cut (`detect_cuts`), where a frame
-    has another size than the one before, and where it has no motion. Arguments are copied, results are yours to change.
+    has another size than the one before, and where it has no motion, for all pictures of a batch together. Arguments
+    are copied, results are yours to change.
     """
 
     def __init__(
