@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from numbers import Integral
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
@@ -131,7 +132,8 @@ class CombineOptions:
 
 def check_lookahead(frames: int, told: str = "--lookahead") -> None:
     """Raise InputError for a number of frames to look ahead that is out of range."""
-    if not 0 <= frames <= MAX_LOOKAHEAD:
+    whole = isinstance(frames, Integral) and not isinstance(frames, bool)
+    if not (whole and 0 <= frames <= MAX_LOOKAHEAD):
         raise InputError(f"{told}: expected 0 to {MAX_LOOKAHEAD} frames, got {frames}")
 
 
