@@ -124,9 +124,10 @@ def test_without_glslang_glsl_alone_is_written(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("options, told", [
-    (["--size", "1280"], "expected WIDTHxHEIGHT such as 1280x720, got '1280'"),
+    (["--size", "1280"], "expected WIDTHxHEIGHT such as 1280x720, of 99999 at most each, got '1280'"),
     (["--model", "fats"], "no model 'fats'"),
     (["--out", "{used}"], "is not an empty folder"),
+    (["--out", "{used}/file/out"], "used/file is not a folder"),
 ])  # fmt: skip
 def test_wrong_options_are_one_line(tmp_path, capsys, options, told):
     (tmp_path / "used").mkdir()

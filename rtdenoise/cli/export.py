@@ -39,5 +39,5 @@ def read_size(text: str) -> tuple[int, int]:
     """(H, W) from "WIDTHxHEIGHT". Raises InputError for anything else."""
     match = re.fullmatch(r"([1-9]\d{0,4})[x×]([1-9]\d{0,4})", text)
     if not match:
-        raise InputError(f"--size: expected WIDTHxHEIGHT such as 1280x720, got {text!r}")
+        raise InputError(f"--size: expected WIDTHxHEIGHT such as 1280x720, of 99999 at most each, got {text!r}")
     return int(match[2]), int(match[1])

@@ -56,6 +56,8 @@ def export(
     out = Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is not an empty folder; choose another --out")
+    if blocked := [path for path in out.parents if path.exists() and not path.is_dir()]:
+        raise InputError(f"{out}: {blocked[0]} is not a folder; choose another --out")
     running_mean = {"recent": 0} if read_config(model).recent else {}  # an engine's first frames have no eight others
     pipeline = Pipeline.load(model, half, **running_mean)
     frames = sample_frames(size, len(FRAMES))
