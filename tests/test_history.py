@@ -53,8 +53,9 @@ def test_two_halves_are_one_pass_to_the_bit(tmp_path, denoiser):
     history = None
     for frame in frames[:3]:
         _, history = denoiser.step(frame, history)
-    save_history(tmp_path / "state.safetensors", history, shot="7")
-    history, metadata = load_history(tmp_path / "state.safetensors")
+    path = str(tmp_path / "state.safetensors")  # or a Path, as in run/state.py
+    save_history(path, history, shot="7")
+    history, metadata = load_history(path)
     assert metadata == {"shot": "7"}
     for frame, expected in zip(frames[3:], whole[3:], strict=True):
         image, history = denoiser.step(frame, history)

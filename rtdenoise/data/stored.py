@@ -26,12 +26,12 @@ OF_MOTION = 8, 9, 13, 14  # channels of a kept frame (`ops.recall`) that may be 
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number
 
 
-def write_history(path: Path, fields: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
+def write_history(path: str | Path, fields: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
     """Write the fields of a history (none before the first frame). Raises InputError where they cannot be written."""
-    write_atomically(path, save(dict(fields), metadata=dict(metadata)))
+    write_atomically(Path(path), save(dict(fields), metadata=dict(metadata)))
 
 
-def read_history(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+def read_history(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """The fields `[B, C, H, W]` and metadata that `write_history` wrote.
 
     Raises InputError where the file cannot be read, for fields of another name, type or shape than those of a
