@@ -107,6 +107,22 @@ def test_apply_kernel_in_bands_of_rows(monkeypatch, rows):
 # The other passes
 
 
+@pytest.mark.parametrize("shape", [(0, 4, 6), (1, 0, 6), (1, 4, 0)])  # B, H, W
+def test_empty_arrays_stay_empty(gl, shape):
+    B, H, W = shape
+
+    def empty(channels):
+        return np.zeros((B, channels, H, W), np.float32)
+
+    for op, channels in (("apply_kernel", (3, 25)), ("warp", (3, 2)), ("fetch", (3, 2)), ("blend", (3, 3, 1))):
+        images = [empty(c) for c in channels]
+        found = getattr(glsl, op)(*images)
+        assert found.shape == torch_twin(getattr(ops, op), *images).shape and found.dtype == np.float32
+    surface = empty(1), empty(3)
+    found, valid = glsl.reproject(empty(3), empty(2), surface, surface)
+    assert found.shape == (B, 3, H, W) and valid.shape == (B, 1, H, W) and valid.dtype == bool
+
+
 @pytest.mark.parametrize("size", SIZES)
 def test_warp_and_fetch_are_their_torch_twins(gl, assert_images_close, size):
     image, motion = random(2, 3, *size), 12 * random(2, 2, *size) - 6

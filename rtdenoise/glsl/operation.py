@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -39,6 +40,8 @@ def run_all(
     """One dispatch, an invocation for every pixel of the results. Raises ValueError for a mixture of numpy arrays and
     GpuArrays, and for arrays of another dtype than the shader's or an `out` that does not fit."""
     on_gpu = _on_gpu(name, inputs, outs)
+    if not any(math.prod(shape) for shape in shapes.values()):  # OpenGL has no empty buffers
+        return [np.zeros(shape, np.float32) for shape in shapes.values()]
     ctx = next(iter(inputs.values())).buffer.ctx if on_gpu else default_context()
     dtypes = {key: np.float16 if key == "logits" and constants["LOGITS_HALF"] else np.float32 for key in inputs}
     arrays = inputs if on_gpu else {key: GpuArray.upload(ctx, inputs[key], dtypes[key]) for key in inputs}

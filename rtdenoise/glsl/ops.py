@@ -44,7 +44,7 @@ def apply_kernel(
         inputs = {"image": image, "logits": logits}
         return run("apply_kernel", inputs, (B, C, H, W), (H, W), out, KERNEL=K, CHANNELS=C, LOGITS_HALF=half)
 
-    if isinstance(image, GpuArray) or isinstance(logits, GpuArray):
+    if isinstance(image, GpuArray) or isinstance(logits, GpuArray) or not image.size:
         return filter_band(image, logits)
 
     # A band includes the rows that its kernels reach; their own results are wrong at the cut and are dropped.
