@@ -152,6 +152,12 @@ def test_images_between_pixels_hold_floats(dtype):
     assert torch.equal(fetch(image, torch.zeros(1, 2, 6, 5)), image)
 
 
+def test_reproject_of_nothing_is_refused():
+    surface = torch.ones(1, 1, 4, 4), torch.ones(1, 3, 4, 4)
+    with pytest.raises(ValueError, match="got none"):
+        reproject([], torch.zeros(1, 2, 4, 4), surface, surface)
+
+
 def test_warp_gradients():
     image = torch.randn(1, 2, 4, 5, dtype=torch.float64, requires_grad=True)
     motion = (torch.randint(-3, 3, (1, 2, 4, 5)) + 0.1 + 0.8 * torch.rand(1, 2, 4, 5)).double().requires_grad_()

@@ -33,10 +33,12 @@ def reproject(
     Σ b v < `MIN_HISTORY_WEIGHT` the result is 0 and not valid. So history neither leaks across silhouettes nor fades at
     them. Differentiable in `stored`.
 
-    Raises ValueError where the shapes do not fit.
+    Raises ValueError where the shapes do not fit, or nothing is stored.
     """
     stored = [stored] if isinstance(stored, Tensor) else [*stored]
     (depth, normal), (depth_before, normal_before) = surface, surface_previous
+    if not stored:
+        raise ValueError("expected an image to look up, or several, got none")
     for image in stored:
         check(image, motion, depth=(depth, 1), normal=(normal, 3),
               depth_previous=(depth_before, 1), normal_previous=(normal_before, 3))  # fmt: skip
