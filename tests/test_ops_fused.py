@@ -723,6 +723,17 @@ def test_the_choice_can_be_forced_and_is_taken_back():
     assert dispatch._choice == os.environ.get("RTDENOISE_OPS", "auto")
 
 
+def test_blocks_that_overlap_are_taken_back_in_any_order():
+    """As those of two threads do."""
+    first, second = ops.use("plain"), ops.use("fused")
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert dispatch._choice == "fused"
+    second.__exit__(None, None, None)
+    assert dispatch._choice == os.environ.get("RTDENOISE_OPS", "auto")
+
+
 @pytest.mark.parametrize("compiler_is", ["absent", "failing"])
 def test_without_a_compiler_the_plain_ops_run_and_one_warning_says_so(compiler_is, monkeypatch, tmp_path, caplog):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

@@ -25,6 +25,7 @@ import functools
 import logging
 import math
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -41,21 +42,29 @@ MAX_PIXELS = 2**31 - 1  # of a plane: fused ops number pixels by 32-bit integers
 MAX_ROWS = {"triton": 65535}  # B·C·H: programs along the second axis of a CUDA grid
 HALVES = (torch.bfloat16, torch.float16)
 
-_choice = os.environ.get("RTDENOISE_OPS", "auto")
+DEFAULT = os.environ.get("RTDENOISE_OPS", "auto")
+_choice = DEFAULT
+_blocks: dict[object, str] = {}  # the choices of the blocks of `use` that run, in the order in which they began
+_changing = threading.Lock()
 
 
 @contextmanager
 def use(choice: str) -> Iterator[None]:
-    """`with ops.use("plain"): ...` chooses 'auto', 'plain' or 'fused' for everything inside.
+    """`with ops.use("plain"): ...` chooses 'auto', 'plain' or 'fused' for everything inside, and for other threads
+    meanwhile: autograd's run backward passes. Of blocks that run at once the one that began last counts.
 
     Raises InputError for another choice.
     """
     global _choice
-    before, _choice = _choice, _checked(choice)
+    block = object()
+    with _changing:
+        _blocks[block] = _choice = _checked(choice)
     try:
         yield
     finally:
-        _choice = before
+        with _changing:
+            del _blocks[block]
+            _choice = [DEFAULT, *_blocks.values()][-1]
 
 
 def plain() -> bool:
