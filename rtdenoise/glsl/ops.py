@@ -3,7 +3,7 @@
 The type of the inputs chooses one of two forms:
 
 - numpy arrays: computed in this thread's `default_context`, returned as a numpy array (float32; logits may be float16);
-- `GpuArray`s of the current context: nothing leaves the GPU. The result is a `GpuArray`: `out` where one is given,
+- `GpuArray`s of one context: nothing leaves the GPU. The result is a `GpuArray`: `out` where one is given,
   which must be none of the inputs.
 
 Raises ValueError where shapes do not fit, InputError where there is no usable driver or an array is too large for it.
