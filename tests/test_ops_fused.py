@@ -30,6 +30,7 @@ from rtdenoise.ops.native import compiler
 from rtdenoise.ops.over import over, over_and_coverage
 from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.shares import shares
+from rtdenoise.ops.soften import soften
 from rtdenoise.ops.to_planes import to_planes
 from rtdenoise.shift.displacement import displacement_sums
 from rtdenoise.splat import history_motion
@@ -766,3 +767,55 @@ def test_derivatives_in_forward_mode_are_not_lost(op):
         found = forward_ad.unpack_dual(op(forward_ad.make_dual(image, tangent))).tangent
     with ops.use("plain"):
         assert torch.allclose(found, op(image + tangent) - op(image), atol=1e-6)  # linear
+
+
+def misfits():
+    """(op, its arguments, which one is exchanged for what) for the ops of single pixels and their like."""
+    generator = torch.Generator().manual_seed(0)
+
+    def image(channels, B=2, H=8, W=12):
+        return torch.rand(B, channels, H, W, generator=generator)
+
+    frame, other = keep(image(3), image(1), image(3), image(1), image(2), image(3)), (image(3), image(1), image(3))
+
+    def looked_up(light, motion, depth, normal):
+        return recall(light, motion, (depth, normal), [frame], torch.zeros(2, 1, 8, 12, dtype=torch.bool)).light
+
+    def chosen(motion, motion_next):
+        color, depth, normal = other
+        return history_motion(Frame(color, motion=motion, depth=depth), History(color, motion_next, depth, normal))[0]
+
+    scale = torch.ones(2, 1, 1, 1)
+    found = {
+        "demodulate": (pixels.demodulate, (3, 3, 1)),
+        "modulate": (pixels.modulate, (3, 3, 3, 1, 1)),
+        "accumulate": (lambda *a: torch.cat(pixels.accumulate(*a, 9.0), 1), (3, 3, 1, 1)),
+        "even_sky": (lambda image, light, depth: even_sky(image, light, depth - 0.5), (3, 3, 1)),
+        "keep": (keep, (3, 1, 3, 1, 2, 3)),
+        "recall": (looked_up, (3, 2, 1, 3)),
+        "history_motion": (chosen, (2, 2)),
+        "mix": (lambda a, b, trust, c, held: mix(a, b, scale, trust, (0.4, 0.1, 0.1), c, held), (3, 3, 1, 3, 1)),
+        "soften": (soften, (3, 3, 1)),
+    }
+    for name, (op, channels) in found.items():
+        for i in range(len(channels)):
+            for size in ({"H": 4, "W": 6}, {"B": 1}, {"H": 1, "W": 1}):
+                arguments = [image(c, **(size if k == i else {})) for k, c in enumerate(channels)]
+                yield pytest.param(op, arguments, id=f"{name}-{i}-{'-'.join(size)}")
+
+
+@pytest.mark.parametrize(("op", "arguments"), [*misfits()])
+def test_arguments_that_do_not_fit_are_as_for_the_specification(op, arguments):
+    """Refused, or broadcast to the same result: C reads no memory that is not there."""
+
+    def outcome(choice):
+        with ops.use(choice):
+            try:
+                return op(*arguments)
+            except (RuntimeError, ValueError, IndexError):
+                return None
+
+    expected, found = outcome("plain"), outcome("auto")
+    assert (expected is None) == (found is None)
+    if expected is not None:
+        torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5, equal_nan=True)

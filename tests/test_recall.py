@@ -269,6 +269,8 @@ def test_footprints_need_albedo():
 def test_shapes_are_checked():
     with pytest.raises(ValueError, match="expected kept frames of"):
         recall(noisy(), image(0.0, 0.0), WALL, [torch.zeros(1, 5, 4, 4, dtype=torch.int32)])
+    with pytest.raises(ValueError, match="expected uncovered"):
+        recall(noisy(), image(0.0, 0.0), WALL, [], torch.zeros(1, 1, 4, 4, dtype=torch.bool))
 
 
 # The network

@@ -85,6 +85,8 @@ def recall(
     for kept in recent:
         if kept.shape != (B, max(words, kept.shape[1]), H, W):
             raise ValueError(f"expected kept frames of {(B, words, H, W)}, got {tuple(kept.shape)}")
+    if uncovered is not None and uncovered.shape != (B, 1, H, W):
+        raise ValueError(f"expected uncovered {(B, 1, H, W)}, got {tuple(uncovered.shape)}")
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
         return Recalled(*run(light, motion, *surface, recent, uncovered, misplaced))
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
