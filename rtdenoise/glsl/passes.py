@@ -141,15 +141,18 @@ class Passes:
     def _recall(self, chosen: GpuArray, inputs: Inputs, history: History, running: GpuArray) -> None:
         """Write the mean light of recent frames, and the sum of their weights: `rtdenoise.ops.recall`."""
         size, last = inputs.surface.shape[:2], len(history.recent) - 1
-        cells = self._scratch.image("cells", tuple(-(-n // RECALL_CELL) for n in size))
-        looked = {"found": self._scratch.image("found", size), "cells": cells}
+        extent = tuple(-(-n // RECALL_CELL) for n in size)
+        found, cells = self._scratch.image("found", size), self._scratch.image("cells", extent)
+        stays = self._scratch("stays", extent)
         now = {"light": inputs.light, "surface": inputs.surface, "chosen": chosen}
         now["path"] = self._scratch.image("path", size)
         if not history.recent:
             fill(running)
         for i, kept in enumerate(history.recent):
-            dispatch("accumulated_kpn/look", size[::-1], now | looked | {"kept": kept}, FIRST=int(i == 0))
-            buffers = looked | {"running": running}
+            buffers = now | {"kept": kept, "found": found, "cells": cells}
+            dispatch("accumulated_kpn/look", size[::-1], buffers, FIRST=int(i == 0))
+            dispatch("accumulated_kpn/stays", extent[::-1], {"cells": cells, "stays": stays})
+            buffers = {"found": found, "stays": stays, "running": running}
             dispatch("accumulated_kpn/add", size[::-1], buffers, FIRST=int(i == 0), LAST=int(i == last))
 
     def features(self, inputs: Inputs, past: GpuArray, means: Means, groups: int) -> GpuArray:

@@ -4,7 +4,8 @@
     for frame in frames:                                     # rtdenoise.frame.Frame of numpy arrays
         image, history = pipeline.step(frame, history)       # [1, 3, H, W]
 
-Read `Pipeline.run` first: it is the order of the passes. Between upload and download nothing leaves the GPU.
+Read `Pipeline.run` first: it is the order of the passes. Between upload and download nothing leaves the GPU. Light that
+moves over its surfaces is not followed (`shift`): pictures are those of torch with `Known.on_surfaces`.
 """
 
 from __future__ import annotations

@@ -1,0 +1,31 @@
+#version 430
+// How far the light of a kept frame has stayed as it is, in each cell (ops.recall, u_j):
+//
+//     clamp((RECALL_CHANGED - q) / (RECALL_CHANGED - RECALL_ALIKE), 0, 1) · the same of wide cells,    q = |Σ d|² / Σ |d|²
+//
+// with sums over a cell and the eight around it. A wide cell is 2×2 of them.
+#pragma constants RECALL_ALIKE RECALL_CHANGED RECALL_WIDE_ALIKE RECALL_WIDE_CHANGED
+#include "image.glsl"
+
+#pragma reads vec4 cells    // [h, w] Σ d, Σ |d|²
+#pragma writes float stays  // [h, w]
+
+// The factor of side × side cells, of which `cell` is one, and as many on each side of them.
+float unchanged(ivec2 cell, int side, float alike, float changed) {
+    ivec2 first = cell / side * side - side;
+    vec4 sum = vec4(0.0);
+    for (int y = 0; y < 3 * side; ++y)
+        for (int x = 0; x < 3 * side; ++x) {
+            ivec2 c = first + ivec2(x, y);
+            if (inside(c, size)) sum += cells[at(c, size)];
+        }
+    float q = dot(sum.rgb, sum.rgb) / max(sum.w, 1e-30);
+    return clamp((changed - q) / (changed - alike), 0.0, 1.0);
+}
+
+void main() {
+    ivec2 cell = ivec2(gl_GlobalInvocationID.xy);
+    if (!inside(cell, size)) return;
+    stays[at(cell, size)] = unchanged(cell, 1, RECALL_ALIKE, RECALL_CHANGED) *
+                            unchanged(cell, 2, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED);
+}
