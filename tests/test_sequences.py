@@ -114,21 +114,6 @@ def test_non_finite_pixels_are_passed_on_except_infinite_depth(tmp_path):
     np.testing.assert_array_equal(frame.depth[0, 0, 0, :3], [0, np.nan, 0])
 
 
-@pytest.mark.parametrize("standing", [0.0, 0.5])
-def test_a_sky_without_motion_before_a_camera_that_moves_has_no_history(tmp_path, standing):
-    layers = native_layers(0)
-    sky = np.arange(H)[:, None] < H // 2
-    layers["depth"][sky[:, 0]] = np.inf
-    for name in ("motion", "motion_next"):
-        layers[name] = np.where(sky[..., None], 0, 1 + layers[name]).astype(np.float32)
-        layers[name][H // 2 :, : round(standing * W)] = 0
-    write_layers(tmp_path / "1.exr", layers, dtypes=FLOAT)
-    frame = open_sequence(tmp_path)[0]
-    for motion in (frame.motion, frame.motion_next):
-        assert (motion[..., : H // 2, :] == (0 if standing else OFF_SCREEN)).all()
-        assert (motion[..., H // 2 :, :] < 100).all()
-
-
 # --- presets ----------------------------------------------------------------------------------------------------------
 
 
@@ -162,6 +147,24 @@ def test_short_cycles_names_and_the_depth_of_misses(tmp_path):
     frame = open_sequence(tmp_path, signal="indirect", layers=["id"])[0]
     assert (frame.depth == 0).all() and (frame.id == 1).all() and (frame.albedo == 1).all()
     assert open_sequence(tmp_path).rules["radiance"].channels[0] == "RenderLayer.Combined.R"
+
+
+@pytest.mark.parametrize("standing", [0.0, 0.5])
+def test_cycles_sky_has_no_history_while_the_camera_moves(tmp_path, standing):
+    """Its motion is zero, whatever the camera does."""
+    path = tmp_path / "render_0001.exr"
+    planes = write_cycles(path)
+    surface, still = np.s_[H // 2 :], np.s_[H // 2 :, : round(standing * W)]
+    for name in ("Depth.Z", *(f"Vector.{c}" for c in "XYZW")):
+        plane = planes[f"ViewLayer.{name}"]
+        plane[: H // 2] = 1e10 if name == "Depth.Z" else 0
+        plane[surface] += 1
+        plane[still] = 1 if name == "Depth.Z" else 0
+    write_layers(path, planes, dtypes=dict.fromkeys(planes, "float"))
+    frame = open_sequence(tmp_path)[0]
+    for motion in (frame.motion, frame.motion_next):
+        assert (motion[..., : H // 2, :] == (0 if standing else OFF_SCREEN)).all()
+        assert (motion[..., H // 2 :, :].abs() < 100).all()
 
 
 def test_several_view_layers_have_to_be_chosen_from(tmp_path):

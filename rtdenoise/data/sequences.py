@@ -84,7 +84,9 @@ class Sequence:
         files = self.files[i]
         channels = files.read({name for rule in self.rules.values() for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in self.rules.items()}
-        frame = without_stale_sky(Frame(**layers, number=files.number, name=str(files.path)))
+        frame = Frame(**layers, number=files.number, name=str(files.path))
+        if self.layout.name == "cycles":
+            frame = without_stale_sky(frame)
         check_components(frame)
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
         return complete(frame, self.scene) if missing and self.scene else frame

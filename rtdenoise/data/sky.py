@@ -1,4 +1,4 @@
-"""Motion where nothing is hit, of renderers that write none there, as Cycles. numpy only."""
+"""Motion where nothing is hit: Cycles writes none there. numpy only."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ STANDS = 0.05  # share of the surfaces from which on, without motion, the camera
 
 
 def without_stale_sky(frame: Frame) -> Frame:
-    """The frame (numpy arrays) with `OFF_SCREEN` for the motion of misses, so that they have no history, where motion
-    is 0 in every one of them though the camera moves: hardly any surface stands still."""
+    """A frame of Cycles (numpy arrays) with `OFF_SCREEN` for the motion of misses, so that they have no history, where
+    motion is 0 in every one of them though the camera moves: hardly any surface stands still."""
     if frame.depth is None:
         return frame
     misses = frame.depth == 0
