@@ -192,10 +192,10 @@ class History:
     def require(self, carried: Sequence[str]) -> None:
         """Raise InputError unless it is of a network that computes the fields `carried` (`Config.carries`)."""
         there = {name.partition(".")[0] for name in self.layers()}
-        for name in ("mean", "hidden"):  # by these the kinds differ
-            if (name in there) != (name in carried):
-                found = f"the history {'has' if name in there else 'lacks'} {name!r}"
-                raise InputError(f"{found}: it is of another kind of model; pass history=None to start anew")
+        kinds = {"mean"} if "mean" in carried else {"mean", "hidden"}  # `parts` hides means of its own beside `mean`
+        if differing := sorted(kinds & (there ^ {*carried})):
+            found = f"the history {'has' if differing[0] in there else 'lacks'} {differing[0]!r}"
+            raise InputError(f"{found}: it is of another kind of model; pass history=None to start anew")
 
 
 @dataclass(frozen=True)

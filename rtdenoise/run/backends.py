@@ -121,11 +121,13 @@ class TorchBackend:
 
         from ..models import load
         from ..models.inference import INT8, choose_device, resolve
+        from ..models.weights import read_config
         from .graphs import stepper
         from .opinion import RECENT, Opinion
 
         self.device = choose_device(device)
-        if recent == 0:  # bytes cannot hold a mean that is 10⁵ times as bright as the frame: where the light goes out
+        # Steps found on recent frames do not hold a mean that is 10⁵ times as bright as a frame whose light is out.
+        if recent == 0 and getattr(read_config(model), "recent", 0):
             if precision == INT8:
                 raise InputError("precision int8: goes without --lights and --also; take auto")
             if precision == "auto":
