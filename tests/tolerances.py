@@ -21,7 +21,7 @@ TOLERANCES = {
     "float32 tiles": Tolerance(1e-4, 1e-5),
     # Sums of a thousand terms of either sign, of about 1.
     "sums": Tolerance(1e-5, 2e-4),
-    # A quotient of such sums with a small divisor: bilinear weights that add up to 0.01.
+    # A quotient of such sums with a small divisor: bilinear weights that add up to 0.01, frames of which little counts.
     "float32 quotient": Tolerance(1e-4, 1e-5),
     # torch's lookup takes coordinates in [-1, 1]: they are rounded by some 1e-7 of the image's width.
     "grid_sample": Tolerance(1e-4, 1e-4),

@@ -52,8 +52,8 @@ def refuse_foreign(out: Path, names: Iterable[list[str]]) -> None:
 def digest(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
     parts = {name: value for name, value in _decisive(options).items() if YOUNG.get(name) != value or name not in YOUNG}
-    if (backend := chosen_backend(options.backend)) != "torch":
-        parts["backend"] = backend
+    if chosen_backend(getattr(options, "backend", "auto")) != "torch":  # combining has no choice
+        parts["backend"] = "glsl"
     parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     if options.model != SHRINKAGE:
         files = files_of(find(options.model))
