@@ -91,14 +91,14 @@ def recall(
         return Recalled(*run(light, motion, *surface, recent, uncovered, misplaced))
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
     seen, seen_count = light.new_zeros(B, sum(FOOTPRINT), H, W), torch.zeros_like(count)
-    path, edge = Path(motion), None
+    path, edge, root = Path(motion), None, _root(light)
     if uncovered is not None:
         along, nearest = edge_motion(motion, surface[0])
         edge = Path(along)
     for kept in recent:
         there = path.look(kept)
         same = (alike(surface, (there.depth, there.normal)) & path.inside).to(light.dtype)
-        stays = unchanged(same * (_root(there.light) - _root(light)))
+        stays = unchanged(same * (_root(there.light) - root))
         weight = same * stays * path.left
         mean, count = mean + weight * there.light, count + weight
         path.follow(there.motion, there.reset)
@@ -176,19 +176,20 @@ def _unpacked(kept: Tensor) -> Tensor:
 
 def unchanged(difference: Tensor) -> Tensor:
     """The second factor of w_j, `[B, 1, H, W]`, from the differences `[B, 3, H, W]`: 0 on other surfaces."""
-    terms = torch.cat([difference, difference.square().sum(1, keepdim=True)], dim=1)
-    near = _unchanged(terms, RECALL_CELL, RECALL_ALIKE, RECALL_CHANGED)
-    return near * _unchanged(terms, 2 * RECALL_CELL, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED)
+    (H, W), wide = difference.shape[2:], 2 * RECALL_CELL
+    padded = F.pad(difference, (0, -W % wide, 0, -H % wide))
+    terms = torch.cat([padded, padded.square().sum(1, keepdim=True)], dim=1)
+    cells = F.avg_pool2d(terms, RECALL_CELL) * RECALL_CELL**2
+    weight = _unchanged(4 * F.avg_pool2d(cells, 2), RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED)
+    weight = F.interpolate(weight, scale_factor=2) * _unchanged(cells, RECALL_ALIKE, RECALL_CHANGED)
+    return F.interpolate(weight, scale_factor=RECALL_CELL)[:, :, :H, :W]
 
 
-def _unchanged(terms: Tensor, cell: int, whole: float, none: float) -> Tensor:
-    """Its part for cells of this side: light counts `whole` up to that q, and not at all from `none` on."""
-    H, W = terms.shape[2:]
-    cells = F.avg_pool2d(F.pad(terms, (0, -W % cell, 0, -H % cell)), cell)
-    sums = F.avg_pool2d(cells, 3, stride=1, padding=1) * (9 * cell**2)
+def _unchanged(cells: Tensor, whole: float, none: float) -> Tensor:
+    """Its part for cells with these sums: light counts `whole` up to that q, and not at all from `none` on."""
+    sums = 9 * F.avg_pool2d(cells, 3, stride=1, padding=1)
     q = sums[:, :3].square().sum(1, keepdim=True) / sums[:, 3:].clamp(min=1e-30)
-    weight = ((none - q) / (none - whole)).clamp(0, 1)
-    return F.interpolate(weight, scale_factor=cell, mode="nearest")[:, :, :H, :W]
+    return ((none - q) / (none - whole)).clamp(0, 1)
 
 
 def _root(light: Tensor) -> Tensor:
