@@ -44,11 +44,11 @@ def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[s
     if layout == "source" and keep:
         raise InputError("layout 'source' passes every channel on: leave --keep out")
     sequence.require_channels(_kept(sequence, keep), "--keep")
-    if recombine and sequence.signal != "color" and "radiance" not in sequence.layout.resolve(sequence.header, "color"):
-        raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has {sequence.header.summary}; "
-                         f"{sequence.layout.hint('radiance', 'color')}")  # fmt: skip
     if recombine and sequence.signal != "color":
-        beauty = sequence.layout.resolve(sequence.header, "color")["radiance"]
+        beauty = sequence.layout.resolve(sequence.header, "color").get("radiance")
+        if beauty is None:
+            raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has "
+                             f"{sequence.header.summary}; {sequence.layout.hint('radiance', 'color')}")  # fmt: skip
         sequence.require_channels(beauty.channels, "--recombine")
     if recombine and sequence.demodulated and "albedo" not in sequence.rules:
         raise InputError(f"{sequence.paths[0]}: --recombine needs the albedo that the signal was divided by; "
