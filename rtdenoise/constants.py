@@ -51,6 +51,16 @@ MIX_DARK = 0.05  # exposed light: differences of darker light count less than in
 MIX_LARGEST = 1e6  # of relative differences: their squares stay finite
 MIX_NOISE = 1e-6  # of their squares, that is there at least: pictures without noise that are alike tell nothing
 
+# The shares of the kernels' picture and of the previous one, and the least of the kernels' where the noisy frame tells
+# of other pixels. For many samples a pixel: a lookup of the previous picture costs more than it takes noise away, and
+# kernels may be worse than written pixels everywhere.
+MIX_SHARES, MIX_SHARES_OF_MANY = (0.4, 0.1, 0.4), (0.3, 0.0, 0.0)
+MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history
+
+# The input of a network that writes pixels (`models.hybrid`).
+PIXELS_CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + PIXELS_CONTRAST): dark parts matter, too
+PIXELS_UNIT = 0.06145  # of compressed light, as OIDN has it
+
 AROUND_CELL = 16  # side in pixels of the cells in which what is around a pixel lies (`ops.around`)
 
 MIN_DISTANCE = 1e-12  # least mean depth of a frame: never zero (`frame.mean_distance`)

@@ -13,12 +13,11 @@ from synthetic import make_frames
 
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import compress
+from rtdenoise.constants import MIX_SHARES_OF_MANY, PIXELS_CONTRAST
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
-from rtdenoise.glsl import Pipeline
 from rtdenoise.models import HybridConfig, create, grow, hybrid, load, mixing, read, save
-from rtdenoise.models.hybrid import CONTRAST
 from rtdenoise.models.past import reprojected
 from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes
@@ -116,7 +115,7 @@ def test_it_sees_the_light_that_the_kernels_have_averaged(model, monkeypatch):
         hook = model.pixels.register_forward_pre_hook(lambda _, inputs, seen=seen: seen.append(inputs[0]))
         images.append(model.step(frame, history)[0])
         hook.remove()
-        averaged, light = seen[0][:, :3], compress(CONTRAST * model.statistics(frame)[0] * frame.radiance)
+        averaged, light = seen[0][:, :3], compress(PIXELS_CONTRAST * model.statistics(frame)[0] * frame.radiance)
         assert not torch.allclose(averaged, light, rtol=0.05)
     assert not torch.allclose(*images)
 
@@ -215,7 +214,7 @@ def test_for_many_samples_light_is_filtered_as_it_is(model, monkeypatch):
     many.load_state_dict(model.state_dict())
     with torch.no_grad():
         play(many, make_frames(3))
-    assert told == 3 * [(None, mixing.FOR_MANY)]
+    assert told == 3 * [(None, MIX_SHARES_OF_MANY)]
 
 
 def test_what_it_cannot_do_is_refused():
@@ -225,8 +224,6 @@ def test_what_it_cannot_do_is_refused():
         replace(SMALL, up=(8, 8, 8))
     with pytest.raises(ValueError, match="down: expected 2 to 5 widths from 1 to 1024"):
         replace(SMALL, down=(8, 0, 4))
-    with pytest.raises(InputError, match="no shaders for networks of the kind 'hybrid'"):
-        Pipeline.load("hybrid")
     with pytest.raises(InputError, match="--lights: goes with --model default, many, fast or quality"):
         LightBackend(TorchBackend("hybrid", "cpu", "fp32", recent=0), None, each=True)
 

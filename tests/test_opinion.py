@@ -10,11 +10,12 @@ from synthetic import assert_goes_on, make_frames, write_sequence
 from rtdenoise import Denoiser, models
 from rtdenoise.baselines import Oidn
 from rtdenoise.cli.main import main
+from rtdenoise.constants import MIX_SHARES, MIX_SHARES_OF_MANY
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.exposure import exposure
 from rtdenoise.models import AccumulatedKPNConfig, past
-from rtdenoise.models.mixing import FOR_MANY, SHARES, mix
+from rtdenoise.models.mixing import mix
 from rtdenoise.ops import warp
 from rtdenoise.ops.mix import share_told
 from rtdenoise.ops.recall import reset_of
@@ -134,7 +135,7 @@ def test_oidn_gets_the_average_and_the_picture_is_history(weights, few, monkeypa
             trust = 1 - held * reset_of(after.recent[0])
             assert (trust > 0).all() and (trust < 1).any()
             before = warp(history.radiance, motion, on_screen, plain, cubic=True) if few else None
-        shares = SHARES if few else FOR_MANY
+        shares = MIX_SHARES if few else MIX_SHARES_OF_MANY
         picture = Oidn().step(seen[-1])[0]
         expected = mix(plain, picture, exposure(plain), trust, before, held, shares, sanitise(frame).radiance)
         assert np.allclose(image, expected.numpy(), rtol=1e-4, atol=1e-5)

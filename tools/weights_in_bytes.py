@@ -18,11 +18,11 @@ from torch.nn import Module
 from torch.nn import functional as F
 from usage import call
 
+from rtdenoise.constants import PIXELS_UNIT
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.files import write_atomically
 from rtdenoise.models import Denoiser, read
 from rtdenoise.models.bytes_layout import INPUT, PIXELS, UNET, Picture, layout, made_for
-from rtdenoise.models.hybrid import UNIT
 from rtdenoise.models.in_bytes import WHOLE, phases
 from rtdenoise.models.weights import find
 from rtdenoise.ops.convolve_bytes import packed
@@ -134,7 +134,7 @@ class Seen:
 def of_bytes(weight: Tensor) -> Tensor:
     """Weights `[O, 9, 3, 3]` of light, albedo and normal to those of `feature_bytes`."""
     light, albedo, normal = weight.split(3, dim=1)
-    light, albedo, normal = light * UNIT / LIGHT, albedo / ALBEDO, normal / NORMAL
+    light, albedo, normal = light * PIXELS_UNIT / LIGHT, albedo / ALBEDO, normal / NORMAL
     return torch.cat([light, light, albedo, normal, -normal, torch.zeros_like(light[:, :1])], dim=1)
 
 

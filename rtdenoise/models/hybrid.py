@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ..constants import MIX_SHARES, MIX_SHARES_OF_MANY, PIXELS_CONTRAST, PIXELS_UNIT
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.around import expand_within
@@ -25,12 +26,9 @@ from ..ops.to_planes import to_planes
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
-from .mixing import FOR_MANY, SHARES, evened, mix
+from .mixing import evened, mix
 from .past import followed, seen
 from .unet import ConvRelu, Up, pool
-
-CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + CONTRAST): dark parts matter, too
-UNIT = 0.06145  # of compressed light, as OIDN has it
 
 
 class Hybrid(AccumulatedKPN):
@@ -62,10 +60,10 @@ class Hybrid(AccumulatedKPN):
             radiance, *guides = shown.split(FOOTPRINT, dim=1)
             if not self.config.many:
                 radiance = evened(radiance, after.footprint_count, image, trust)
-            scale = CONTRAST * known.exposure
+            scale = PIXELS_CONTRAST * known.exposure
         pixels = expand_within(self.pixels(radiance, *guides, scale), scale, radiance, image)
 
-        before, shares = (None, FOR_MANY) if self.config.many else (past.output, SHARES)
+        before, shares = (None, MIX_SHARES_OF_MANY) if self.config.many else (past.output, MIX_SHARES)
         shown = mix(image, pixels, known.exposure, trust, before, held, shares=shares, noisy=frame.radiance)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())
@@ -99,10 +97,10 @@ class PixelNetwork(nn.Module):
         for level in reversed(range(len(self.decoder))):
             x = self.decoder[level](x, skips[level])
         y = to_planes(x, self.last.weight, self.last.bias)
-        return F.relu(y[..., :H, :W]) / UNIT
+        return F.relu(y[..., :H, :W]) / PIXELS_UNIT
 
     @torch.no_grad()
     def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
         """`features`, `[B, 9, H, W]`, with light in OIDN's unit."""
         x = features((radiance,), (albedo, normal), scale, self.last.weight)
-        return torch.cat([x[:, :3] * UNIT, x[:, 3:]], dim=1)
+        return torch.cat([x[:, :3] * PIXELS_UNIT, x[:, 3:]], dim=1)

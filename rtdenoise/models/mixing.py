@@ -10,15 +10,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ..constants import MIX_SEEN_ONCE, MIX_SHARES
 from ..ops.around import greatest_around
 from ..ops.mix import mix as mixture
-
-KERNELS, BEFORE = 0.4, 0.1  # the shares of the kernels' picture and of the previous one
-SHARES = KERNELS, BEFORE, KERNELS  # those of `ops.mix`
-# The shares for many samples a pixel: a lookup of the previous picture costs more than it takes noise away, and kernels
-# may be worse than written pixels everywhere.
-FOR_MANY = 0.3, 0.0, 0.0
-SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history (`evened`)
 
 
 def mix(
@@ -28,7 +22,7 @@ def mix(
     trust: Tensor | float = 1.0,  # [B, 1, H, W] in [0, 1]
     before: Tensor | None = None,  # [B, 3, H, W]; None: there is none
     held: Tensor | float = 1.0,  # [B, 1, H, W] in [0, 1]: 0 where motion leads to no previous picture
-    shares: tuple[float, float, float] = SHARES,
+    shares: tuple[float, float, float] = MIX_SHARES,
     noisy: Tensor | None = None,  # [B, 3, H, W] the frame; None: shares are as they are
 ) -> Tensor:  # [B, 3, H, W] ≥ 0
     """`ops.mix`. Where a pixel was just uncovered and others around have a history, the noisy frame tells of these, not
@@ -45,4 +39,4 @@ def evened(light: Tensor, count: Tensor, image: Tensor, trust: Tensor | float = 
     of it nearby. As far as the image is trusted (`mix`). To the bit the light where one frame is in all pixels
     around."""
     once = 1 - (count - 1).clamp(0, 1)
-    return torch.lerp(image, light, 1 - (1 - SEEN_ONCE) * trust * once * (greatest_around(count) - 1).clamp(0, 1))
+    return torch.lerp(image, light, 1 - (1 - MIX_SEEN_ONCE) * trust * once * (greatest_around(count) - 1).clamp(0, 1))

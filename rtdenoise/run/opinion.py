@@ -15,10 +15,11 @@ from dataclasses import replace
 from torch import Tensor
 
 from ..baselines.oidn import Oidn, installed
+from ..constants import MIX_SHARES, MIX_SHARES_OF_MANY
 from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
-from ..models.mixing import FOR_MANY, SHARES, evened, mix
+from ..models.mixing import evened, mix
 from ..models.past import followed, later, seen, shifted
 from ..models.presets import Config
 from ..ops import warp
@@ -41,7 +42,7 @@ class Opinion:
         self._oidn, self._motion = Oidn(), config.motion
         self._few = config.recent > 0 and not getattr(config, "many", False)
         self._config = replace(config, footprint=True) if self._few else config
-        self.shares = SHARES if self._few else FOR_MANY  # a network without recent frames of its own is `many`
+        self.shares = MIX_SHARES if self._few else MIX_SHARES_OF_MANY  # no recent frames of its own: it is `many`
 
     def step(
         self, step: Step, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
