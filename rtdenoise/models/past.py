@@ -187,7 +187,7 @@ def seen(
     (`ops.over`), `[B, 9, H, W]`: for networks that filter what a pixel shows. `later`: what the function returns. Where
     frames before and frames after know such an edge, it is their mean, weighted by the frames that looked there."""
     seen, now, sides = after.footprint, footprint_of(frame), []
-    if history is not None and not known.still:
+    if history is not None and history.recent and not known.still:
         sides.append((frame.motion, history.recent))
     if later is not None:
         sides.append((frame.motion_next, later.recent))
