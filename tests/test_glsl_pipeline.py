@@ -24,14 +24,15 @@ from rtdenoise.frame import Known, mean_distance
 from rtdenoise.glsl import GpuArray, Pipeline, ShaderError, expand
 from rtdenoise.glsl.source import shaders
 from rtdenoise.history import mismatch
-from rtdenoise.models import PRESETS, AccumulatedKPNConfig
+from rtdenoise.models import PRESETS, AccumulatedKPNConfig, HybridConfig
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.plan import look
 from rtdenoise.sanitise import sanitise
 
 # Small models, by the preset of the same architecture.
 WHOLE = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3, detail=True)  # every head there is
-SMALL = {"paper": TINY, "default": WHOLE, "recent": replace(WHOLE, recent=2)}
+HYBRID = HybridConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, down=(8, 12, 4), up=(12, 8), out=(8, 4))
+SMALL = {"paper": TINY, "default": WHOLE, "recent": replace(WHOLE, recent=2), "hybrid": HYBRID}
 
 
 @pytest.fixture(autouse=True)
@@ -133,6 +134,20 @@ def test_traditional_motion(weights, assert_images_close, preset):
     assert not np.allclose(both(weights(SMALL[preset]), make_frames(3))[1], found, rtol=1e-3)
 
 
+def test_edges_that_move(weights, assert_images_close, monkeypatch):
+    """They change the picture of a network for one sample a pixel alone."""
+    frames, unknown = make_frames(4), []
+    monkeypatch.setattr("rtdenoise.models.hybrid.seen", lambda frame, history, after, *_: after.footprint)
+    for many in (False, True):
+        model = weights(replace(HYBRID, many=many))
+        unknown.append(both(model, frames)[0])
+    monkeypatch.undo()
+    for many, without in zip((False, True), unknown, strict=True):
+        expected, found, _, _ = both(weights(replace(HYBRID, many=many)), frames)
+        assert_images_close(found, expected, "frame")
+        assert np.allclose(expected, without, rtol=1e-3) == many
+
+
 def test_max_pooling(weights, assert_images_close):
     expected, found, _, _ = both(weights(replace(TINY, pool="max")), make_frames(2))
     assert_images_close(found, expected, "frame")
@@ -184,9 +199,9 @@ def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, s
 
 
 def test_history_of_another_kind_of_model_is_refused(weights):
-    paper, default = (Pipeline.load(weights(SMALL[preset])) for preset in ("paper", "default"))
+    paper, default, recent, hybrid = (Pipeline.load(weights(config)) for config in SMALL.values())
     frame = arrays(make_frames(1)[0])
-    for pipeline, other in ((paper, default), (default, paper)):
+    for pipeline, other in ((paper, default), (default, paper), (hybrid, recent)):
         with pytest.raises(InputError, match="history is of another kind of model"):
             pipeline.step(frame, other.step(frame)[1])
 
@@ -335,7 +350,9 @@ def test_history_is_that_of_torch_and_comes_back(gl, weights, assert_images_clos
     model, frames = weights(SMALL[preset]), make_frames(4)
     _, _, history, resident = both(model, frames[:3])
     fields = resident.read()
-    layers = replace(history, noisy=None, found=None, shifts=()).layers()  # shaders do not follow light (`shift`)
+    others = {"noisy": None, "found": None, "shifts": ()}  # for following light (`shift`), which shaders do not do
+    others |= {"footprint": None, "footprint_count": None}  # which no step reads
+    layers = replace(history, **others).layers()
     assert set(fields) == set(layers)
     for name, tensor in layers.items():
         if name.startswith("recent."):

@@ -18,7 +18,7 @@ PRECISIONS = {"glsl fp32": (False, "frame"), "glsl fp16": (True, "frame, float16
 
 PREDICTION, KERNELS, BLENDING, REPROJECTION = STAGES
 STAGE_OF = {"features": PREDICTION, "network": PREDICTION, "kernels": KERNELS, "blend": BLENDING,
-            "reprojection": REPROJECTION}  # fmt: skip
+            "reprojection": REPROJECTION, "pixels": PREDICTION}  # fmt: skip
 """Stage of the pipeline -> stage of the paper. The network's last layer counts as kernel application: logits are
 computed where they are used. The edge kernel counts as blending here, because it runs in those passes; in torch's rows
 it counts as kernel application."""

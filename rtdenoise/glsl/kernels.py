@@ -7,10 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..models.presets import Config
+from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import dispatch
 from .heads import HeadLayer
+from .passes import Inputs
 from .scratch import Scratch
 
 
@@ -19,7 +20,7 @@ class Kernels:
 
     def __init__(self, scratch: Scratch, config: Config, tensors: Mapping[str, np.ndarray]) -> None:
         self._scratch, self._config = scratch, config
-        self._accumulates = config.architecture == "accumulated_kpn"
+        self._accumulates = isinstance(config, AccumulatedKPNConfig)
         self._heads = HeadLayer(scratch.ctx, config, tensors)
         self._pool = {"POOL_MAX": int(getattr(config, "pool", "mean") == "max")}
 
@@ -68,6 +69,14 @@ class Kernels:
         constants = {"KERNEL": self._heads.kernel(0, "temporal"), "REPLACE": int(self._accumulates)}
         self._predict("frame/temporal", levels, 0, heads, buffers, **constants)
         return result, denoised
+
+    def see(self, levels: list[GpuArray], inputs: Inputs, past: GpuArray, seen: GpuArray | None) -> GpuArray:
+        """Footprints [3, H, W] with this frame in them, and the trust in history; None: there are none without it."""
+        size = past.shape[:2]
+        shown = self._scratch("seen", (3, *size, 4)) if seen is None else seen
+        buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "past": past, "seen": shown}
+        self._predict("hybrid/see", levels, 0, ("shares",), buffers, ALONE=int(seen is None))
+        return shown
 
     def _filter(
         self, levels: list[GpuArray], scale: int, heads: tuple[str, ...], image: GpuArray, name: str

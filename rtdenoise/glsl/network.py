@@ -51,6 +51,28 @@ def conv_layer(
     )
 
 
+def convolve(
+    scratch: Scratch,
+    layer: PackedLayer,
+    source: int,  # NEAR, POOLED or CONCATENATED
+    name: str,  # of the result in `scratch`
+    near: GpuArray,  # [⌈C/4⌉, H, W, 4]
+    far: GpuArray | None = None,  # CONCATENATED: [⌈C'/4⌉, H/2, W/2, 4]
+) -> GpuArray:  # [⌈outputs/4⌉, H, W, 4], POOLED: of half the size
+    """A 3×3 convolution with ReLU: `network/conv3x3`."""
+    H, W = (n >> (source == POOLED) for n in near.shape[1:3])
+    result = scratch.activations(name, layer.outputs, (H, W))
+    groups = result.shape[0]
+    dispatch(
+        "network/conv3x3", (-(-W // PIXELS), H, -(-groups // BLOCKS)),
+        {"near": near, "far": near if far is None else far, "weights": layer.weights, "biases": layer.biases,
+         "result": result},
+        {"size": (W, H), "groups": (layer.groups[0], sum(layer.groups), groups)},
+        CONV_GROUP, SOURCE=source, HALF=int(scratch.half),
+    )  # fmt: skip
+    return result
+
+
 def filled(array: np.ndarray, axis: int, multiple: int) -> np.ndarray:
     """The array with zeros appended along `axis`, up to a multiple."""
     padding = [(0, 0)] * array.ndim
@@ -93,29 +115,14 @@ class UNet:
         first."""
         x, skips = features, []
         for level, (first, second) in enumerate(self._encoder):
-            x = self._convolve(first, POOLED if level else NEAR, f"first.{level}", level, x)
-            x = self._convolve(second, NEAR, f"second.{level}", level, x)
+            x = convolve(self._scratch, first, POOLED if level else NEAR, f"first.{level}", x)
+            x = convolve(self._scratch, second, NEAR, f"second.{level}", x)
             skips.append(x)
         for level in reversed(range(len(self._decoder))):
             first, second = self._decoder[level]
-            x = self._convolve(first, CONCATENATED, f"first.{level}", level, skips[level], far=x)
-            x = skips[level] = self._convolve(second, NEAR, f"second.{level}", level, x)  # overwrites the skip
+            x = convolve(self._scratch, first, CONCATENATED, f"first.{level}", skips[level], x)
+            x = skips[level] = convolve(self._scratch, second, NEAR, f"second.{level}", x)  # overwrites the skip
         return skips[:-1]
-
-    def _convolve(
-        self, layer: PackedLayer, source: int, name: str, level: int, near: GpuArray, far: GpuArray | None = None
-    ) -> GpuArray:
-        H, W = (n >> (source == POOLED) for n in near.shape[1:3])
-        result = self._scratch.activations(name, layer.outputs, (H, W))
-        groups = result.shape[0]
-        dispatch(
-            "network/conv3x3", (-(-W // PIXELS), H, -(-groups // BLOCKS)),
-            {"near": near, "far": near if far is None else far, "weights": layer.weights, "biases": layer.biases,
-             "result": result},
-            {"size": (W, H), "groups": (layer.groups[0], sum(layer.groups), groups)},
-            CONV_GROUP, SOURCE=source, HALF=int(self._scratch.half),
-        )  # fmt: skip
-        return result
 
 
 class HalfSizeUNet:

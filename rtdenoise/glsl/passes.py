@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, RECALL_CELL, RECALL_WORDS, SKY_BLOCK
-from ..models.presets import Config
+from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, SKY_BLOCK
+from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import dispatch, fill
 from .network import HalfSizeUNet, UNet
+from .recent import SELECT_GROUP, Recent
 from .scratch import Scratch
 from .state import History
 
 BLOCK_GROUP = (BRIGHTNESS_BLOCK, BRIGHTNESS_BLOCK)  # a work group for each block that brightness is measured in
-SELECT_GROUP = (256,)
 NOTHING = 0xFFFFFFFF  # in the splat: no pixel
 # Input channels of accumulated_kpn in the order of its features shader: those that may be zero everywhere come last.
 FEATURE_ORDER = [0, 1, 2, 18, 6, 7, 8, 15, 9, 10, 11, 16, 12, 13, 14, 17, 3, 4, 5, 19, 20]
@@ -37,6 +37,7 @@ class Means(NamedTuple):
 
     running: GpuArray  # [H, W] rgb, length: of light, without this frame
     mean_albedo: GpuArray  # [H, W] rgb, with this frame
+    seen: GpuArray | None = None  # [3, H, W] footprints, without this frame (`Recent.recall`)
 
 
 class Passes:
@@ -44,7 +45,8 @@ class Passes:
 
     def __init__(self, scratch: Scratch, config: Config, tensors: Mapping[str, np.ndarray]) -> None:
         self._scratch, self._config = scratch, config
-        self._accumulates = config.architecture == "accumulated_kpn"
+        self._accumulates = isinstance(config, AccumulatedKPNConfig)
+        self.recent = Recent(scratch, config.architecture == "hybrid")
         if self._accumulates:
             self._network = HalfSizeUNet(scratch, tensors, FEATURE_ORDER, config.widths)
         else:
@@ -118,42 +120,17 @@ class Passes:
         dispatch("frame/warp", past.shape[1::-1], buffers, DUAL=int(dual), CUBIC=int(self._accumulates))
         return past
 
-    def reproject(self, chosen: GpuArray, inputs: Inputs, history: History) -> Means:
-        """The running means, reprojected to this frame from the same surfaces only."""
-        size = inputs.surface.shape[:2]
-        means = Means(self._scratch.image("running", size), self._scratch.fresh(size))
+    def reproject(self, chosen: GpuArray, inputs: Inputs, history: History, dual: bool) -> Means:
+        """The running means, reprojected to this frame from the same surfaces only. `chosen`: as for `warp`."""
+        size, seen = inputs.surface.shape[:2], None
+        running, mean_albedo = self._scratch.image("running", size), self._scratch.fresh(size)
         if self._config.recent:
-            self._recall(chosen, inputs, history, means.running)
+            seen = self.recent.recall(chosen, inputs, history.recent, running, dual)
         buffers = {"chosen": chosen, "surface": inputs.surface, "guide": inputs.guide}
         buffers |= {"surface_before": history.surface, "mean_before": history.mean}
-        buffers |= {"mean_albedo_before": history.mean_albedo, **means._asdict()}
+        buffers |= {"mean_albedo_before": history.mean_albedo, "running": running, "mean_albedo": mean_albedo}
         dispatch("accumulated_kpn/reproject", size[::-1], buffers, RECALLS=int(self._config.recent > 0))
-        return means
-
-    def keep(self, inputs: Inputs, vectors: GpuArray | None, moves: bool) -> GpuArray:
-        """This frame as later ones recall it, [5, H, W]. `moves`: the frame has motion."""
-        size, ctx = inputs.surface.shape[:2], inputs.surface.buffer.ctx
-        kept = GpuArray.empty(ctx, (RECALL_WORDS, *size), np.uint32)
-        buffers = {"light": inputs.light, "surface": inputs.surface, "vectors": vectors or inputs.light, "kept": kept}
-        dispatch("accumulated_kpn/keep", size[::-1], buffers, MOVES=int(moves))
-        return kept
-
-    def _recall(self, chosen: GpuArray, inputs: Inputs, history: History, running: GpuArray) -> None:
-        """Write the mean light of recent frames, and the sum of their weights: `rtdenoise.ops.recall`."""
-        size, last = inputs.surface.shape[:2], len(history.recent) - 1
-        extent = tuple(-(-n // RECALL_CELL) for n in size)
-        found, cells = self._scratch.image("found", size), self._scratch.image("cells", extent)
-        stays = self._scratch("stays", extent)
-        now = {"light": inputs.light, "surface": inputs.surface, "chosen": chosen}
-        now["path"] = self._scratch.image("path", size)
-        if not history.recent:
-            fill(running)
-        for i, kept in enumerate(history.recent):
-            buffers = now | {"kept": kept, "found": found, "cells": cells}
-            dispatch("accumulated_kpn/look", size[::-1], buffers, FIRST=int(i == 0))
-            dispatch("accumulated_kpn/stays", extent[::-1], {"cells": cells, "stays": stays})
-            buffers = {"found": found, "stays": stays, "running": running}
-            dispatch("accumulated_kpn/add", size[::-1], buffers, FIRST=int(i == 0), LAST=int(i == last))
+        return Means(running, mean_albedo, seen)
 
     def features(self, inputs: Inputs, past: GpuArray, means: Means, groups: int) -> GpuArray:
         """The network's input, padded to whole cells of the network. Models that accumulate read `means` too, and write
@@ -164,10 +141,11 @@ class Passes:
         buffers, parameters = {**inputs._asdict(), "past": past, "result": result}, {"image_size": (W, H)}
         constants = {"HALF": int(self._scratch.half)}
         if self._accumulates:
-            buffers |= means._asdict()
+            buffers |= {"running": means.running, "mean_albedo": means.mean_albedo}
             parameters["longest"] = self._config.longest
             constants["GROUPS"] = groups
-        dispatch(f"{self._config.architecture}/features", padded, buffers, parameters, **constants)
+        kind = "accumulated_kpn" if self._accumulates else "temporal_kpn"
+        dispatch(f"{kind}/features", padded, buffers, parameters, **constants)
         return result
 
     def network(self, features: GpuArray, groups: int) -> list[GpuArray]:

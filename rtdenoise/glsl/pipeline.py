@@ -22,17 +22,18 @@ import numpy as np
 from ..constants import RECALL_RESET
 from ..errors import InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
-from ..models.presets import Config
+from ..models.presets import AccumulatedKPNConfig, Config
 from ..models.weights import read_denoiser
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
 from .current import current
 from .kernels import Kernels
 from .passes import Means, Passes
+from .pixels import Pixels
 from .scratch import Scratch
 from .state import History
 
-SHADED = ("temporal_kpn", "accumulated_kpn")  # architectures
+SHADED = ("temporal_kpn", "accumulated_kpn", "hybrid")  # architectures
 
 
 def _in_context(method: Callable) -> Callable:
@@ -60,11 +61,12 @@ class Pipeline:
         """`half` stores the network's activations as float16: half the memory, an eleven-bit mantissa. `ctx` defaults
         to this thread's `default_context`."""
         self.config, self.ctx = config, ctx or default_context()
-        self.accumulates = config.architecture == "accumulated_kpn"  # keeps a running mean of demodulated light
+        self.accumulates = isinstance(config, AccumulatedKPNConfig)  # keeps a running mean of demodulated light
         self.clock: Clock | None = None  # times the stages where one is set
         self.scratch = Scratch(self.ctx, half)  # GPU memory that is kept between frames, beside the weights
         self.passes = Passes(self.scratch, config, tensors)
         self.kernels = Kernels(self.scratch, config, tensors)
+        self.pixels = Pixels(self.scratch, config, tensors) if config.architecture == "hybrid" else None
 
     @classmethod
     def load(
@@ -135,7 +137,7 @@ class Pipeline:
                 past = passes.no_past(inputs)
             else:
                 past = history.denoised if known.still else passes.warp(chosen, inputs, history, dual)
-            means = passes.reproject(chosen, inputs, history) if averages else Means(inputs.light, inputs.guide)
+            means = passes.reproject(chosen, inputs, history, dual) if averages else Means(inputs.light, inputs.guide)
         with self._stage("features"):
             groups = 4 if first else 6 if dual else 5  # of four features; the others are zero everywhere
             features = passes.features(inputs, past, means, groups)
@@ -149,10 +151,17 @@ class Pipeline:
                 now = kernels.texture(levels, now, inputs.guide, means.mean_albedo)
             result, denoised = kernels.blend(levels, past, now)
             passes.keep_even_sky(inputs, result, denoised)
+        if self.pixels:
+            with self._stage("pixels"):
+                seen = shown = kernels.see(levels, inputs, past, means.seen)
+                if not (first or known.still or self.config.many) and history.recent:
+                    shown = passes.recent.over(seen, inputs, vectors, history.recent)
+                self.pixels.mix(inputs, past, seen, shown, result, denoised)
+                passes.keep_even_sky(inputs, result, denoised)
         kept = (mean, means.mean_albedo) if self.accumulates else (None, None)
         if self.config.recent:
             with self._stage("reprojection"):
-                recent = passes.keep(inputs, vectors, "motion" in layers), *(() if first else history.recent)
+                recent = passes.recent.keep(inputs, vectors, "motion" in layers), *(() if first else history.recent)
             if not first:
                 with self._stage("kernels"):
                     kernels.forget(levels, recent[0])
@@ -165,7 +174,7 @@ class Pipeline:
         passes, recent = self.passes, []
         for frame in frames[: self.config.recent]:
             layers = self.upload(frame, None)
-            recent.append(passes.keep(passes.prepare(layers), passes.vectors(layers), "motion" in layers))
+            recent.append(passes.recent.keep(passes.prepare(layers), passes.vectors(layers), "motion" in layers))
         for kept, before in zip(recent, history.recent, strict=False):
             kept.write_plane(RECALL_RESET, kept.read_plane(RECALL_RESET) | before.read_plane(RECALL_RESET))
         return replace(history, recent=tuple(recent))
@@ -188,13 +197,18 @@ class Pipeline:
                 f"{frame.name or 'frame'}: history is {history.size}, the frame {frame.size}; pass history=None to "
                 "start anew"
             )
-        if history is not None and self.accumulates != (history.mean is not None):
+        if history is not None and not self._continues(history):
             raise InputError("the history is of another kind of model; pass history=None to start anew")
         return {
             layer: GpuArray.upload(self.ctx, array[0])
             for layer, array in frame.layers()
             if layer in ("radiance", "motion", "motion_next", *needed)
         }
+
+    def _continues(self, history: History) -> bool:
+        """Whether a history holds what this model reads."""
+        words = self.passes.recent.words if self.config.recent else 0
+        return self.accumulates == (history.mean is not None) and all(k.shape[0] >= words for k in history.recent)
 
     def _stage(self, name: str):
         return nullcontext() if self.clock is None else self.clock.stage(name)

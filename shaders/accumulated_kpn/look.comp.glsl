@@ -1,15 +1,13 @@
 #version 430
 // Look a kept frame up at the end of each pixel's path (ops.recall), and compare its light with this frame's: sums over cells
 // of RECALL_CELL² pixels, for `add`. A work group is a row of whole cells. The path goes on by the motion found there.
-#pragma constants FIRST RECALL_CELL FAR_AWAY DEPTH_TOLERANCE MIN_NORMAL_COSINE
+#pragma constants FIRST RECALL_CELL DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "alike.glsl"
-#include "bfloat16.glsl"
-#include "finite.glsl"
+#include "kept.glsl"
 
 #pragma reads vec4 light, vec4 surface  // [H, W] rgb; normal, depth
 #pragma reads vec4 chosen               // [H, W] motion to the frame before, where the paths begin
-#pragma reads uint kept                 // [5, H, W] as `keep` writes it
 #pragma changes vec4 path               // [H, W] motion to the kept frame, share that resets left; not read by the FIRST
 #pragma writes vec4 found               // [H, W] its rgb, this share, or 0 where it shows another surface
 #pragma writes vec4 cells               // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] Σ d, Σ |d|²
@@ -20,25 +18,21 @@ void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), lane = ivec2(gl_LocalInvocationID.xy);
     vec4 term = vec4(0.0);
     if (inside(pixel, size)) {
-        int i = at(pixel, size), plane = size.x * size.y;
+        int i = at(pixel, size);
         vec3 come = FIRST == 1 ? vec3(chosen[i].xy, 1.0) : path[i].xyz;
-        vec2 motion = come.xy;
-        motion = clamp(vec2(finite_or(motion.x, FAR_AWAY), finite_or(motion.y, FAR_AWAY)), -FAR_AWAY, FAR_AWAY);
-        ivec2 target = ivec2(roundEven(motion)) + pixel;
-        vec3 rgb = vec3(0.0);
-        float same = 0.0;
-        vec2 beyond = vec2(FAR_AWAY), third = vec2(0.0);
-        if (inside(target, size)) {
-            int there = at(target, size);
-            vec2 two = unpacked_two(kept[there + plane]), xy = unpacked_two(kept[there + 2 * plane]);
-            rgb = vec3(unpacked_two(kept[there]), two.x);
-            third = unpacked_two(kept[there + 3 * plane]);
-            same = alike(surface[i], vec4(xy, third.x, two.y), DEPTH_TOLERANCE, MIN_NORMAL_COSINE) ? 1.0 : 0.0;
-            beyond = motion + unpacked_two(kept[there + 4 * plane]);
+        vec2 motion = bounded(come.xy);
+        ivec2 end = end_of(pixel, motion);
+        vec4 on = vec4(FAR_AWAY, FAR_AWAY, come.z, 0.0), its = vec4(0.0);
+        vec3 d = vec3(0.0);
+        if (inside(end, size)) {
+            KeptPixel there = kept_at(end);
+            float same = alike(surface[i], there.surface, DEPTH_TOLERANCE, MIN_NORMAL_COSINE) ? 1.0 : 0.0;
+            on = vec4(motion + there.motion, come.z * (1.0 - there.reset), 0.0);
+            its = vec4(there.light, same * come.z);
+            d = same * (sqrt(max(there.light, 0.0)) - sqrt(max(light[i].rgb, 0.0)));
         }
-        path[i] = vec4(beyond, come.z * (1.0 - third.y), 0.0);
-        found[i] = vec4(rgb, same * come.z);
-        vec3 d = same * (sqrt(max(rgb, 0.0)) - sqrt(max(light[i].rgb, 0.0)));
+        path[i] = on;
+        found[i] = its;
         term = vec4(d, dot(d, d));
     }
     terms[lane.y * GROUP_X + lane.x] = term;

@@ -1,0 +1,102 @@
+"""Recent frames, kept and looked up anew by each frame: `rtdenoise.ops.recall` and `ops.over` as passes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..constants import (
+    NOISE_WINDOW,
+    NOISE_WINDOWS,
+    RECALL_CELL,
+    RECALL_FOOTPRINT_WORDS,
+    RECALL_WORDS,
+)
+from .context import GpuArray
+from .dispatch import dispatch, fill
+from .scratch import Scratch
+
+if TYPE_CHECKING:
+    from .passes import Inputs
+
+SELECT_GROUP = (256,)
+
+
+class Recent:
+    """The passes of kept frames. With `footprints` these hold what was seen in each pixel, too (`hybrid`)."""
+
+    def __init__(self, scratch: Scratch, footprints: bool) -> None:
+        self._scratch, self._footprints = scratch, footprints
+
+    @property
+    def words(self) -> int:
+        """Words of a kept frame."""
+        return RECALL_FOOTPRINT_WORDS if self._footprints else RECALL_WORDS
+
+    def keep(self, inputs: Inputs, vectors: GpuArray | None, moves: bool) -> GpuArray:
+        """This frame as later ones recall it, [words, H, W]. `moves`: the frame has motion."""
+        size, ctx = inputs.surface.shape[:2], inputs.surface.buffer.ctx
+        kept = GpuArray.empty(ctx, (self.words, *size), np.uint32)
+        buffers = {"surface": inputs.surface, "vectors": vectors or inputs.light, "kept": kept}
+        dispatch("accumulated_kpn/keep", size[::-1], buffers | {"light": inputs.light}, MOVES=int(moves))
+        if self._footprints:
+            dispatch("hybrid/keep", size[::-1], buffers | {"guide": inputs.guide}, MOVES=int(moves))
+        return kept
+
+    def recall(
+        self, chosen: GpuArray, inputs: Inputs, recent: tuple[GpuArray, ...], running: GpuArray, dual: bool
+    ) -> GpuArray | None:
+        """Write the mean light of recent frames, and the sum of their weights. Returns the footprints [3, H, W] of
+        `hybrid/look`. `chosen` comes from `history_motion`, or without `dual` from `vectors`."""
+        size, last = inputs.surface.shape[:2], len(recent) - 1
+        extent = tuple(-(-n // RECALL_CELL) for n in size)
+        found, cells = self._scratch.image("found", size), self._scratch.image("cells", extent)
+        stays, seen = self._scratch("stays", extent), None
+        now = {"light": inputs.light, "surface": inputs.surface, "chosen": chosen}
+        now["path"] = self._scratch.image("path", size)
+        if self._footprints:
+            seen = self._scratch("seen", (3, *size, 4))
+            through = {"surface": inputs.surface, "chosen": chosen, "stays": stays, "seen": seen}
+            through |= {"edge": self._scratch.image("edge", size), "misplaced": self._misplaced(inputs)}
+        if not recent:
+            fill(running)
+            if seen is not None:
+                fill(seen)
+        for i, kept in enumerate(recent):
+            buffers, at = now | {"kept": kept, "found": found, "cells": cells}, {"FIRST": int(i == 0)}
+            dispatch("accumulated_kpn/look", size[::-1], buffers, **at)
+            dispatch("accumulated_kpn/stays", extent[::-1], {"cells": cells, "stays": stays})
+            buffers, at = {"found": found, "stays": stays, "running": running}, at | {"LAST": int(i == last)}
+            dispatch("accumulated_kpn/add", size[::-1], buffers, **at)
+            if seen is not None:
+                dispatch("hybrid/look", size[::-1], through | {"kept": kept}, DUAL=int(dual), **at)
+        return seen
+
+    def over(
+        self, seen: GpuArray, inputs: Inputs, vectors: GpuArray, recent: tuple[GpuArray, ...]
+    ) -> GpuArray:
+        """The footprints `seen`, this frame in them, with edges that move against what is behind them."""
+        size = inputs.surface.shape[:2]
+        buffers = {"seen": seen, "light": inputs.light, "guide": inputs.guide, "surface": inputs.surface}
+        buffers |= {"vectors": vectors, "front": self._scratch("front", (2, *size, 4))}
+        buffers["over"] = over = self._scratch("over", (3, *size, 4))
+        for i, kept in enumerate(recent):
+            at = {"FIRST": int(i == 0), "LAST": int(i == len(recent) - 1)}
+            dispatch("hybrid/over", size[::-1], buffers | {"kept": kept}, **at)
+        return over
+
+    def _misplaced(self, inputs: Inputs) -> GpuArray:
+        """How much less lookups off the pixel count, [1]: `models.past.misplaced`."""
+        misplaced = self._scratch("misplaced", (1,))
+        H, W = inputs.surface.shape[:2]
+        if min(H, W) < NOISE_WINDOW:
+            fill(misplaced)
+            return misplaced
+        windows = tuple((n - NOISE_WINDOW) // NOISE_WINDOWS + 1 for n in (H, W))
+        relative = self._scratch("relative", windows)
+        buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "relative": relative}
+        dispatch("hybrid/noise", windows[::-1], buffers, {"image_size": (W, H)})
+        buffers, parameters = {"relative": relative, "misplaced": misplaced}, {"count": windows[0] * windows[1]}
+        dispatch("hybrid/misplaced", (1,), buffers, parameters, SELECT_GROUP)
+        return misplaced

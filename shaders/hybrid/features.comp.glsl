@@ -1,0 +1,44 @@
+#version 430
+// The input of the network that writes pixels: footprints, 9 channels, with light compressed in OIDN's unit. Where one frame has
+// seen a pixel, and more have seen those around it, some of the kernels' picture stands in for light (EVEN, models.mixing.evened).
+// One invocation per pixel of the padded result, which is zero beyond the image.
+#pragma constants EVEN SEEN_ONCE CONTRAST UNIT
+#pragma parameters ivec2 image_size
+#include "around.glsl"
+#include "activations.glsl"
+#include "curve.glsl"
+
+#pragma reads vec4 shown           // [3, image_size] rgb, frames · albedo, trust · normal
+#pragma reads vec4 denoised        // [image_size] the kernels' picture
+#pragma reads vec4 cells           // of `hybrid/cells`
+#pragma reads float statistics     // [2] exposure, ·
+#pragma writes vec4 even           // [image_size] the light that is filtered
+#pragma writes FOUR result         // [3, size]
+
+void main() {
+    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
+    if (!inside(pixel, size)) return;
+
+    int o = at(pixel, size), area = size.x * size.y;
+    if (!inside(pixel, image_size)) {
+        for (int k = 0; k < 3; ++k) result[o + k * area] = packed_four(vec4(0.0));
+        return;
+    }
+    int i = at(pixel, image_size), plane = image_size.x * image_size.y;
+    vec4 light = shown[i], albedo = shown[i + plane];
+    vec3 normal = shown[i + 2 * plane].xyz, rgb = light.rgb;
+    if (EVEN == 1) {
+        float most = 0.0, once = 1.0 - clamp(light.w - 1.0, 0.0, 1.0);
+        ivec2 extent = cells_of(image_size);
+        for (int k = 0; k < 9; ++k) {
+            ivec2 cell = pixel / AROUND_CELL + ivec2(k % 3, k / 3) - 1;
+            if (inside(cell, extent)) most = max(most, cells[at(cell, extent)].x);
+        }
+        float share = 1.0 - (1.0 - SEEN_ONCE) * albedo.w * once * clamp(most - 1.0, 0.0, 1.0);
+        rgb = mix(denoised[i].rgb, rgb, share);
+    }
+    even[i] = vec4(rgb, 1.0);
+    result[o] = packed_four(vec4(UNIT * compressed(CONTRAST * statistics[0] * rgb), albedo.r));
+    result[o + area] = packed_four(vec4(albedo.gb, normal.xy));
+    result[o + 2 * area] = packed_four(vec4(normal.z, 0.0, 0.0, 0.0));
+}

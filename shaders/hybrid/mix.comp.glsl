@@ -1,0 +1,58 @@
+#version 430
+// The kernels' picture, the written one and the previous one as one picture (ops.mix, models.mixing).
+#pragma constants USUAL BEFORE LEAST MIX_CELL MIX_NOISE
+#include "around.glsl"
+#include "curve.glsl"
+#include "past.glsl"
+
+#pragma reads vec4 written         // [H, W] rgb
+#pragma reads vec4 past            // [H, W] rgb, flags
+#pragma reads vec4 seen            // [3, H, W] · albedo, trust ·
+#pragma reads vec4 cells, vec4 told  // of `hybrid/cells` and `hybrid/written`
+#pragma reads float statistics     // [2] exposure, ·
+#pragma changes vec4 denoised      // [H, W] the kernels' picture, or at last the mixture
+#pragma writes float result        // [3, H, W] the same
+
+// Mean of a cell and the eight around it.
+vec3 told_around(ivec2 cell, ivec2 extent) {
+    vec4 sum = vec4(0.0);
+    for (int k = 0; k < 9; ++k) {
+        ivec2 c = cell + ivec2(k % 3, k / 3) - 1;
+        if (inside(c, extent)) sum += vec4(told[at(c, extent)].xyz, 1.0);
+    }
+    return sum.xyz / sum.w;
+}
+
+// How far the noisy frame tells of this pixel: less where it was just uncovered and others around it have a history.
+float tells(ivec2 pixel, float held) {
+    ivec2 extent = cells_of(size);
+    float around = 0.0;
+    for (int k = 0; k < 9; ++k) {
+        ivec2 cell = pixel / AROUND_CELL + ivec2(k % 3, k / 3) - 1;
+        if (inside(cell, extent)) around = max(around, cells[at(cell, extent)].y);
+    }
+    return held + (1.0 - held) * (1.0 - around);
+}
+
+void main() {
+    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
+    if (!inside(pixel, size)) return;
+
+    // Linear between the centres of cells.
+    ivec2 extent = (size + MIX_CELL - 1) / MIX_CELL;
+    vec2 place = max((vec2(pixel) + 0.5) / float(MIX_CELL) - 0.5, 0.0);
+    ivec2 low = ivec2(place), high = min(low + 1, extent - 1);
+    vec2 f = place - vec2(low);
+    vec3 sums = mix(mix(told_around(low, extent), told_around(ivec2(high.x, low.y), extent), f.x),
+                    mix(told_around(ivec2(low.x, high.y), extent), told_around(high, extent), f.x), f.y);
+
+    int i = at(pixel, size), plane = size.x * size.y;
+    float noise = sums.z + MIX_NOISE, trust = seen[i + plane].w, held = has_history(past[i]) ? 1.0 : 0.0;
+    float told_share = clamp((USUAL * noise + sums.x) / (noise + sums.y), 0.0, 1.0);
+    float share = mix(clamp(told_share, LEAST, USUAL), told_share, tells(pixel, held)), scale = statistics[0];
+    vec3 mixed = mix(compressed(scale * written[i].rgb), compressed(scale * max(denoised[i].rgb, 0.0)), trust * share);
+    mixed = mix(mixed, compressed(scale * past[i].rgb), trust * BEFORE * held);
+    vec3 rgb = expanded(mixed) / scale;
+    denoised[i] = vec4(rgb, 1.0);
+    for (int c = 0; c < 3; ++c) result[c * plane + i] = rgb[c];
+}
