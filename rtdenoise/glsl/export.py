@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 from .. import __version__
 from ..errors import InputError
 from ..files import dumps, write_atomically
-from ..models.weights import read_config
+from ..frame import RECENT
 from .current import current
 from .dispatch import Dispatch
 from .pipeline import Pipeline
@@ -58,10 +60,9 @@ def export(
         raise InputError(f"{out}: is not an empty folder; choose another --out")
     if blocked := [path for path in out.parents if path.exists() and not path.is_dir()]:
         raise InputError(f"{out}: {blocked[0]} is not a folder; choose another --out")
-    running_mean = {"recent": 0} if read_config(model).recent else {}  # an engine's first frames have no eight others
-    pipeline = Pipeline.load(model, half, **running_mean)
-    frames = sample_frames(size, len(FRAMES))
-    recordings = record(pipeline, frames)
+    pipeline = Pipeline.load(model, half)
+    first, following = sample_frames(size, len(FRAMES))
+    recordings = record(pipeline, [replace(first, motion=None), following])
     for folder in ("glsl", "sample"):
         (out / folder).mkdir(parents=True)
 
@@ -76,7 +77,7 @@ def export(
     document = {
         "format": FORMAT, "rtdenoise": __version__, "model": model, "width": size[1], "height": size[0],
         "tolerance": HALF_TOLERANCE if half else TOLERANCE, "shaders": shaders.described(spirv), "buffers": buffers,
-        "keep": {name + BEFORE: name for name in recordings[-1].read if name + BEFORE in buffers}, "output": "result",
+        "keep": _swaps(recordings[-1], buffers), "output": "result",
         "frames": passes,
         "sample": {name: _sample(out, name, r) for name, r in zip(FRAMES, recordings, strict=True)},
     }  # fmt: skip
@@ -171,6 +172,15 @@ def _buffers(recordings: list[Recording]) -> tuple[dict[str, dict], bytes]:
                         weights += array.buffer.read()
                 found[name] = entry
     return found, bytes(weights)
+
+
+def _swaps(following: Recording, buffers: Mapping[str, dict]) -> dict[str, str]:
+    """Pairs of buffers that change places after a frame, one after the other: what it wrote becomes the frame before's,
+    and each recent frame the one before that."""
+    read = [name for name in following.read if name + BEFORE in buffers]
+    recent = [name + BEFORE for name in read if name.startswith(RECENT)]
+    others = {name + BEFORE: name for name in read if not name.startswith(RECENT)}
+    return others | dict(reversed([*pairwise([*recent, f"{RECENT}0"])]))
 
 
 def _kind(binding: str, name: str, recording: Recording) -> str:

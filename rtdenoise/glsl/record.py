@@ -5,14 +5,14 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from ..frame import Frame
+from ..frame import RECENT, Frame
 from .context import GpuArray
-from .dispatch import Dispatch, watching
+from .dispatch import Dispatch, fill, watching
 from .pipeline import Pipeline
 from .state import History
 
@@ -50,7 +50,11 @@ class Recording:
 
 def record(pipeline: Pipeline, frames: list[Frame]) -> list[Recording]:
     """Denoise frames and record each of them. Buffers hold zeros before their first use, so that the unwritten parts of
-    an array are the same in every run. Raises InputError as `Pipeline.step`."""
+    an array are the same in every run. Raises InputError as `Pipeline.step`.
+
+    A frame with history looks up as many recent frames as the model keeps, empty ones where there are fewer: every
+    path must end at the first frame, which must have no motion.
+    """
     used: set[int] = set()  # GL names of buffers; the recordings keep these alive, so no name comes twice
     recordings, history = [], None
     for frame in frames:
@@ -58,8 +62,9 @@ def record(pipeline: Pipeline, frames: list[Frame]) -> list[Recording]:
         recording = Recording(inputs=layers, read=_images(history))
         with watching(pipeline.ctx, partial(_recorded, recording.steps, used)):
             result, history = pipeline.run(layers, history)
-        recording.written, recording.image = _images(history), result.read()
+        recording.written, recording.image = _written(history), result.read()
         recordings.append(recording)
+        history = _with_empty_frames(history, pipeline.config.recent)
     return recordings
 
 
@@ -91,5 +96,19 @@ def check(values: np.ndarray) -> dict:
 
 
 def _images(history: History | None) -> Mapping[str, GpuArray]:
-    fields = {} if history is None else vars(history)
-    return {name: array for name, array in fields.items() if isinstance(array, GpuArray)}
+    fields, recent = ({}, ()) if history is None else (vars(history), history.recent)
+    images = {name: array for name, array in fields.items() if isinstance(array, GpuArray)}
+    return images | {f"{RECENT}{i}": kept for i, kept in enumerate(recent)}
+
+
+def _written(history: History) -> Mapping[str, GpuArray]:
+    """What a frame has written of its history: of recent frames itself alone."""
+    return _images(replace(history, recent=history.recent[:1]))
+
+
+def _with_empty_frames(history: History, count: int) -> History:
+    empty = []
+    for _ in range(count - len(history.recent)):
+        empty.append(GpuArray.empty(history.denoised.buffer.ctx, history.recent[0].shape, np.uint32))
+        fill(empty[-1])
+    return replace(history, recent=(*history.recent, *empty))
