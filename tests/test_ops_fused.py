@@ -804,6 +804,22 @@ def misfits():
                 yield pytest.param(op, arguments, id=f"{name}-{i}-{'-'.join(size)}")
 
 
+@pytest.mark.parametrize(
+    "op",
+    [
+        lambda x, elsewhere: ops.warp(x, elsewhere[:, :2]),
+        lambda x, elsewhere: ops.warp(x, x[:, :2], elsewhere[:, :1] > 0, x),
+        lambda x, elsewhere: pixels.demodulate(x, elsewhere, x[:, :1]),
+        lambda x, elsewhere: recall(x, x[:, :2], (x[:, :1], x), [elsewhere[:, [0] * 5].int()]),
+    ],
+)
+def test_tensors_of_another_device_are_refused(op):
+    """C would read memory that is not there."""
+    image = torch.rand(1, 3, 8, 9)
+    with pytest.raises(RuntimeError), ops.use("auto"):
+        op(image, image.to("meta"))
+
+
 @pytest.mark.parametrize(("op", "arguments"), [*misfits()])
 def test_arguments_that_do_not_fit_are_as_for_the_specification(op, arguments):
     """Refused, or broadcast to the same result: C reads no memory that is not there."""

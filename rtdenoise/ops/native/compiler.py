@@ -11,7 +11,7 @@ import platform
 import re
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from ctypes import Array
 from importlib import resources
 from pathlib import Path
@@ -77,14 +77,25 @@ def _announce() -> None:
 
 
 def pointer(tensor: Tensor | None) -> ctypes.c_void_p:
-    """The address of a tensor's first value; null for None."""
-    return ctypes.c_void_p(tensor.data_ptr() if tensor is not None else None)
+    """The address of a tensor's first value; null for None. Raises RuntimeError for one that is not on the CPU."""
+    return ctypes.c_void_p(None if tensor is None else _address(tensor))
+
+
+def pointers(tensors: Iterable[Tensor]) -> Array[ctypes.c_void_p]:
+    """`pointer` of each, as an array."""
+    found = [_address(tensor) for tensor in tensors]
+    return (ctypes.c_void_p * len(found))(*found)
 
 
 def planes(images: Sequence[Tensor]) -> Array[ctypes.c_void_p]:
-    """The addresses of the planes of contiguous images, `[B, C, H, W]` each, joined along channels: B × ΣC."""
-    found = [plane.data_ptr() for parts in zip(*images, strict=True) for part in parts for plane in part]
-    return (ctypes.c_void_p * len(found))(*found)
+    """`pointers` to the planes of contiguous images, `[B, C, H, W]` each, joined along channels: B × ΣC."""
+    return pointers(plane for parts in zip(*images, strict=True) for part in parts for plane in part)
+
+
+def _address(tensor: Tensor) -> int:
+    if not tensor.is_cpu:  # C would read memory that is not there
+        raise RuntimeError(f"expected all tensors on the CPU, got one on {tensor.device}")
+    return tensor.data_ptr()
 
 
 def _literal(value: int | float) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from ctypes import c_float, c_void_p
+from ctypes import c_float
 
 import torch
 from torch import Tensor
 
 from ...constants import FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED
-from .compiler import library, planes, pointer
+from .compiler import library, planes, pointer, pointers
 
 
 def over_and_coverage(
@@ -20,11 +20,11 @@ def over_and_coverage(
     recent = [t.contiguous(memory_format=torch.channels_last) for t in recent]
     B, _, H, W = seen.shape
     threads, K = torch.get_num_threads(), len(recent)
-    kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
+    kept = pointers(image for images in zip(*recent, strict=True) for image in images)
     out, found = torch.empty_like(seen), seen.new_empty(threads, W, dtype=torch.uint8)
     coverage = seen.new_zeros(B, 3, H, W)
     constants = map(c_float, (OVER_APART, OVER_SPEED, OVER_LIGHT, OVER_SAME))
     run = library("over", FAR_AWAY=FAR_AWAY, GLOSS=GLOSS).over
-    pointers = pointer(seen), planes(now), *map(pointer, where), kept, *map(pointer, (out, coverage, found))
-    run(*pointers, K, B, H, W, *constants, threads)
+    arrays = pointer(seen), planes(now), *map(pointer, where), kept, *map(pointer, (out, coverage, found))
+    run(*arrays, K, B, H, W, *constants, threads)
     return out, coverage

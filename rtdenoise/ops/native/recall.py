@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from ctypes import CDLL, c_float, c_void_p
+from ctypes import CDLL, c_float
 
 import torch
 from torch import Tensor
@@ -22,7 +22,7 @@ from ...constants import (
     RECALL_WIDE_CHANGED,
     RECALL_WORDS,
 )
-from .compiler import library, pointer
+from .compiler import library, pointer, pointers
 
 FOUND, SUMS, BLOCK = 4, 6, 256  # as in recall.c
 WORDS = 3  # likewise, found of a pixel in each kept frame
@@ -48,7 +48,7 @@ def recall(
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
     found = light.new_empty(threads, FOUND, K, WORDS, RECALL_CELL, BLOCK, dtype=torch.int32)
     cells = light.new_empty(threads, SUMS, K, BLOCK)
-    kept = (c_void_p * (B * K))(*(image.data_ptr() for images in zip(*recent, strict=True) for image in images))
+    kept = pointers(image for images in zip(*recent, strict=True) for image in images)
     outputs = [*map(pointer, results), *[None] * (4 - len(results))]
     tests = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
     tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, *tests, RECALL_EDGE_SPEED))
@@ -76,9 +76,9 @@ def keep(light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Te
     B, _, H, W = light.shape
     words = RECALL_WORDS if albedo is None else RECALL_FOOTPRINT_WORDS
     kept = torch.empty(B, words, H, W, dtype=torch.int32, device="cpu", memory_format=torch.channels_last)
-    pointers = [*map(pointer, images), *[None] * (6 - len(images))]
+    inputs = [*map(pointer, images), *[None] * (6 - len(images))]
     tolerances = map(c_float, (DEPTH_TOLERANCE, RECALL_EDGE_SPEED))
-    _compiled().keep(*pointers, pointer(kept), B, H, W, *tolerances, torch.get_num_threads())
+    _compiled().keep(*inputs, pointer(kept), B, H, W, *tolerances, torch.get_num_threads())
     return kept
 
 
