@@ -637,19 +637,20 @@ def build(kernel, constants, **types):
     compiled = triton.compile(source, target=GPUTarget("cuda", 80, 32))
     assert compiled.asm["ptx"], kernel
 
-sizes = dict(H="i32", W="i32")
 strides = dict(batch="i64", stride="i64", cell_row="i64", row="i64", cell="i32", step="i32")
 C = dict(C=3, CP=4, BLOCK=128)
-build(_forward, dict(K=3, KEEP=True, **C), logits="*bf16", **sizes, **strides)
-build(_backward, dict(K=3, **C), **sizes, **strides)
-build(_fetch, C, **sizes)
-for cubic in (False, True):
-    build(_warp, dict(CUBIC=cubic, **C), **sizes)
-build(_downsample, dict(MAXIMUM=False, BLOCK=128), **sizes)
-build(_compose, dict(C=3, MAXIMUM=True, BLOCK=128), **sizes)
-build(_soften, dict(C=3, BLOCK=128), **sizes)
-build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1e6), valid="*u8",
-      depth_tolerance="fp32", normal_tolerance="fp32", **sizes)
+for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
+    sizes = {n: "i32" for n in "HW" if n not in one}
+    build(_forward, dict(K=3, KEEP=True, **C, **one), logits="*bf16", **sizes, **strides)
+    build(_backward, dict(K=3, **C, **one), **sizes, **strides)
+    build(_fetch, {**C, **one}, **sizes)
+    for cubic in (False, True):
+        build(_warp, dict(CUBIC=cubic, **C, **one), **sizes)
+    build(_downsample, dict(MAXIMUM=False, BLOCK=128, **one), **sizes)
+    build(_compose, dict(C=3, MAXIMUM=True, BLOCK=128, **one), **sizes)
+    build(_soften, dict(C=3, BLOCK=128, **one), **sizes)
+    build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1e6, **one), valid="*u8",
+          depth_tolerance="fp32", normal_tolerance="fp32", **sizes)
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)

@@ -1,4 +1,7 @@
-"""The grid that all kernels share: the pixels of a program, and the number of programs."""
+"""The grid that all kernels share: the pixels of a program, and the number of programs.
+
+Triton makes an argument of 1 a constant, which has no methods: kernels widen sizes by `tl.cast`, not by `.to`.
+"""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def _change(fine, coarse, alpha, y, x, exists, H, W, MAXIMUM: tl.constexpr):
 @triton.jit
 def _compose(fine, coarse, alpha, out, H, W, C: tl.constexpr, MAXIMUM: tl.constexpr, BLOCK: tl.constexpr):
     n, y, x, exists = place(H, W, BLOCK)  # n: plane
-    size = ((H + 1) // 2).to(tl.int64) * ((W + 1) // 2)
+    size = tl.cast((H + 1) // 2, tl.int64) * ((W + 1) // 2)
     fine += n * H * W
     coarse += n * size
     alpha += n // C * size

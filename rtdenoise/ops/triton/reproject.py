@@ -22,7 +22,7 @@ def _reproject(stored, motion, depth, normal, depth_before, normal_before, out, 
                normal_tolerance, C: tl.constexpr, CP: tl.constexpr, BLOCK: tl.constexpr, MIN_HISTORY_WEIGHT:
                tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
-    plane = H.to(tl.int64) * W
+    plane = tl.cast(H, tl.int64) * W
     c = tl.arange(0, CP)
     pixel = y * W + x
     channels = b * C * plane + c[None, :] * plane

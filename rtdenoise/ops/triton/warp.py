@@ -28,7 +28,7 @@ def _catmull_rom(f, TAP: tl.constexpr):
 @triton.jit
 def _warp(image, motion, out, H, W, C: tl.constexpr, CP: tl.constexpr, CUBIC: tl.constexpr, BLOCK: tl.constexpr):
     b, y, x, exists = place(H, W, BLOCK)
-    plane = H.to(tl.int64) * W
+    plane = tl.cast(H, tl.int64) * W
     c = tl.arange(0, CP)
     pixel = y * W + x
     u = clamped_target(tl.load(motion + b * 2 * plane + pixel, mask=exists, other=0.0), x, W)
