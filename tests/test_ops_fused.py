@@ -619,7 +619,7 @@ def test_an_odd_picture_of_full_size(assert_images_close):
 def test_the_triton_kernels_compile_for_a_gpu():
     """The interpreter does not show this. Needs no GPU."""
     code = """
-import torch, triton, triton.language as tl
+import re, torch, triton, triton.language as tl
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 from rtdenoise.ops.triton.apply_kernel import _backward, _forward
@@ -636,8 +636,9 @@ def build(kernel, constants, **types):
     source = ASTSource(kernel, signature, {(names.index(n),): v for n, v in constants.items()})
     compiled = triton.compile(source, target=GPUTarget("cuda", 80, 32))
     assert compiled.asm["ptx"], kernel
+    assert not re.search("muli %stride, .*: i32", compiled.asm["ttir"])  # all logits may be more than 2³¹ values
 
-strides = dict(batch="i64", stride="i64", cell_row="i64", row="i64", cell="i32", step="i32")
+strides = dict(batch="i64", stride="i32", cell_row="i64", row="i64", cell="i32", step="i32")
 C = dict(C=3, CP=4, BLOCK=128)
 for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     sizes = {n: "i32" for n in "HW" if n not in one}

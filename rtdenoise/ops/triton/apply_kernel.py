@@ -25,7 +25,7 @@ def _offset(y, x, cell_row, row, cell, step):
 def _forward(image, logits, out, stats, H, W, batch, stride, cell_row, row, cell, step, K: tl.constexpr,
              C: tl.constexpr, CP: tl.constexpr, KEEP: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
-    plane = tl.cast(H, tl.int64) * W
+    plane, stride = tl.cast(H, tl.int64) * W, tl.cast(stride, tl.int64)
     c = tl.arange(0, CP)
     here = logits + b * batch + _offset(y, x, cell_row, row, cell, step)
     most = tl.full([BLOCK], -float("inf"), tl.float32)
@@ -58,7 +58,7 @@ def _backward(image, logits, out, stats, grad, grad_image, grad_logits, H, W, ba
     """Both gradients of one pixel: grad_logits[k] = w[k] · (grad · image[tap k] - grad · out), and grad_image gathered
     from the pixels q that read this one, each with its opposite tap."""
     b, y, x, exists = place(H, W, BLOCK)
-    plane = tl.cast(H, tl.int64) * W
+    plane, stride = tl.cast(H, tl.int64) * W, tl.cast(stride, tl.int64)
     c = tl.arange(0, CP)
     pixel = y * W + x
     channels = b * C * plane + c[None, :] * plane
