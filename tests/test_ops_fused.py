@@ -386,6 +386,13 @@ def test_features(both, assert_images_close, size, dtype):
     assert_images_close(fused.float(), plain.float(), "float32" if dtype == torch.float32 else "bfloat16 rounding")
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float64], ids=str)
+def test_features_of_other_types_are_plain(both, dtype):
+    light, like = torch.rand(1, 3, 8, 9), torch.empty(4, 6, 3, 3, dtype=dtype).to(memory_format=torch.channels_last)
+    plain, found = both(lambda x: features([x], [x], torch.ones(1, 1, 1, 1), like), light)
+    assert found.dtype == dtype and torch.equal(found, plain)
+
+
 @pytest.mark.parametrize("size", [*SIZES, (1, 5), (4, 1)], ids=str)
 @pytest.mark.parametrize("dtypes", [("float32", "float32"), ("bfloat16", "bfloat16"), ("bfloat16", "float32")], ids=str)
 @pytest.mark.parametrize(("channels", "planes"), [(32, 3), (48, 1), (16, 4), (64, 2)])

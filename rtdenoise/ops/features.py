@@ -10,7 +10,8 @@ from torch import Tensor
 from ..color import compress
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("features", native=Support())  # channels last only
+FUSED = Fused("features", native=Support())  # channels last only, to one of `TYPES`
+TYPES = torch.float32, torch.bfloat16
 
 
 @falls_back
@@ -27,6 +28,6 @@ def features(
     last = not like.is_contiguous() and like.is_contiguous(memory_format=torch.channels_last)
     form = {"dtype": like.dtype, "memory_format": torch.channels_last if last else torch.contiguous_format}
     guides = [guide.to(light[0].dtype) for guide in guides]
-    if last and (run := FUSED(light=light, guides=guides)):
+    if last and like.dtype in TYPES and (run := FUSED(light=light, guides=guides)):
         return run(light, guides, scale, like.dtype)
     return torch.cat([compress(torch.cat([*light], dim=1) * scale), *guides], dim=1).to(**form)
