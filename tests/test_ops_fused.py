@@ -722,6 +722,14 @@ def test_luminance_of_very_wide_blocks(assert_images_close):
     assert_images_close(maxima[..., None, None], torch.ones(1, 2, 1, 1), "float32")
 
 
+def test_an_even_sky_of_a_very_wide_picture():
+    """Wider than the fused op takes: rows would not fit on its stack."""
+    depth = torch.zeros(1, 1, 1, 3_000_000)
+    light = torch.ones_like(depth).expand(1, 3, -1, -1)
+    with ops.use("auto"):
+        assert torch.equal(even_sky(0 * light, light, depth), light)
+
+
 def test_the_choice_can_be_forced_and_is_taken_back():
     image, logits = torch.rand(1, 3, 8, 9).double(), torch.randn(1, 25, 8, 9)
     with ops.use("auto"):

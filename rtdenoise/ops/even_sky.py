@@ -10,6 +10,7 @@ from ..constants import SKY_BLOCK, SKY_TOLERANCE
 from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused("even_sky", native=Support())
+MAX_WIDTH = 1 << 16  # pixels: the fused op has values of a whole row on its stack
 
 
 @falls_back
@@ -27,9 +28,9 @@ def even_sky(
     """
     if depth.device.type == "cpu" and bool((depth > 0).all()):
         return image  # on a GPU, looking would mean waiting
-    if run := FUSED(image=image, radiance=radiance, depth=depth):
-        return run(image, radiance, depth)
     H, W = depth.shape[2:]
+    if W <= MAX_WIDTH and (run := FUSED(image=image, radiance=radiance, depth=depth)):
+        return run(image, radiance, depth)
     hit = (depth > 0).to(radiance.dtype)
     columns = F.max_pool2d(hit, (3, 1), stride=1, padding=(1, 0))
     opened = F.max_pool2d(columns, (1, 3), stride=1, padding=(0, 1)) == 0
