@@ -434,6 +434,20 @@ def test_the_recurrent_form_finds_a_lasting_error_and_forgets_it_at_cuts():
     assert torch.equal(image, z)
 
 
+@pytest.mark.parametrize("frames", [1, 2, 3, 5])
+def test_the_recurrent_form_counts_every_frame_wherever_motion_leads(frames):
+    from rtdenoise.frame import History
+    from rtdenoise.models.shrinkage import correct
+
+    (frame,) = window_of_pictures([torch.ones(1, 3, 96, 96)], torch.ones(1)).frames
+    frame = replace(frame, motion=torch.rand(1, 2, 96, 96) - 0.5)
+    onward = History(frame.radiance, frame.motion_next, frame.depth, frame.normal)
+    lengths = torch.full_like(frame.depth, float(frames))
+    history = replace(onward, residual=torch.zeros_like(frame.radiance), residual_length=lengths)
+    _, after = correct(frame, frame.radiance, history, onward)
+    assert (after.residual_length == frames + 1).all()
+
+
 def test_an_untrained_network_corrects_as_far_as_the_frames_agree():
     torch.manual_seed(1)
     pictures = [(1 + 0.1 * torch.randn(1, 3, 48, 48)).clamp(min=0) for _ in range(5)]

@@ -41,6 +41,7 @@ SHARE_OF_FRAMES = 1.5  # for a frame and its neighbours
 FEW_SAMPLES = 4  # below, an edge pixel's noisy light is that of one surface
 MAX_DEPTH_STEP, MIN_AGREEMENT = 0.1, 0.95  # of an edge: relative range of depth, length of the mean normal
 MAX_LENGTH = 8  # frames in a running mean of residuals: z changes, and resampling blurs
+ROUNDING = 1e-4  # of a number of frames that was interpolated: whole ones stay so
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def correct(
     if history is not None and history.residual is not None:
         surfaces = (frame.depth, frame.normal), (history.depth, history.normal)
         found, valid = reproject((history.residual, history.residual_length), frame.motion, *surfaces)
-        mean, count = found[:, :3], (found[:, 3:] * valid).floor()
+        mean, count = found[:, :3], (found[:, 3:] * valid + ROUNDING).floor()
     image = torch.maximum(estimate + supported(frame, own, mean, count), estimate.clamp(max=0))
     mean = (own + count * mean) / (count + 1)
     return image, replace(onward, residual=mean, residual_length=(count + 1).clamp(max=MAX_LENGTH))
