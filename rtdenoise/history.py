@@ -57,7 +57,7 @@ def resize(history: History, size: tuple[int, int]) -> History:
         if name in NEAREST:
             tensor = F.interpolate(tensor, (h, w), mode="nearest-exact")
             return tensor * scale if name == "motion_next" else tensor
-        smaller = h < tensor.shape[2]  # torch has no such filter for float16 on a CPU
+        smaller = h < tensor.shape[2] or w < tensor.shape[3]  # torch has no such filter for float16 on a CPU
         between = F.interpolate(tensor.float(), (h, w), mode="bilinear", antialias=smaller).to(tensor.dtype)
         return between * scale if name == FOUND or name.startswith(SHIFTS) else between
 

@@ -72,6 +72,16 @@ def test_what_is_no_history_is_named(tmp_path):
         load_history(path)
 
 
+@pytest.mark.parametrize("size", [(8, 64), (64, 8), (8, 8), (8, 128), (128, 8)], ids=str)
+def test_a_smaller_history_is_a_mean_of_its_pixels(size):
+    """Whichever side shrinks: without a filter noise would stay as it is, and most pixels count for nothing."""
+    torch.manual_seed(0)
+    noise = torch.rand(1, 3, 64, 64)
+    radiance = resize(History(noise, motion_next=None, depth=None, normal=None), size).radiance
+    assert radiance.shape[2:] == size
+    assert radiance.var() < noise.var() / 4
+
+
 @pytest.mark.parametrize("size", [(48, 64), (12, 16), (31, 40)])
 def test_history_goes_with_a_change_of_resolution(denoiser, size):
     (before,) = make_frames(1, noise=0.0)
