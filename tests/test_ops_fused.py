@@ -485,6 +485,9 @@ def test_to_planes_falls_back():
     for planes in (to_planes(x.contiguous(), weight, bias), six[:, :3], six[:, 3:]):
         torch.testing.assert_close(planes, expected, rtol=1e-4, atol=1e-4)
     assert to_planes(x[:, :9], weight[:, :9], bias).shape == expected.shape
+    for other in (weight[:, :16], weight.repeat(1, 2, 1, 1), weight[:2]):  # torch says what is wrong; C would read on
+        with pytest.raises(RuntimeError, match=r"to have|to be"):
+            to_planes(x, other, bias)
 
 
 @pytest.mark.parametrize("size", [*SIZES, (3, 1281)], ids=str)

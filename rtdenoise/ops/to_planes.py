@@ -29,8 +29,9 @@ def to_planes(
     """
     O, C = weight.shape[:2]
     last = x.is_contiguous(memory_format=torch.channels_last) and C % LANES == 0 and O <= MOST
+    fits = weight.shape == (len(bias), x.shape[1], 3, 3)  # torch says what does not
     trained = torch.is_grad_enabled() and weight.requires_grad
-    if last and not trained and x.dtype != torch.float16 and (run := FUSED(x=x)):
+    if last and fits and not trained and x.dtype != torch.float16 and (run := FUSED(x=x)):
         return run(x, weight, bias)
     with nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False):
         return F.conv2d(x.float(), weight.float(), bias.float(), padding=1)
