@@ -140,6 +140,8 @@ def test_nothing_may_be_behind():
 def test_shapes_are_checked():
     with pytest.raises(ValueError, match=r"expected kept frames of \(1, 8, 8, 24\)"):
         composed([torch.zeros(1, 5, *SIZE, dtype=torch.int32)])
+    with pytest.raises(ValueError, match=r"int32, got .*uint8"):
+        composed([torch.zeros(1, 8, *SIZE, dtype=torch.uint8)])
 
 
 def test_still_pictures_leave_it_out(monkeypatch):

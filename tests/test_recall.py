@@ -269,6 +269,9 @@ def test_footprints_need_albedo():
 def test_shapes_are_checked():
     with pytest.raises(ValueError, match="expected kept frames of"):
         recall(noisy(), image(0.0, 0.0), WALL, [torch.zeros(1, 5, 4, 4, dtype=torch.int32)])
+    for words, dtype in ((5, torch.uint8), (5, torch.int64), (7, torch.int32), (9, torch.int32)):  # C would read beyond
+        with pytest.raises(ValueError, match="expected kept frames of"):
+            recall(noisy(), image(0.0, 0.0), WALL, [torch.zeros(1, words, *SIZE, dtype=dtype)])
     with pytest.raises(ValueError, match="expected uncovered"):
         recall(noisy(), image(0.0, 0.0), WALL, [], torch.zeros(1, 1, 4, 4, dtype=torch.bool))
 

@@ -17,7 +17,7 @@ from ..color import albedo_divisor
 from ..constants import OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED, RECALL_FOOTPRINT_WORDS
 from .dispatch import Fused, Support, falls_back
 from .fetch import fetch
-from .recall import BESIDE, Path, distance
+from .recall import BESIDE, Path, check_kept, distance
 
 FUSED = Fused("over.over_and_coverage", native=Support())
 
@@ -43,7 +43,7 @@ def over(
     `seen` at B. Of radiance the share LIGHT is s and the rest `seen`, and where both differ by less than kept frames
     are rounded by (SAME), it stays: even light is even. `constants` has the four as OVER_APART ...
 
-    Raises ValueError where the shapes do not fit. No gradients.
+    Raises ValueError where the shapes do not fit, or the kept frames are no int32. No gradients.
     """
     return over_and_coverage(seen, now, motion, depth, recent)[0]
 
@@ -55,9 +55,7 @@ def over_and_coverage(
     """`over`, and what it knows of each pixel's coverage, `[B, 3, H, W]`: 1 where the front is seen now, otherwise 0;
     Σ w_j, j > 0, of the frames that saw the front; and of all of them. Zero where there is no such edge."""
     B, _, H, W = seen.shape
-    for kept in recent:
-        if kept.shape != (B, RECALL_FOOTPRINT_WORDS, H, W):
-            raise ValueError(f"expected kept frames of {(B, RECALL_FOOTPRINT_WORDS, H, W)}, got {tuple(kept.shape)}")
+    check_kept(recent, (B, RECALL_FOOTPRINT_WORDS, H, W))
     now = [now] if isinstance(now, Tensor) else [*now]
     if sum(part.shape[1] for part in now) != seen.shape[1]:
         raise ValueError(f"expected {seen.shape[1]} channels, got {[part.shape[1] for part in now]}")

@@ -78,13 +78,10 @@ def recall(
         w_j = not uncovered · surface of the pixel · u_j · Π_(i<j) (1 - reset_i(p_i)) · c(δ),
         c(δ) = (1 - |δ_x|) (1 - |δ_y|) / (1 + m |δ|²)
 
-    Raises ValueError where the shapes do not fit. No gradients.
+    Raises ValueError where the shapes do not fit, or the kept frames are no int32. No gradients.
     """
     B, _, H, W = light.shape
-    words = RECALL_WORDS if uncovered is None else RECALL_FOOTPRINT_WORDS
-    for kept in recent:
-        if kept.shape != (B, max(words, kept.shape[1]), H, W):
-            raise ValueError(f"expected kept frames of {(B, words, H, W)}, got {tuple(kept.shape)}")
+    check_kept(recent, (B, RECALL_WORDS if uncovered is None else RECALL_FOOTPRINT_WORDS, H, W))
     if uncovered is not None and uncovered.shape != (B, 1, H, W):
         raise ValueError(f"expected uncovered {(B, 1, H, W)}, got {tuple(uncovered.shape)}")
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
@@ -135,6 +132,15 @@ def keep(
     more = [] if albedo is None else [albedo, edge_motion(motion, depth)[0], torch.zeros_like(depth)]
     halves = torch.cat([light, depth, normal, reset, motion, *more], dim=1).bfloat16()
     return torch.stack([halves[:, 0::2], halves[:, 1::2]], dim=-1).view(torch.int32)[..., 0]
+
+
+def check_kept(recent: Sequence[Tensor], size: tuple[int, int, int, int]) -> None:
+    """Raise ValueError unless the frames are those of `keep`, `[B, words, H, W]`, or those for footprints."""
+    B, words, H, W = size
+    for kept in recent:
+        fits = kept.shape in ((B, words, H, W), (B, RECALL_FOOTPRINT_WORDS, H, W))
+        if not fits or kept.dtype != torch.int32:
+            raise ValueError(f"expected kept frames of {size} int32, got {tuple(kept.shape)} {kept.dtype}")
 
 
 def edge_motion(motion: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
