@@ -326,7 +326,7 @@ static inline void footprints(Job j, int y, int from, int n, float weight[][BLOC
         for (int part = 0; part < n; part += PART) {
             int size = MIN(PART, n - part);
             uint32_t pixels[WORDS][PART];
-            ahead(j.kept[k], WORDS, at[part] + j.W);
+            ahead(j.kept[k], WORDS, at[part] + (int64_t)j.W);
             if (size == PART) {
                 fetch(j.kept[k], j.plane, WORDS, PART, at + part, pixels);
                 see(j, pixels, PART, inside + part, &paths, part, &around, nearest, weight[k], sum);
