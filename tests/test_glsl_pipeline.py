@@ -22,6 +22,8 @@ from rtdenoise.errors import InputError
 from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.frame import Known, mean_distance
 from rtdenoise.glsl import GpuArray, Pipeline, ShaderError, expand
+from rtdenoise.glsl.dispatch import dispatch
+from rtdenoise.glsl.passes import SELECT_GROUP
 from rtdenoise.glsl.source import shaders
 from rtdenoise.history import mismatch
 from rtdenoise.models import PRESETS, AccumulatedKPNConfig, HybridConfig
@@ -196,6 +198,14 @@ def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, s
         scale, distance = statistics.read()
         assert_images_close(scale, exposure(limit_fireflies(radiance)).item(), "float32")
         assert_images_close(distance, mean_distance(depth.clamp(min=0)).item(), "float32")
+
+
+def test_a_negative_zero_is_not_the_greatest(gl):
+    """Drivers may leave it where a shader clamps to 0."""
+    maxima = GpuArray.upload(gl, np.array([-0.0, 3.0, -0.0, 2.0, 1.0], np.float32))
+    usual = GpuArray.upload(gl, np.zeros(1, np.float32))
+    dispatch("frame/usual", (1,), {"maxima": maxima, "usual": usual}, {"count": 5}, SELECT_GROUP)
+    assert usual.read() == 2.0  # the second greatest
 
 
 def test_history_of_another_kind_of_model_is_refused(weights):

@@ -1,5 +1,6 @@
 // Select the value of a given rank, by one work group of GROUP_X invocations together: digit by digit, since floats ≥ 0 have
-// the order of their bits. `float value(int i)` is defined before this file is included.
+// the order of their bits; -0, which a driver may make of a clamped value, counts as 0. `float value(int i)` is defined before
+// this file is included.
 #pragma constants GROUP_X
 layout(local_size_x = GROUP_X) in;
 
@@ -14,7 +15,7 @@ float select(int count, uint rank, out uint equals) {
         for (int i = lane; i < 256; i += GROUP_X) bins[i] = 0u;
         barrier();
         for (int i = lane; i < count; i += GROUP_X) {
-            uint bits = floatBitsToUint(value(i));
+            uint bits = floatBitsToUint(value(i)) & 0x7fffffffu;
             if ((bits & mask) == leading) atomicAdd(bins[(bits >> shift) & 255u], 1u);
         }
         barrier();
