@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from .constants import SHIFT_CELL
 from .data.stored import FOUND, read_history, write_history
 from .errors import InputError
 from .frame import RECENT, SHIFTS, Frame, History
@@ -52,14 +53,16 @@ def resize(history: History, size: tuple[int, int]) -> History:
     scale = history.radiance.new_tensor([W / before_W, H / before_H]).reshape(1, 2, 1, 1)
 
     def resized(name: str, tensor: Tensor) -> Tensor:
-        cell = next(c for c in CELLS if tensor.shape[2:] == (-(-before_H // c), -(-before_W // c)))
+        shifts = name == FOUND or name.startswith(SHIFTS)
+        cells = (SHIFT_CELL,) if shifts else CELLS  # the shape does not tell it where a picture is smaller than one
+        cell = next(c for c in cells if tensor.shape[2:] == (-(-before_H // c), -(-before_W // c)))
         h, w = -(-H // cell), -(-W // cell)
         if name in NEAREST:
             tensor = F.interpolate(tensor, (h, w), mode="nearest-exact")
             return tensor * scale if name == "motion_next" else tensor
         smaller = h < tensor.shape[2] or w < tensor.shape[3]  # torch has no such filter for float16 on a CPU
         between = F.interpolate(tensor.float(), (h, w), mode="bilinear", antialias=smaller).to(tensor.dtype)
-        return between * scale if name == FOUND or name.startswith(SHIFTS) else between
+        return between * scale if shifts else between
 
     layers = {name: tensor for name, tensor in history.layers().items() if not name.startswith(RECENT)}
     return History.from_layers({name: resized(name, tensor) for name, tensor in layers.items()})

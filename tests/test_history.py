@@ -7,6 +7,7 @@ import torch
 from safetensors.torch import save_file
 from synthetic import TINY, make_frames
 
+from rtdenoise.constants import SHIFT_CELL
 from rtdenoise.errors import InputError
 from rtdenoise.frame import MAX_CUT_MISMATCH, History
 from rtdenoise.history import load_history, mismatch, resize, save_history, usable
@@ -80,6 +81,17 @@ def test_a_smaller_history_is_a_mean_of_its_pixels(size):
     radiance = resize(History(noise, motion_next=None, depth=None, normal=None), size).radiance
     assert radiance.shape[2:] == size
     assert radiance.var() < noise.var() / 4
+
+
+@pytest.mark.parametrize("before", [(1, 1), (7, 5), (16, 16), (40, 17)], ids=str)
+def test_shifts_keep_their_cells_however_small_the_picture_was(before):
+    image, cells = torch.zeros(1, 3, *before), [-(-n // SHIFT_CELL) for n in before]
+    shift = torch.ones(1, 2, *cells)
+    history = History(image, motion_next=None, depth=None, normal=None, found=shift, shifts=(shift,))
+    carried = resize(history, (33, 97))
+    for found in (carried.found, *carried.shifts):
+        assert found.shape[2:] == (3, 7)
+        torch.testing.assert_close(found[0, :, 1, 1], torch.tensor([97 / before[1], 33 / before[0]]))
 
 
 @pytest.mark.parametrize("size", [(48, 64), (12, 16), (31, 40)])
