@@ -18,7 +18,7 @@ from .motion import OCCLUSION_THRESHOLD, dual_motion, occlusion_mask, on_screen
 from .ops import fetch
 from .ops.dispatch import Fused, Support, falls_back
 
-FUSED = Fused("history_motion", native=Support())
+FUSED = Fused("history_motion", native=Support(channels={"motion": (2,), "motion_next": (2,)}))
 NOTHING = torch.iinfo(torch.int64).max  # key of a pixel that nothing lands on
 
 

@@ -709,6 +709,13 @@ def test_the_reason_for_running_plain_is_given(arguments, problem):
         ops.apply_kernel(image, logits)
 
 
+def test_a_temporal_kernel_of_other_sizes_is_refused():
+    image, seen, alpha = torch.rand(2, 3, 8, 9), torch.ones(2, 1, 8, 9, dtype=torch.bool), torch.rand(2, 1, 8, 9)
+    for logits in (torch.zeros(1, 9, 8, 9), torch.zeros(2, 9, 8, 8), torch.zeros(2, 8, 8, 9)):
+        with pytest.raises(ValueError, match="expected logits"):
+            blend_history(image, image, seen, logits, alpha)
+
+
 def test_a_fused_op_without_the_gradient_that_is_asked_for_says_so():
     image = torch.rand(1, 3, 8, 9, requires_grad=True)
     with pytest.raises(RuntimeError, match="no gradient in image"), ops.use("fused"):
@@ -793,8 +800,8 @@ def misfits():
     """(op, its arguments, which one is exchanged for what) for the ops of single pixels and their like."""
     generator = torch.Generator().manual_seed(0)
 
-    def image(channels, B=2, H=8, W=12):
-        return torch.rand(B, channels, H, W, generator=generator)
+    def image(channels, B=2, H=8, W=12, more=0):
+        return torch.rand(B, channels + more, H, W, generator=generator)
 
     frame, other = keep(image(3), image(1), image(3), image(1), image(2), image(3)), (image(3), image(1), image(3))
 
@@ -804,6 +811,12 @@ def misfits():
     def chosen(motion, motion_next):
         color, depth, normal = other
         return history_motion(Frame(color, motion=motion, depth=depth), History(color, motion_next, depth, normal))[0]
+
+    def filtered(past, spatial, alpha):
+        return blend_history(spatial, past, torch.ones(2, 1, 8, 12, dtype=torch.bool), torch.zeros(2, 9, 8, 12), alpha)
+
+    def sums(now, before, motion, here, depth, was):
+        return displacement_sums(now, before, motion, torch.zeros(2, 2, 1, 2), here, depth, was, 8, 2)
 
     scale = torch.ones(2, 1, 1, 1)
     found = {
@@ -816,10 +829,16 @@ def misfits():
         "history_motion": (chosen, (2, 2)),
         "mix": (lambda a, b, trust, c, held: mix(a, b, scale, trust, (0.4, 0.1, 0.1), c, held), (3, 3, 1, 3, 1)),
         "soften": (soften, (3, 3, 1)),
+        "blend_history": (filtered, (3, 3, 1)),
+        "expand_within": (lambda x, first, other: expand_within(x, scale, first, other), (3, 3, 3)),
+        "displacement_sums": (sums, (1, 1, 2, 1, 1, 1)),
+        "block_luminance": (lambda x: torch.stack(block_luminance(x, 4)), (3,)),
+        "feature_bytes": (lambda *layers: feature_bytes(*layers, scale), (3, 3, 3)),
+        "over": (lambda seen, motion, depth: over(seen, seen, motion, depth, [frame]), (9, 2, 1)),
     }
     for name, (op, channels) in found.items():
         for i in range(len(channels)):
-            for size in ({"H": 4, "W": 6}, {"B": 1}, {"H": 1, "W": 1}):
+            for size in ({"H": 4, "W": 6}, {"B": 1}, {"H": 1, "W": 1}, {"more": 1}, {"more": -1}):
                 arguments = [image(c, **(size if k == i else {})) for k, c in enumerate(channels)]
                 yield pytest.param(op, arguments, id=f"{name}-{i}-{'-'.join(size)}")
 

@@ -42,6 +42,23 @@ def apply_kernel(
 
     Raises ValueError where the shapes do not fit, the image holds no floats, or K is even.
     """
+    check(image, logits)
+    H, W = image.shape[2:]
+    if logits.ndim == 6 and torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
+        logits = whole(logits)[:, :, :H, :W]
+    if run := FUSED(image=image, logits=logits):
+        return run(image, logits)
+
+    K = math.isqrt(logits.shape[-3])
+    logits = whole(logits)[:, :, :H, :W] if logits.ndim == 6 else logits
+    dtype = torch.promote_types(torch.float32, image.dtype)
+    weights = logits.to(dtype).masked_fill(~_inside(H, W, K, logits.device), -math.inf).softmax(dim=1)
+    padded = F.pad(image.to(dtype), [K // 2] * 4)
+    return _Gather.apply(weights, padded, K).to(image.dtype)
+
+
+def check(image: Tensor, logits: Tensor) -> None:
+    """Raise ValueError where `apply_kernel` does."""
     if image.ndim != 4 or logits.ndim not in (4, 6):
         raise ValueError(f"expected image and logits [B, C, H, W], got {tuple(image.shape)} and {tuple(logits.shape)}")
     B, _, H, W = image.shape
@@ -51,16 +68,6 @@ def apply_kernel(
         raise ValueError(f"expected logits [{B}, K², {H}, {W}] with K odd, got {tuple(logits.shape)}")
     if not image.is_floating_point():
         raise ValueError(f"expected an image of floats, got {image.dtype}")
-    if logits.ndim == 6 and torch.is_grad_enabled() and (image.requires_grad or logits.requires_grad):
-        logits = whole(logits)[:, :, :H, :W]
-    if run := FUSED(image=image, logits=logits):
-        return run(image, logits)
-
-    logits = whole(logits)[:, :, :H, :W] if logits.ndim == 6 else logits
-    dtype = torch.promote_types(torch.float32, image.dtype)
-    weights = logits.to(dtype).masked_fill(~_inside(H, W, K, logits.device), -math.inf).softmax(dim=1)
-    padded = F.pad(image.to(dtype), [K // 2] * 4)
-    return _Gather.apply(weights, padded, K).to(image.dtype)
 
 
 class _Gather(torch.autograd.Function):

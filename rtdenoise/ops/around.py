@@ -10,7 +10,8 @@ from ..color import expand
 from ..constants import AROUND_CELL
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("around.expand_within", native=Support(other=("scale",)))
+IMAGES = dict.fromkeys(("compressed", "first", "other"), (3,))
+FUSED = Fused("around.expand_within", native=Support(other=("scale",), channels=IMAGES))
 
 
 def greatest_around(x: Tensor) -> Tensor:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .apply_kernel import MAX_KERNEL, apply_kernel
+from .apply_kernel import MAX_KERNEL, apply_kernel, check
 from .blend import blend
 from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused(
-    "blend_history", native=Support(max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",), other=("logits",))
-)
+    "blend_history",
+    native=Support(
+        max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",), other=("logits",),
+        channels={"spatial": (0,), "alpha": (1,)},
+    ),
+)  # fmt: skip
 
 
 @falls_back
@@ -23,7 +27,9 @@ def blend_history(
     alpha: Tensor,  # [B, 1, H, W] in [0, 1]
 ) -> Tensor:  # [B, C, H, W]
     """`blend(spatial, apply_kernel(where(seen, past, spatial), logits), alpha)`: the paper's temporal kernel and its
-    eq. 1."""
-    if run := FUSED(past=past, spatial=spatial, alpha=alpha, logits=logits):
+    eq. 1. Raises ValueError where the logits do not fit."""
+    check(past, logits)
+    fits = seen.dtype is torch.bool and seen.shape == alpha.shape
+    if fits and (run := FUSED(past=past, spatial=spatial, alpha=alpha, logits=logits)):
         return run(spatial, past, seen, logits, alpha)
     return blend(spatial, apply_kernel(torch.where(seen, past, spatial), logits), alpha)

@@ -8,7 +8,7 @@ from torch.nn import functional as F
 from ..color import luminance
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("block_luminance", native=Support())
+FUSED = Fused("block_luminance", native=Support(channels={"radiance": (3,)}))
 MAX_BLOCK = 1024  # pixels: the widest block that the fused op takes
 
 

@@ -26,9 +26,9 @@ import logging
 import math
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 
 import torch
@@ -83,6 +83,8 @@ class Support:
     bytes: tuple[str, ...] = ()  # arguments that are uint8
     other: tuple[str, ...] = ()  # arguments of other sizes, which the op checks itself
     gradients: tuple[str, ...] = ()  # arguments in which it is differentiable
+    # of arguments that the op does not check itself, each tensor's of a sequence; 0: as many as the first argument
+    channels: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
 
 class Fused:
@@ -179,7 +181,8 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
     images = (first,) if isinstance(first, Tensor) else first
     shape = images[0].shape
     for name, value in arguments.items():
-        for tensor in (value,) if isinstance(value, Tensor) else value or ():
+        tensors = (value,) if isinstance(value, Tensor) else value or ()
+        for tensor in tensors:
             dtype, taken = tensor.dtype, torch.uint8 if name in support.bytes else torch.float32
             if dtype is not taken and not (name in support.halves and dtype in HALVES):
                 return f"{name} is {dtype}, it takes {taken}".replace("torch.", "")
@@ -189,6 +192,10 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
                 return "it has no derivatives in forward mode"
             if (tensor.shape[0], *tensor.shape[2:]) != (shape[0], *shape[2:]) and name not in support.other:
                 return f"{name} is {tuple(tensor.shape)}, it takes images like {tuple(shape)}"
+        if tensors and name in support.channels:
+            wanted = [count or shape[1] for count in support.channels[name]]
+            if (found := [tensor.shape[1] for tensor in tensors]) != wanted:
+                return f"{name} has {found} channels, it takes {wanted}"
     if images[0].numel() == 0 or shape[-2] * shape[-1] > MAX_PIXELS or (max_rows and math.prod(shape[:-1]) > max_rows):
         return f"it takes no images of {tuple(shape)}"
     channels = sum(image.shape[1] for image in images) if support.max_channels else 0

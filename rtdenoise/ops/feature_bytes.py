@@ -8,7 +8,7 @@ from torch import Tensor
 from ..color import compress
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("feature_bytes", native=Support())
+FUSED = Fused("feature_bytes", native=Support(channels={"layers": (3, 3, 3)}))
 LIGHT, ALBEDO, NORMAL = 40.0, 255.0, 127.0  # bytes' steps in a unit of compressed light, of albedo, and of a normal
 CHANNELS = 16  # of the result
 

@@ -20,7 +20,8 @@ from ..color import compress, expand
 from ..constants import MIX_CELL, MIX_DARK, MIX_LARGEST, MIX_NOISE
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("mix", native=Support())
+IMAGES = dict.fromkeys(("first", "other", "before", "noisy"), (3,)) | dict.fromkeys(("trust", "held", "tells"), (1,))
+FUSED = Fused("mix", native=Support(channels=IMAGES))
 
 
 @falls_back

@@ -19,7 +19,7 @@ from .dispatch import Fused, Support, falls_back
 from .fetch import fetch
 from .recall import BESIDE, Path, check_kept, distance
 
-FUSED = Fused("over.over_and_coverage", native=Support())
+FUSED = Fused("over.over_and_coverage", native=Support(channels={"seen": (9,), "motion": (2,), "depth": (1,)}))
 
 
 def over(

@@ -11,9 +11,12 @@ from ..color import albedo_divisor
 from .blend import blend
 from .dispatch import Fused, Support, falls_back
 
-DEMODULATE = Fused("pixels.demodulate", native=Support(max_channels=8))
-MODULATE = Fused("pixels.modulate", native=Support(max_channels=8))
-ACCUMULATE = Fused("pixels.accumulate", native=Support(max_channels=9))
+DEMODULATE = Fused("pixels.demodulate", native=Support(max_channels=8, channels={"albedo": (0,), "depth": (1,)}))
+MODULATE = Fused(
+    "pixels.modulate",
+    native=Support(max_channels=8, channels={"albedo": (0,), "mean_albedo": (0,), "sharp": (1,), "depth": (1,)}),
+)
+ACCUMULATE = Fused("pixels.accumulate", native=Support(max_channels=9, channels={"length": (1,), "reset": (1,)}))
 NEARNESS = Fused("pixels.nearness", native=Support())
 WITHIN = Fused("pixels.within", native=Support())
 

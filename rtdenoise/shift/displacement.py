@@ -20,7 +20,8 @@ from ..motion import on_screen
 from ..ops import warp
 from ..ops.dispatch import Fused, Support, falls_back
 
-FUSED = Fused("displacement_sums", native=Support())
+LAYERS = dict.fromkeys(("now", "before", "here", "depth", "was"), (1,)) | {"motion": (2,)}
+FUSED = Fused("displacement_sums", native=Support(other=("shift",), channels=LAYERS))
 AROUND = 3  # cells: so many by so many are fitted together
 LIGHT = 8.0  # light of a picture's mean becomes log(1 + LIGHT)
 
@@ -39,9 +40,10 @@ def displacement_sums(
 ) -> Tensor:  # [B, 7, ⌈H/cell⌉, ⌈W/cell⌉]
     """Sums over cells of w (1, g_x², g_x g_y, g_y², g_x e, g_y e, e²), as above. A pixel counts where motion led to the
     same depth on the screen. Lookups are bilinear, slopes central differences."""
-    if run := FUSED(now=now, before=before, motion=motion, here=here, depth=depth, was=depth_before):
+    B, _, H, W = now.shape
+    images = {"now": now, "before": before, "motion": motion, "here": here, "depth": depth, "was": depth_before}
+    if shift.shape == (B, 2, -(-H // cell), -(-W // cell)) and (run := FUSED(**images, shift=shift)):
         return run(now, before, motion, shift, here, depth, depth_before, cell, stride, DEPTH_TOLERANCE)
-    H, W = now.shape[2:]
     motion = motion + spread(shift, cell, H, W)
     known = torch.cat([before, *_slopes(before), depth_before], dim=1)
     seen = on_screen(motion)
