@@ -787,13 +787,36 @@ def test_without_a_compiler_the_plain_ops_run_and_one_warning_says_so(compiler_i
 MOVES = torch.rand(1, 2, 8, 9, generator=torch.Generator().manual_seed(0))
 
 
-@pytest.mark.parametrize("op", [ops.downsample, lambda x: ops.warp(x, MOVES), lambda x: ops.fetch(x, MOVES)])
+KEYS, OFFSETS = torch.rand(1, 4, 8, 9, generator=torch.Generator().manual_seed(1)), torch.zeros(2, 14)
+LINEAR = {  # in their picture of 4 channels
+    "downsample": ops.downsample,
+    "warp": lambda x: ops.warp(x, MOVES),
+    "warp of 12 channels": lambda x: ops.warp(x.repeat(1, 3, 1, 1), MOVES),
+    "fetch": lambda x: ops.fetch(x, MOVES),
+    "apply_kernel": lambda x: ops.apply_kernel(x, MOVES[:, :1].repeat(1, 25, 1, 1)),
+    "attend_blocks": lambda x: ops.attend_blocks(KEYS, KEYS, x, OFFSETS, OFFSETS, heads=1),
+}
+
+
+@pytest.mark.parametrize("op", LINEAR.values(), ids=LINEAR)
 def test_derivatives_in_forward_mode_are_not_lost(op):
-    image, tangent = torch.rand(2, 1, 3, 8, 9, generator=torch.Generator().manual_seed(0))
+    image, tangent = torch.rand(2, 1, 4, 8, 9, generator=torch.Generator().manual_seed(0))
     with forward_ad.dual_level():
         found = forward_ad.unpack_dual(op(forward_ad.make_dual(image, tangent))).tangent
     with ops.use("plain"):
         assert torch.allclose(found, op(image + tangent) - op(image), atol=1e-6)  # linear
+
+
+@pytest.mark.parametrize("op", LINEAR.values(), ids=LINEAR)
+def test_transforms_of_functions_take_the_plain_ops(op):
+    images = torch.rand(3, 1, 4, 8, 9, generator=torch.Generator().manual_seed(0))
+    with ops.use("plain"):
+        expected = torch.stack([op(image) for image in images])
+    torch.testing.assert_close(torch.vmap(op)(images), expected)
+    _, moved = torch.func.jvp(op, (images[0],), (images[1],))
+    torch.testing.assert_close(moved, expected[1])  # linear
+    slope = torch.func.grad(lambda x: op(x).sum())(images[0])
+    torch.testing.assert_close((slope * images[1]).sum(), expected[1].sum())
 
 
 def misfits():

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .dispatch import plain
+from .dispatch import plain, transformed
 
 MAX_UNFOLDED = 1 << 24  # numbers in the unfolded keys of a strip, and as many in its values: 64 MB each
 
@@ -45,7 +45,7 @@ def attend_blocks(
     if q.numel() == 0:
         return torch.zeros_like(v)
     offsets = _offsets(rows, columns)
-    if plain():
+    if plain() or transformed(q, k, v, offsets):
         return _specification(q, k, v, offsets, block, halo, heads)
     B, C, H, W = q.shape
     most = max(1, MAX_UNFOLDED // (B * C * (block + 2 * halo) ** 2))  # blocks at once

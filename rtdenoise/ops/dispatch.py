@@ -72,6 +72,12 @@ def plain() -> bool:
     return _checked(_choice) == "plain" or torch.compiler.is_compiling()
 
 
+def transformed(*tensors: Tensor) -> bool:
+    """Whether torch.func runs (vmap, grad, jvp ...), or a tensor has derivatives in forward mode: only torch's
+    own operations know what to do then."""
+    return torch._C._are_functorch_transforms_active() or any(unpack_dual(x).tangent is not None for x in tensors)
+
+
 @dataclass(frozen=True)
 class Support:
     """The arguments that a fused implementation takes. All are float32 images of the first one's batch, height and
@@ -101,7 +107,7 @@ class Fused:
 
         Raises RuntimeError where 'fused' is chosen and the device's implementation does not take the arguments.
         """
-        if plain():
+        if plain() or transformed():
             return None
         first = next(iter(arguments.values()))
         folder, problem = _available((first if isinstance(first, Tensor) else first[0]).device.type)
@@ -188,7 +194,7 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
                 return f"{name} is {dtype}, it takes {taken}".replace("torch.", "")
             if differentiating and tensor.requires_grad and name not in support.gradients:
                 return f"it has no gradient in {name}"
-            if unpack_dual(tensor).tangent is not None:
+            if transformed(tensor):
                 return "it has no derivatives in forward mode"
             if (tensor.shape[0], *tensor.shape[2:]) != (shape[0], *shape[2:]) and name not in support.other:
                 return f"{name} is {tuple(tensor.shape)}, it takes images like {tuple(shape)}"

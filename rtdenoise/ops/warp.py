@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .dispatch import Fused, Support, falls_back, plain
+from .dispatch import Fused, Support, falls_back, plain, transformed
 from .targets import check, clamped_targets
 
 MAX_CHANNELS = 8  # of the fused ops, which hold all channels of a pixel; wider images take torch's own lookup
@@ -52,7 +52,8 @@ def warp(
         raise ValueError(f"expected an image of floats, got {image.dtype}")
     if choice and seen.dtype is not torch.bool:
         raise ValueError(f"expected seen of torch.bool, got {seen.dtype}")
-    if image.shape[1] > MAX_CHANNELS and image.numel() and not cubic and not plain():
+    sampled = image.shape[1] > MAX_CHANNELS and image.numel() and not cubic
+    if sampled and not (plain() or transformed(image, motion)):
         found = _grid_sample(image, motion)
         return found if seen is None else torch.where(seen, found, otherwise)
     if run := FUSED(image=image, motion=motion, otherwise=otherwise):
