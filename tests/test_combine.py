@@ -224,6 +224,20 @@ def test_appended_frames_are_neighbours_of_those_before(shot, clean, tmp_path, o
     assert_same(tmp_path / "out", tmp_path / "once")
 
 
+def test_bad_pixels_are_counted_once(tmp_path, frames, options):
+    def growing(first, last):
+        noisy, denoised = [frame.radiance.clone() for frame in frames], [estimate(frame) for frame in frames]
+        noisy[2][..., 3, 3], denoised[3][..., :2, 0] = torch.nan, torch.inf
+        spoiled = [replace(frame, radiance=y) for frame, y in zip(frames, noisy, strict=True)]
+        write_images(tmp_path / "clean", denoised[first:last], first)
+        return write_sequence(tmp_path / "shot", spoiled[first:last]), tmp_path / "clean"
+
+    run(*growing(0, 4), tmp_path / "out", options=options)
+    summary = run(*growing(4, COUNT), tmp_path / "out", options=options)  # writes two frames anew
+    assert summary.replaced == {"radiance: NaN or Inf": 1, "denoised: NaN or Inf": 2}
+    assert np.isfinite(pixels(tmp_path / "out" / "frame.0003.exr")).all()
+
+
 def test_no_window_looks_across_a_cut(tmp_path, options):
     first = make_frames(3)
     second = [replace(f, depth=f.depth * 5, normal=-f.normal) for f in make_frames(3, seed=1)]

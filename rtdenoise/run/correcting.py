@@ -16,6 +16,7 @@ from ..data.sequences import Sequence
 from ..frame import MAX_CUT_MISMATCH, Frame, History
 from ..history import mismatch
 from ..models import Combiner, Shrinkage, Window
+from ..sanitise import faults
 from ..splat import splat_motion_next
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
@@ -54,6 +55,7 @@ class Run:
         count, reach = len(self.source), max(abs(offset) for offset in self.combiner.offsets)
         self.fingerprints = self._fingerprints()
         self.names = output_names(self.source, self.options.layout, self.options.recombine)
+        self.counted = 0  # frames whose faults an earlier run has counted
         done, self.summary = (0, Summary()) if overwrite else self._resume(reach)
         self.written = Written(self.out, self.names[:done])
         self.summary.skipped, self.summary.gaps = done, list(self.source.gaps)
@@ -88,8 +90,10 @@ class Run:
             self.out, self.source, pair.index, pair.raw, combined.image.cpu().numpy(), layout=self.options.layout,
             recombine=self.options.recombine, keep=self.options.keep, float32=self.options.float32, extra=extra,
         )  # fmt: skip
-        for channel, bad in nans.items():
-            self.summary.passed_on[channel] = self.summary.passed_on.get(channel, 0) + bad
+        if pair.index >= self.counted:
+            lost = int((~pair.estimate.isfinite()).any(1).sum())
+            _add(self.summary.replaced, faults(pair.raw) | ({"denoised: NaN or Inf": lost} if lost else {}))
+            _add(self.summary.passed_on, nans)
 
     def _pairs(self, first: int) -> Iterator[tuple[Pair, bool]]:
         """The frames from `first` on, and whether a shot begins with each. A frame without `motion_next` gets an
@@ -151,6 +155,7 @@ class Run:
         refuse_other(self.out, state, self.options, "" if seen is None else self.fingerprints[seen])
         if not are_finished(self.out, self.names[:done], self.source.size, state.get("written", "")):
             return 0, Summary()
+        self.counted = done
         if seen < len(self.source):  # the last frames could not look ahead then
             done = min(done, max(0, seen - reach))
         return done, summary
@@ -159,3 +164,8 @@ class Run:
         save_state(
             self.out / STATE, {}, done, self.fingerprints[-1], self.summary, self.options, self.written.digest
         )  # fmt: skip
+
+
+def _add(counts: dict[str, int], more: dict[str, int]) -> None:
+    for what, count in more.items():
+        counts[what] = counts.get(what, 0) + count
