@@ -197,6 +197,16 @@ def test_mitsuba_aovs_become_the_canon(tmp_path):
     assert message(sequence.require, "depth", "motion").endswith(f"; {hint}")
 
 
+def test_normals_of_vray_are_not_taken_for_mitsubas(tmp_path):
+    """They are in the camera's space."""
+    vray = ("R", "G", "B", "A", "Z", *(f"{layer}.{c}" for layer in ("normals", "velocity") for c in "XYZ"))
+    write_layers(tmp_path / "1.exr", {name: np.ones((H, W), np.float32) for name in vray})
+    sequence = open_sequence(tmp_path)
+    assert sequence.layout is layouts.NATIVE and sequence[0].normal is None
+    write_layers(tmp_path / "1.exr", {name: np.ones((H, W), np.float32) for name in (*vray, "depth.T")})
+    assert open_sequence(tmp_path).layout is layouts.MITSUBA
+
+
 def test_plain_pictures_are_native(tmp_path):
     write_layers(tmp_path / "1.exr", {"color": np.ones((H, W, 3)), "albedo": np.ones((H, W, 3))})
     assert open_sequence(tmp_path).layout is layouts.NATIVE

@@ -216,16 +216,19 @@ def detect(header: ExrHeader) -> Layout:
     """
     if view_layers(header):
         return cycles(_choose_view_layer(header, ""))
-    found = {
-        layout.name: set().union(*(layout.resolve(header, signal) for signal in SIGNALS))
-        for layout in (NATIVE, MITSUBA)
-    }
-    best = max((NATIVE, MITSUBA), key=lambda layout: len(found[layout.name]))  # ties go to native
+    candidates = (NATIVE,) if _may_be_vrays(header) else (NATIVE, MITSUBA)
+    found = {layout.name: set().union(*(layout.resolve(header, signal) for signal in SIGNALS)) for layout in candidates}
+    best = max(candidates, key=lambda layout: len(found[layout.name]))  # ties go to native
     if "radiance" not in found[best.name]:
         _refuse_views(header)
         raise InputError(f"{header.path}: no known layout (presets: {', '.join(NAMES)}): no R,G,B, no indirect.R,G,B, "
                          f"no <ViewLayer>.Combined.R,G,B among {header.summary}")  # fmt: skip
     return best
+
+
+def _may_be_vrays(header: ExrHeader) -> bool:
+    """Whether the layer `normals` may be V-Ray's, which is in the camera's space. Mitsuba calls depth `T`."""
+    return "normals.X" in header.channels and not any(name.endswith(".T") for name in header.channels)
 
 
 def view_layers(header: ExrHeader) -> list[str]:
