@@ -109,15 +109,16 @@ def test_alpha_stays_as_rendered(plain):
         assert np.array_equal(read_channels(clean, ["A"])["A"], alpha)
 
 
+def groups(planes):
+    """Two light groups, which add up to the picture."""
+    for c in "RGB":
+        x = planes[f"ViewLayer.Combined.{c}"]
+        share = np.indices(x.shape).sum(0) % 5 / 4
+        planes[f"ViewLayer.Combined_key.{c}"], planes[f"ViewLayer.Combined_fill.{c}"] = share * x, (1 - share) * x
+
+
 def test_layers_that_add_up_to_the_picture_still_do(tmp_path):
     """Two light groups: the kernels of the whole filter them, so the whole is their sum."""
-
-    def groups(planes):
-        for c in "RGB":
-            x = planes[f"ViewLayer.Combined.{c}"]
-            share = np.indices(x.shape).sum(0) % 5 / 4
-            planes[f"ViewLayer.Combined_key.{c}"], planes[f"ViewLayer.Combined_fill.{c}"] = share * x, (1 - share) * x
-
     shot = relit(tmp_path / "shot", groups, frames=3)
     clean = run(tmp_path / "out", shot, also=("Combined_key", "Combined_fill"), float32=True)
     alone = run(tmp_path / "alone", shot, float32=True)
@@ -132,6 +133,18 @@ def test_layers_that_add_up_to_the_picture_still_do(tmp_path):
     for path, other in zip(both, clean, strict=True):
         np.testing.assert_allclose(image(path, "Combined_key"), list(read_channels(other, key).values()), rtol=1e-5,
                                    atol=1e-6)  # fmt: skip
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_light_groups_add_up_to_the_sum_of_the_passes(tmp_path, layout):
+    shot, also = relit(tmp_path / "shot", groups), ("Combined_key", "Combined_fill")
+    prefix, picture = ("ViewLayer.", "Combined") if layout == "source" else ("", "")
+    for path in run(tmp_path / "out", shot, lights=True, also=also, layout=layout, float32=True):
+        key, fill = (
+            np.stack(list(read_channels(path, [f"{prefix}{name}.{c}" for c in "RGB"]).values())) for name in also
+        )
+        np.testing.assert_allclose(key + fill, image(path, picture), rtol=1e-5, atol=1e-6)
+        assert key.max() > 0.1 and fill.max() > 0.1
 
 
 def test_layers_of_any_name_leave_the_picture_as_it_is(tmp_path):

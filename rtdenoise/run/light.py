@@ -35,6 +35,7 @@ OWN_COLOR = "Diffuse"  # the lobe whose light is divided by its own colour
 MAX_APART = 0.02  # of the mean radiance; half floats round by less than 0.001
 PICTURE = ""  # the name of the sum of all light
 BACKGROUND = "Environment"  # with a transparent film Cycles leaves it out of Combined
+GROUP = "Combined_"  # how the names of Cycles' light groups begin
 
 
 def in_parts(sequence: Sequence, options: Options, backend: Backend) -> tuple[Backend, Any, Any]:
@@ -69,6 +70,7 @@ class Prepared:
     parts: Parts
     names: tuple[str, ...]
     background: bool = True  # whether it is in the picture
+    groups: tuple[str, ...] = ()  # the light groups, where they add up to the picture
 
 
 class LightBackend:
@@ -113,15 +115,16 @@ class LightBackend:
             dimmed = torch.where(ready.radiance < noisy, ready.radiance / noisy, 1.0)
             for name in images.keys() - self._passes.colors.keys():
                 images[name] = images[name] * dimmed
-            background = True
+            background, groups = True, ()
             if self._passes.lights:
+                groups = _whole_groups(ready, images, self._passes)
                 apart, background = _compare_sum(ready, images, self._passes)
                 if not self._checked:
                     _check_sum(ready, apart, self._passes)
                     self._checked = True
                 if not background:
                     images[BACKGROUND] = torch.zeros_like(images[BACKGROUND])
-        return Prepared(ready, *split(images, self._passes, self._each), background)
+        return Prepared(ready, *split(images, self._passes, self._each), background, groups)
 
     def mismatch(self, frame: Prepared, history: Any) -> float:
         return self._inner.mismatch(frame.frame, history)
@@ -142,6 +145,7 @@ class LightBackend:
             if PICTURE not in found:
                 lights = self._passes.summands
                 found[PICTURE] = sum(found[name] for name in lights) if lights else whole
+            found |= _shared_out(found[PICTURE], {name: found[name] for name in frame.groups})
             if not frame.background:
                 found.pop(BACKGROUND, None)  # the layer stays as it is
             return {name: image.cpu().numpy() for name, image in found.items()}, history
@@ -209,6 +213,21 @@ def _check_sum(frame: Frame, apart: float, passes: LightPasses) -> None:
         advice = "" if passes.volumes else "are there volumes? switch on View Layer > Passes > Light > Volume, or "
         raise InputError(f"{frame.name}: --lights: the light passes do not add up to the picture, {100 * apart:.0f} % "
                          f"is missing or too much; {advice}leave --lights out")  # fmt: skip
+
+
+def _whole_groups(frame: Frame, images: dict[str, Tensor], passes: LightPasses) -> tuple[str, ...]:
+    """The light groups, if they add up to the picture; else none."""
+    groups = tuple(name for name in passes.also if name.startswith(GROUP))
+    apart = (sum(images[name] for name in groups) - frame.radiance).abs().mean()
+    return groups if groups and apart <= MAX_APART * frame.radiance.mean() else ()
+
+
+def _shared_out(picture: Tensor, groups: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The groups, scaled so that they add up to the picture: the sum of denoised passes is not quite that of groups."""
+    import torch
+
+    total = sum(groups.values())
+    return {name: torch.where(total > 0, x / total, 1 / len(groups)) * picture for name, x in groups.items()}
 
 
 def _sum(images) -> Tensor:
