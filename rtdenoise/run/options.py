@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from numbers import Integral
+from numbers import Integral, Real
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
@@ -139,5 +139,5 @@ def check_lookahead(frames: int, told: str = "--lookahead") -> None:
 
 def check_samples(samples: int, told: str = "--samples") -> None:
     """Raise InputError for a number of samples a pixel that no frame has; `told` names the option."""
-    if not 0 <= samples <= MAX_SAMPLES:
-        raise InputError(f"{told}: expected 1 to {MAX_SAMPLES}, or 0 for unknown, got {samples}")
+    if not (isinstance(samples, Real) and 0 <= samples <= MAX_SAMPLES):
+        raise InputError(f"{told}: expected 1 to {MAX_SAMPLES}, or 0 for unknown, got {samples!r}")
