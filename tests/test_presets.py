@@ -266,6 +266,14 @@ def test_a_preset_file(tmp_path):
     assert inspect(tmp_path, preset=str(tmp_path / "tracer.toml")).convention.status == "ok"
 
 
+def test_a_channel_that_a_buffers_file_lacks_is_named(tmp_path):
+    write_tracer(tmp_path)
+    (tmp_path / "tracer.toml").write_text(TRACER.replace('"Z"', '"A"'))
+    sequence = open_sequence(tmp_path, preset=str(tmp_path / "tracer.toml"))
+    assert "the file has color.{R,G,B}" in (found := message(sequence.require, "depth")) and "depth.Z" in found
+    assert "write it as A in z{frame}.exr, or name it in" in found
+
+
 def test_a_preset_file_for_one_file_with_all_layers(tmp_path):
     (tmp_path / "p.toml").write_text('[color]\nchannels = ["a", "b", "c"]')
     write(tmp_path / "s" / "f.1.exr", buffers(0)["color"], "abc")

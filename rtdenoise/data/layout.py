@@ -83,7 +83,9 @@ class Layout:
             if name in self.layers:
                 channels = self.layers[name][0].channels
                 buffer = channels[0].partition(".")[0]
-                name = self.buffers[buffer][0] if buffer in self.buffers else ", ".join(channels)
+                name = ", ".join(channels)
+                if buffer in self.buffers:
+                    name = f"{', '.join(c.removeprefix(f'{buffer}.') for c in channels)} in {self.buffers[buffer][0]}"
                 return f"write it as {name}, or name it in {OWN}"
         return f"this layout has no name for {names[0]}: describe the files in {OWN}"
 
