@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtdenoise.data.exr import read_channels, read_header
+from rtdenoise.data.exr import read_channels, read_header, write_like
 from rtdenoise.data.exr_chunks import find_table_end
 from rtdenoise.data.exr_format import MULTI_PART, TILED
 from rtdenoise.errors import InputError
@@ -127,6 +127,21 @@ ROW = np.arange(4, dtype="<f4").tobytes()
 def test_the_crafted_files_are_valid_to_begin_with(tmp_path):
     (tmp_path / "a.exr").write_bytes(multi_part(PARTS, [(0, 16, ROW), (1, 16, ROW)]))
     assert read_channels(tmp_path / "a.exr", ["A.X", "B.X"])["B.X"].tolist() == [[0, 1, 2, 3]]
+
+
+def test_texts_that_are_not_utf8(tmp_path):
+    """As programs on Windows write names of people and folders."""
+    owner = attribute("owner", "string", "Müller".encode("latin-1"))
+    one = start() + header(4, 1)[:-1] + owner + b"\0"
+    one += struct.pack("<Q", len(one) + 8) + struct.pack("<ii", 0, 16) + ROW
+    name, latin = (attribute("name", "string", text) for text in (b"A", b"\xfc"))
+    two = multi_part(PARTS, [(0, 16, ROW), (1, 16, ROW)]).replace(name, latin)
+    for stored, channel in ((one, "X"), (two, "?.X")):
+        (tmp_path / "a.exr").write_bytes(stored)
+        assert read_channels(tmp_path / "a.exr", [channel])[channel].tolist() == [[0, 1, 2, 3]]
+    (tmp_path / "a.exr").write_bytes(one)
+    write_like(tmp_path / "b.exr", tmp_path / "a.exr", {"X": np.ones((1, 4), np.float32)})
+    assert OpenEXR.File(str(tmp_path / "b.exr")).header()["owner"] == "M?ller"
 
 
 @pytest.mark.parametrize("size", [-1, -(2**31), 2**31 - 1, 100])

@@ -31,6 +31,7 @@ from .exr_header import parse_file
 from .layers import LAYERS
 
 NUMPY_TYPES = {"uint": np.uint32, "half": np.float16, "float": np.float32}
+START = 8  # bytes in front of the attributes: magic, version and flags
 DECODER_NEEDS = 3  # times the decoded pixels: the file, OpenEXR's buffers, the result
 
 GEOMETRY = {name: layer.components for name, layer in LAYERS.items() if layer.components != "RGB"}
@@ -196,8 +197,11 @@ def _refuse_without_memory(path: Path, part: Part) -> None:
 
 def _open(path: Path, header: ExrHeader, index: int) -> OpenEXR.File:
     """One part of a file, decoded, as a file of its own."""
+    attributes = header.parts[index].attributes
     try:
         data = read_bytes(path) if len(header.parts) == 1 else single_part(header, index)
+        if not data.startswith(attributes, START):
+            data = data[:START] + attributes + data[START + len(attributes) :]
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     try:

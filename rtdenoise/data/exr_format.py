@@ -25,7 +25,7 @@ class Part:
     """One part of a file, as its header describes it."""
 
     name: str  # "" in single-part files
-    attributes: bytes  # the header as stored, without the closing zero
+    attributes: bytes  # the header as stored, without the closing zero; all texts in it are UTF-8
     size: tuple[int, int]  # (width, height) of the data window
     channels: dict[str, str]  # name as stored -> pixel type
     full_names: dict[str, str]  # name qualified with the part's -> name as stored

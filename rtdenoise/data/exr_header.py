@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import struct
 from pathlib import Path
 from typing import BinaryIO
@@ -96,15 +97,22 @@ def _parse(path: Path, head: bytes) -> ExrHeader:
 
 
 def _parse_attributes(path: Path, cursor: _Cursor) -> tuple[bytes, dict[str, bytes]]:
-    """One header: (as stored without the closing zero, attribute name -> value)."""
-    start, attributes = cursor.position, {}
+    """One header: (as stored without the closing zero, attribute name -> value). In texts that are not UTF-8, as older
+    programs write them, "?" stands for each byte beyond ASCII: OpenEXR's Python would refuse the file."""
+    start, attributes, mended = cursor.position, {}, {}
     while name := cursor.string():
-        cursor.string()  # the type: implied by the names that are used here
+        kind = cursor.string()  # else implied by the names that are used here
         (size,) = cursor.unpack("i")
-        attributes[name] = cursor.take(size)
+        position, value = cursor.position, cursor.take(size)
+        if kind == "string" and value.decode("utf-8", "replace").encode() != value:
+            mended[position - start] = value = re.sub(rb"[\x80-\xff]", b"?", value)
+        attributes[name] = value
     if missing := [name for name in ("channels", "dataWindow", "compression") if name not in attributes]:
         raise InputError(f"{path}: damaged: the header has no '{missing[0]}'")
-    return cursor.data[start : cursor.position - 1], attributes
+    stored = bytearray(cursor.data[start : cursor.position - 1])
+    for position, value in mended.items():
+        stored[position : position + len(value)] = value
+    return bytes(stored), attributes
 
 
 def _samples(attributes: dict[str, bytes]) -> int:
