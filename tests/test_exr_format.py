@@ -144,6 +144,13 @@ def test_texts_that_are_not_utf8(tmp_path):
     assert OpenEXR.File(str(tmp_path / "b.exr")).header()["owner"] == "M?ller"
 
 
+def test_a_channel_whose_name_is_not_utf8(tmp_path):
+    stored = start() + header(4, 1, ["R", "zR"]).replace(b"zR", b"\xe9R")
+    stored += struct.pack("<Q", len(stored) + 8) + struct.pack("<ii", 0, 32) + 2 * ROW
+    (tmp_path / "a.exr").write_bytes(stored)
+    assert "the channel name '\ufffdR' is not in UTF-8" in message(read_header, tmp_path / "a.exr")
+
+
 @pytest.mark.parametrize("size", [-1, -(2**31), 2**31 - 1, 100])
 @pytest.mark.parametrize("which", [0, 1])
 def test_sizes_of_chunks_that_cannot_be(tmp_path, size, which):

@@ -19,6 +19,7 @@ MAX_SIDE, MAX_PIXELS = 1 << 16, 1 << 28  # a larger picture is a damaged header;
 MAX_COORDINATE, MAX_ASPECT = (1 << 30) - 2, 1e6  # OpenEXR writes no larger ones
 MAX_NAME = 255  # bytes, as the format has it
 FIRST_READ = 1 << 16  # bytes; most headers are smaller
+REPLACED = "\ufffd"  # what decoding puts where bytes are no UTF-8
 TABLE_BLOCK = 4096  # chunk offsets that are looked at together
 
 
@@ -163,6 +164,8 @@ def _parse_part(path: Path, cursor: _Cursor, raw: bytes, attributes: dict[str, b
         raise InputError(f"{path}: damaged: the channel list cannot be read") from None
     if long := [text for text in (name, *(stored for stored, _ in channels)) if len(text) > MAX_NAME]:
         raise InputError(f"{path}: damaged: a name of {len(long[0])} characters, at most {MAX_NAME} are allowed")
+    if foreign := [stored for stored, _ in channels if REPLACED in stored]:  # OpenEXR's Python cannot return them
+        raise InputError(f"{path}: the channel name '{foreign[0]}' is not in UTF-8; rename it in the renderer")
     full_names = [_full_name(name, stored) for stored, _ in channels]
     _refuse_repeated(path, full_names)
     return Part(
