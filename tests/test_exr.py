@@ -210,6 +210,17 @@ def test_parts_of_different_sizes(tmp_path):
     assert f"part 'L.B' is {W + 1}×{H}, the first part {W}×{H}" in message(read_channels, tmp_path / "a.exr", ["L.B.X"])
 
 
+def test_parts_of_one_size_at_different_places(tmp_path):
+    corners = {"L.A": (0, 0), "L.B": (2, 1)}
+    parts = [
+        OpenEXR.Part({"dataWindow": ((x, y), (x + W - 1, y + H - 1))}, {"X": noise(H, W)}, name)
+        for name, (x, y) in corners.items()
+    ]
+    OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
+    found = message(read_channels, tmp_path / "a.exr", ["L.B.X"])
+    assert "the data window of part 'L.B' begins at (2, 1), that of the first part at (0, 0)" in found
+
+
 def test_an_unfinished_file(tmp_path):
     """A renderer that is killed leaves zeros in the chunk table."""
     write_layers(tmp_path / "a.exr", {"color": noise(H, W, 3)})

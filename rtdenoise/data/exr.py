@@ -71,6 +71,9 @@ def read_channels(path: str | os.PathLike, names: Sequence[str], as_stored: bool
         if part.size != (header.width, header.height):
             raise InputError(f"{path}: part '{part.name}' is {part.size[0]}×{part.size[1]}, "
                              f"the first part {header.width}×{header.height}")  # fmt: skip
+        if part.corner != header.parts[0].corner:
+            raise InputError(f"{path}: the data window of part '{part.name}' begins at {part.corner}, that of the "
+                             f"first part at {header.parts[0].corner}; render both with one")  # fmt: skip
         decoded = _decode(path, header, index)
         for full, stored in wanted.items():
             if stored not in decoded or decoded[stored].shape != (header.height, header.width):

@@ -27,6 +27,7 @@ class Part:
     name: str  # "" in single-part files
     attributes: bytes  # the header as stored, without the closing zero; all texts in it are UTF-8
     size: tuple[int, int]  # (width, height) of the data window
+    corner: tuple[int, int]  # (x, y) at which it begins
     channels: dict[str, str]  # name as stored -> pixel type
     full_names: dict[str, str]  # name qualified with the part's -> name as stored
     tiled: bool

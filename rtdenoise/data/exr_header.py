@@ -172,6 +172,7 @@ def _parse_part(path: Path, cursor: _Cursor, raw: bytes, attributes: dict[str, b
         name=name,
         attributes=raw,
         size=(width, height),
+        corner=(left, top),
         channels=dict(channels),
         full_names=dict(zip(full_names, (stored for stored, _ in channels), strict=True)),
         tiled=storage == "tiledimage" or bool(flags & TILED),
