@@ -32,6 +32,18 @@ def test_shots_go_on_where_one_fails_and_where_they_stopped(tmp_path, capsys):
             assert np.allclose(found[name], expected[name], rtol=2**-9, atol=1e-4)
 
 
+def test_a_shot_whose_preview_cannot_be_written_stops_no_other(tmp_path, capsys):
+    for name in ("a", "b"):
+        write_sequence(tmp_path / "shots" / name, make_frames(2))
+        (tmp_path / "out" / name / "preview.png").mkdir(parents=True)
+    with pytest.raises(SystemExit):
+        main(["denoise", str(tmp_path / "shots" / "*"), "--out", str(tmp_path / "out"), "--model", "fast",
+              "--workers", "1", "--preview"])  # fmt: skip
+    said = capsys.readouterr()
+    assert said.out.count("failed:") == said.out.count("Is a directory") == 2
+    assert said.err.strip().endswith("2 of 2 shots failed, as told above")
+
+
 def test_names_of_shots(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder in ("shots/a/beauty", "shots/b/beauty", "shots/clean"):

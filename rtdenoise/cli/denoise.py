@@ -82,7 +82,8 @@ class Denoise:
                 bar.console.print(f"{job[2]}: {told_of}", markup=False, highlight=False, soft_wrap=True)
                 bar.update(task, completed=done)
         if failed:
-            raise InputError(f"{failed} of {len(shots)} shots failed, as told above; the others are denoised")
+            others = "; the others are denoised" if failed < len(shots) else ""
+            raise InputError(f"{failed} of {len(shots)} shots failed, as told above{others}")
 
     def _place(self, shots: int) -> Place:
         """Where so many shots are denoised."""
@@ -152,6 +153,8 @@ def _try(command: Denoise, source: str, out: Path) -> list[str] | InputError:
         return denoise_shot(command, source, out)
     except InputError as error:
         return error
+    except OSError as error:  # a full disk
+        return InputError(f"{error.filename or 'a file'}: {error.strerror or error}")
 
 
 def _start(threads: int) -> None:
