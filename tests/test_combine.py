@@ -194,9 +194,11 @@ def test_options_that_change_nothing_are_named(shot, clean, frames, tmp_path, op
 
 
 def test_frames_without_error_stay_as_they_are(shot, frames, tmp_path, options):
-    """y = z: nothing to correct, to the bit."""
+    """y = z: nothing to correct, to the bit, which is told."""
     same = write_images(tmp_path / "same", [frame.radiance for frame in frames])
-    run(shot, same, tmp_path / "out", options=options)
+    summary = run(shot, same, tmp_path / "out", options=options)
+    noisy, denoised = (folder / "frame.0000.exr" for folder in (shot, same))
+    assert summary.notes == [f"{denoised} is the same picture as {noisy}: name the denoised frames"]
     assert_same(tmp_path / "out", shot)
 
 

@@ -49,7 +49,7 @@ def combine(
     from ..models import load_combiner
     from ..models.inference import choose_device
     from .correcting import Run
-    from .pairs import check_other, check_pairs, check_second, open_denoised, open_second
+    from .pairs import check_other, check_pairs, check_second, open_denoised, open_second, repeats
 
     source = open_sequence(
         noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
@@ -64,6 +64,8 @@ def combine(
     if second:
         check_second(source, second)
         check_pairs(source, second, EXAMINED, "second")
+    same = f"{estimates.paths[0]} is the same picture as {source.paths[0]}: name the denoised frames"
+    notes = [same] if repeats(source, estimates) else []
     device = choose_device(options.device)
     combiner = load_combiner(options.model, device, options.precision)
     for one in (estimates, *([second] if second else [])):
@@ -72,7 +74,8 @@ def combine(
     with lock(out):
         remove_unfinished(out)
         run = Run(source, estimates, second, out, options, combiner, device, on_frame)
-        return run.run(overwrite, [*unread_options(options, combiner), *missing_layers(source, options, combiner)])
+        notes += unread_options(options, combiner) + missing_layers(source, options, combiner)
+        return run.run(overwrite, notes)
 
 
 def unread_options(options: CombineOptions, combiner: Combiner | Shrinkage) -> list[str]:

@@ -82,13 +82,18 @@ def check_other(source: Sequence, denoised: Sequence) -> None:
 
 
 def check_second(source: Sequence, second: Sequence) -> None:
-    """Raise InputError where the second render repeats the first one: its noise must be another. The first, the middle
-    and the last frame are compared; one without light tells nothing."""
-    seeded, places = source.only(("radiance",)), sorted({0, len(source) // 2, len(source) - 1})
-    pictures = [(seeded.read(i).radiance, read_estimate(second, i).numpy()) for i in places]
-    if any(np.any(a) for a, _ in pictures) and all(np.array_equal(a, b, equal_nan=True) for a, b in pictures):
+    """Raise InputError where the second render repeats the first one: its noise must be another."""
+    if repeats(source, second):
         raise InputError(f"{second.paths[0]}: is the same picture as {source.paths[0]}; render the second one with "
                          "another seed")  # fmt: skip
+
+
+def repeats(source: Sequence, other: Sequence) -> bool:
+    """Whether `other` shows the same light. The first, the middle and the last frame are compared; one without light
+    tells nothing."""
+    noisy, places = source.only(("radiance",)), sorted({0, len(source) // 2, len(source) - 1})
+    pictures = [(noisy.read(i).radiance, read_estimate(other, i).numpy()) for i in places]
+    return any(np.any(a) for a, _ in pictures) and all(np.array_equal(a, b, equal_nan=True) for a, b in pictures)
 
 
 def check_pairs(source: Sequence, denoised: Sequence, count: int, kind: str = "denoised") -> None:
