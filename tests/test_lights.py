@@ -214,6 +214,7 @@ def clear(planes):
     (without(), {"also": ("Emision",)}, "did you mean 'Emission'?"),
     (mask, {"also": ("mask",)}, "no layer 'mask' of three colours; the file has Combined, Denoising Albedo, "),
     (without(), {"lights": True, "also": ("Emission",)}, "--also Emission: --lights denoises this pass already"),
+    (without(), {"also": ("Combined",)}, "--also Combined: is the picture itself, which is denoised anyway"),
     (without(), {"lights": True, "signal": "indirect"}, "goes with --signal color"),
     (without(), {"lights": True, "keep": ("all",)}, "goes without --keep"),
     (without(), {"lights": True, "offline": True}, "go without --offline"),
