@@ -55,6 +55,9 @@ def test_names_of_shots(tmp_path, monkeypatch):
     assert find_shots(("shots/[a]",), out) == {"a": "shots/a"}  # one shot today, more tomorrow
     both = {"a/beauty": "shots/a/beauty", "b/beauty": "shots/b/beauty"}
     assert find_shots(("shots/*/beauty",), out) == find_shots(("shots/a/beauty", "shots/b/beauty"), out) == both
+    assert find_shots(("shots/a/*.exr", "shots/b"), out) == {"a": "shots/a/*.exr", "b": "shots/b"}
+    views = {"L": "shots/a/*_L.exr", "R": "shots/a/*_R.exr"}
+    assert find_shots(tuple(views.values()), out) == views
     with pytest.raises(InputError, match="is named twice"):
         find_shots(("shots/a", "shots/a/"), out)
     with pytest.raises(InputError, match="no sequence: name a folder"):

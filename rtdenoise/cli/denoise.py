@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -108,11 +109,21 @@ def find_shots(sources: tuple[str, ...], out: Path) -> dict[str, str] | None:
     paths = [Path(folder).resolve() for folder in folders]
     if twice := [folder for folder, path in zip(folders, paths, strict=True) if paths.count(path) > 1]:
         raise InputError(f"{twice[0]}: is named twice")
+    plain = [_without_pattern(path) for path in paths]
+    paths = plain if len(set(plain)) == len(plain) else paths
     names = [path.name for path in paths]
     if len(set(names)) < len(names):
         shared = os.path.commonpath([path.parent for path in paths])
         names = [path.relative_to(shared).as_posix() for path in paths]
     return dict(zip(names, folders, strict=True))
+
+
+def _without_pattern(path: Path) -> Path:
+    """For a glob of files a path that holds no pattern: `shot/L` for `shot/*_L.exr`, `shot` for `shot/*.exr`."""
+    if not has_magic(path.name) or path.exists():
+        return path
+    rest = re.sub(r"\[.*?\]|[*?]", "", path.stem).strip("._- ")
+    return path.parent / rest if rest else path.parent
 
 
 def _folders(source: str, out: Path) -> list[str]:
