@@ -130,6 +130,11 @@ def test_scenes_are_mixed_in_with_their_licences(room, tmp_path):
     assert scenes == ((str(room), ""),)
     with pytest.raises(InputError, match="no scenes found"):
         find_scenes(tmp_path, None, ("street", "room"))
+    with pytest.raises(InputError, match=r"nowhere: no motion of these scenes found; .* such as room\.toml"):
+        find_scenes(tmp_path, tmp_path / "nowhere", ("street",))
+    (tmp_path / "room.toml").touch()
+    assert find_scenes(tmp_path, tmp_path, ()) == ((str(room), str(tmp_path / "room.toml")),
+                                                   (str(street / "scene.xml"), ""))  # fmt: skip
     options = replace(TINY, count=16, scenes=scenes, shard=(2, 4), seed=1)
     card = render_clips(tmp_path / "out", options, lambda *_: None)
     assert card["sources"] == {"room": 4} and card["licences"] == {"room": "A room by Nobody, CC0.\n"}

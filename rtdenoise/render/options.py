@@ -131,10 +131,14 @@ def parse_shard(text: str) -> tuple[int, int]:
 def find_scenes(folder: Path, motions: Path | None, exclude: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """(scene file, motion file or "") of every FOLDER/NAME/scene.xml but the excluded, with MOTIONS/NAME.toml.
 
-    Raises InputError where none is left.
+    Raises InputError where none is left, and where `motions` has a motion for none.
     """
     files = [f for f in sorted(Path(folder).glob("*/scene.xml")) if f.parent.name not in exclude]
     if not files:
         raise InputError(f"{folder}: no scenes found; expected folders NAME/scene.xml besides {', '.join(exclude)}")
     scripts = [Path(motions) / f"{f.parent.name}.toml" if motions else None for f in files]
-    return tuple((str(f), str(s) if s and s.is_file() else "") for f, s in zip(files, scripts, strict=True))
+    pairs = tuple((str(f), str(s) if s and s.is_file() else "") for f, s in zip(files, scripts, strict=True))
+    if motions and not any(script for _, script in pairs):
+        names = ", ".join(f"{f.parent.name}.toml" for f in files[:3])
+        raise InputError(f"{motions}: no motion of these scenes found; expected files NAME.toml, such as {names}")
+    return pairs
