@@ -408,6 +408,29 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
     assert not (tmp_path / "big").exists()  # a failed start leaves nothing that its correction would trip over
 
 
+def test_clips_that_do_not_fit_are_refused_before_there_is_a_run(config, tmp_path):
+    """Whichever they are, not only those of the first batch."""
+    facts = {"clip": json.dumps({"seed": 8, "generator": 1})}
+    small = write_clips(tmp_path / "small", [9], size=20)
+    beauty = write_clips(tmp_path / "beauty", [7, 8])
+    for path in beauty.iterdir():
+        save_file({k: v for k, v in load_file(path).items() if not k.startswith("indirect")}, path, facts)
+    poisoned = write_clips(tmp_path / "poisoned", [7, 8])
+    layers = load_file(clip_path(poisoned, 1))
+    layers["indirect_reference"][2, 0, 3, 3] = math.nan
+    save_file(layers, clip_path(poisoned, 1), facts)
+    for change, message in (
+        ({"data": (*config.data, small), "size": 24}, "small/clip_000000.*expected at least 3 frames of 24×24"),
+        ({"data": (*config.data, beauty)}, "beauty/clip_000000.*has no signal 'indirect'"),
+        ({"stills": (beauty,)}, "beauty/clip_000000.*has no signal 'indirect'"),
+        ({"val": beauty}, "beauty/clip_000000.*has no signal 'indirect'"),
+        ({"val": poisoned}, "poisoned/clip_000001.*reference is not finite"),
+    ):
+        with pytest.raises(InputError, match=message):
+            train(replace(config, **change))
+        assert not config.out.exists()
+
+
 def test_the_best_validation_is_what_ships(config, monkeypatch):
     """A run that gets worse after its first validation keeps the weights of that one."""
     scores = iter([20.0, 19.0])

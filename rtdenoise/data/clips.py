@@ -145,6 +145,19 @@ class ClipDataset:
         seed, so scenes of different seeds share nothing."""
         return {_scene(path, read_facts(path)) for path in self.paths}
 
+    def examine(
+        self,
+        index: int,
+        *,
+        signal: str = "color",
+        size: int | tuple[int, int] | None = None,
+        frames: int | None = None,
+        layers: Collection[str] = (),
+    ) -> None:
+        """Raise InputError where `load` would, from the header of clip `index` alone."""
+        with _opened(self.paths[index]) as clip:
+            _examined(self.paths[index], clip, signal, size, frames, layers)
+
     def load(
         self,
         index: int,
@@ -166,19 +179,10 @@ class ClipDataset:
         InputError for an unknown signal, a clip that is too small, and a signal or layer that the clip lacks.
         """
         path = self.paths[index]
-        if signal not in SIGNALS:
-            raise InputError(f"unknown signal '{signal}'; expected {' or '.join(SIGNALS)}")
         with _opened(path) as clip:
-            sources = _sources(path, set(clip.keys()), signal, layers)
-            length, height, width = _size(path, clip, {name for names in sources.values() for name in names})
-            skipped = _from_header(path, clip, "clip").get(LEAD_IN, 0)
-            usable = length - skipped
-            count = usable if frames is None else frames
-            window = (height, width) if size is None else (size, size) if isinstance(size, int) else size
-            if count > usable or window[0] > height or window[1] > width:
-                raise InputError(f"{path}: expected at least {count} frames of {window[1]}×{window[0]}, "
-                                 f"found {usable} of {width}×{height}")  # fmt: skip
-            room = (usable - count, height - window[0], width - window[1])
+            sources, (length, height, width), (count, *window) = _examined(path, clip, signal, size, frames, layers)
+            skipped = _lead_in(path, clip)
+            room = (length - skipped - count, height - window[0], width - window[1])
             first, top, left = rng.integers(0, room, endpoint=True) if rng else (0, room[1] // 2, room[2] // 2)
             first = skipped + int(first)
             time = slice(max(first - lead_in, 0), first + count)
@@ -198,6 +202,27 @@ class ClipDataset:
         if not denoised.isfinite().all():
             raise InputError(f"{estimate_path(path, estimates)}: damaged: not finite; {REPEAT}")
         return loaded + [replace(frame, radiance=denoised[i : i + 1]) for i, frame in enumerate(loaded)]
+
+
+def _examined(
+    path: Path, clip, signal: str, size: int | tuple[int, int] | None, frames: int | None, layers: Collection[str]
+) -> tuple[dict[str, tuple[str, ...]], tuple[int, int, int], tuple[int, int, int]]:
+    """(`_sources`, `_size`, frames, height and width of the window) of an open clip; see `ClipDataset.load`."""
+    if signal not in SIGNALS:
+        raise InputError(f"unknown signal '{signal}'; expected {' or '.join(SIGNALS)}")
+    sources = _sources(path, set(clip.keys()), signal, layers)
+    length, height, width = _size(path, clip, {name for names in sources.values() for name in names})
+    usable = length - _lead_in(path, clip)
+    count = usable if frames is None else frames
+    window = (height, width) if size is None else (size, size) if isinstance(size, int) else size
+    if count > usable or window[0] > height or window[1] > width:
+        raise InputError(f"{path}: expected at least {count} frames of {window[1]}×{window[0]}, "
+                         f"found {usable} of {width}×{height}")  # fmt: skip
+    return sources, (length, height, width), (count, *window)
+
+
+def _lead_in(path: Path, clip) -> int:
+    return _from_header(path, clip, "clip").get(LEAD_IN, 0)
 
 
 def _read_estimates(clip: Path, method: str, signal: str, size: tuple[int, int, int]):

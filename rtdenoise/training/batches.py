@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from ..data.clips import ClipDataset, estimated_signals, read_facts
+from ..data.layers import SIGNALS
 from ..errors import InputError
 from ..frame import Frame, stack
-from ..models import Window
+from ..models import COMBINERS, Window
 from .augment import augment, relight, shade
 from .config import TrainConfig, model_config
 
@@ -40,6 +41,18 @@ class TrainingSet:
     def scenes(self) -> set[str]:
         """As `ClipDataset.scenes`."""
         return self.clips.scenes() | (self.stills.scenes() if self.stills else set())
+
+    def refuse_unfit(self, config: TrainConfig) -> None:
+        """Raise InputError for the first clip that cannot be in a batch: it is damaged, smaller or shorter than asked
+        for, or lacks what the network reads."""
+        for data, frames in ((self.clips, config.frames), (self.stills, 1)):
+            for index, path in enumerate(data.paths if data else ()):
+                if config.model in COMBINERS:
+                    wanted, reads = {signal for _, signal in _estimates(path, config)}, ()
+                else:
+                    wanted, reads = _signals(config), model_config(config).reads
+                for signal in sorted(wanted):
+                    data.examine(index, signal=signal, size=config.size, frames=frames, layers=reads)
 
     def batch(self, take: Batch, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> Any:
         """The batch of a step, by the `Task.batch` of its network."""
@@ -120,20 +133,30 @@ def _clip(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place:
 def _window(data: ClipDataset, config: TrainConfig, index: int, epoch: int, place: int) -> tuple[list[Frame], ...]:
     """An augmented window: its frames, and as many frames whose radiance is the denoised one."""
     rng = np.random.default_rng([config.seed, epoch, place])
-    pairs = [
-        (method, signal)
-        for method in config.estimates
-        for signal in estimated_signals(data.paths[index], method)
-        if config.signal in (signal, "both")
-    ]
-    if not pairs:
-        raise InputError(f"{data.paths[index]}: no frames denoised by {' or '.join(config.estimates)} for the signal "
-                         f"{config.signal}; make them: rtdenoise estimates {data.paths[index].parent}")  # fmt: skip
+    pairs = _estimates(data.paths[index], config)
     method, signal = pairs[rng.integers(len(pairs))]
     count = config.frames
     both = data.load(index, signal=signal, size=config.size, frames=count, rng=rng, estimates=method)
     seed = int(rng.integers(1 << 31))  # one draw of the augmentation for both
     return tuple(augment(part, np.random.default_rng(seed)) for part in (both[:count], both[count:]))
+
+
+def _estimates(path: Path, config: TrainConfig) -> list[tuple[str, str]]:
+    """(method, signal) of the denoised frames of a clip that a combiner learns from. Raises InputError for none."""
+    pairs = [
+        (method, signal)
+        for method in config.estimates
+        for signal in estimated_signals(path, method)
+        if signal in _signals(config)
+    ]
+    if not pairs:
+        raise InputError(f"{path}: no frames denoised by {' or '.join(config.estimates)} for the signal "
+                         f"{config.signal}; make them: rtdenoise estimates {path.parent}")  # fmt: skip
+    return pairs
+
+
+def _signals(config: TrainConfig) -> tuple[str, ...]:
+    return tuple(SIGNALS) if config.signal == "both" else (config.signal,)
 
 
 def _shortened(window: Window, current: int, rng: np.random.Generator) -> Window:

@@ -26,8 +26,7 @@ from .batches import TrainingSet
 from .config import TrainConfig
 from .distributed import any_of, processes, wait_for_all
 from .log import Log
-from .tasks import task_of
-from .trainer import Trainer, check, model_config
+from .trainer import Trainer, check
 from .validate import open_validation
 
 OnStep = Callable[[int, int, float], None]  # step, steps in all, loss
@@ -55,8 +54,7 @@ def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None)
             raise InputError(f"batch: expected a multiple of the {count} processes, got {config.batch}")
         data = TrainingSet.open(config)
         validation = open_validation(config, data)
-        for step in range(2 if data.stills else 1):  # clips that do not fit are refused before there is a run
-            data.batch(task_of(model_config(config)).batch, config, step, share)
+        data.refuse_unfit(config)  # before there is a run
         out = Path(config.out)
         out.mkdir(parents=True, exist_ok=True)
         with lock(out) if rank == 0 else nullcontext():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 import torch
@@ -13,15 +14,16 @@ from ..errors import InputError
 from ..evaluate.sequence import outputs, uncovered
 from ..frame import Frame, History
 from ..metrics import psnr
-from ..models import Combiner, Denoiser, Window
+from ..models import COMBINERS, Combiner, Denoiser, Window
 from .batches import TrainingSet
-from .config import TrainConfig
+from .config import TrainConfig, model_config
 
 MIN_UNCOVERED = 0.005  # share of a frame; the PSNR of fewer pixels is meaningless
 
 
 def open_validation(config: TrainConfig, data: TrainingSet) -> ClipDataset | None:
-    """The clips of `config.val`. Raises InputError where they show scenes of `data` or have denoised references."""
+    """The clips of `config.val`. Raises InputError where they show scenes of `data`, have denoised references, or
+    cannot be validated on (`_load`)."""
     if config.val is None:
         return None
     clips = ClipDataset(config.val)
@@ -31,7 +33,22 @@ def open_validation(config: TrainConfig, data: TrainingSet) -> ClipDataset | Non
     if "references" in clips.facts(0):
         raise InputError(f"{config.val}: its references are denoised, and would reward whatever is as smooth; "
                          "validate on clips as they were rendered")  # fmt: skip
+    for index, method in product(range(len(clips)), config.estimates if config.model in COMBINERS else ("",)):
+        _load(clips, config, index, method)
     return clips
+
+
+def _load(clips: ClipDataset, config: TrainConfig, index: int, method: str = "") -> list[Frame]:
+    """The frames of a clip, and those that `method` denoised; of both signals a combiner takes color, other networks
+    indirect. Raises InputError for a clip that lacks what the network reads, or is not finite."""
+    signal = config.signal if config.signal != "both" else "color" if method else "indirect"
+    reads = () if method else model_config(config).reads
+    frames = clips.load(index, signal=signal, layers=reads, estimates=method)
+    for frame in frames:
+        for name, layer in frame.layers():
+            if not layer.isfinite().all():
+                raise InputError(f"{clips.paths[index]}: damaged: {name} is not finite; delete it and make it again")
+    return frames
 
 
 @torch.inference_mode()
@@ -45,9 +62,7 @@ def validate(model: Denoiser, clips: ClipDataset, config: TrainConfig) -> dict[s
             return model.step(frame, history)
 
     for index in range(len(clips)):
-        signal = "color" if config.signal == "color" else "indirect"
-        frames = clips.load(index, signal=signal, layers=model.config.reads)
-        frames = [frame.to(config.device) for frame in frames]
+        frames = [frame.to(config.device) for frame in _load(clips, config, index)]
         scale, masks = display_exposure(torch.cat([frame.reference for frame in frames])), uncovered(frames)
         pairs = list(zip(outputs(step, frames), masks, strict=True))
         for output, mask in pairs[1:] or pairs:
@@ -65,9 +80,8 @@ def validate_windows(model: Combiner, clips: ClipDataset, config: TrainConfig) -
     these denoised (`estimate`) and of the combined ones (`denoised`)."""
     offsets = model.config.offsets
     rows: dict[str, list[float]] = {"estimate": [], "denoised": []}
-    signal = "indirect" if config.signal == "indirect" else "color"
     for index, method in ((i, m) for i in range(len(clips)) for m in config.estimates):
-        both = clips.load(index, signal=signal, estimates=method)
+        both = _load(clips, config, index, method)
         middle, count = len(both) // 4, len(both) // 2
         places = [middle + offset if 0 <= middle + offset < count else None for offset in offsets]
         frames = tuple(None if p is None else both[p] for p in places)
