@@ -244,7 +244,7 @@ def test_a_step_with_a_loss_that_is_not_finite_is_skipped(config):
     assert all(torch.equal(a, b) for a, b in zip(before, trainer.model.parameters(), strict=True))
 
 
-def test_a_poisoned_clip_is_skipped_counted_and_reported(config, monkeypatch, capsys):
+def test_a_poisoned_clip_is_skipped_counted_and_named(config, tmp_path, monkeypatch, capsys):
     load_clip = ClipDataset.load
 
     def poisoned(self, index, **options):
@@ -256,7 +256,10 @@ def test_a_poisoned_clip_is_skipped_counted_and_reported(config, monkeypatch, ca
     assert all(p.isfinite().all() for p in load(weights).parameters())
     skipped = [row for row in log(config.out) if row["grad_norm"] is None]
     assert len(skipped) == 1 and skipped[0]["loss"] is None and log(config.out)[-1]["skipped"] == 1
+    assert skipped[0]["clips"] == [str(clip_path(config.data[0], 2))]
     assert "1 steps skipped" in capsys.readouterr().out
+    train(replace(config, out=tmp_path / "stills", val=None, batch=1, frames=1, steps=9, stills=config.data))
+    assert [row["clips"] for row in log(tmp_path / "stills") if row["grad_norm"] is None] == 2 * [skipped[0]["clips"]]
 
 
 def test_broken_weights_end_the_run(config, monkeypatch):

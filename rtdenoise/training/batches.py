@@ -56,12 +56,21 @@ class TrainingSet:
 
     def batch(self, take: Batch, config: TrainConfig, step: int, share: tuple[int, int] = (0, 1)) -> Any:
         """The batch of a step, by the `Task.batch` of its network."""
+        return take(*self._turn(config, step), share)
+
+    def paths(self, config: TrainConfig, step: int) -> list[Path]:
+        """The clips of a step, of all processes."""
+        data, config, turn = self._turn(config, step)
+        return [data.paths[index] for index, _, _ in _places(data, config, turn, (0, 1))]
+
+    def _turn(self, config: TrainConfig, step: int) -> tuple[ClipDataset, TrainConfig, int]:
+        """The clips or stills that a step takes, its options, and how many steps took such before."""
         if self.stills is None:
-            return take(self.clips, config, step, share)
+            return self.clips, config, step
         turn, of_stills = divmod(step, 2)
         if not of_stills:
-            return take(self.clips, config, turn, share)
-        return take(self.stills, replace(config, batch=config.batch * config.frames, frames=1, lead_in=0), turn, share)
+            return self.clips, config, turn
+        return self.stills, replace(config, batch=config.batch * config.frames, frames=1, lead_in=0), turn
 
 
 def _opened(folders: tuple[Path, ...], least_spp: int, most_spp: int | None) -> ClipDataset:

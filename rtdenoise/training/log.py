@@ -25,11 +25,13 @@ class Log:
         self._file = path.open("a")
 
     def write(self, row: Mapping[str, object]) -> None:
-        """Numbers of the step `row["step"]`; groups of them may be nested."""
+        """Numbers of the step `row["step"]`; groups of them may be nested. TensorBoard gets no lists."""
         self._file.write(dumps(row) + "\n")
         self._file.flush()
         if self._board:
             for name, value in row.items():
+                if isinstance(value, list):
+                    continue
                 for inner, number in value.items() if isinstance(value, Mapping) else [("", value)]:
                     self._board.add_scalar(f"{name}/{inner}".rstrip("/"), number, row["step"])
             self._board.flush()

@@ -106,6 +106,8 @@ def _lead(
         for row in _steps(trainer, share, data, stopping):
             on_step(trainer.step, config.steps, row["loss"])
             last = trainer.step == config.steps
+            if trainer.skipped_in_turn:
+                row["clips"] = sorted({str(path) for path in data.paths(config, trainer.step - 1)})
             if trainer.step % LOG_EVERY == 0 or last or trainer.skipped_in_turn:
                 log.write(row)
             if validation and (trainer.step % config.validate_every == 0 or last):
@@ -121,7 +123,7 @@ def _lead(
     if validation is None or not (out / WEIGHTS).exists():
         _save_weights(trainer, out / WEIGHTS)
     if trainer.skipped:
-        print(f"{out}: {trainer.skipped} steps skipped: loss or gradient was not finite; log.jsonl says which")
+        print(f"{out}: {trainer.skipped} steps skipped: loss or gradient was not finite; log.jsonl names their clips")
 
 
 def _steps(
