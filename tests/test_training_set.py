@@ -505,5 +505,8 @@ def test_wrong_options(tmp_path):
         with pytest.raises(InputError, match="expected i/n"):
             parse_shard(text)
     assert parse_shard("1/4") == (1, 4)
+    with pytest.raises(InputError, match="--shard 2/3: is empty: the 8 clips show 2 scenes; expected 2 shards at most"):
+        render_clips(tmp_path / "empty", replace(TINY, count=8, shard=(2, 3)), lambda *_: None)
+    assert not (tmp_path / "empty").exists()
     with pytest.raises(InputError, match="multiples of 4"):
         render_clips(tmp_path, replace(TINY, size=(33, 32)), lambda *_: None)

@@ -8,6 +8,7 @@ continues where it stopped.
 
 from __future__ import annotations
 
+import math
 import shlex
 import shutil
 import sys
@@ -36,9 +37,13 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
     """Render the missing clips of this shard into a folder, and write its data card. Returns the content of the card.
 
     `progress(done, total, line)` is called before the first clip, with the disk use, and after every clip.
-    Raises InputError where the disk is too small, a worker is killed, another run renders the same shard, the folder
-    holds clips of other options, or the cluster cannot do it (`run.farm`).
+    Raises InputError where the disk is too small, a worker is killed, another run renders the same shard, the shard has
+    no scene, the folder holds clips of other options, or the cluster cannot do it (`run.farm`).
     """
+    (shard, shards), scenes = options.shard, math.ceil(options.count / options.clips_per_scene)
+    if shard >= scenes:
+        raise InputError(f"--shard {shard}/{shards}: is empty: the {options.count} clips show {scenes} scenes; "
+                         f"expected {scenes} shards at most")  # fmt: skip
     odd = options.size[0] % COARSE or options.size[1] % COARSE or min(options.size) < 32
     if options.windows_per_take > 1 and odd:
         raise InputError(
@@ -52,7 +57,6 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     refuse_other_options(out, options)
-    shard, shards = options.shard
     numbers = (i for i in range(options.count) if not clip_path(out, i).exists())
     groups = Counter(i // options.clips_per_scene for i in numbers)  # scene -> its missing clips
     groups = {group: count for group, count in groups.items() if group % shards == shard}
