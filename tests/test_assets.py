@@ -19,7 +19,7 @@ from rtdenoise.render.frames import features, radiance
 from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scene_clips import draw_samples
 from rtdenoise.render.scenes import meshes
-from rtdenoise.render.scenes.assets import load_hdri, load_model, read_library, read_picture
+from rtdenoise.render.scenes.assets import load_hdri, load_model, read_library, read_picture, require_models
 from rtdenoise.render.scenes.composed import KINDS, Composer, compose
 from rtdenoise.render.scenes.extras import shapes_in_view
 from rtdenoise.render.scenes.file import open_file
@@ -335,6 +335,31 @@ def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
     render_clips(tmp_path / "out", options, lambda *_: None)
     for a, b in zip(before, ClipDataset(tmp_path / "out").load(1), strict=True):
         assert all(tensor.equal(getattr(b, name)) for name, tensor in a.layers())
+
+
+def test_clips_of_scenes_without_things_are_counted(folder, tmp_path):
+    index = json.loads((folder / "index.json").read_text())
+    index["models"] = [entry | {"category": "of no use"} for entry in index["models"]]
+    (folder / "index.json").write_text(json.dumps(index))
+    read_library.cache_clear()
+    lines = []
+    with pytest.raises(InputError, match="no clips found"):
+        render_clips(tmp_path / "out", ClipOptions(2, (32, 32), workers=1, assets=str(folder)),
+                     lambda done, total, line: lines.append((done, total, line)))  # fmt: skip
+    assert lines[1:] == [(2, 2, "left out: 2 clips, from 0 on: nothing is seen in their scenes")]
+
+
+def test_a_library_without_meshes_is_refused(folder, tmp_path):
+    models = list(folder.glob("models/*/0.ply"))
+    for path in models[1:]:
+        path.unlink()
+    require_models(read_library(folder))
+    models[0].write_text("version https://git-lfs.github.com/spec/v1")
+    load_model.cache_clear()
+    options = ClipOptions(2, (32, 32), assets=str(folder))
+    with pytest.raises(InputError, match=rf"library: none of its {len(models)} models can be loaded: .*\.ply: "):
+        render_clips(tmp_path / "out", options, lambda *_: None)
+    assert not (tmp_path / "out").exists()
 
 
 def test_stills_of_assets_are_single_frames(folder, tmp_path):

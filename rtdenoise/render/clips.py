@@ -24,7 +24,7 @@ from ..run.processes import Processes
 from .card import write_card
 from .options import ClipOptions
 from .scene_clips import render_group
-from .scenes.assets import read_library
+from .scenes.assets import read_library, require_models
 from .scenes.pictures import find_pictures
 from .stage import start_mitsuba
 from .windows import COARSE
@@ -53,7 +53,7 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
     if options.textures:
         find_pictures(options.textures)
     if options.assets:
-        read_library(options.assets, options.allow_unlicensed)
+        require_models(read_library(options.assets, options.allow_unlicensed))
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     refuse_other_options(out, options)
@@ -76,6 +76,9 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
                     f"clip {facts['index']}: {facts['kind']}, {facts['place']}, uncovered "
                     f"{100 * facts['uncovered']:.1f} %, {facts['reference_spp']} spp, {facts['seconds']:.1f} s",
                 )  # fmt: skip
+        clips = (i for i in range(options.count) if i // options.clips_per_scene in groups)
+        if left := [i for i in clips if not clip_path(out, i).exists()]:
+            progress(done, missing, f"left out: {len(left)} clips, from {left[0]} on: nothing is seen in their scenes")
         return write_card(out, shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
 
 

@@ -141,6 +141,17 @@ def load_model(asset: Asset) -> tuple[ModelPart, ...]:
         raise InputError(f"{asset.file}: a part is not as expected: {error!r}") from error
 
 
+def require_models(library: Library) -> None:
+    """Raise InputError where no model can be loaded, as where a copy of the library lacks the meshes."""
+    for asset in library.models:
+        try:
+            load_model(asset)
+            return
+        except InputError as error:
+            problem = error
+    raise InputError(f"{library.folder}: none of its {len(library.models)} models can be loaded: {problem}")
+
+
 def _part(folder: Path, part: dict) -> ModelPart:
     palette = bool(part.get("palette"))
     alpha, emissive = part.get("alpha"), part.get("emissive")
