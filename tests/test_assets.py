@@ -18,7 +18,7 @@ from rtdenoise.render.clips import render_clips
 from rtdenoise.render.frames import features, radiance
 from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scene_clips import draw_samples
-from rtdenoise.render.scenes import meshes
+from rtdenoise.render.scenes import meshes, placing
 from rtdenoise.render.scenes.assets import load_hdri, load_model, read_library, read_picture, require_models
 from rtdenoise.render.scenes.composed import KINDS, Composer, compose
 from rtdenoise.render.scenes.extras import shapes_in_view
@@ -202,6 +202,26 @@ def test_an_asset_that_does_not_load_is_skipped_and_named(folder):
     b = Composer(read_library(folder), np.random.default_rng(0))
     assert b.choose("toy") is None and b.choose("toy", "plant").name == "a plant table"
     assert list(b.skipped) == ["a toy table"] and "not a readable PLY mesh" in b.skipped["a toy table"]
+
+
+def test_another_picture_takes_the_place_of_one_that_does_not_load(folder):
+    """Of another kind where its own has no other; walls stay bare."""
+    Image.new("RGB", (8, 8), "red").save(folder / "tiles.png")
+    index = json.loads((folder / "index.json").read_text())
+    index["textures"] += [index["textures"][0] | {"name": "tiles", "file": "tiles.png", "kind": "tile"}]
+    index["hdris"] += [index["hdris"][0] | {"name": "stars", "file": "stars.exr", "tags": ["night"]}]
+    (folder / "index.json").write_text(json.dumps(index))
+    (folder / "wood.png").write_text("nonsense")  # the poster is this file, too
+    b = Composer(read_library(folder), np.random.default_rng(0))
+    b.picture((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    assert [*b.skipped] == ["print"] and not b.objects
+    b.surface("wood")
+    b.sky("night")
+    assert [*b.skipped] == ["print", "wood", "stars"] and [*b.used] == ["tiles", "sky"]
+    (folder / "tiles.png").write_text("nonsense")
+    placing._picture.cache_clear()
+    with pytest.raises(InputError, match=r"none of the assets of one kind can be loaded: .*tiles\.png"):
+        b.surface("tile")
 
 
 # --- compositions -----------------------------------------------------------------------------------------------------

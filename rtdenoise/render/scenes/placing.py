@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -55,8 +57,8 @@ class Composer:
     def surface(self, *kinds: str, roughness: tuple[float, float] = (0.3, 0.9), tint: bool = False) -> Principled:
         """A material with a picture of one of these kinds (of any kind where the library has none)."""
         rng, assets = self.rng, self.library.textures
-        fitting = [a for a in assets if a.tags & set(kinds) and a.facts.get("tileable")] or list(assets)
-        image = self._load(fitting, lambda asset: _picture(asset))
+        fitting = [a for a in assets if a.tags & set(kinds) and a.facts.get("tileable")]
+        image = self._load(lambda asset: _picture(asset), fitting, assets)
         if tint:
             image = image * rng.uniform(0.45, 1.0, 3).astype(np.float32)
         metal = 1.0 if "metal" in kinds and rng.uniform() < 0.7 else 0.0
@@ -64,8 +66,7 @@ class Composer:
 
     def sky(self, *tags: str) -> np.ndarray:
         """An environment map with one of these tags, turned about the vertical."""
-        fitting = [a for a in self.library.hdris if a.tags & set(tags)] or list(self.library.hdris)
-        image = self._load(fitting, load_hdri)
+        image = self._load(load_hdri, [a for a in self.library.hdris if a.tags & set(tags)], self.library.hdris)
         return np.roll(image, int(self.rng.integers(image.shape[1])), 1)
 
     def light(self, mesh: Mesh, strength: float, tint: float = 0.35) -> int:
@@ -74,12 +75,12 @@ class Composer:
         return self.add("lamp", mesh, plain(0.0), emission=tuple((strength * colour).tolist()))
 
     def picture(self, corner, right, up) -> None:
-        """A picture in a parallelogram."""
+        """A picture in a parallelogram, where the library has one."""
         assets = [a for a in self.library.textures if a.tags & {"painting", "poster", "text"}]
-        if assets:
+        with suppress(InputError):
+            image = self._load(lambda asset: _picture(asset), assets)
             mesh = quad(corner, right, up)
             uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
-            image = self._load(assets, lambda asset: _picture(asset))
             material = Principled(image, _plane(self.rng.uniform(0.1, 0.6)), _plane(0.0))
             self.add("picture", Mesh(mesh.vertices, mesh.normals, uv, mesh.faces), material)
 
@@ -172,20 +173,22 @@ class Composer:
         self._taken = taken
         return things
 
-    def _load(self, assets: list[Asset], load):
-        """`load` of a random asset; assets that fail are remembered. Raises InputError if all fail."""
-        assets = [a for a in assets if a.name not in self.skipped]
-        while assets:
-            asset = assets.pop(int(self.rng.integers(len(assets))))
-            try:
-                loaded = load(asset)
-            except InputError as error:
-                self.skipped[asset.name] = str(error)
-                continue
-            self.used[asset.name] = attribution(asset)
-            return loaded
+    def _load(self, load, *choices: Sequence[Asset]):
+        """`load` of a random asset of the first choice, or of the next ones where all of that fail; assets that fail
+        are remembered. Raises InputError if all fail."""
+        for choice in choices:
+            assets = [a for a in choice if a.name not in self.skipped]
+            while assets:
+                asset = assets.pop(int(self.rng.integers(len(assets))))
+                try:
+                    loaded = load(asset)
+                except InputError as error:
+                    self.skipped[asset.name] = str(error)
+                    continue
+                self.used[asset.name] = attribution(asset)
+                return loaded
         raise InputError(f"{self.library.folder}: none of the assets of one kind can be loaded: "
-                         f"{next(iter(self.skipped.values()))}")  # fmt: skip
+                         f"{next(reversed(self.skipped.values()), '')}")  # fmt: skip
 
 
 def metres(asset: Asset) -> np.ndarray:
