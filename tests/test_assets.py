@@ -181,6 +181,19 @@ def test_a_fifo_among_the_assets_does_not_hang(folder, name):
         read_picture(library.textures[0].file)
 
 
+def test_assets_of_one_name_are_credited_each(folder):
+    index = json.loads((folder / "index.json").read_text())
+    name = index["models"][0]["name"]
+    index["textures"] = [entry | {"name": name, "author": "Cy"} for entry in index["textures"]]
+    (folder / "index.json").write_text(json.dumps(index))
+    library = read_library(folder)
+    assert [a.name for a in library.textures] == [f"{name} (texture)", f"{name} (texture) (texture)"]
+    b = Composer(library, np.random.default_rng(0))
+    b.surface("wood")
+    b.put(library.models[0], (0, 0, 0), 0)
+    assert [(key, entry["author"]) for key, entry in b.used.items()] == [(f"{name} (texture)", "Cy"), (name, "Ada")]
+
+
 def test_unknown_licences_are_used_on_request_only(folder, tmp_path, capsys):
     change(folder, "models", license=None)
     assert len(read_library(folder, allow_unlicensed=True).models) == 7

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from reprlib import repr as shown
@@ -73,12 +73,13 @@ def read_library(folder: str | Path, allow_unlicensed: bool = False) -> Library:
     """Read FOLDER/index.json. Raises InputError for a bad entry: paths outside the folder, no licence, missing keys."""
     folder = Path(folder)
     index = _read_json(folder / "index.json")
-    assets = {}
+    assets, names = {}, set()
     for kind, (path_key, tag_key) in KINDS.items():
         entries = index.get(kind, [])
         if not isinstance(entries, list):
             raise InputError(f"{folder / 'index.json'}: expected '{kind}' to be a list, got {shown(entries)}")
-        assets[kind] = tuple(_asset(folder, kind, e, path_key, tag_key, allow_unlicensed) for e in entries)
+        found = [_asset(folder, kind, e, path_key, tag_key, allow_unlicensed) for e in entries]
+        assets[kind] = tuple(_renamed(asset, kind, names) for asset in found)
         if not assets[kind]:
             raise InputError(f"{folder / 'index.json'}: lists no {kind}; expected one or more")
     return Library(folder, **assets)
@@ -108,6 +109,15 @@ def _asset(folder: Path, kind: str, entry: object, path_key: str, tag_key: str, 
         str(entry["name"]), file, frozenset(tags),
         *(str(entry.get(key) or "") for key in ("license", "author", "source")), entry,
     )  # fmt: skip
+
+
+def _renamed(asset: Asset, kind: str, taken: set[str]) -> Asset:
+    """The asset with a name of its own: cards credit assets by name."""
+    name = asset.name
+    while name in taken:
+        name = f"{name} ({kind[:-1]})"
+    taken.add(name)
+    return replace(asset, name=name)
 
 
 def _is_box(value: object) -> bool:
