@@ -87,7 +87,7 @@ def test_references_in_other_files_and_one_signal(tmp_path, capsys):
     top, left = data.facts(0)["window"]
     assert torch.allclose(first.reference, frames[0].reference[..., top : top + 12, left : left + 12], rtol=2**-10)
     assert torch.equal(first.reference, first.reference_half) and not data.facts(0)["halves"]
-    with pytest.raises(InputError, match="has no signal 'indirect'; train with --signal color"):
+    with pytest.raises(InputError, match="has no signal 'indirect'; give --signal color"):
         data.load(0, signal="indirect")
     assert "expected a folder for each of 1 shots, got 2" in error_of(
         capsys, tmp_path / "noisy", "--out", tmp_path / "c", "--reference", tmp_path / "a", tmp_path / "b"

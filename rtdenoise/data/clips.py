@@ -248,7 +248,7 @@ def _sources(path: Path, stored: set[str], signal: str, asked: Collection[str]) 
     found = {field: (name,) for field, name in SIGNALS[signal].items()} | {name: (name,) for name in FEATURES}
     stored_signals = [name for name in SIGNALS if SIGNALS[name]["radiance"] in stored]
     if stored_signals and signal not in stored_signals:
-        raise InputError(f"{path}: has no signal '{signal}'; train with --signal {stored_signals[0]}")
+        raise InputError(f"{path}: has no signal '{signal}'; give --signal {stored_signals[0]}")
     asked_layers = (name for field in asked for name in optional.get(field, (field,)))
     wanted = [*SIGNALS[signal].values(), *FEATURES, *asked_layers]
     if missing := [name for name in wanted if name not in stored]:
