@@ -281,8 +281,8 @@ def test_places_without_a_sequence(tmp_path):
 def test_frame_numbers_that_are_missing_or_there_twice(tmp_path):
     folder = write_native(tmp_path / "s", [1, 2, 4, 8])
     assert message(open_sequence, folder) == (
-        f"{folder / 'frame.0002.exr'}: the next frame is 4, missing: 3; render what is missing, or allow gaps "
-        "(--allow-gaps): history then starts anew after each"
+        f"{folder / 'frame.0002.exr'}: the next frame is 4, missing: 3; render what is missing, or let denoise, "
+        "combine or inspect allow gaps (--allow-gaps): history then starts anew after each"
     )
     assert open_sequence(folder, allow_gaps=True).gaps == ((3, 3), (5, 7))
     shutil.copy(folder / "frame.0002.exr", folder / "frame.02.exr")

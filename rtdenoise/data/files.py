@@ -96,7 +96,8 @@ def check_gaps(frames: Sequence[FrameFiles], allow_gaps: bool) -> None:
         if not allow_gaps and b.number - a.number > 1:
             between = describe_gap((a.number + 1, b.number - 1))
             raise InputError(f"{a.path}: the next frame is {b.number}, missing: {between}; render what is missing, or "
-                             "allow gaps (--allow-gaps): history then starts anew after each")  # fmt: skip
+                             "let denoise, combine or inspect allow gaps (--allow-gaps): history then starts anew "
+                             "after each")  # fmt: skip
 
 
 def find_gaps(frames: Sequence[FrameFiles]) -> tuple[tuple[int, int], ...]:
