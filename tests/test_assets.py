@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from safetensors.numpy import save_file
 
 from rtdenoise.cli.main import main
 from rtdenoise.data.clips import ClipDataset, clip_path, read_facts, read_layers
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
-from rtdenoise.render.clips import render_clips
+from rtdenoise.render.clips import refuse_other_options, render_clips
 from rtdenoise.render.frames import features, radiance
 from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scene_clips import draw_samples
@@ -368,6 +369,27 @@ def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
     render_clips(tmp_path / "out", options, lambda *_: None)
     for a, b in zip(before, ClipDataset(tmp_path / "out").load(1), strict=True):
         assert all(tensor.equal(getattr(b, name)) for name, tensor in a.layers())
+
+
+def test_sets_of_other_samples_or_lengths_are_not_mixed(tmp_path):
+    stills = ClipOptions(2, (32, 32), frames=1, assets="library")
+    facts = {"generator": 3, "seed": 0, "size": [32, 32], "max_depth": 6, "frames": 1}
+    for was, change, complaint in (
+        (stills, {"most_spp": 1}, "most_spp = None, not 1"),
+        (replace(stills, most_spp=1), {"most_spp": None}, "most_spp = 1, not None"),
+        (stills, {"spp": 2}, "least_spp = 1, not 2"),
+        (stills, {"frames": 10}, "stills = True, not False"),
+    ):
+        header = {"clip": json.dumps(facts | {"scenes_are_of": was.scenes_are_of()})}
+        save_file({"depth": np.zeros(1)}, clip_path(tmp_path, 0), header)
+        refuse_other_options(tmp_path, was)
+        with pytest.raises(InputError, match=f"clip_000000.safetensors: was rendered with {complaint}"):
+            refuse_other_options(tmp_path, replace(was, **change))
+    older = stills.scenes_are_of()
+    for key in ("stills", "least_spp", "most_spp"):
+        del older[key]
+    save_file({"depth": np.zeros(1)}, clip_path(tmp_path, 0), {"clip": json.dumps(facts | {"scenes_are_of": older})})
+    refuse_other_options(tmp_path, stills)
 
 
 def test_clips_of_scenes_without_things_are_counted(folder, tmp_path):

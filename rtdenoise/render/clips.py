@@ -30,7 +30,7 @@ from .stage import start_mitsuba
 from .windows import COARSE
 from .workers import KILLED, only_run, start_worker
 
-BEFORE = {"calm": 0.0, "lead_in": 0}  # options that clips of older versions do not record
+BEFORE = {"calm": 0.0, "lead_in": 0, "most_spp": None}  # options that clips of older versions do not record
 
 
 def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, str], None]) -> dict:

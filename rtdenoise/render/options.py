@@ -114,9 +114,8 @@ class ClipOptions:
         choice = {"sun": self.sun, "calm": self.calm, "lead_in": self.lead_in}
         choice |= {"files": files, "textures": bool(self.textures), "reference_error": self.reference_error}
         if self.assets:
-            choice["assets"] = Path(self.assets).name
-        if self.most_spp is not None:
-            choice["most_spp"] = self.most_spp
+            spp = {"least_spp": self.spp, "most_spp": self.most_spp}
+            choice |= {"assets": Path(self.assets).name, "stills": self.stills} | spp
         return choice
 
 
