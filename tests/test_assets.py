@@ -460,6 +460,7 @@ def test_repeats_of_a_still_differ_in_noise_alone(folder, tmp_path):
         ("--assets x --repeats 2", "--repeats: is for stills"),
         ("--most-spp 1", "--most-spp: goes with --assets"),
         ("--assets x --spp 4 --most-spp 2", "--most-spp: expected 4 (--spp) or more, got 2"),
+        ("--assets x --size 724", "clips of 724×724: are cut from pictures of 1280×720 and more; expected 1280×720"),
         ("--assets nowhere", "cannot be read: No such file"),
     ],
 )

@@ -22,6 +22,7 @@ from ..files import remove_unfinished
 from ..run.farm import Farm
 from ..run.processes import Processes
 from .card import write_card
+from .draw import VIEWS
 from .options import ClipOptions
 from .scene_clips import render_group
 from .scenes.assets import read_library, require_models
@@ -37,8 +38,8 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
     """Render the missing clips of this shard into a folder, and write its data card. Returns the content of the card.
 
     `progress(done, total, line)` is called before the first clip, with the disk use, and after every clip.
-    Raises InputError where the disk is too small, a worker is killed, another run renders the same shard, the shard has
-    no scene, the folder holds clips of other options, or the cluster cannot do it (`run.farm`).
+    Raises InputError where clips are too large, the disk is too small, a worker is killed, another run renders the same
+    shard, the shard has no scene, the folder holds clips of other options, or the cluster cannot do it (`run.farm`).
     """
     (shard, shards), scenes = options.shard, math.ceil(options.count / options.clips_per_scene)
     if shard >= scenes:
@@ -49,6 +50,10 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
         raise InputError(
             f"clips of {options.size[1]}×{options.size[0]}: sides must be multiples of {COARSE}, from 32 on"
         )
+    height, width = VIEWS[0]
+    if options.assets and (options.size[0] > height or options.size[1] > width):
+        raise InputError(f"clips of {options.size[1]}×{options.size[0]}: are cut from pictures of {width}×{height} and "
+                         f"more; expected {width}×{height} at most")  # fmt: skip
     start_mitsuba()  # errors here and below end the run in one line, before any process starts
     if options.textures:
         find_pictures(options.textures)

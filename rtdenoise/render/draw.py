@@ -27,7 +27,7 @@ from .windows import Survey, candidates, survey
 
 SCENE_SHARE = 0.5  # of the scenes that come from --scenes, where that is given,
 FILE_SHARE = 0.33  # and in sets with assets
-VIEWS = ((720, 1280), (810, 1440), (900, 1600), (1080, 1920))  # pictures of sets with assets: height, width
+VIEWS = ((720, 1280), (810, 1440), (900, 1600), (1080, 1920))  # pictures with assets, smallest first: height, width
 MAX_TAKES = 4  # drawings of a take; the last one is taken if it shows anything
 MAX_ATTEMPTS = {1: 12, 2: 8, 3: 8}  # drawings of a generator's scene; the last one is taken as it is
 HELD_OUT = range(2_000_000, 2_000_100)  # seeds of generated scenes to evaluate on: no training set draws them
