@@ -486,6 +486,7 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
         ("render sample --frames 1000000000000", "--frames: expected 1000000 at most, got 1000000000000"),
         ("render sample --size 200000", "--size: expected 65536 at most, got 200000"),
         ("render sample --size 4096 --spp 256", "4096×4096 pixels take 4294967296 paths a frame, expected 4294967295"),
+        ("clips --size 4096 --spp 256", "4096×4096 pixels take 4294967296 paths a frame, expected 4294967295"),
         (f"render wide:{'9' * 5000}", "unknown scene 'wide:999"),
         ("render sample --seed -1", "--seed: expected 0 or more, got -1"),
         ("render sample --reference-spp -2", "--reference-spp: expected 0 or more, got -2"),

@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from ..errors import InputError
 from .progress import progress_bar
-from .render import at_least_one, not_negative
+from .render import at_least_one, not_negative, refuse_too_many_paths
 
 OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error", "assets", "lead_in"}
 OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
@@ -138,6 +138,7 @@ class Clips:
         from ..render.options import ClipOptions, find_scenes, parse_shard
 
         size = (self.height or self.size, self.width or self.size)
+        refuse_too_many_paths(size, self.spp)
         metropolis = None
         if self.integrator == "pssmlt":
             metropolis = MetropolisOptions(self.chains or 0, attribution=self.attribution)

@@ -74,9 +74,7 @@ class Render:
 
         view = (self.height or self.size or 180, self.width or self.size or 320)
         size = self._window(view) if self.window else view
-        if (paths := size[0] * size[1] * self.spp) > MAX_PATHS:
-            raise InputError(f"--spp {self.spp}: {size[1]}×{size[0]} pixels take {paths} paths a frame, expected "
-                             f"{MAX_PATHS} at most; average several runs with other --seed")  # fmt: skip
+        refuse_too_many_paths(size, self.spp)
         depth = self.max_depth or (CAUSTIC_DEPTH if self.scene.startswith("caustic:") else 6)
         options = RenderOptions(size, self.spp, self.reference_spp, depth, self.seed, self._metropolis(size))
         scene = open_scene(self.scene, self.motion, self.textures)
@@ -116,6 +114,13 @@ def at_least_one(command: object, *names: str) -> None:
 def not_negative(command: object, *names: str) -> None:
     """Raise InputError where one of these options is given and below 0, or above its limit in `MOST`."""
     _within(0, command, names)
+
+
+def refuse_too_many_paths(size: tuple[int, int], spp: int) -> None:
+    """Raise InputError where a frame of `size` (height, width) takes more than `MAX_PATHS`."""
+    if (paths := size[0] * size[1] * spp) > MAX_PATHS:
+        raise InputError(f"--spp {spp}: {size[1]}×{size[0]} pixels take {paths} paths a frame, expected "
+                         f"{MAX_PATHS} at most; average several runs with other --seed")  # fmt: skip
 
 
 def _within(least: int, command: object, names: tuple[str, ...]) -> None:
