@@ -377,12 +377,14 @@ def test_no_step_waits_for_the_gpu_or_copies_from_the_host(name):
         every_kind_of_step(model)
 
 
-def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeypatch):
+@pytest.mark.parametrize("config", [*SMALL, models.PRESETS["hybrid"]], ids=lambda config: config.architecture)
+def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(config, monkeypatch):
     """The Python around Triton's kernels, which are not launched."""
     launched = set()
     kernels = {
         "apply_kernel": "_forward", "compose": "_compose", "downsample": "_downsample", "fetch": "_fetch",
-        "reproject": "_reproject", "soften": "_soften", "warp": "_warp",
+        "reproject": "_reproject", "soften": "_soften", "warp": "_warp", "recall": "_look _stays _mean _see",
+        "over": "_over", "around": "_bounds _within", "mix": "_told _mix",
     }  # fmt: skip
 
     class Kernel:
@@ -392,14 +394,16 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(denoiser, monkeyp
         def __getitem__(self, grid):
             return lambda *arguments, **named: launched.add(self.name)
 
-    for file, name in kernels.items():
-        monkeypatch.setattr(importlib.import_module(f"rtdenoise.ops.triton.{file}"), name, Kernel(name))
+    for file, names in kernels.items():
+        for name in names.split():
+            monkeypatch.setattr(importlib.import_module(f"rtdenoise.ops.triton.{file}"), name, Kernel(name))
     monkeypatch.setattr(dispatch, "backend", lambda _: ("triton", None))
-    model = denoiser.to("meta")
+    model = models.create(config).eval().requires_grad_(False).to("meta")
     with capturable(), ops.use("auto"):
         every_kind_of_step(model)
     expected = {"_forward", "_warp", "_fetch", "_downsample", "_compose"}
-    assert launched == expected | ({"_reproject", "_soften"} if isinstance(denoiser, models.AccumulatedKPN) else set())
+    expected |= {"_reproject", "_soften"} if isinstance(model, models.AccumulatedKPN) else set()
+    assert launched == (set(" ".join(kernels.values()).split()) if config.recent else expected)
 
 
 @pytest.mark.parametrize(

@@ -145,9 +145,12 @@ def test_reprojection(both, assert_images_close, op, size):
     assert_images_close(fused, plain, "float32")
 
 
-@pytest.mark.parametrize("size", [*SIZES, (23, 600)], ids=str)
-@pytest.mark.parametrize("count", [1, 5])
-def test_recall(both, assert_images_close, size, count):
+RECALLED = [("native", size, count) for size in (*SIZES, (23, 600)) for count in (1, 5)]
+RECALLED += [("triton", (1, 1), 1), ("triton", (5, 3), 2)]
+
+
+@pytest.mark.parametrize("backend, size, count", RECALLED, indirect=["backend"], ids=str)
+def test_recall(both, backend, assert_images_close, size, count):
     """Paths between, onto and off pixels; surfaces, and light that changes in parts of the picture."""
 
     def frame():
@@ -162,7 +165,7 @@ def test_recall(both, assert_images_close, size, count):
     def albedo():
         return torch.rand(2, 3, *size)
 
-    for more in ((), (albedo(),)):
+    for more in ((), (albedo(),)) if backend[0] == "native" else ():
         for plain, fused in zip(*both(lambda *f: (keep(*f),), *frame(), *more), strict=True):
             nan = (plain & 0x7F800000 == 0x7F800000) | (plain & 0x7F80 == 0x7F80)
             assert torch.equal(plain[~nan], fused[~nan])
@@ -170,7 +173,8 @@ def test_recall(both, assert_images_close, size, count):
     light, depth, normal, _, motion = frame()
     uncovered, misplaced = torch.rand(2, 1, *size) < 0.3, torch.tensor([0.0, 9.0]).view(2, 1, 1, 1)
     mixed = keep(*frame()), *recent, keep(*frame())  # as where one network takes another's history
-    for frames, *footprints in ((recent,), (mixed,), (recent, uncovered), (recent, uncovered, misplaced)):
+    cases = ((recent,), (mixed,), (recent, uncovered), (recent, uncovered, misplaced))
+    for frames, *footprints in cases if backend[0] == "native" else cases[1::2]:
         plain, fused = both(
             lambda *now, frames=frames: [
                 t for t in vars(recall(*now[:2], now[2:4], frames, *now[4:])).values() if t is not None
@@ -185,8 +189,7 @@ def test_recall(both, assert_images_close, size, count):
             assert weight.any() or min(size) < 4
 
 
-@pytest.mark.parametrize("size", [*SIZES, (23, 600)], ids=str)
-@pytest.mark.parametrize("count", [1, 5])
+@pytest.mark.parametrize("backend, size, count", RECALLED, indirect=["backend"], ids=str)
 def test_over(both, assert_images_close, size, count):
     """Three distances and the sky, each moving by itself in quarters of a pixel."""
 
@@ -302,7 +305,7 @@ def test_an_even_sky_is_kept_alike(both, size, hits):
     assert min(size) < 17 or hits > 0.1 or (fused == radiance).any()
 
 
-@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("backend, size", CASES[:-1], indirect=["backend"], ids=str)
 def test_light_is_expanded_within_what_is_around_alike(both, assert_images_close, size):
     first, other = torch.rand(2, 2, 3, *size).unbind()
     first[0, 1, -1, -1], other[1, 2, 0, 0] = 1e9, 0.0
@@ -311,7 +314,7 @@ def test_light_is_expanded_within_what_is_around_alike(both, assert_images_close
     assert_images_close(fused, plain, "float32")
 
 
-@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("backend, size", CASES[:-1], indirect=["backend"], ids=str)
 @pytest.mark.parametrize("has_noisy", [True, False])
 @pytest.mark.parametrize("has_before", [True, False])
 def test_pictures_are_mixed_alike(both, assert_images_close, size, has_noisy, has_before):
@@ -636,7 +639,11 @@ from rtdenoise.ops.triton.apply_kernel import _backward, _forward
 from rtdenoise.ops.triton.compose import _compose
 from rtdenoise.ops.triton.soften import _soften
 from rtdenoise.ops.triton.downsample import _downsample
+from rtdenoise.ops.triton.around import _bounds, _within
 from rtdenoise.ops.triton.fetch import _fetch
+from rtdenoise.ops.triton.mix import _mix, _told
+from rtdenoise.ops.triton.over import _over
+from rtdenoise.ops.triton.recall import _look, _mean, _see, _stays
 from rtdenoise.ops.triton.reproject import _reproject
 from rtdenoise.ops.triton.warp import _warp
 
@@ -662,6 +669,21 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_soften, dict(C=3, BLOCK=128, **one), **sizes)
     build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1e6, **one), valid="*u8",
           depth_tolerance="fp32", normal_tolerance="fp32", **sizes)
+    near = dict(depth_tolerance="fp32", normal_tolerance="fp32", kept="*i32", words="i32", **sizes)
+    for first in (False, True):
+        build(_look, dict(FIRST=first, CELL=4, COLUMNS=64, FAR_AWAY=1e6, **one), **near)
+        ends = dict(FIRST=first, LAST=not first, BLOCK=128, FAR_AWAY=1e6, **one)
+        build(_see, dict(CELL=4, **ends), uncovered="*u8", edge_speed="fp32", gloss="fp32", **near)
+        build(_over, ends, kept="*i32", words="i32", **dict.fromkeys("apart speed same light gloss".split(), "fp32"),
+              **sizes)
+        build(_mix, dict(BEFORE=first, TOLD=first, CELL=4, BLOCK=128, **one),
+              **dict.fromkeys("usual share_before lowest smallest".split(), "fp32"), **sizes)
+    build(_stays, dict(BLOCK=128, **one), **dict.fromkeys("alike changed wide_alike wide_changed".split(), "fp32"),
+          **sizes)
+    build(_mean, dict(CELL=4, BLOCK=128, **one), B="i32", frames="i32", **sizes)
+    build(_bounds, dict(CELL=16, **one), **sizes)
+    build(_within, dict(CELL=16, BLOCK=128, **one), C="i32", **sizes)
+    build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
@@ -679,7 +701,7 @@ def declarations():
 def test_every_fused_op_has_the_name_of_its_plain_one():
     """Declared implementations exist; every file of a folder belongs to an op or is shared."""
     shared = {"__init__", "cache", "compiler", "logits"}
-    files = {"native": {*shared}, "triton": {"__init__", "common", "pool", "targets", "alike"}}
+    files = {"native": {*shared}, "triton": {"__init__", "common", "pool", "targets", "alike", "path", "curve"}}
     for module, fused in declarations():
         assert callable(getattr(module, fused.name).__wrapped__)  # decorated by `falls_back`
         assert module.__name__ in (f"rtdenoise.ops.{fused.file}", "rtdenoise.splat", "rtdenoise.shift.displacement")

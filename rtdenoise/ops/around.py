@@ -11,7 +11,8 @@ from ..constants import AROUND_CELL
 from .dispatch import Fused, Support, falls_back
 
 IMAGES = dict.fromkeys(("compressed", "first", "other"), (3,))
-FUSED = Fused("around.expand_within", native=Support(other=("scale",), channels=IMAGES))
+SUPPORT = Support(other=("scale",), channels=IMAGES)
+FUSED = Fused("around.expand_within", native=SUPPORT, triton=SUPPORT)
 
 
 def greatest_around(x: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ from ..constants import MIX_CELL, MIX_DARK, MIX_LARGEST, MIX_NOISE
 from .dispatch import Fused, Support, falls_back
 
 IMAGES = dict.fromkeys(("first", "other", "before", "noisy"), (3,)) | dict.fromkeys(("trust", "held", "tells"), (1,))
-FUSED = Fused("mix", native=Support(channels=IMAGES))
+FUSED = Fused("mix", native=Support(channels=IMAGES), triton=Support(channels=IMAGES))
 
 
 @falls_back

@@ -19,7 +19,8 @@ from .dispatch import Fused, Support, falls_back
 from .fetch import fetch
 from .recall import BESIDE, Path, check_kept, distance
 
-FUSED = Fused("over.over_and_coverage", native=Support(channels={"seen": (9,), "motion": (2,), "depth": (1,)}))
+SUPPORT = Support(channels={"seen": (9,), "motion": (2,), "depth": (1,)})
+FUSED = Fused("over.over_and_coverage", native=SUPPORT, triton=SUPPORT)
 
 
 def over(

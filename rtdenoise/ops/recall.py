@@ -34,7 +34,8 @@ from .dispatch import Fused, Support, falls_back
 CHANNELS = 3, 1, 3, 1, 2, 3, 2, 1  # of a kept frame: those of `Kept`, and nothing
 FOOTPRINT = 3, 3, 3  # channels of a footprint: radiance, albedo, normal
 BESIDE = (0, 0), (-1, 0), (0, -1), (0, 1), (1, 0)  # (y, x): a pixel and the four beside it
-FUSED = Fused("recall", native=Support(channels={"light": (3,), "motion": (2,), "surface": (1, 3)}))
+SUPPORT = Support(channels={"light": (3,), "motion": (2,), "surface": (1, 3)})
+FUSED = Fused("recall", native=SUPPORT, triton=SUPPORT)
 LAYERS = {"light": (3,), "depth": (1,), "normal": (3,), "reset": (1,), "motion": (2,), "albedo": (3,)}
 KEEP = Fused("recall.keep", native=Support(channels=LAYERS))
 
