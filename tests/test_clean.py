@@ -78,6 +78,12 @@ def test_clips_are_neither_cleaned_in_place_nor_twice(noisy, cleaned, tmp_path, 
     assert message in capsys.readouterr().err
 
 
+def test_a_folder_without_clips_leaves_nothing_behind(tmp_path):
+    with pytest.raises(SystemExit, match="2"):
+        main(["clean", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")])
+    assert not (tmp_path / "out").exists()
+
+
 def test_without_oidn_it_is_one_line(noisy, tmp_path, monkeypatch, capsys):
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)

@@ -100,6 +100,12 @@ def test_bad_pixels_do_not_get_into_clips(tmp_path):
     assert all(t.isfinite().all() for i in range(len(data)) for f in data.load(i) for _, t in f.layers())
 
 
+def test_the_card_has_the_command_as_one_types_it(tmp_path, shot, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["/somewhere/rtdenoise/__main__.py", "clips", "shot", "--size", "16"])
+    cut(tmp_path / "clips", shot)
+    assert "rtdenoise clips shot --size 16" in (tmp_path / "clips" / "DATA.md").read_text()
+
+
 def test_names_that_are_no_text(tmp_path, shot):
     strange = tmp_path / os.fsdecode(b"shot\xff")
     shot.rename(strange)

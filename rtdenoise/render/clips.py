@@ -9,15 +9,14 @@ continues where it stopped.
 from __future__ import annotations
 
 import math
-import shlex
 import shutil
-import sys
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 from ..data.clips import bytes_per_clip, clip_path, read_facts
 from ..errors import InputError
+from ..evaluate.origin import typed
 from ..files import remove_unfinished
 from ..run.farm import Farm
 from ..run.processes import Processes
@@ -84,7 +83,7 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
         clips = (i for i in range(options.count) if i // options.clips_per_scene in groups)
         if left := [i for i in clips if not clip_path(out, i).exists()]:
             progress(done, missing, f"left out: {len(left)} clips, from {left[0]} on: nothing is seen in their scenes")
-        return write_card(out, shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
+        return write_card(out, typed())
 
 
 def refuse_other_options(out: Path, options: ClipOptions) -> None:

@@ -39,14 +39,14 @@ def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda
     out = Path(out)
     if out.resolve() == Path(folder).resolve():
         raise InputError(f"{out}: is where the clips are; their own references are needed for validation")
+    paths = ClipDataset(folder).paths
     out.mkdir(parents=True, exist_ok=True)
     with lock(out):
         remove_unfinished(out)
-        return _clean_all(Path(folder), out, progress)
+        return _clean_all(Path(folder), paths, out, progress)
 
 
-def _clean_all(folder: Path, out: Path, progress: Callable[[int, int], None]) -> int:
-    paths = ClipDataset(folder).paths
+def _clean_all(folder: Path, paths: list[Path], out: Path, progress: Callable[[int, int], None]) -> int:
     oidn = Oidn(prefilter=True)
     missing = [path for path in paths if not _is_there(path, out / path.name)]
     for done, path in enumerate(missing):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,6 +17,7 @@ from ..data.layers import SIGNALS
 from ..errors import InputError
 from ..evaluate.inputs import Source
 from ..evaluate.measure import check_references
+from ..evaluate.origin import typed
 from ..evaluate.sequence import uncovered
 from ..files import dumps, lock, remove_unfinished, utf8, write_atomically
 from ..frame import Frame
@@ -198,7 +197,7 @@ def _layers(parts: dict[str, Frame]) -> dict[str, np.ndarray]:
 
 def _describe(out: Path, clips: list[ClipPlace], shots: tuple[str, ...], options: CutOptions) -> None:
     counts = {shot: sum(window.shot == i for window in clips) for i, shot in enumerate(shots)}
-    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    command = typed()
     height, width = options.size
     card = {"clips": len(clips), "frames_per_clip": options.frames, "size": [height, width], "sources": counts,
             "command": command}  # fmt: skip
