@@ -50,10 +50,14 @@ def test_the_player_needs_no_rtdenoise_and_finds_every_pass_the_same(exported):
     assert f"{passes} passes same" in run.stdout
 
 
-@pytest.mark.parametrize("model, half", [("paper", False), ("fast", True)])
-def test_other_networks_and_float16(tmp_path, gl, player, model, half):
-    export(tmp_path, model, SIZE, half)
+@pytest.mark.parametrize(
+    "model, half, recent", [("paper", False, None), ("fast", True, 2), ("hybrid-fast", False, 0)]
+)
+def test_other_networks_and_float16(tmp_path, gl, player, model, half, recent):
+    export(tmp_path, model, SIZE, half, recent)
     assert player.check(player.Player(tmp_path, gl))
+    kept = [name for name in document(tmp_path)["buffers"] if name.startswith("recent.")]
+    assert len(kept) == (recent + 1 if recent else 0)  # the frames before, and this one
 
 
 @pytest.mark.parametrize("model", ["default", "hybrid"])
@@ -133,6 +137,7 @@ def test_without_glslang_glsl_alone_is_written(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("options, told", [
     (["--size", "1280"], "expected WIDTHxHEIGHT such as 1280x720, of 99999 at most each, got '1280'"),
     (["--model", "fats"], "no model 'fats'"),
+    (["--recent", "99"], "recent: expected a whole number of frames below 16, got 99"),
     (["--out", "{used}"], "is not an empty folder"),
     (["--out", "{used}/file/out"], "used/file is not a folder"),
 ])  # fmt: skip

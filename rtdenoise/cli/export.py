@@ -17,16 +17,20 @@ class Export:
     out: Path
     """New folder for export.json, glsl/, spirv/, weights.bin and sample/."""
     model: str = "default"
-    """The network: 'default', 'fast', 'quality', 'paper', or a .safetensors file that `rtdenoise train` wrote."""
+    """The network: 'hybrid', 'hybrid-many', 'hybrid-fast', 'default', 'many', 'fast', 'quality', 'paper', or a
+    .safetensors file that `rtdenoise train` wrote."""
     size: str = "1280x720"
     """WIDTHxHEIGHT of the frames, in pixels."""
     precision: Literal["fp32", "fp16"] = "fp32"
     """Of the stored activations."""
+    recent: int | None = None
+    """Recent frames to keep, 20 bytes a pixel each (hybrids: 32); 0: a running mean, at some quality. As many as the
+    network keeps unless given."""
 
     def run(self) -> None:
         from ..glsl.export import export
 
-        done = export(self.out, self.model, read_size(self.size), self.precision == "fp16")
+        done = export(self.out, self.model, read_size(self.size), self.precision == "fp16", self.recent)
         print(
             f"{self.out}: {done.shaders} shaders, {done.dispatches} dispatches a frame, {done.weights / 1e6:.1f} MB of "
             "weights, two sample frames with checksums; docs/use/engines.md explains export.json"

@@ -49,18 +49,19 @@ def export(
     model: str = "default",  # a shipped name or a .safetensors file
     size: tuple[int, int] = (720, 1280),  # of the frames, (H, W)
     half: bool = False,  # store activations as float16
+    recent: int | None = None,  # frames that the history keeps, where not those of the model
 ) -> Exported:
     """Write the passes of a model.
 
-    Raises InputError for an unknown model, a folder that is not empty, a size that the device has no memory for, where
-    there is no OpenGL 4.3, and where glslang rejects a shader.
+    Raises InputError for an unknown model, a number of recent frames that it cannot keep, a folder that is not empty, a
+    size that the device has no memory for, where there is no OpenGL 4.3, and where glslang rejects a shader.
     """
     out = Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is not an empty folder; choose another --out")
     if blocked := [path for path in out.parents if path.exists() and not path.is_dir()]:
         raise InputError(f"{out}: {blocked[0]} is not a folder; choose another --out")
-    pipeline = Pipeline.load(model, half)
+    pipeline = Pipeline.load(model, half, **({} if recent is None else {"recent": recent}))
     first, following = sample_frames(size, len(FRAMES))
     recordings = record(pipeline, [replace(first, motion=None), following])
     for folder in ("glsl", "sample"):
