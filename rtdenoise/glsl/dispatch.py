@@ -17,6 +17,7 @@ Value = int | float | tuple[int | float, ...]
 FILL_ROW = 32 * 1024  # words that a row of work groups of `frame/fill` fills
 _WATCHER = "rtdenoise_watcher"  # attribute of a context
 GROUP = (32, 4)  # invocations of a work group: the 32 or 64 lanes that run together read whole rows
+SELECT_GROUP = (256,)  # of the one work group that finds a value of a given rank (`select.glsl`)
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ import numpy as np
 from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, SKY_BLOCK
 from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
-from .dispatch import dispatch, fill
+from .dispatch import SELECT_GROUP, dispatch, fill
 from .network import HalfSizeUNet, UNet
-from .recent import SELECT_GROUP, Recent
+from .recent import Recent
 from .scratch import Scratch
 from .state import History
 

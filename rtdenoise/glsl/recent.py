@@ -6,21 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..constants import (
-    NOISE_WINDOW,
-    NOISE_WINDOWS,
-    RECALL_CELL,
-    RECALL_FOOTPRINT_WORDS,
-    RECALL_WORDS,
-)
+from ..constants import NOISE_WINDOW, NOISE_WINDOWS, RECALL_CELL, RECALL_FOOTPRINT_WORDS, RECALL_WORDS
 from .context import GpuArray
-from .dispatch import dispatch, fill
+from .dispatch import SELECT_GROUP, dispatch, fill
 from .scratch import Scratch
 
 if TYPE_CHECKING:
     from .passes import Inputs
-
-SELECT_GROUP = (256,)
 
 
 class Recent:
@@ -73,9 +65,7 @@ class Recent:
                 dispatch("hybrid/look", size[::-1], through | {"kept": kept}, DUAL=int(dual), **at)
         return seen
 
-    def over(
-        self, seen: GpuArray, inputs: Inputs, vectors: GpuArray, recent: tuple[GpuArray, ...]
-    ) -> GpuArray:
+    def over(self, seen: GpuArray, inputs: Inputs, vectors: GpuArray, recent: tuple[GpuArray, ...]) -> GpuArray:
         """The footprints `seen`, this frame in them, with edges that move against what is behind them."""
         size = inputs.surface.shape[:2]
         buffers = {"seen": seen, "light": inputs.light, "guide": inputs.guide, "surface": inputs.surface}

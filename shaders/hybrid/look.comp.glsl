@@ -48,7 +48,8 @@ void main() {
         KeptPixel there = kept_at(end);
         KeptEdge at_edge = kept_edge_at(end);
         vec2 apart = motion - roundEven(motion);
-        bool uncovered = DUAL == 1 && chosen[i].z != 0.0, in_front = distance_of(there.surface.w) < (1.0 - DEPTH_TOLERANCE) * come.w;
+        bool uncovered = DUAL == 1 && chosen[i].z != 0.0;
+        bool in_front = distance_of(there.surface.w) < (1.0 - DEPTH_TOLERANCE) * come.w;
         if (!uncovered && !in_front && shown_beside(pixel, there.surface)) {
             float weight = come.z * stays[at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL)] * cover(motion) /
                            (1.0 + misplaced[0] * dot(apart, apart));
