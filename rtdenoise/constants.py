@@ -32,7 +32,20 @@ OVER_LIGHT = 0.25  # share of radiance that is what frames saw of both; the rest
 
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
 
-SHIFT_CELL = 16  # side in pixels of the cells whose light moves as one (`shift.picture`)
+# Light that moves otherwise than its surfaces (`shift`).
+SHIFT_CELL = 16  # side in pixels of the cells of a picture that move as one (`shift.picture`)
+SHIFT_LIGHT_CELL = 32  # likewise, of light without noise (`shift.light`)
+SHIFT_STRIDE, SHIFT_ROUNDS = 2, 2  # every so many pixels along either axis are looked at; rounds of least squares
+SHIFT_DAMPING, SHIFT_LIGHT_DAMPING = 0.003, 0.03  # added to the mean of squared slopes
+SHIFT_AROUND = 3  # cells: so many by so many are fitted together
+SHIFT_BRIGHTNESS = 8.0  # light of a picture's mean becomes log(1 + SHIFT_BRIGHTNESS)
+SHIFT_LEAST, SHIFT_GREATEST = 0.2, 1.2  # pixels: shorter shifts are noise, longer ones mistakes
+SHIFT_BLOCK = 3  # side in pixels of the blocks that are even or not
+SHIFT_EVEN = 4e-3  # an even block's greatest luminance over its mean, less 1; half floats round by an eighth of that
+SHIFT_CONTRAST = 1.5  # greatest luminance around an even block over the least one, from which there is an edge
+SHIFT_BESIDE = 3  # blocks from an even one, up to which its surface shifts with it
+SHIFT_LEFT, SHIFT_SURE = 0.7, 0.5  # shares of the pictures' squared difference that a shift may leave, and may alone
+SHIFT_APART = 0.8  # of a shift's length: how far it may be from that of the frame before
 
 # The brightness of a frame, and pixels that are too bright for it (`exposure`).
 BRIGHTNESS_BLOCK = 8  # side in pixels of the blocks over which brightness is measured

@@ -7,12 +7,13 @@ import torch
 from synthetic import assert_goes_on, behind_glass, write_sequence
 
 from rtdenoise import models, ops
+from rtdenoise.constants import SHIFT_GREATEST
 from rtdenoise.frame import Known
 from rtdenoise.models import AccumulatedKPNConfig
 from rtdenoise.models.past import shifted
 from rtdenoise.run.denoise import Options
 from rtdenoise.run.tiles import Tiled
-from rtdenoise.shift.light import GREATEST, light_shift
+from rtdenoise.shift.light import light_shift
 
 H, W = 96, 144  # of frames behind glass
 SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, footprint=True)
@@ -60,7 +61,7 @@ def test_edges_of_surfaces_are_not_looked_at():
 
 def test_long_shifts_are_left_alone():
     shift = found(behind_glass(speed=(5.0, 3.0)))
-    assert shift.norm(dim=1).max() < GREATEST
+    assert shift.norm(dim=1).max() < SHIFT_GREATEST
 
 
 @pytest.mark.parametrize("value", [0.0, 1e-20, 1e15], ids=["black", "almost black", "brightest"])

@@ -8,7 +8,7 @@ import torch
 from synthetic import assert_goes_on, behind_glass, write_sequence
 
 from rtdenoise import models
-from rtdenoise.constants import SHIFT_CELL
+from rtdenoise.constants import SHIFT_CELL, SHIFT_GREATEST
 from rtdenoise.data.stored import read_history, write_history
 from rtdenoise.errors import InputError
 from rtdenoise.frame import History, Known
@@ -17,7 +17,6 @@ from rtdenoise.models.past import shifted
 from rtdenoise.run.denoise import Options
 from rtdenoise.run.tiles import Tiled
 from rtdenoise.shift import picture
-from rtdenoise.shift.light import GREATEST
 
 H, W = 96, 144
 SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, footprint=True)
@@ -62,7 +61,7 @@ def test_pictures_that_differ_by_noise_have_no_shift():
 
 def test_longer_shifts_count_as_mistakes():
     shift, _ = found(denoised(3.0, 2.0), denoised())
-    assert shift.norm(dim=1).max() < GREATEST
+    assert shift.norm(dim=1).max() < SHIFT_GREATEST
 
 
 def test_another_surface_has_no_shift():

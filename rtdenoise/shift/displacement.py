@@ -15,15 +15,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..color import luminance
-from ..constants import DEPTH_TOLERANCE
+from ..constants import DEPTH_TOLERANCE, SHIFT_AROUND, SHIFT_BRIGHTNESS, SHIFT_ROUNDS, SHIFT_STRIDE
 from ..motion import on_screen
 from ..ops import warp
 from ..ops.dispatch import Fused, Support, falls_back
 
 LAYERS = dict.fromkeys(("now", "before", "here", "depth", "was"), (1,)) | {"motion": (2,)}
 FUSED = Fused("displacement_sums", native=Support(other=("shift",), channels=LAYERS))
-AROUND = 3  # cells: so many by so many are fitted together
-LIGHT = 8.0  # light of a picture's mean becomes log(1 + LIGHT)
 
 
 @falls_back
@@ -57,30 +55,30 @@ def displacement_sums(
     return F.avg_pool2d(terms, cell) * cell**2
 
 
-def displacement(*pictures: Tensor, cell: int, stride: int, rounds: int, damping: float) -> tuple[Tensor, Tensor]:
+def displacement(*pictures: Tensor, cell: int, damping: float) -> tuple[Tensor, Tensor]:
     """The displacement of each cell, `[B, 2, h, w]` pixels (x, y), 0 where there is too little to tell by; and the
     share of Σ w e² that is left with it, `[B, 1, h, w]`, by the last round's slopes. `pictures` are the arguments of
     `displacement_sums` without `shift`; `damping` is added to the mean of g²."""
     now, before, motion, *others = pictures
     shift, first = motion.new_zeros(len(now), 2, *(-(-n // cell) for n in now.shape[2:])), None
-    for _ in range(rounds):
-        sums = displacement_sums(now, before, motion, shift, *others, cell, stride)
-        sums = F.avg_pool2d(sums, AROUND, stride=1, padding=AROUND // 2) * AROUND**2
+    for _ in range(SHIFT_ROUNDS):
+        sums = displacement_sums(now, before, motion, shift, *others, cell, SHIFT_STRIDE)
+        sums = F.avg_pool2d(sums, SHIFT_AROUND, stride=1, padding=SHIFT_AROUND // 2) * SHIFT_AROUND**2
         count, xx, xy, yy, x, y, square = sums.split(1, dim=1)
         first = square if first is None else first
         xx, yy = (each + damping * count + 1e-6 for each in (xx, yy))
         change = torch.cat([yy * x - xy * y, xx * y - xy * x], dim=1) / (xx * yy - xy * xy)
-        change = change * (count > cell * AROUND / stride**2)
+        change = change * (count > cell * SHIFT_AROUND / SHIFT_STRIDE**2)
         shift = shift + change
     left = square - (change * torch.cat([x, y], dim=1)).sum(1, keepdim=True)
     return shift, left / first.clamp(min=1e-30)
 
 
 def compressed(now: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
-    """log(1 + s x) of the luminance x of two pictures `[B, 3, H, W]`, `[B, 1, H, W]` each; s x is LIGHT at the mean of
-    the first."""
+    """log(1 + s x) of the luminance x of two pictures `[B, 3, H, W]`, `[B, 1, H, W]` each; s x is SHIFT_BRIGHTNESS at
+    the mean of the first."""
     now, before = luminance(now), luminance(before)
-    scale = LIGHT / now.mean((1, 2, 3), keepdim=True).clamp(min=1e-12)
+    scale = SHIFT_BRIGHTNESS / now.mean((1, 2, 3), keepdim=True).clamp(min=1e-12)
     return tuple(x.mul_(scale).add_(1).log_() for x in (now, before))
 
 

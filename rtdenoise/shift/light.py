@@ -14,17 +14,19 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..constants import DEPTH_TOLERANCE
+from ..constants import (
+    DEPTH_TOLERANCE,
+    SHIFT_BESIDE,
+    SHIFT_BLOCK,
+    SHIFT_CONTRAST,
+    SHIFT_EVEN,
+    SHIFT_GREATEST,
+    SHIFT_LEAST,
+    SHIFT_LIGHT_CELL,
+    SHIFT_LIGHT_DAMPING,
+)
 from ..ops.block_luminance import block_luminance
 from .displacement import compressed, displacement, spread
-
-BLOCK = 3  # side in pixels of the blocks that are even or not
-EVEN = 4e-3  # an even block's greatest luminance over its mean, less 1; half floats round by an eighth of that
-CONTRAST = 1.5  # greatest luminance around an even block over the least one, from which there is an edge
-AROUND = 3  # blocks from an even one, up to which its surface shifts with it
-CELL = 32  # side in pixels of the cells that shift as one
-STRIDE, ROUNDS, DAMPING = 2, 2, 0.03  # of `displacement`
-LEAST, GREATEST = 0.2, 1.2  # pixels: shorter shifts are noise, longer ones mistakes
 
 
 @torch.no_grad()
@@ -46,25 +48,25 @@ def light_shift(
     light, light_before = (_blurred(x) for x in compressed(noisy, noisy_before))
     shift, _ = displacement(
         light, light_before, motion, _pixels(near, H, W), depth, depth_before,
-        cell=CELL, stride=STRIDE, rounds=ROUNDS, damping=DAMPING,
+        cell=SHIFT_LIGHT_CELL, damping=SHIFT_LIGHT_DAMPING,
     )  # fmt: skip
-    if noisy.device.type == "cpu" and not (_squared(shift) > LEAST**2).any():
+    if noisy.device.type == "cpu" and not (_squared(shift) > SHIFT_LEAST**2).any():
         return None
-    shift = spread(shift, CELL, H, W)
+    shift = spread(shift, SHIFT_LIGHT_CELL, H, W)
     squared = _squared(shift)
-    return shift.mul_((squared > LEAST**2) & (squared < GREATEST**2) & _around(near, depth))
+    return shift.mul_((squared > SHIFT_LEAST**2) & (squared < SHIFT_GREATEST**2) & _around(near, depth))
 
 
 def _even(noisy: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
     """Blocks `[B, 1, ⌈H/3⌉, ⌈W/3⌉]` in and beside which light is even on one surface: 1. And those of them with an edge
     of light."""
-    size = [-(-n // BLOCK) for n in depth.shape[2:]]
-    mean, greatest = (x.unflatten(1, (1, *size)) for x in block_luminance(noisy, BLOCK))
-    near = _greatest(((greatest <= (1 + EVEN) * mean) & (mean > 0)).to(noisy.dtype))
+    size = [-(-n // SHIFT_BLOCK) for n in depth.shape[2:]]
+    mean, greatest = (x.unflatten(1, (1, *size)) for x in block_luminance(noisy, SHIFT_BLOCK))
+    near = _greatest(((greatest <= (1 + SHIFT_EVEN) * mean) & (mean > 0)).to(noisy.dtype))
     if noisy.device.type == "cpu" and not near.any():
         return near, near
     near = near * _flat(depth)
-    return near, near * (_greatest(greatest) > -CONTRAST * _greatest(-mean))
+    return near, near * (_greatest(greatest) > -SHIFT_CONTRAST * _greatest(-mean))
 
 
 def one_surface(depth: Tensor) -> Tensor:
@@ -79,10 +81,11 @@ def _flat(depth: Tensor) -> Tensor:
 
 
 def _around(near: Tensor, depth: Tensor) -> Tensor:
-    """The pixels on the surfaces of the blocks `near` and `AROUND` them, `[B, 1, H, W]` bool."""
+    """The pixels on the surfaces of the blocks `near` and `SHIFT_BESIDE` them, `[B, 1, H, W]` bool."""
     H, W = depth.shape[2:]
     far = _blocks(depth)
-    farthest, nearest = (_pixels(_greatest(torch.where(near > 0, x, -torch.inf), AROUND), H, W) for x in (far, -far))
+    its = (_greatest(torch.where(near > 0, x, -torch.inf), SHIFT_BESIDE) for x in (far, -far))
+    farthest, nearest = (_pixels(x, H, W) for x in its)
     return (depth <= (1 + DEPTH_TOLERANCE) * farthest) & (depth >= (DEPTH_TOLERANCE - 1) * nearest)
 
 
@@ -99,9 +102,9 @@ def _greatest(blocks: Tensor, around: int = 1) -> Tensor:
 def _blocks(x: Tensor) -> Tensor:
     """The greatest value of each block, `[B, 1, ⌈H/3⌉, ⌈W/3⌉]`."""
     H, W = x.shape[2:]
-    x = F.pad(x, (0, -W % BLOCK, 0, -H % BLOCK), value=-torch.inf)
-    x = reduce(torch.maximum, [x[:, :, i::BLOCK] for i in range(BLOCK)])
-    return reduce(torch.maximum, [x[..., i::BLOCK] for i in range(BLOCK)])
+    x = F.pad(x, (0, -W % SHIFT_BLOCK, 0, -H % SHIFT_BLOCK), value=-torch.inf)
+    x = reduce(torch.maximum, [x[:, :, i::SHIFT_BLOCK] for i in range(SHIFT_BLOCK)])
+    return reduce(torch.maximum, [x[..., i::SHIFT_BLOCK] for i in range(SHIFT_BLOCK)])
 
 
 def _squared(shift: Tensor) -> Tensor:
@@ -110,7 +113,7 @@ def _squared(shift: Tensor) -> Tensor:
 
 
 def _pixels(blocks: Tensor, H: int, W: int) -> Tensor:
-    return F.interpolate(blocks, scale_factor=BLOCK, mode="nearest")[..., :H, :W]
+    return F.interpolate(blocks, scale_factor=SHIFT_BLOCK, mode="nearest")[..., :H, :W]
 
 
 def _blurred(x: Tensor) -> Tensor:

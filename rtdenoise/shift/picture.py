@@ -12,16 +12,20 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from ..constants import (
+    SHIFT_APART,
+    SHIFT_DAMPING,
+    SHIFT_GREATEST,
+    SHIFT_LEAST,
+    SHIFT_LEFT,
+    SHIFT_SURE,
+)
 from ..constants import SHIFT_CELL as CELL
 from ..frame import History
 from ..motion import on_screen
 from ..ops import fetch
 from .displacement import compressed, displacement, spread
-from .light import GREATEST, LEAST, one_surface
-
-STRIDE, ROUNDS, DAMPING = 2, 2, 0.003  # of `displacement`
-LEFT, SURE = 0.7, 0.5  # shares of the pictures' squared difference that a shift may leave, and may alone
-APART = 0.8  # of a shift's length: how far it may be from that of the frame before
+from .light import one_surface
 
 
 @torch.no_grad()
@@ -37,17 +41,17 @@ def find(
     now, before = compressed(picture, history.radiance)
     shift, left = displacement(
         now, before, motion, one_surface(depth), depth, history.depth,
-        cell=CELL, stride=STRIDE, rounds=ROUNDS, damping=DAMPING,
+        cell=CELL, damping=SHIFT_DAMPING,
     )  # fmt: skip
     length = shift.norm(dim=1, keepdim=True)
-    found = shift * ((left < LEFT) & (length > LEAST) & (length < GREATEST))
+    found = shift * ((left < SHIFT_LEFT) & (length > SHIFT_LEAST) & (length < SHIFT_GREATEST))
     if history.found is None:
-        return found, found * (left < SURE)
+        return found, found * (left < SHIFT_SURE)
     middles = motion[..., CELL // 2 :: CELL, CELL // 2 :: CELL]
     middles = F.pad(middles, (0, found.shape[3] - middles.shape[3], 0, found.shape[2] - middles.shape[2]))
     expected = fetch(history.found, middles / CELL)
-    agrees = (found - expected).norm(dim=1, keepdim=True) <= APART * length
-    return found, torch.where(agrees, (found + expected) / 2, found * (left < SURE))
+    agrees = (found - expected).norm(dim=1, keepdim=True) <= SHIFT_APART * length
+    return found, torch.where(agrees, (found + expected) / 2, found * (left < SHIFT_SURE))
 
 
 @torch.no_grad()
