@@ -13,7 +13,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
-from synthetic import TINY, make_frames, write_sequence
+from synthetic import TINY, assert_goes_on, behind_glass, make_frames, write_sequence
 
 from rtdenoise import glsl, models
 from rtdenoise.data.exr import read_channels
@@ -148,6 +148,37 @@ def test_edges_that_move(weights, assert_images_close, monkeypatch):
         expected, found, _, _ = both(weights(replace(HYBRID, many=many)), frames)
         assert_images_close(found, expected, "frame")
         assert np.allclose(expected, without, rtol=1e-3) == many
+
+
+@pytest.mark.parametrize("preset, noise", [("default", 0.0), ("recent", 0.0), ("recent", 0.4)])
+def test_light_behind_glass_is_followed(weights, assert_images_close, preset, noise):
+    """Without noise within its frame, with noise in the denoised pictures, where more can be told of it."""
+    model, frames = weights(SMALL[preset]), behind_glass(5, noise=noise, H=60, W=90)
+    expected, found, history, _ = both(model, frames)
+    assert_images_close(found, expected, "frame")
+    assert noise == 0 or any(shift.any() for shift in history.shifts)
+    without = Pipeline.load(model)
+    _, first = without.step(arrays(frames[0]))
+    image, _ = without.step(arrays(frames[1]), first, Known(on_surfaces=True))
+    assert np.allclose(image, expected[1], rtol=1e-3) == (noise > 0)
+
+
+@pytest.mark.parametrize("preset", ["default", "recent"])
+def test_an_interrupted_run_goes_on_to_the_bit(weights, tmp_path, preset):
+    shot = write_sequence(tmp_path / "shot", behind_glass(5, H=60, W=90))
+    options = Options(model=weights(SMALL[preset]), backend="glsl", precision="fp32", float32=True)
+    assert_goes_on(shot, tmp_path, options, 4)
+
+
+def test_a_run_that_one_backend_began_the_other_goes_on_with(weights, tmp_path, assert_images_close):
+    shot, options = tmp_path / "shot", Options(model=weights(SMALL["recent"]), precision="fp32", float32=True)
+    frames = behind_glass(5, H=60, W=90)
+    for backend, more in (("torch", frames[:3]), ("glsl", frames[3:])):
+        write_sequence(shot, more)
+        denoise(str(shot), tmp_path / "both", replace(options, backend=backend))
+    denoise(str(shot), tmp_path / "torch", replace(options, backend="torch"))
+    for path in sorted((tmp_path / "torch").glob("*.exr")):
+        assert_images_close(pixels(tmp_path / "both" / path.name), pixels(path), "frame")
 
 
 def test_max_pooling(weights, assert_images_close):
@@ -360,9 +391,9 @@ def test_history_is_that_of_torch_and_comes_back(gl, weights, assert_images_clos
     model, frames = weights(SMALL[preset]), make_frames(4)
     _, _, history, resident = both(model, frames[:3])
     fields = resident.read()
-    others = {"noisy": None, "found": None, "shifts": ()}  # for following light (`shift`), which shaders do not do
-    others |= {"footprint": None, "footprint_count": None}  # which no step reads
-    layers = replace(history, **others).layers()
+    layers = replace(history, footprint=None, footprint_count=None).layers()  # which no step reads
+    of_first = set(fields) - set(layers)  # shaders know of a first frame's shifts that they are zero
+    assert of_first <= {f"shifts.{len(history.shifts)}"} and not any(fields.pop(name).any() for name in of_first)
     assert set(fields) == set(layers)
     for name, tensor in layers.items():
         if name.startswith("recent."):
@@ -372,7 +403,7 @@ def test_history_is_that_of_torch_and_comes_back(gl, weights, assert_images_clos
         else:
             assert_images_close(fields[name], tensor, "frame")
     pipeline = Pipeline.load(model)
-    again = pipeline.step(arrays(frames[3]), glsl.History.upload(gl, fields))[0]
+    again = pipeline.step(arrays(frames[3]), glsl.History.upload(gl, resident.read()))[0]
     assert np.array_equal(again, pipeline.step(arrays(frames[3]), resident)[0])
 
 
@@ -473,7 +504,6 @@ def pixels(path):
 
 
 def test_the_backends_write_the_same(weights, tmp_path, assert_images_close):
-    """Where no light moves over its surfaces. A run that one began the other does not go on with (test_denoise.py)."""
     shot = write_sequence(tmp_path / "shot", make_frames())
     options = Options(model=weights(SMALL["default"]), float32=True, precision="fp32")
     for backend in ("torch", "glsl"):

@@ -5,8 +5,7 @@ torch.
     for frame in frames:                                     # rtdenoise.frame.Frame of numpy arrays
         image, history = pipeline.step(frame, history)       # [1, 3, H, W]
 
-Read `Pipeline.run` first: it is the order of the passes. Between upload and download nothing leaves the GPU. Light that
-moves over its surfaces is not followed (`shift`): pictures are those of torch with `Known.on_surfaces`.
+Read `Pipeline.run` first: it is the order of the passes. Between upload and download nothing leaves the GPU.
 """
 
 from __future__ import annotations
@@ -28,8 +27,9 @@ from ..models.weights import read_denoiser
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
 from .current import current
+from .follow import Follow
 from .kernels import Kernels
-from .passes import Means, Passes
+from .passes import Inputs, Means, Passes
 from .pixels import Pixels
 from .scratch import Scratch
 from .state import History
@@ -67,6 +67,7 @@ class Pipeline:
         self.scratch = Scratch(self.ctx, half)  # GPU memory that is kept between frames, beside the weights
         self.passes = Passes(self.scratch, config, tensors)
         self.kernels = Kernels(self.scratch, config, tensors)
+        self.light = Follow(self.scratch)
         self.pixels = Pixels(self.scratch, config, tensors) if config.architecture == "hybrid" else None
 
     @classmethod
@@ -128,17 +129,28 @@ class Pipeline:
         the history is not."""
         passes, kernels, first = self.passes, self.kernels, history is None
         averages = self.accumulates and not first  # else the means are the frame itself
+        follows = averages and history.noisy is not None and not known.on_surfaces
         dual = not first and not known.covered and self.config.motion == "dual"
         with self._stage("features"):
             inputs = passes.prepare(layers, into_history=self.accumulates and first)
             vectors = passes.vectors(layers)
         with self._stage("reprojection"):
-            chosen = passes.history_motion(vectors, inputs.surface, history) if dual else vectors
+            chosen, flagged = passes.history_motion(vectors, inputs.surface, history) if dual else vectors, dual
+            motion, noisy = vectors, self.light.noisy(inputs) if self.accumulates else None
+            if follows:
+                told = history.shifts[0] if history.shifts else self.light.nothing(inputs.light.shape[:2])
+                moved = self.light.shift(inputs, vectors, noisy, history.noisy, history.surface, told)
+                chosen, flagged = self.light.followed(chosen, moved, dual, "chosen"), True
+                motion = self.light.followed(vectors, moved, False, "motion")
             if first:
                 past = passes.no_past(inputs)
+            elif known.still and not follows:
+                past = history.denoised
             else:
-                past = history.denoised if known.still else passes.warp(chosen, inputs, history, dual)
-            means = passes.reproject(chosen, inputs, history, dual) if averages else Means(inputs.light, inputs.guide)
+                past = passes.warp(chosen, inputs, history, flagged)
+            means = (
+                passes.reproject(chosen, inputs, history, flagged) if averages else Means(inputs.light, inputs.guide)
+            )
         with self._stage("features"):
             groups = 4 if first else 6 if dual else 5  # of four features; the others are zero everywhere
             features = passes.features(inputs, past, means, groups)
@@ -159,26 +171,52 @@ class Pipeline:
                     shown = passes.recent.over(seen, inputs, vectors, history.recent)
                 self.pixels.mix(inputs, past, seen, shown, result, denoised)
                 passes.keep_even_sky(inputs, result, denoised)
-        kept = (mean, means.mean_albedo) if self.accumulates else (None, None)
+        after = History(denoised, inputs.surface, vectors if "motion_next" in layers else None)
         if self.config.recent:
             with self._stage("reprojection"):
-                recent = passes.recent.keep(inputs, vectors, "motion" in layers), *(() if first else history.recent)
+                recent = passes.recent.keep(inputs, motion, "motion" in layers), *(() if first else history.recent)
             if not first:
                 with self._stage("kernels"):
                     kernels.forget(levels, recent[0])
-            kept += (recent[: self.config.recent],)
-        return result, History(denoised, inputs.surface, vectors if "motion_next" in layers else None, *kept)
+            after = replace(after, recent=recent[: self.config.recent])
+        if self.accumulates:
+            with self._stage("reprojection"):
+                found, *shifts = self._found(inputs, vectors, denoised, history)
+            light = {"noisy": noisy, "found": found, "shifts": tuple(shifts[: self.config.recent + 1])}
+            after = replace(after, mean=mean, mean_albedo=means.mean_albedo, **light)
+        return result, after
+
+    def _found(
+        self, inputs: Inputs, vectors: GpuArray | None, denoised: GpuArray, history: History | None
+    ) -> tuple[GpuArray, ...]:
+        """The shifts that the denoised picture shows, and those that count, of this frame and of those before."""
+        if history is None:
+            return self.light.nothing(denoised.shape[:2]), self.light.nothing(denoised.shape[:2])
+        pictures = denoised, history.denoised, history.surface
+        before = history.found or self.light.nothing(denoised.shape[:2])
+        return *self.light.find(inputs, vectors, pictures, before), *history.shifts
 
     @_in_context
     def remember(self, history: History, frames: Sequence[Frame]) -> History:
         """A history with recent frames, the newest first. Those that it has tell the resets."""
+        if not frames or not self.accumulates:
+            return history
         passes, recent = self.passes, []
-        for frame in frames[: self.config.recent]:
+        before = noisy = None  # older frames come first here
+        for i, frame in reversed([*enumerate(frames[: self.config.recent + 1])]):
             layers = self.upload(frame, None)
-            recent.append(passes.recent.keep(passes.prepare(layers), passes.vectors(layers), "motion" in layers))
-        for kept, before in zip(recent, history.recent, strict=False):
-            kept.write_plane(RECALL_RESET, kept.read_plane(RECALL_RESET) | before.read_plane(RECALL_RESET))
-        return replace(history, recent=tuple(recent))
+            inputs, motion = passes.prepare(layers), passes.vectors(layers)
+            noisy_before, noisy = noisy, self.light.noisy(inputs)
+            if before is not None and "motion" in layers:
+                told = history.shifts[i + 1] if i + 1 < len(history.shifts) else self.light.nothing(frame.size)
+                moved = self.light.shift(inputs, motion, noisy, noisy_before, before.surface, told)
+                motion = self.light.followed(motion, moved, False, "motion")
+            recent.insert(0, passes.recent.keep(inputs, motion, "motion" in layers))
+            before = inputs
+        recent = recent[: self.config.recent]
+        for kept, its in zip(recent, history.recent, strict=False):
+            kept.write_plane(RECALL_RESET, kept.read_plane(RECALL_RESET) | its.read_plane(RECALL_RESET))
+        return replace(history, recent=tuple(recent), noisy=noisy)
 
     @_in_context
     def upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:

@@ -43,7 +43,7 @@ class Recent:
         `hybrid/look`. `chosen` comes from `history_motion`, or without `dual` from `vectors`."""
         size, last = inputs.surface.shape[:2], len(recent) - 1
         extent = tuple(-(-n // RECALL_CELL) for n in size)
-        found, cells = self._scratch.image("found", size), self._scratch.image("cells", extent)
+        found, cells = self._scratch.image("recall.found", size), self._scratch.image("cells", extent)
         stays, seen = self._scratch("stays", extent), None
         now = {"light": inputs.light, "surface": inputs.surface, "chosen": chosen}
         now["path"] = self._scratch.image("path", size)

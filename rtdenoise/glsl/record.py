@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from ..frame import RECENT, Frame
+from ..frame import RECENT, SHIFTS, Frame
 from .context import GpuArray
 from .dispatch import Dispatch, fill, watching
 from .pipeline import Pipeline
@@ -98,7 +98,10 @@ def check(values: np.ndarray) -> dict:
 def _images(history: History | None) -> Mapping[str, GpuArray]:
     fields, recent = ({}, ()) if history is None else (vars(history), history.recent)
     images = {name: array for name, array in fields.items() if isinstance(array, GpuArray)}
-    return images | {f"{RECENT}{i}": kept for i, kept in enumerate(recent)}
+    images |= {f"{RECENT}{i}": kept for i, kept in enumerate(recent)}
+    if history and history.shifts:  # older ones are not read
+        images[f"{SHIFTS}0"] = history.shifts[0]
+    return images
 
 
 def _written(history: History) -> Mapping[str, GpuArray]:

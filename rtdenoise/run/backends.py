@@ -292,7 +292,7 @@ class GlslBackend:
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
         resets = (kept.read_plane(RECALL_RESET)[None, None] for kept in history[0].recent)
-        return replace(history[0], recent=()).read() | of_resets(resets)
+        return replace(history[0], recent=(), noisy=None).read() | of_resets(resets)
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
         from ..glsl import History
