@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,11 +119,11 @@ def test_appended_frames_continue_a_finished_run(tmp_path, model):
         assert np.array_equal(pixels(tmp_path / "out" / path.name), pixels(tmp_path / "once" / path.name)), path.name
 
     (growing / "frame.0005.exr").unlink()  # fewer than were denoised
-    with pytest.raises(rtdenoise.InputError, match="another input, layout, weights or backend"):
+    with pytest.raises(rtdenoise.InputError, match="another input, layout or weights"):
         denoise(str(growing), tmp_path / "out", options)
     shutil.copy2(whole / "frame.0005.exr", growing)
     os.utime(growing / "frame.0002.exr")  # rendered anew
-    with pytest.raises(rtdenoise.InputError, match="another input, layout, weights or backend"):
+    with pytest.raises(rtdenoise.InputError, match="another input, layout or weights"):
         denoise(str(growing), tmp_path / "out", options)
 
 
@@ -299,7 +298,7 @@ def test_a_mended_preset_is_another_run(shot, tmp_path, model, capsys):
     command = ("denoise", shot, "--out", tmp_path / "out", "--model", model, "--preset", preset)
     main([str(a) for a in command])
     preset.write_text(text + "signs = [-1, 1]\n")
-    assert "another input, layout, weights or backend" in refused(capsys, *command)
+    assert "another input, layout or weights" in refused(capsys, *command)
 
 
 def test_another_option_is_named(shot, tmp_path, model, capsys):
@@ -387,15 +386,6 @@ def test_a_run_killed_anywhere_is_resumed_to_the_same_files(tmp_path, model):
     denoise(str(shot), tmp_path / "out", Options(model=model))
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.exr")} == expected
     assert not list((tmp_path / "out").glob("*.tmp"))  # files that the killed runs left are gone
-
-
-def test_a_run_of_another_backend_is_not_gone_on_with(tmp_path, model):
-    """Shaders do not follow light over its surfaces, so their pictures are others."""
-    shot = write_sequence(tmp_path / "shot", make_frames(3))
-    denoise(str(shot), tmp_path / "out", Options(model=model))
-    for backend, refused in (("torch", False), ("glsl", True)):
-        with pytest.raises(InputError, match="another input, layout, weights or backend") if refused else nullcontext():
-            denoise(str(shot), tmp_path / "out", Options(model=model, backend=backend))
 
 
 def test_a_disk_that_fills_up_is_one_line_and_resumable(tmp_path, model):

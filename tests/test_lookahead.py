@@ -231,7 +231,7 @@ def test_appended_frames_need_a_new_run(tmp_path, weights):
     shot = write_sequence(tmp_path / "shot", frames[:4])
     denoise(str(shot), tmp_path / "out", options)
     write_sequence(shot, frames)
-    with pytest.raises(InputError, match="another input, layout, weights or backend"):
+    with pytest.raises(InputError, match="another input, layout or weights"):
         denoise(str(shot), tmp_path / "out", options)
     assert denoise(str(shot), tmp_path / "out", options, overwrite=True).written == 5
 

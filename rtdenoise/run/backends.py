@@ -63,11 +63,6 @@ class Backend(Protocol):
         newest first. The oldest tells how light has moved to the one after it."""
 
 
-def chosen_backend(name: str) -> str:
-    """'torch' or 'glsl': 'auto' is torch where it is installed."""
-    return name if name != "auto" else "torch" if find_spec("torch") else "glsl"
-
-
 def open_backend(
     name: str,
     model: str,
@@ -90,7 +85,7 @@ def open_backend(
     has_torch = find_spec("torch") is not None
     if name == "torch" and not has_torch:
         raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
-    if chosen_backend(name) == "torch":
+    if name == "torch" or (name == "auto" and has_torch):
         return TorchBackend(model, device, precision, correct, oidn, recent, lookahead=lookahead)
     for chosen, what in ((correct, "the correction"), (oidn, "oidn"), (lookahead, "lookahead")):
         if chosen:

@@ -18,12 +18,11 @@ from ..errors import InputError
 from ..files import dumps, write_atomically
 from ..models.presets import SHRINKAGE
 from ..models.weights import bytes_of, files_of, find
-from .backends import chosen_backend
 
 if TYPE_CHECKING:
     from .options import Options, Summary
 
-INDECISIVE = ("backend", "device")  # options that leave the files as they are; what runs, not its option, tells shaders
+INDECISIVE = ("backend", "device")  # options that leave the files as they are
 YOUNG = {  # options that older runs did not have, as these ran
     "offline": False, "confidence": False, "correct": False, "second": "", "samples": 0, "lights": False, "also": (),
     "oidn": False, "lookahead": 0,
@@ -52,8 +51,6 @@ def refuse_foreign(out: Path, names: Iterable[list[str]]) -> None:
 def digest(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
     parts = {name: value for name, value in _decisive(options).items() if YOUNG.get(name) != value or name not in YOUNG}
-    if chosen_backend(getattr(options, "backend", "auto")) != "torch":  # combining has no choice
-        parts["backend"] = "glsl"
     parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     if options.model != SHRINKAGE:
         files = files_of(find(options.model))
@@ -88,7 +85,7 @@ def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) 
     )  # tuples become lists, as in `before`
     changed = [key for key in now if key in before and before[key] != now[key]]
     told = ", ".join(f"{key.replace('_', '-')} {before[key]}, now {now[key]}" for key in changed)
-    unseen = "another input, layout, weights or backend: a finished frame's input was changed or removed, perhaps"
+    unseen = "another input, layout or weights: a finished frame's input was changed or removed, perhaps"
     other = f"other options: {told}" if told else unseen
     raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
 
