@@ -18,6 +18,7 @@ from ..constants import (
 from .context import GpuArray
 from .dispatch import SELECT_GROUP, dispatch, fill
 from .scratch import Scratch
+from .state import History
 
 if TYPE_CHECKING:
     from .passes import Inputs
@@ -38,12 +39,6 @@ class Follow:
         dispatch("frame/first", noisy.shape[1::-1], buffers)
         return noisy
 
-    def nothing(self, size: tuple[int, int]) -> GpuArray:
-        """Shifts [⌈H/SHIFT_CELL⌉, ⌈W/SHIFT_CELL⌉] of a frame (H, W) in which none were found."""
-        shifts = self._scratch.fresh(_cells(size, SHIFT_CELL))
-        fill(shifts)
-        return shifts
-
     def shift(
         self,
         inputs: Inputs,
@@ -51,7 +46,7 @@ class Follow:
         noisy: GpuArray,  # of this frame
         noisy_before: GpuArray,
         surface_before: GpuArray,
-        told: GpuArray,  # the shifts that the frame before agreed on
+        told: tuple[GpuArray, ...],  # the shifts that the frame before agreed on, if there are any
     ) -> GpuArray:
         """How far light has moved over its surfaces, [H, W] pixels: `models.past.shift_of`."""
         scratch, surface = self._scratch, inputs.surface
@@ -60,6 +55,7 @@ class Follow:
         fill(edges)
         blocks = self._blocks(inputs, noisy)
         near, flat = self._near(blocks, edges, even=True), self._near(blocks, edges)
+        (told,) = told or (self._nothing(surface.shape),)
         buffers = {"told": told, "vectors": vectors, "flat_blocks": flat, "moved": moved}
         dispatch("shift/told", size, buffers, CELL=SHIFT_CELL)
         pictures = noisy, noisy_before, surface_before
@@ -76,21 +72,27 @@ class Follow:
         return followed
 
     def find(
-        self,
-        inputs: Inputs,
-        vectors: GpuArray,
-        pictures: tuple[GpuArray, GpuArray, GpuArray],  # denoised, that of the frame before and its surface
-        found_before: GpuArray,
-    ) -> tuple[GpuArray, GpuArray]:
-        """The shifts of cells that a denoised picture shows, and those of them that the next frame takes:
-        `shift.picture.find`."""
+        self, inputs: Inputs, vectors: GpuArray | None, denoised: GpuArray, history: History | None
+    ) -> tuple[GpuArray, tuple[GpuArray, ...]]:
+        """The shifts of cells that a denoised picture shows; and those that the next frame takes, with those of frames
+        before: `shift.picture.find`. None in a first frame."""
         (H, W), edges = inputs.surface.shape[:2], self._scratch("shift.edges", (1,), np.uint32)
-        near = self._near(self._blocks(inputs, pictures[0]), edges)
+        if history is None:
+            return self._nothing((H, W)), (self._nothing((H, W)),)
+        near = self._near(self._blocks(inputs, denoised), edges)
+        pictures = denoised, history.denoised, history.surface
         shift = self._displacement(pictures, inputs, vectors, near, SHIFT_CELL, SHIFT_DAMPING)
         found, agreed = (self._scratch.fresh(shift.shape[:2]) for _ in range(2))
-        buffers = {"shift": shift, "found_before": found_before, "vectors": vectors, "found": found, "agreed": agreed}
+        buffers = {"shift": shift, "found_before": history.found or self._nothing((H, W)), "vectors": vectors}
+        buffers |= {"found": found, "agreed": agreed}
         dispatch("shift/agree", shift.shape[1::-1], buffers, {"image_size": (W, H)}, CELL=SHIFT_CELL)
-        return found, agreed
+        return found, (agreed, *history.shifts)
+
+    def _nothing(self, size: tuple[int, ...]) -> GpuArray:
+        """Shifts of the cells of a frame (H, W) in which there are none."""
+        shifts = self._scratch.fresh(_cells(size, SHIFT_CELL))
+        fill(shifts)
+        return shifts
 
     def _blocks(self, inputs: Inputs, picture: GpuArray) -> GpuArray:
         """Light of a picture, and depth, of each block."""

@@ -29,7 +29,7 @@ from .context import GpuArray, GpuMemoryError, default_context
 from .current import current
 from .follow import Follow
 from .kernels import Kernels
-from .passes import Inputs, Means, Passes
+from .passes import Means, Passes
 from .pixels import Pixels
 from .scratch import Scratch
 from .state import History
@@ -135,11 +135,11 @@ class Pipeline:
             inputs = passes.prepare(layers, into_history=self.accumulates and first)
             vectors = passes.vectors(layers)
         with self._stage("reprojection"):
-            chosen, flagged = passes.history_motion(vectors, inputs.surface, history) if dual else vectors, dual
-            motion, noisy = vectors, self.light.noisy(inputs) if self.accumulates else None
+            chosen = passes.history_motion(vectors, inputs.surface, history) if dual else vectors
+            motion, flagged = vectors, dual  # of light; whether `chosen` says what has been uncovered
+            noisy = self.light.noisy(inputs) if self.accumulates else None
             if follows:
-                told = history.shifts[0] if history.shifts else self.light.nothing(inputs.light.shape[:2])
-                moved = self.light.shift(inputs, vectors, noisy, history.noisy, history.surface, told)
+                moved = self.light.shift(inputs, vectors, noisy, history.noisy, history.surface, history.shifts[:1])
                 chosen, flagged = self.light.followed(chosen, moved, dual, "chosen"), True
                 motion = self.light.followed(vectors, moved, False, "motion")
             if first:
@@ -148,9 +148,9 @@ class Pipeline:
                 past = history.denoised
             else:
                 past = passes.warp(chosen, inputs, history, flagged)
-            means = (
-                passes.reproject(chosen, inputs, history, flagged) if averages else Means(inputs.light, inputs.guide)
-            )
+            means = Means(inputs.light, inputs.guide)
+            if averages:
+                means = passes.reproject(chosen, inputs, history, flagged)
         with self._stage("features"):
             groups = 4 if first else 6 if dual else 5  # of four features; the others are zero everywhere
             features = passes.features(inputs, past, means, groups)
@@ -181,20 +181,10 @@ class Pipeline:
             after = replace(after, recent=recent[: self.config.recent])
         if self.accumulates:
             with self._stage("reprojection"):
-                found, *shifts = self._found(inputs, vectors, denoised, history)
-            light = {"noisy": noisy, "found": found, "shifts": tuple(shifts[: self.config.recent + 1])}
-            after = replace(after, mean=mean, mean_albedo=means.mean_albedo, **light)
+                found, shifts = self.light.find(inputs, vectors, denoised, history)
+            shifts = shifts[: self.config.recent + 1]
+            after = replace(after, mean=mean, mean_albedo=means.mean_albedo, noisy=noisy, found=found, shifts=shifts)
         return result, after
-
-    def _found(
-        self, inputs: Inputs, vectors: GpuArray | None, denoised: GpuArray, history: History | None
-    ) -> tuple[GpuArray, ...]:
-        """The shifts that the denoised picture shows, and those that count, of this frame and of those before."""
-        if history is None:
-            return self.light.nothing(denoised.shape[:2]), self.light.nothing(denoised.shape[:2])
-        pictures = denoised, history.denoised, history.surface
-        before = history.found or self.light.nothing(denoised.shape[:2])
-        return *self.light.find(inputs, vectors, pictures, before), *history.shifts
 
     @_in_context
     def remember(self, history: History, frames: Sequence[Frame]) -> History:
@@ -208,7 +198,7 @@ class Pipeline:
             inputs, motion = passes.prepare(layers), passes.vectors(layers)
             noisy_before, noisy = noisy, self.light.noisy(inputs)
             if before is not None and "motion" in layers:
-                told = history.shifts[i + 1] if i + 1 < len(history.shifts) else self.light.nothing(frame.size)
+                told = history.shifts[i + 1 : i + 2]
                 moved = self.light.shift(inputs, motion, noisy, noisy_before, before.surface, told)
                 motion = self.light.followed(motion, moved, False, "motion")
             recent.insert(0, passes.recent.keep(inputs, motion, "motion" in layers))
