@@ -8,9 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
+from synthetic import make_frames
 
 from bench import RESULTS, harness, tables
+from bench.latency.stages import staged
 from bench.latency.tables import table
+from rtdenoise import models
 
 ROOT = Path(__file__).parent.parent
 SCRIPTS = [
@@ -87,6 +91,17 @@ def test_latency_without_oidn_and_matplotlib_says_how_to_get_them(tmp_path):
     (oidn,) = [row for row in rows if row.startswith("| oidn")]
     assert "pip install 'rtdenoise[bench]'" in oidn and all(row.count("|") == rows[0].count("|") for row in rows)
     assert "l.png: not drawn: pip install 'rtdenoise[bench]'" in result.stdout and not (tmp_path / "l.png").exists()
+
+
+@pytest.mark.parametrize("name", [name for name, config in models.PRESETS.items() if not config.reads])
+def test_every_stage_of_every_model_is_timed(name):
+    model, (first, second) = models.create(models.PRESETS[name]), make_frames(2)
+    with torch.inference_mode():
+        _, history = model.step(first)
+        with staged(model, lambda: None) as ledger:
+            timed, _ = model.step(second, history)
+        assert min(ledger.seconds.values()) > 0 and min(ledger.bytes.values()) > 0
+        assert torch.equal(model.step(second, history)[0], timed)
 
 
 def test_the_latency_table_is_relative_to_oidn():

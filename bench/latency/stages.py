@@ -16,10 +16,10 @@ from torch.utils.flop_counter import FlopCounterMode
 from rtdenoise.models import past
 
 STAGES = {
-    "features + kernel prediction": ("demodulate", "features", "predict"),
+    "features + kernel prediction": ("demodulate", "features", "predict", "forward"),  # forward: of `hybrid`'s pixels
     "kernel application": ("apply_kernel", "downsample", "compose", "pick", "blend_history"),
-    "blending": ("accumulate", "modulate", "blend"),
-    "reprojection": ("history_motion", "warp", "reproject", "recall", "keep"),
+    "blending": ("accumulate", "modulate", "blend", "evened", "expand_within", "mix"),
+    "reprojection": ("history_motion", "warp", "reproject", "recall", "keep", "over", "over_and_coverage"),
 }
 
 
@@ -36,9 +36,11 @@ def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger
     """Fill a ledger while the model's `step` runs inside this context. Of nested calls only the outermost counts.
 
     Bytes are those of the tensors that a stage's functions take and return, each counted once per call. The functions
-    are those of the model, of its file and of `models.past`.
+    are those of the model, of its file and those of its bases, and of `models.past`.
     """
-    ledger, owners, running = Ledger(), (model, sys.modules[type(model).__module__], past), []
+    files = [sys.modules[kind.__module__] for kind in type(model).__mro__ if kind.__module__.startswith("rtdenoise.")]
+    pixels = [model.pixels] if hasattr(model, "pixels") else []
+    ledger, owners, running = Ledger(), (model, *pixels, *files, past), []
 
     def timed(stage: str, function: Callable) -> Callable:
         @functools.wraps(function)
@@ -70,7 +72,7 @@ def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger
         yield ledger
     finally:
         for owner, name, function in replaced:
-            if owner is model:
+            if isinstance(owner, nn.Module):
                 delattr(owner, name)  # uncovers the method
             else:
                 setattr(owner, name, function)
