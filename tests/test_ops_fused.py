@@ -173,8 +173,9 @@ def test_recall(both, backend, assert_images_close, size, count):
     light, depth, normal, _, motion = frame()
     uncovered, misplaced = torch.rand(2, 1, *size) < 0.3, torch.tensor([0.0, 9.0]).view(2, 1, 1, 1)
     mixed = keep(*frame()), *recent, keep(*frame())  # as where one network takes another's history
-    cases = ((recent,), (mixed,), (recent, uncovered), (recent, uncovered, misplaced))
-    for frames, *footprints in cases if backend[0] == "native" else cases[1::2]:
+    cases = [(recent,), (mixed,), (recent, uncovered), (recent, uncovered, misplaced)]
+    cases.append((recent, uncovered, misplaced[1:]))  # of all pictures
+    for frames, *footprints in cases if backend[0] == "native" else cases[1::3]:
         plain, fused = both(
             lambda frames, *now: tuple(
                 t for t in vars(recall(*now[:2], now[2:4], frames, *now[4:])).values() if t is not None

@@ -26,8 +26,14 @@ void main() {
         if (other < (1.0 - OVER_APART) * near) { near = other; nearest = j; }
         if ((1.0 - OVER_APART) * other > far) { far = other; farthest = j; }
     }
-    vec2 apart = vectors[nearest].xy - vectors[farthest].xy;
-    if (!(near < (1.0 - OVER_APART) * far && dot(apart, apart) > OVER_SPEED * OVER_SPEED)) {
+    // The FIRST decides for the others, where another rounding might decide otherwise: no weights, no edge.
+    bool edge = FIRST == 0 && front[i].w != 0.0;
+    if (FIRST == 1) {
+        vec2 apart = vectors[nearest].xy - vectors[farthest].xy;
+        edge = near < (1.0 - OVER_APART) * far && dot(apart, apart) > OVER_SPEED * OVER_SPEED;
+    }
+    if (!edge) {
+        if (FIRST == 1) front[i] = vec4(0.0);
         if (LAST == 1)
             for (int k = 0; k < 3; ++k) over[i + k * plane] = seen[i + k * plane];
         return;

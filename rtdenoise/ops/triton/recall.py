@@ -110,12 +110,12 @@ def _unchanged(cells, i, j, h, w, size, exists, SIDE: tl.constexpr, whole, none)
 @triton.jit
 def _stays(cells, stays, H, W, alike, changed, wide_alike, wide_changed, BLOCK: tl.constexpr):
     """How far light has stayed as it is in each of H × W cells."""
-    n, y, x, exists = place(H, W, BLOCK)  # n: image of a kept frame
+    b, y, x, exists = place(H, W, BLOCK)
     size = tl.cast(H, tl.int64) * W
-    cells += n * 4 * size
+    cells += b * 4 * size
     narrow = _unchanged(cells, y, x, H, W, size, exists, 1, alike, changed)
     wide = _unchanged(cells, y, x, H, W, size, exists, 2, wide_alike, wide_changed)
-    tl.store(stays + n * size + y * W + x, narrow * wide, mask=exists)
+    tl.store(stays + b * size + y * W + x, narrow * wide, mask=exists)
 
 
 @triton.jit
@@ -238,20 +238,20 @@ def recall(
     K, h, w = len(recent), triton.cdiv(H, RECALL_CELL), triton.cdiv(W, RECALL_CELL)
     path, found = light.new_empty(B, 3, H, W), light.new_empty(K, B, 4, H, W)
     cells, stays = light.new_empty(K, B, 4, h, w), light.new_empty(K, B, h, w)
+    tests = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
     tolerances, far = (DEPTH_TOLERANCE, MIN_NORMAL_COSINE), {"CELL": RECALL_CELL, "FAR_AWAY": FAR_AWAY}
     for j, kept in enumerate(recent):
         _look[triton.cdiv(W, COLUMNS), B * h](
             light, depth, normal, kept, motion, path, found[j], cells[j], H, W, kept.shape[1], *tolerances,
             FIRST=j == 0, COLUMNS=COLUMNS, **far,
         )  # fmt: skip
-    tests = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
-    _stays[grid(K * B, h, w)](cells, stays, h, w, *tests, BLOCK=BLOCK)
+        _stays[grid(B, h, w)](cells[j], stays[j], h, w, *tests, BLOCK=BLOCK)
     mean, count = torch.empty_like(light), torch.empty_like(depth)
     _mean[grid(B, H, W)](found, stays, mean, count, H, W, B, K, CELL=RECALL_CELL, BLOCK=BLOCK)
     if uncovered is None:
         return mean, count
     uncovered = uncovered.contiguous().view(torch.uint8)
-    less = light.new_zeros(B) if misplaced is None else misplaced.expand(B, 1, 1, 1).reshape(B).float()
+    less = light.new_zeros(B) if misplaced is None else misplaced.expand(B, 1, 1, 1).reshape(B).contiguous()
     path, seen, weights = light.new_empty(B, 4, H, W), light.new_empty(B, 9, H, W), torch.empty_like(depth)
     for j, kept in enumerate(recent):
         _see[grid(B, H, W)](
