@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ...constants import FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED
 from .common import BLOCK, grid, place
-from .path import beside, bounded, distance, two, whole
+from .path import beside, bounded, distance, end_of, kept_at, kept_edge_at, whole
 
 
 @triton.jit
@@ -56,20 +56,12 @@ def _over(seen, now, motion, depth, kept, path, out, coverage, H, W, words, apar
         onward_v = tl.load(path + 5 * plane, mask=edge, other=0.0)
         fronts = tl.load(coverage + plane, mask=edge, other=0.0)
     u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
-    whole_u, whole_v = whole(u), whole(v)
-    i, j = whole_v.to(tl.int32) + y, whole_u.to(tl.int32) + x
-    inside = edge & (i >= 0) & (i < H) & (j >= 0) & (j < W)
-    there = i * W + j
+    there, inside = end_of(u, v, y, x, edge, H, W)
     kept += b * words * plane
-    red, green = two(kept, there, inside)
-    blue, its = two(kept + plane, there, inside)
-    nx, ny = two(kept + 2 * plane, there, inside)
-    nz, reset = two(kept + 3 * plane, there, inside)
-    on_u, on_v = two(kept + 4 * plane, there, inside)
-    albedo_r, albedo_g = two(kept + 5 * plane, there, inside)
-    albedo_b, _ = two(kept + 6 * plane, there, inside)
+    red, green, blue, its, nx, ny, nz, reset, on_u, on_v = kept_at(kept, plane, there, inside)
+    albedo_r, albedo_g, albedo_b, _, _ = kept_edge_at(kept, plane, there, inside)
     is_front = distance(its) < between
-    weight = tl.where(inside, left * (1 - tl.abs(u - whole_u)) * (1 - tl.abs(v - whole_v)), 0.0)
+    weight = tl.where(inside, left * (1 - tl.abs(u - whole(u))) * (1 - tl.abs(v - whole(v))), 0.0)
     weights += weight
     fronts += tl.where(is_front, weight, 0.0)
     onward_u, onward_v = tl.where(is_front, on_u, onward_u), tl.where(is_front, on_v, onward_v)

@@ -26,6 +26,33 @@ def two(kept, at, exists):
 
 
 @triton.jit
+def end_of(u, v, y, x, exists, H, W):
+    """Where a bounded motion leads to in the kept frame, and whether that is on the screen."""
+    i, j = whole(v).to(tl.int32) + y, whole(u).to(tl.int32) + x
+    return i * W + j, exists & (i >= 0) & (i < H) & (j >= 0) & (j < W)
+
+
+@triton.jit
+def kept_at(kept, plane, at, exists):
+    """Light, depth, normal, reset and motion of the pixels `at` of a kept frame."""
+    red, green = two(kept, at, exists)
+    blue, depth = two(kept + plane, at, exists)
+    x, y = two(kept + 2 * plane, at, exists)
+    z, reset = two(kept + 3 * plane, at, exists)
+    u, v = two(kept + 4 * plane, at, exists)
+    return red, green, blue, depth, x, y, z, reset, u, v
+
+
+@triton.jit
+def kept_edge_at(kept, plane, at, exists):
+    """Albedo, and the motion of the edge, of those with footprints."""
+    red, green = two(kept + 5 * plane, at, exists)
+    blue, u = two(kept + 6 * plane, at, exists)
+    v, _ = two(kept + 7 * plane, at, exists)
+    return red, green, blue, u, v
+
+
+@triton.jit
 def distance(depth):
     """Depth, but infinite where nothing was hit."""
     return tl.where(depth > 0, depth, float("inf"))

@@ -24,7 +24,7 @@ from ...constants import (
 )
 from .alike import alike, surface_at
 from .common import BLOCK, grid, place
-from .path import beside, bounded, distance, two, whole
+from .path import beside, bounded, distance, end_of, kept_at, kept_edge_at, whole
 
 COLUMNS = 64  # of a program that sums over cells
 
@@ -54,15 +54,9 @@ def _look(light, depth, normal, kept, motion, path, found, cells, H, W, words, d
         u, v = tl.load(path, mask=exists, other=0.0), tl.load(path + plane, mask=exists, other=0.0)
         left = tl.load(path + 2 * plane, mask=exists, other=0.0)
     u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
-    i, j = whole(v).to(tl.int32) + y, whole(u).to(tl.int32) + x
-    inside = exists & (i >= 0) & (i < H) & (j >= 0) & (j < W)
-    there = i * W + j
+    there, inside = end_of(u, v, y, x, exists, H, W)
     kept += b * words * plane
-    red, green = two(kept, there, inside)
-    blue, far = two(kept + plane, there, inside)
-    nx, ny = two(kept + 2 * plane, there, inside)
-    nz, reset = two(kept + 3 * plane, there, inside)
-    on_u, on_v = two(kept + 4 * plane, there, inside)
+    red, green, blue, far, nx, ny, nz, reset, on_u, on_v = kept_at(kept, plane, there, inside)
     d, hx, hy, hz = surface_at(depth + b * plane, normal + b * 3 * plane, plane, at, exists)
     same = inside & alike(d, hx, hy, hz, far, nx, ny, nz, depth_tolerance, normal_tolerance)
 
@@ -180,18 +174,10 @@ def _see(depth, normal, motion, uncovered, misplaced, kept, stays, path, seen, c
         left = tl.load(path + 2 * plane, mask=exists, other=0.0)
         nearest = tl.load(path + 3 * plane, mask=exists, other=0.0)
     u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
-    whole_u, whole_v = whole(u), whole(v)
-    i, j = whole_v.to(tl.int32) + y, whole_u.to(tl.int32) + x
-    inside = exists & (i >= 0) & (i < H) & (j >= 0) & (j < W)
-    there = i * W + j
+    there, inside = end_of(u, v, y, x, exists, H, W)
     kept += b * words * plane
-    red, green = two(kept, there, inside)
-    blue, far = two(kept + plane, there, inside)
-    nx, ny = two(kept + 2 * plane, there, inside)
-    nz, reset = two(kept + 3 * plane, there, inside)
-    albedo_r, albedo_g = two(kept + 5 * plane, there, inside)
-    albedo_b, on_u = two(kept + 6 * plane, there, inside)
-    on_v, _ = two(kept + 7 * plane, there, inside)
+    red, green, blue, far, nx, ny, nz, reset, _, _ = kept_at(kept, plane, there, inside)
+    albedo_r, albedo_g, albedo_b, on_u, on_v = kept_edge_at(kept, plane, there, inside)
 
     shown = tl.zeros([BLOCK], tl.int1)
     for k in tl.static_range(5):
@@ -199,7 +185,7 @@ def _see(depth, normal, motion, uncovered, misplaced, kept, stays, path, seen, c
         shown = shown | alike(d, hx, hy, hz, far, nx, ny, nz, depth_tolerance, normal_tolerance)
     shown = shown & (distance(far) >= (1 - depth_tolerance) * nearest) & inside
     shown = shown & (tl.load(uncovered + b * plane + at, mask=exists, other=1) == 0)
-    du, dv = tl.abs(u - whole_u), tl.abs(v - whole_v)
+    du, dv = tl.abs(u - whole(u)), tl.abs(v - whole(v))
     across = tl.cdiv(W, CELL)
     size = tl.cast(tl.cdiv(H, CELL), tl.int64) * across
     weight = tl.load(stays + b * size + y // CELL * across + x // CELL, mask=exists, other=0.0)
