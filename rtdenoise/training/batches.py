@@ -45,12 +45,11 @@ class TrainingSet:
     def refuse_unfit(self, config: TrainConfig) -> None:
         """Raise InputError for the first clip that cannot be in a batch: it is damaged, smaller or shorter than asked
         for, or lacks what the network reads."""
+        combines = config.model in COMBINERS
+        reads = () if combines else model_config(config).reads
         for data, frames in ((self.clips, config.frames), (self.stills, 1)):
             for index, path in enumerate(data.paths if data else ()):
-                if config.model in COMBINERS:
-                    wanted, reads = {signal for _, signal in _estimates(path, config)}, ()
-                else:
-                    wanted, reads = _signals(config), model_config(config).reads
+                wanted = {signal for _, signal in _estimates(path, config)} if combines else _signals(config)
                 for signal in sorted(wanted):
                     data.examine(index, signal=signal, size=config.size, frames=frames, layers=reads)
 
