@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import moderngl
 
+from ..constants import BRIGHTNESS_BLOCK
 from .context import GpuArray
 from .program import Program, program
 from .source import expect_names
@@ -17,6 +18,7 @@ Value = int | float | tuple[int | float, ...]
 FILL_ROW = 32 * 1024  # words that a row of work groups of `frame/fill` fills
 _WATCHER = "rtdenoise_watcher"  # attribute of a context
 GROUP = (32, 4)  # invocations of a work group: the 32 or 64 lanes that run together read whole rows
+BLOCK_GROUP = (BRIGHTNESS_BLOCK, BRIGHTNESS_BLOCK)  # a work group for each block that brightness is measured in
 SELECT_GROUP = (256,)  # of the one work group that finds a value of a given rank (`select.glsl`)
 
 

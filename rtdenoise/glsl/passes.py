@@ -11,13 +11,12 @@ import numpy as np
 from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, SKY_BLOCK
 from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
-from .dispatch import SELECT_GROUP, dispatch, fill
+from .dispatch import BLOCK_GROUP, SELECT_GROUP, dispatch, fill
 from .network import HalfSizeUNet, UNet
 from .recent import Recent
 from .scratch import Scratch
 from .state import History
 
-BLOCK_GROUP = (BRIGHTNESS_BLOCK, BRIGHTNESS_BLOCK)  # a work group for each block that brightness is measured in
 NOTHING = 0xFFFFFFFF  # in the splat: no pixel
 # Input channels of accumulated_kpn in the order of its features shader: those that may be zero everywhere come last.
 FEATURE_ORDER = [0, 1, 2, 18, 6, 7, 8, 15, 9, 10, 11, 16, 12, 13, 14, 17, 3, 4, 5, 19, 20]
@@ -106,11 +105,13 @@ class Passes:
         dispatch("frame/history_motion", surface.shape[1::-1], buffers)
         return chosen
 
-    def no_past(self, inputs: Inputs) -> GpuArray:
-        """For a first frame: the noisy radiance in place of the previous output."""
-        past = self._scratch.image("past", inputs.light.shape[:2])
-        dispatch("frame/first", past.shape[1::-1], {"light": inputs.light, "guide": inputs.guide, "past": past})
-        return past
+    def radiance(self, inputs: Inputs) -> GpuArray:
+        """The noisy radiance [H, W], no flags: in a first frame in place of the previous output; then for the next one,
+        which follows its light."""
+        radiance = self._scratch.fresh(inputs.light.shape[:2])
+        buffers = {"light": inputs.light, "guide": inputs.guide, "past": radiance}
+        dispatch("frame/first", radiance.shape[1::-1], buffers)
+        return radiance
 
     def warp(self, chosen: GpuArray, inputs: Inputs, history: History, dual: bool) -> GpuArray:
         """The reprojected previous output. `chosen` comes from `history_motion`, or without `dual` from `vectors`."""

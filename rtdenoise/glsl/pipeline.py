@@ -137,13 +137,15 @@ class Pipeline:
         with self._stage("reprojection"):
             chosen = passes.history_motion(vectors, inputs.surface, history) if dual else vectors
             motion, flagged = vectors, dual  # of light; whether `chosen` says what has been uncovered
-            noisy = self.light.noisy(inputs) if self.accumulates else None
+            noisy = passes.radiance(inputs) if self.accumulates or first else None
+            surfaces = self.light.surfaces(inputs, noisy) if averages else None
             if follows:
-                moved = self.light.shift(inputs, vectors, noisy, history.noisy, history.surface, history.shifts[:1])
+                before = history.noisy, history.surface, history.shifts[:1]
+                moved = self.light.shift(inputs, surfaces, vectors, noisy, *before)
                 chosen, flagged = self.light.followed(chosen, moved, dual, "chosen"), True
                 motion = self.light.followed(vectors, moved, False, "motion")
             if first:
-                past = passes.no_past(inputs)
+                past = noisy
             elif known.still and not follows:
                 past = history.denoised
             else:
@@ -181,7 +183,10 @@ class Pipeline:
             after = replace(after, recent=recent[: self.config.recent])
         if self.accumulates:
             with self._stage("reprojection"):
-                found, shifts = self.light.find(inputs, vectors, denoised, history)
+                if first:
+                    found, shifts = self.light.nothing(denoised.shape), (self.light.nothing(denoised.shape),)
+                else:
+                    found, shifts = self.light.find(inputs, surfaces, vectors, denoised, history)
             shifts = shifts[: self.config.recent + 1]
             after = replace(after, mean=mean, mean_albedo=means.mean_albedo, noisy=noisy, found=found, shifts=shifts)
         return result, after
@@ -196,10 +201,11 @@ class Pipeline:
         for i, frame in reversed([*enumerate(frames[: self.config.recent + 1])]):
             layers = self.upload(frame, None)
             inputs, motion = passes.prepare(layers), passes.vectors(layers)
-            noisy_before, noisy = noisy, self.light.noisy(inputs)
+            noisy_before, noisy = noisy, passes.radiance(inputs)
             if before is not None and "motion" in layers:
                 told = history.shifts[i + 1 : i + 2]
-                moved = self.light.shift(inputs, motion, noisy, noisy_before, before.surface, told)
+                seen = self.light.surfaces(inputs, noisy)
+                moved = self.light.shift(inputs, seen, motion, noisy, noisy_before, before.surface, told)
                 motion = self.light.followed(motion, moved, False, "motion")
             recent.insert(0, passes.recent.keep(inputs, motion, "motion" in layers))
             before = inputs

@@ -7,9 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..constants import AROUND_CELL, MIX_CELL, MIX_SEEN_ONCE, MIX_SHARES, MIX_SHARES_OF_MANY
-from ..constants import PIXELS_CONTRAST as CONTRAST
-from ..constants import PIXELS_UNIT as UNIT
+from ..constants import AROUND_CELL, MIX_CELL, MIX_SHARES, MIX_SHARES_OF_MANY
 from ..models.hybrid_config import HybridConfig
 from .context import GpuArray
 from .dispatch import dispatch
@@ -50,14 +48,13 @@ class Pixels:
         features = self._network.input((H, W))
         padded = features.shape[2:0:-1]
         buffers = {"shown": shown, "denoised": denoised, "cells": cells, "statistics": statistics, "even": even}
-        constants = {"CONTRAST": CONTRAST, "UNIT": UNIT, "HALF": int(scratch.half)}
-        dispatch("hybrid/features", padded, buffers | {"result": features}, {"image_size": size},
-                 EVEN=int(not self._many), SEEN_ONCE=MIX_SEEN_ONCE, **constants)  # fmt: skip
+        buffers["result"], half = features, {"HALF": int(scratch.half)}
+        dispatch("hybrid/features", padded, buffers, {"image_size": size}, EVEN=int(not self._many), **half)
         wrote = self._network(features)
         dispatch("hybrid/bounds", size, {"even": even, "denoised": denoised, "bounds": bounds}, group=CELL_GROUP)
         usual, before, least = self._shares
         buffers = pictures | {"compressed_light": wrote, "bounds": bounds, "written": written, "told": told}
-        dispatch("hybrid/written", size, buffers, {"padded": padded}, USUAL=usual, **constants)
+        dispatch("hybrid/written", size, buffers, {"padded": padded}, USUAL=usual, **half)
         buffers = {"written": written, "past": past, "seen": seen, "cells": cells, "told": told}
         buffers |= {"statistics": statistics, "denoised": denoised, "result": result}
         dispatch("hybrid/mix", size, buffers, USUAL=usual, BEFORE=before, LEAST=least)

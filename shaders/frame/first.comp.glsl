@@ -1,5 +1,6 @@
 #version 430
-// In a first frame the noisy radiance stands in for the previous output, which was nowhere on the screen.
+// The noisy radiance: in a first frame it stands in for the previous output, which was nowhere on the screen, and the next frame
+// follows its light.
 #include "image.glsl"
 #include "albedo.glsl"
 

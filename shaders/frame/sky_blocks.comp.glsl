@@ -4,8 +4,7 @@
 #pragma reads vec4 light, vec4 surface     // [H, W] rgb; normal, depth
 #pragma writes vec4 lowest, vec4 highest   // [⌈H/8⌉, ⌈W/8⌉] rgb over the open pixels; where there is none lowest > highest
 #include "open_sky.glsl"
-
-shared vec3 low[GROUP_X * GROUP_Y], high[GROUP_X * GROUP_Y];
+#include "extremes.glsl"
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -13,13 +12,7 @@ void main() {
     low[lane] = vec3(3e38);
     high[lane] = vec3(-1.0);
     if (inside(pixel, size) && is_open(pixel)) low[lane] = high[lane] = light[at(pixel, size)].rgb;
-    for (int step = GROUP_X * GROUP_Y / 2; step > 0; step /= 2) {
-        barrier();
-        if (lane < step) {
-            low[lane] = min(low[lane], low[lane + step]);
-            high[lane] = max(high[lane], high[lane + step]);
-        }
-    }
+    reduce_extremes(lane);
     if (lane == 0) {
         int block = int(gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x);
         lowest[block] = vec4(low[0], 0.0);

@@ -1,11 +1,10 @@
 #version 430
 // The least and the greatest light of two pictures in each cell, for `written`; one work group per cell.
 #include "around.glsl"
+#include "extremes.glsl"
 
 #pragma reads vec4 even, vec4 denoised  // [H, W]
 #pragma writes vec4 bounds              // [2, ⌈H/AROUND_CELL⌉, ⌈W/AROUND_CELL⌉] least, greatest
-
-shared vec3 low[GROUP_X * GROUP_Y], high[GROUP_X * GROUP_Y];
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -16,13 +15,7 @@ void main() {
         low[lane] = min(even[i].rgb, denoised[i].rgb);
         high[lane] = max(even[i].rgb, denoised[i].rgb);
     }
-    for (int step = GROUP_X * GROUP_Y / 2; step > 0; step /= 2) {
-        barrier();
-        if (lane < step) {
-            low[lane] = min(low[lane], low[lane + step]);
-            high[lane] = max(high[lane], high[lane + step]);
-        }
-    }
+    reduce_extremes(lane);
     if (lane == 0) {
         ivec2 extent = cells_of(size), cell = ivec2(gl_WorkGroupID.xy);
         bounds[at(cell, extent)] = vec4(low[0], 0.0);

@@ -2,7 +2,7 @@
 // The input of the network that writes pixels: footprints, 9 channels, with light compressed in OIDN's unit. Where one frame has
 // seen a pixel, and more have seen those around it, some of the kernels' picture stands in for light (EVEN, models.mixing.evened).
 // One invocation per pixel of the padded result, which is zero beyond the image.
-#pragma constants EVEN SEEN_ONCE CONTRAST UNIT
+#pragma constants EVEN MIX_SEEN_ONCE PIXELS_CONTRAST PIXELS_UNIT
 #pragma parameters ivec2 image_size
 #include "around.glsl"
 #include "activations.glsl"
@@ -34,11 +34,11 @@ void main() {
             ivec2 cell = pixel / AROUND_CELL + ivec2(k % 3, k / 3) - 1;
             if (inside(cell, extent)) most = max(most, cells[at(cell, extent)].x);
         }
-        float share = 1.0 - (1.0 - SEEN_ONCE) * albedo.w * once * clamp(most - 1.0, 0.0, 1.0);
+        float share = 1.0 - (1.0 - MIX_SEEN_ONCE) * albedo.w * once * clamp(most - 1.0, 0.0, 1.0);
         rgb = mix(denoised[i].rgb, rgb, share);
     }
     even[i] = vec4(rgb, 1.0);
-    result[o] = packed_four(vec4(UNIT * compressed(CONTRAST * statistics[0] * rgb), albedo.r));
+    result[o] = packed_four(vec4(PIXELS_UNIT * compressed(PIXELS_CONTRAST * statistics[0] * rgb), albedo.r));
     result[o + area] = packed_four(vec4(albedo.gb, normal.xy));
     result[o + 2 * area] = packed_four(vec4(normal.z, 0.0, 0.0, 0.0));
 }

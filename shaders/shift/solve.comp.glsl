@@ -1,7 +1,7 @@
 #version 430
 // The displacement of each cell (shift.displacement.displacement): least squares over it and the eight around it. The FIRST
 // round starts at 0; each says which share of the pictures' squared difference is left.
-#pragma constants FIRST CELL STRIDE DAMPING SHIFT_AROUND
+#pragma constants FIRST CELL SHIFT_STRIDE DAMPING SHIFT_AROUND
 #include "image.glsl"
 
 #pragma reads vec4 sums     // [2, h, w] of `sums`
@@ -21,7 +21,7 @@ void main() {
         }
     float xx = a.y + DAMPING * a.x + 1e-6, yy = a.w + DAMPING * a.x + 1e-6, xy = a.z;
     vec2 change = vec2(yy * b.x - xy * b.y, xx * b.y - xy * b.x) / (xx * yy - xy * xy);
-    if (a.x <= float(CELL * SHIFT_AROUND) / float(STRIDE * STRIDE)) change = vec2(0.0);
+    if (a.x <= float(CELL * SHIFT_AROUND) / float(SHIFT_STRIDE * SHIFT_STRIDE)) change = vec2(0.0);
     int i = at(cell, size);
     vec4 before = FIRST == 1 ? vec4(0.0, 0.0, b.z, 0.0) : shift[i];
     shift[i] = vec4(before.xy + change, before.z, (b.z - dot(change, b.xy)) / max(before.z, 1e-30));

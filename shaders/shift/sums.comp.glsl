@@ -1,7 +1,7 @@
 #version 430
-// Sums over cells of CELL² pixels (shift.displacement.displacement_sums): every STRIDE-th pixel along either axis, looked up
+// Sums over cells of CELL² pixels (shift.displacement.displacement_sums): every SHIFT_STRIDE-th pixel along either axis, looked up
 // where motion and `shift` lead. One work group per cell; the FIRST round has no shift yet.
-#pragma constants FIRST STRIDE DEPTH_TOLERANCE SHIFT_BLOCK CUBIC
+#pragma constants FIRST SHIFT_STRIDE DEPTH_TOLERANCE SHIFT_BLOCK CUBIC
 #include "image.glsl"
 #include "on_screen.glsl"
 
@@ -30,7 +30,7 @@ shared vec4 first[GROUP_X * GROUP_Y], second[GROUP_X * GROUP_Y];
 
 void main() {
     int lane = int(gl_LocalInvocationIndex);
-    ivec2 cell = ivec2(gl_WorkGroupID.xy), pixel = cell * CELL + STRIDE * ivec2(gl_LocalInvocationID.xy);
+    ivec2 cell = ivec2(gl_WorkGroupID.xy), pixel = cell * CELL + SHIFT_STRIDE * ivec2(gl_LocalInvocationID.xy);
     cells = (size + CELL - 1) / CELL;
     first[lane] = second[lane] = vec4(0.0);
     if (inside(pixel, size)) {
