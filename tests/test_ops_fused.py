@@ -25,6 +25,7 @@ from rtdenoise.ops.convolve_bytes import convolve_bytes, packed
 from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
+from rtdenoise.ops.max_pool import max_pool
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.over import over, over_and_coverage
@@ -38,6 +39,7 @@ from rtdenoise.splat import history_motion
 SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
 CASES = [("native", size) for size in SIZES]
 CASES += [("triton", size) for size in [(1, 1), (3, 4), (1, 141)]]  # the interpreter takes its time; 141 > BLOCK
+NARROW = [("native", size) for size in [(1, 5), (4, 1)]]
 DTYPES = (torch.float32, torch.bfloat16, torch.float16)
 KERNELS = [(*case, K, dtype) for case in CASES for K in (3, 5) for dtype in DTYPES if K == 3 or case[0] == "native"]
 
@@ -398,14 +400,14 @@ def test_features_of_other_types_are_plain(both, dtype):
     assert found.dtype == dtype and torch.equal(found, plain)
 
 
-@pytest.mark.parametrize("size", [*SIZES, (1, 5), (4, 1)], ids=str)
+@pytest.mark.parametrize("backend, size", [*CASES, *NARROW], indirect=["backend"], ids=str)
 @pytest.mark.parametrize("dtypes", [("float32", "float32"), ("bfloat16", "bfloat16"), ("bfloat16", "float32")], ids=str)
 @pytest.mark.parametrize(("channels", "planes"), [(32, 3), (48, 1), (16, 4), (64, 2)])
-def test_to_planes(both, assert_images_close, size, dtypes, channels, planes):
+def test_to_planes(both, backend, assert_images_close, size, dtypes, channels, planes):
     of_x, of_weights = (getattr(torch, name) for name in dtypes)
     x = torch.rand(2, channels, *size).to(of_x).to(memory_format=torch.channels_last)
     weight, bias = torch.rand(planes, channels, 3, 3).to(of_weights), torch.rand(planes).to(of_weights)
-    plain, fused = both(lambda x: to_planes(x, weight, bias), x)
+    plain, fused = both(lambda *given: to_planes(*given), x, weight, bias)
     assert plain.shape == (2, planes, *size) and plain.dtype == fused.dtype == torch.float32
     assert_images_close(fused, plain, "float32")
 
@@ -476,6 +478,17 @@ def test_feature_bytes(both, size):
     plain, fused = both(lambda *tensors: feature_bytes(*tensors, scale), radiance, albedo, normal)
     assert plain.stride() == fused.stride() and (plain.int() - fused.int()).abs().max() <= 1
     assert (plain != fused).float().mean() < 1e-3  # light at the edge of two steps
+
+
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("size", [(2, 2), (4, 90), (6, 10)], ids=str)
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+def test_max_pool(both, size, dtype):
+    x = torch.randn(2, 24, *size).to(dtype).to(memory_format=torch.channels_last)
+    x[0, 3, 1, 0] = math.nan
+    plain, fused = both(max_pool, x)
+    assert fused.dtype == dtype and fused.is_contiguous(memory_format=torch.channels_last)
+    assert torch.equal(fused.nan_to_num(7), plain.nan_to_num(7)) and fused[0, 3, 0, 0].isnan()
 
 
 def test_to_planes_falls_back():
@@ -643,10 +656,12 @@ from rtdenoise.ops.triton.soften import _soften
 from rtdenoise.ops.triton.downsample import _downsample
 from rtdenoise.ops.triton.around import _bounds, _within
 from rtdenoise.ops.triton.fetch import _fetch
+from rtdenoise.ops.triton.max_pool import _max_pool
 from rtdenoise.ops.triton.mix import _mix, _told
 from rtdenoise.ops.triton.over import _over
 from rtdenoise.ops.triton.recall import _look, _mean, _see, _stays
 from rtdenoise.ops.triton.reproject import _reproject
+from rtdenoise.ops.triton.to_planes import _to_planes
 from rtdenoise.ops.triton.warp import _warp
 
 def build(kernel, constants, **types):
@@ -657,6 +672,7 @@ def build(kernel, constants, **types):
     assert compiled.asm["ptx"], kernel
     assert not re.search("muli %stride, .*: i32", compiled.asm["ttir"])  # all logits may be more than 2³¹ values
 
+build(_max_pool, dict(RUN=1024), x="*bf16", out="*bf16", w="i32", C="i32")
 strides = dict(batch="i64", stride="i32", cell_row="i64", row="i64", cell="i32", step="i32")
 C = dict(C=3, CP=4, BLOCK=128)
 for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
@@ -684,6 +700,9 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
           **sizes)
     build(_mean, dict(CELL=4, BLOCK=128, **one), B="i32", frames="i32", **sizes)
     build(_bounds, dict(CELL=16, **one), **sizes)
+    half = dict.fromkeys(("x", "weight", "bias"), "*bf16")
+    steps = dict.fromkeys("C of_output of_input of_row of_column".split(), "i32")
+    build(_to_planes, dict(O=3, CHANNELS=32, PRECISION="tf32", PADDED=16, BLOCK=128, **one), **half, **steps, **sizes)
     build(_within, dict(CELL=16, BLOCK=128, **one), C="i32", **sizes)
     build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
 """

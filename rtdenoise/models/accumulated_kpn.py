@@ -32,7 +32,7 @@ from ..ops.pixels import accumulate, demodulate, modulate, nearness
 from ..ops.shares import shares
 from ..sanitise import admit
 from .config import AccumulatedKPNConfig
-from .inference import as_weights
+from .inference import as_weights, pointwise
 from .losses import frame_loss
 from .past import Past, followed, footprint, kept, reprojected, shifted
 from .refinement import GuidedRefinement
@@ -201,7 +201,8 @@ class AccumulatedKPN(nn.Module):
             levels[1] = self.refine(levels[1], surface)
         full = self._full_head(levels[0])
         coarser = [
-            by_name(head(x), names) for head, x, names in zip(self.heads, levels, self.config.heads[1:], strict=True)
+            by_name(pointwise(x, head.weight, head.bias), names)
+            for head, x, names in zip(self.heads, levels, self.config.heads[1:], strict=True)
         ]
         alphas = [scale["alpha"].float().sigmoid() for scale in coarser]
         picks = [(full["pick"], shares(full["pick_share"], (H, W)))] if "pick" in full else []
@@ -220,7 +221,7 @@ class AccumulatedKPN(nn.Module):
         weights, biases = self.full_head.weight.split(sizes, dim=1), self.full_head.bias.split(sizes)
         for head, weight, bias in zip(self.config.heads[0], weights, biases, strict=True):
             weight = weight.permute(2, 3, 1, 0).reshape(4 * head.channels, -1, 1, 1)
-            parts[head.name] = F.conv2d(x, weight, bias.repeat(4)).unflatten(1, (2, 2, head.channels))
+            parts[head.name] = pointwise(x, weight, bias.repeat(4)).unflatten(1, (2, 2, head.channels))
         return parts
 
     def _stem(self, x: Tensor) -> Tensor:

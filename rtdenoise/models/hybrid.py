@@ -21,6 +21,7 @@ from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.around import expand_within
 from ..ops.even_sky import even_sky
 from ..ops.features import features
+from ..ops.max_pool import max_pool
 from ..ops.recall import FOOTPRINT
 from ..ops.to_planes import to_planes
 from ..sanitise import admit
@@ -28,7 +29,7 @@ from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
 from .mixing import evened, mix
 from .past import followed, seen
-from .unet import ConvRelu, Up, pool
+from .unet import ConvRelu, Up
 
 
 class Hybrid(AccumulatedKPN):
@@ -90,7 +91,7 @@ class PixelNetwork(nn.Module):
         skips = [x]
         x = self.encoder[1](self.encoder[0](x))
         for convolve in self.encoder[2:-1]:
-            x = pool(x)
+            x = max_pool(x)
             skips.append(x)
             x = convolve(x)
         x = self.encoder[-1](x)

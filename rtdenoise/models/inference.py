@@ -12,6 +12,7 @@ from .unet import ConvRelu, Up
 
 INT8 = "int8"
 PRECISIONS = ("auto", "fp32", "bf16", INT8)
+LANES = 8  # channels that a tensor core reads at once in half precision
 
 
 def choose_device(name: str) -> str:
@@ -59,17 +60,20 @@ def _has(instructions: str) -> bool:
 
 
 def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
-    """Prepare a network for inference, in place: weights in `dtype` and channels last, ReLUs fused into convolutions,
-    enlargement fused into the decoder's (`_FusedUp`). Parameters keep their names. Not for training.
+    """Prepare a network for inference, in place, on the device that it is on: weights in `dtype` and channels last,
+    ReLUs fused into convolutions, enlargement fused into the decoder's (`_FusedUp`). Parameters keep their names. Not
+    for training.
 
     Convolutions compute in channels last, on CPUs and on tensor cores; other layouts are converted in every call.
     `as_weights` converts the network's input.
     """
-    for module in list(network.modules()):
+    fuses = _fuses(dtype, next(network.parameters()).device)
+    for module in list(network.modules()) if fuses else ():
         if isinstance(module, nn.Sequential):
-            _fuse(module, dtype)
-        if type(module) is ConvRelu and _fuses(dtype):
+            _fuse(module)
+        if type(module) is ConvRelu:
             module.__class__ = _FusedConvRelu
+    for module in list(network.modules()):
         if isinstance(module, Up):
             _FusedUp.take(module)
     return network.to(dtype=dtype, memory_format=torch.channels_last)
@@ -83,11 +87,16 @@ def as_weights(x: Tensor, network: nn.Module) -> Tensor:
 
 
 class _FusedConvRelu(ConvRelu):
-    """Convolution and ReLU in one pass, where torch has oneDNN (CPU)."""
+    """Convolution, bias and ReLU in one pass, by oneDNN on a CPU and by cuDNN on CUDA."""
 
     def forward(self, x: Tensor) -> Tensor:
-        if x.device.type != "cpu":
+        if x.device.type != "cpu" and not _has_cudnn(x.device):  # moved there since `prepare`
             return super().forward(x)
+        if x.device.type != "cpu":
+            x, weight = in_lanes(x, self.weight)
+            return torch.cudnn_convolution_relu(
+                x, weight, self.bias, self.stride, self.padding, self.dilation, self.groups
+            )
         return torch.ops.mkldnn._convolution_pointwise(
             x, self.weight, self.bias, self.padding, self.stride, self.dilation, self.groups, "relu", [], ""
         )
@@ -111,8 +120,14 @@ class _FusedUp(Up):
         up.__class__ = cls
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        fused = type(self[0]) is _FusedConvRelu
+        if fused and _has_cudnn(x.device):
+            y = F.conv_transpose2d(x, self.of_below, stride=2, padding=1)
+            skip, weight = in_lanes(skip, self.of_skip)
+            y = torch.cudnn_convolution_add_relu(skip, weight, y, 1.0, self[0].bias, (1, 1), (1, 1), (1, 1), 1)
+            return self[3](self[2](y))
         y = F.conv_transpose2d(x, self.of_below, self[0].bias, stride=2, padding=1)
-        if type(self[0]) is _FusedConvRelu and x.device.type == "cpu":
+        if fused and x.device.type == "cpu":
             torch.ops.mkldnn._convolution_pointwise_.binary(
                 y, skip, self.of_skip, None, (1, 1), (1, 1), (1, 1), 1, "add", 1.0, "relu", [], ""
             )
@@ -132,17 +147,40 @@ def enlarging(weight: Tensor) -> Tensor:
     return torch.einsum("ty,oiyx,sx->iots", sums, weight, sums)
 
 
-def _fuse(layers: nn.Sequential, dtype: torch.dtype) -> None:
+def in_lanes(x: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """A convolution's features and its weights `[O, I, h, w]` with as many channels, on CUDA in half precision a
+    multiple of `LANES`: tensor cores read no others, and cuDNN would convert them in every call. Channels that are
+    added are 0."""
+    channels = max(x.shape[1], weight.shape[1])
+    if x.device.type == "cuda" and x.dtype != torch.float32:
+        channels += -channels % LANES
+    return tuple(t if t.shape[1] == channels else F.pad(t, (0, 0, 0, 0, 0, channels - t.shape[1])) for t in (x, weight))
+
+
+def pointwise(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """A 1×1 convolution; its weights are `[O, I, 1, 1]`. On CUDA a product of matrices: it adds the bias as well."""
+    if x.device.type != "cuda":
+        return F.conv2d(x, weight, bias)
+    return F.linear(x.permute(0, 2, 3, 1), weight.flatten(1), bias).permute(0, 3, 1, 2)
+
+
+def _fuse(layers: nn.Sequential) -> None:
     for i in range(len(layers) - 1):
         convolution = layers[i]
-        if type(convolution) is nn.Conv2d and isinstance(layers[i + 1], nn.ReLU) and _fuses(dtype):
+        if type(convolution) is nn.Conv2d and isinstance(layers[i + 1], nn.ReLU):
             convolution.__class__ = _FusedConvRelu
             layers[i + 1] = nn.Identity()
 
 
-def _fuses(dtype: torch.dtype) -> bool:
-    """Whether oneDNN is there and convolves `dtype` on this CPU. Older CPUs (AVX2) have no bfloat16: plain torch, which
-    is slow in it, has to do."""
+def _fuses(dtype: torch.dtype, device: torch.device) -> bool:
+    """Whether a library convolves with bias and ReLU at once: cuDNN on CUDA, oneDNN on a CPU. Older CPUs (AVX2) have no
+    bfloat16: plain torch, which is slow in it, has to do."""
+    if device.type != "cpu":
+        return _has_cudnn(device)
     if not (torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")):
         return False
     return dtype != torch.bfloat16 or torch.ops.mkldnn._is_mkldnn_bf16_supported()
+
+
+def _has_cudnn(device: torch.device) -> bool:
+    return device.type == "cuda" and torch.version.cuda is not None and torch.backends.cudnn.is_available()

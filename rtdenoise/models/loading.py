@@ -58,7 +58,7 @@ def load(
     network = _built(file)
     if precision == INT8 or (has_bytes(file.path) and takes_bytes(precision, device)):
         _into_bytes(network, file.path, must=precision == INT8)
-    return prepare(network, dtype).to(device)
+    return prepare(network.to(device), dtype)
 
 
 def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
@@ -89,7 +89,7 @@ def load_combiner(
         raise InputError(f"precision int8: {model} has no weights in bytes; take auto")
     if not isinstance(network, Combiner):
         raise InputError(f"{model}: is a denoiser; expected a combiner, which corrects frames that a denoiser made")
-    return prepare(network, dtype).to(device)
+    return prepare(network.to(device), dtype)
 
 
 def read(model: str | Path, **overrides) -> Denoiser | Combiner:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ..ops.max_pool import max_pool
 from .config import Head
 
 
@@ -50,7 +51,7 @@ class UNet(nn.Module):
 
         skips = []
         for level, convolve in enumerate(self.encoder):
-            x = convolve(pool(x) if level else x)
+            x = convolve(max_pool(x) if level else x)
             skips.append(x)
 
         features = []
@@ -80,13 +81,3 @@ class Up(nn.Sequential):
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         """`[B, below, H/2, W/2]` and `[B, outputs, H, W]` to `[B, outputs, H, W]`."""
         return super().forward(torch.cat([F.interpolate(x, scale_factor=2, mode="nearest"), skip], dim=1))
-
-
-def pool(x: Tensor) -> Tensor:
-    """2×2 max pooling. Without gradients by two `maximum`s, rows first: they are vectorised in every layout, torch's
-    own pooling is not in channels last. With gradients by `F.max_pool2d`: its backward is vectorised, that of `maximum`
-    is not."""
-    if x.requires_grad:
-        return F.max_pool2d(x, 2)
-    x = torch.maximum(x[:, :, 0::2], x[:, :, 1::2])
-    return torch.maximum(x[..., 0::2], x[..., 1::2])

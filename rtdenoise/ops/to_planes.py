@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("to_planes", native=Support(halves=("x",)))  # channels last only
+FUSED = Fused("to_planes", native=Support(halves=("x",)), triton=Support(halves=("x",)))  # channels last only
 LANES = 16  # the fused op takes multiples of as many channels
 MOST = 4  # planes that it makes at once
 
@@ -31,7 +31,8 @@ def to_planes(
     last = x.is_contiguous(memory_format=torch.channels_last) and C % LANES == 0 and O <= MOST
     fits = weight.shape == (len(bias), x.shape[1], 3, 3)  # torch says what does not
     trained = torch.is_grad_enabled() and weight.requires_grad
-    if last and fits and not trained and x.dtype != torch.float16 and (run := FUSED(x=x)):
+    taken = x.dtype != torch.float16 or x.device.type != "cpu"
+    if last and fits and not trained and taken and (run := FUSED(x=x)):
         return run(x, weight, bias)
     with nullcontext() if x.is_meta else torch.autocast(x.device.type, enabled=False):
         return F.conv2d(x.float(), weight.float(), bias.float(), padding=1)
