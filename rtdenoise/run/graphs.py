@@ -150,14 +150,14 @@ class RecordedStep:
     def play(self, given: dict[str, Tensor]) -> tuple[Tensor, History]:
         """Replay the step on the tensors `given`. Tensors that the step only passes on are returned as given, results
         as copies."""
-        for name, tensor in self.read.items():
-            tensor.copy_(given[name])
+        torch._foreach_copy_(list(self.read.values()), [given[name] for name in self.read])  # in a launch or two
         self._replay()
         out = {id(tensor): given[name] for name, tensor in self.read.items()}
         image, history = self._written
-        for tensor in (image, *history.layers().values()):
-            if id(tensor) not in out:  # the image is in the history as well: copied once
-                out[id(tensor)] = tensor.clone()
+        written = {id(tensor): tensor for tensor in (image, *history.layers().values()) if id(tensor) not in out}
+        copies = [torch.empty_like(tensor) for tensor in written.values()]
+        torch._foreach_copy_(copies, list(written.values()))
+        out |= zip(written, copies, strict=True)
         return out[id(image)], History.from_layers({n: out[id(t)] for n, t in history.layers().items()})
 
 
@@ -166,10 +166,12 @@ def _description(name: str, tensor: Tensor) -> Hashable:
 
 
 def _tensors(frame: Frame, history: History | None, known: Known, read: Collection[str]) -> dict[str, Tensor]:
-    """All that a step reads, by name; of the frame the layers `read`. Inverse: `_arguments`."""
+    """All that a step reads, by name; of the frame the layers `read`. No step reads footprints (`History.footprint`).
+    Inverse: `_arguments`."""
     statistics = {n: t for n in ("exposure", "distance", "noise", "shift") if (t := getattr(known, n)) is not None}
     layers = {n: t for n, t in frame.layers() if n in read}
-    owners = {"frame": layers, "history": history.layers() if history else {}, "known": statistics}
+    past = {n: t for n, t in history.layers().items() if not n.startswith("footprint")} if history else {}
+    owners = {"frame": layers, "history": past, "known": statistics}
     for i, other in enumerate(known.ahead):
         owners[f"ahead{i}"] = {n: t for n, t in other.layers() if n in read}
     return {f"{owner}.{name}": tensor for owner, tensors in owners.items() for name, tensor in tensors.items()}
