@@ -60,6 +60,7 @@ class Options:
 def main(o: Options) -> None:
     if o.threads:
         torch.set_num_threads(o.threads)
+    torch.backends.cudnn.allow_tf32 = False  # rows of fp32 say fp32
     device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     sizes, calls = (("quick",), 3) if o.quick else (o.sizes, o.calls)
     presets = o.presets or tuple(name for name, config in models.PRESETS.items() if not config.reads)

@@ -1,8 +1,8 @@
 #!/bin/sh
-# Check and time the GPU paths on a machine with an NVIDIA GPU, in one call of at most ten minutes:  sh tools/gpu_check.sh
+# Check and time the GPU paths on a machine with an NVIDIA GPU:  sh tools/gpu_check.sh [tests|table]
 #
-# Tests that Triton's kernels, CUDA graphs and the shaders compute the same as the plain ops, then writes the table of times,
-# bench/results/latency_720p_cuda.{json,md,png}.
+# `tests`: Triton's kernels, CUDA graphs and the shaders compute the same as the plain ops. `table`: times, into
+# bench/results/latency_720p_cuda.{json,md,png}. Either takes ten minutes at most; without an argument it does both.
 #
 # Where python3 (or PYTHON=...) has a PyTorch that sees the GPU, that one is used, and nothing is asked of the network unless
 # other packages are missing. WHEELS=FOLDER takes those from a folder of wheels instead: they go into build/gpu-venv, beside
@@ -11,21 +11,26 @@ set -eu
 cd "$(dirname "$0")/.."
 
 main() {
+    part=${1:-both}
+    case $part in tests | table | both) ;; *) fail "expected tests, table or nothing, got '$part'" ;; esac
     nvidia-smi --query-gpu=name,driver_version,memory.total --format=csv,noheader ||
         fail "expected an NVIDIA GPU and its driver, found none; nothing was measured"
     find_python
     add_packages
     export PYTHONPATH="$PWD${PYTHONPATH:+:$PYTHONPATH}"
 
-    # Two processes, because Triton must not be loaded after OpenGL. All three parts together take 540 s at most. The table is
-    # written even if a test fails: a wrong method gets no time there.
+    # The table is written even if a test fails: a wrong method gets no time there.
     failed=0
-    timeout 120 "$python" -m pytest -q tests/test_ops.py tests/test_ops_fused.py tests/test_precision.py \
-        tests/test_graphed.py || failed=1
-    if has moderngl; then
-        timeout 120 "$python" -m pytest -q tests/test_glsl.py tests/test_glsl_pipeline.py || failed=1
+    if [ "$part" != table ]; then # in two runs, because Triton must not be loaded after OpenGL
+        timeout 420 "$python" -m pytest -q -n auto tests/test_ops.py tests/test_ops_fused.py tests/test_precision.py \
+            tests/test_graphed.py || failed=1
+        if has moderngl; then
+            timeout 150 "$python" -m pytest -q -n auto tests/test_glsl.py tests/test_glsl_pipeline.py || failed=1
+        fi
     fi
-    timeout 300 "$python" bench/latency_720p.py --device cuda --out bench/results/latency_720p_cuda.json || failed=1
+    if [ "$part" != tests ]; then
+        timeout 570 "$python" bench/latency_720p.py --device cuda --out bench/results/latency_720p_cuda.json || failed=1
+    fi
     exit $failed
 }
 
@@ -48,7 +53,7 @@ find_python() {
 add_packages() {
     missing=
     for pair in numpy:numpy PIL:pillow tyro:tyro rich:rich safetensors:safetensors OpenEXR:OpenEXR \
-        skimage:scikit-image moderngl:moderngl pytest:pytest hypothesis:hypothesis; do
+        skimage:scikit-image moderngl:moderngl pytest:pytest xdist:pytest-xdist hypothesis:hypothesis; do
         has "${pair%:*}" || missing="$missing ${pair#*:}"
     done
     [ -n "$missing" ] || return 0
