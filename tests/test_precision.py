@@ -14,7 +14,7 @@ from synthetic import make_frames
 from rtdenoise.errors import InputError
 from rtdenoise.models import available, load, read
 from rtdenoise.models.inference import as_weights, prepare, resolve
-from rtdenoise.models.unet import UNet
+from rtdenoise.models.unet import UNet, widened, widened_in_layout
 from rtdenoise.run import memory
 
 ROOT = Path(__file__).parent.parent
@@ -57,6 +57,14 @@ def test_a_decoder_that_enlarges_nothing_is_the_one_that_was_trained(assert_imag
     assert trained.state_dict().keys() == ready.state_dict().keys()
     for a, b in zip(trained(x, 2), ready(as_weights(x, ready), 2), strict=True):
         assert_images_close(b, a, "float32")
+
+
+@pytest.mark.parametrize("layout", [torch.channels_last, torch.contiguous_format], ids=str)
+@pytest.mark.parametrize(("down", "right"), [(3, 0), (0, 2), (5, 1)])
+def test_a_picture_is_widened_in_its_layout(layout, down, right):
+    x = torch.rand(2, 3, 4, 5).to(memory_format=layout)
+    found = widened_in_layout(x, down, right)
+    assert torch.equal(found, widened(x, down, right)) and found.is_contiguous(memory_format=layout)
 
 
 def test_an_unknown_precision_is_named():

@@ -36,7 +36,7 @@ from .inference import as_weights, pointwise
 from .losses import frame_loss
 from .past import Past, followed, footprint, kept, reprojected, shifted
 from .refinement import GuidedRefinement
-from .unet import ConvRelu, UNet, by_name
+from .unet import ConvRelu, UNet, by_name, widened
 
 FIRST_FRAME = slice(0, 3), slice(6, 19)  # input channels that are not zero everywhere in a first frame
 
@@ -193,7 +193,7 @@ class AccumulatedKPN(nn.Module):
     def predict(self, features: Tensor) -> Heads:
         """Run the network at half size. Logits keep its dtype; `apply_kernel` computes in float32."""
         H, W = features.shape[2:]
-        x = F.pad(features, (0, W % 2, 0, H % 2), mode="replicate") if W % 2 or H % 2 else features
+        x = widened(features, H % 2, W % 2) if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
         if self.config.guided:
             albedo = 9 if x.shape[1] == self.config.features else 6  # first channel: light comes before

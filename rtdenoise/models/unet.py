@@ -47,7 +47,7 @@ class UNet(nn.Module):
         H, W = x.shape[2:]
         cell = 2 ** (len(self.encoder) - 1)
         if H % cell or W % cell:  # F.pad would copy even if it adds nothing
-            x = F.pad(x, (0, -W % cell, 0, -H % cell), mode="replicate")
+            x = widened(x, -H % cell, -W % cell)
 
         skips = []
         for level, convolve in enumerate(self.encoder):
@@ -60,6 +60,26 @@ class UNet(nn.Module):
             if level < scales:
                 features.append(x[:, :, : -(-H // 2**level), : -(-W // 2**level)])
         return features[::-1]
+
+
+def widened(x: Tensor, down: int, right: int) -> Tensor:
+    """`x` with its last row and column repeated so many times."""
+    if x.device.type == "cpu" or x.requires_grad:
+        return F.pad(x, (0, right, 0, down), mode="replicate")
+    return widened_in_layout(x, down, right)
+
+
+def widened_in_layout(x: Tensor, down: int, right: int) -> Tensor:
+    """`widened` in the layout of `x`, without gradients: on CUDA `F.pad` would leave channels last, and the next
+    convolution would copy its result once more."""
+    B, C, H, W = x.shape
+    last = x.is_contiguous(memory_format=torch.channels_last)
+    layout = torch.channels_last if last else torch.contiguous_format
+    out = torch.empty((B, C, H + down, W + right), dtype=x.dtype, device=x.device, memory_format=layout)
+    out[:, :, :H, :W] = x
+    out[:, :, H:, :W] = x[:, :, -1:]
+    out[..., W:] = out[..., W - 1 : W]
+    return out
 
 
 def double(inputs: int, outputs: int, last: int | None = None) -> list[nn.Module]:
