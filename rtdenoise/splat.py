@@ -18,7 +18,9 @@ from .motion import OCCLUSION_THRESHOLD, dual_motion, occlusion_mask, on_screen
 from .ops import fetch
 from .ops.dispatch import Fused, Support, falls_back
 
-FUSED = Fused("history_motion", native=Support(channels={"motion": (2,), "motion_next": (2,)}))
+VECTORS = Support(channels={"motion": (2,), "motion_next": (2,), "shift": (2,)})
+FUSED = Fused("history_motion", native=VECTORS)
+WHOLE = Fused("history_motion", triton=VECTORS)  # of every kind, with the shift
 NOTHING = torch.iinfo(torch.int64).max  # key of a pixel that nothing lands on
 
 
@@ -32,20 +34,27 @@ def history_motion(
     `shift`, `[B, 2, H, W]`, belongs to traditional motion (`shift.light`). With the `kind` 'traditional' no pixel
     counts as uncovered. A history without `motion_next` gets it by `splat_motion_next`.
     """
+    motion_next = None
+    if kind != "traditional":
+        motion_next = history.motion_next
+        if motion_next is None:
+            motion_next = splat_motion_next(frame.motion, frame.depth, history.depth)
+    if run := WHOLE(motion=frame.motion, motion_next=motion_next, shift=shift):
+        return run(frame.motion, motion_next, OCCLUSION_THRESHOLD, shift)
+    motion, seen, uncovered = traditional(frame) if motion_next is None else _dual(frame.motion, motion_next)
     if shift is not None:
-        motion, _, uncovered = history_motion(frame, history, kind)
         motion = torch.where(uncovered, motion, motion + shift)
-        return motion, on_screen(motion), uncovered
-    if kind == "traditional":
-        return traditional(frame)
-    motion_next = history.motion_next
-    if motion_next is None:
-        motion_next = splat_motion_next(frame.motion, frame.depth, history.depth)
-    if run := FUSED(motion=frame.motion, motion_next=motion_next):
-        return run(frame.motion, motion_next, OCCLUSION_THRESHOLD)
-    dual = dual_motion(frame.motion, motion_next)
-    uncovered = occlusion_mask(dual, frame.motion)
-    motion = torch.where(uncovered, dual, frame.motion)
+        seen = on_screen(motion)
+    return motion, seen, uncovered
+
+
+def _dual(motion: Tensor, motion_next: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """`history_motion` by dual motion, without a shift."""
+    if run := FUSED(motion=motion, motion_next=motion_next):
+        return run(motion, motion_next, OCCLUSION_THRESHOLD)
+    dual = dual_motion(motion, motion_next)
+    uncovered = occlusion_mask(dual, motion)
+    motion = torch.where(uncovered, dual, motion)
     return motion, on_screen(motion), uncovered
 
 

@@ -37,7 +37,7 @@ BESIDE = (0, 0), (-1, 0), (0, -1), (0, 1), (1, 0)  # (y, x): a pixel and the fou
 SUPPORT = Support(channels={"light": (3,), "motion": (2,), "surface": (1, 3)})
 FUSED = Fused("recall", native=SUPPORT, triton=SUPPORT)
 LAYERS = {"light": (3,), "depth": (1,), "normal": (3,), "reset": (1,), "motion": (2,), "albedo": (3,)}
-KEEP = Fused("recall.keep", native=Support(channels=LAYERS))
+KEEP = Fused("recall.keep", native=Support(channels=LAYERS), triton=Support(channels=LAYERS))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,7 @@
-"""`over_and_coverage`: one kept frame after the other along the path of the front."""
+"""`over_and_coverage`: along the path of the front through all kept frames, in one launch.
+
+Few pixels are such edges: programs without any follow no path.
+"""
 
 from __future__ import annotations
 
@@ -11,102 +14,101 @@ from torch import Tensor
 
 from ...constants import FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED
 from .common import BLOCK, grid, place
-from .path import beside, bounded, distance, end_of, kept_at, kept_edge_at, whole
+from .path import beside, bounded, distance, end_of, frame_of, kept_at, kept_edge_at, onward, radiance, stacked, whole
 
 
 @triton.jit
-def _over(seen, now, motion, depth, kept, path, out, coverage, H, W, words, apart, speed, same, light, gloss,
-          FIRST: tl.constexpr, LAST: tl.constexpr, BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
+def _over(seen, now_light, now_albedo, now_normal, motion, depth, recent, out, coverage, H, W, step, frames, words,
+          apart, speed, same, light, gloss, BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
     at = y * W + x
     seen += b * 9 * plane
     motion += b * 2 * plane
-    path += b * 6 * plane + at  # motion (x, y), share left, weights, motion onward (x, y)
+    depth += b * plane
     out += b * 9 * plane + at
     coverage += b * 3 * plane + at
+    now = b * step * plane + at  # `step` channels a picture
 
     # The nearest and the farthest of the pixel and the four beside it.
-    own = distance(tl.load(depth + b * plane + at, mask=exists, other=0.0))
+    own = distance(tl.load(depth + at, mask=exists, other=0.0))
     near, far, front, behind = own, own, at, at
     for k in tl.static_range(1, 5):
         other_at = beside(y, x, k, H, W)
-        other = distance(tl.load(depth + b * plane + other_at, mask=exists, other=0.0))
+        other = distance(tl.load(depth + other_at, mask=exists, other=0.0))
         nearer, farther = other < (1 - apart) * near, (1 - apart) * other > far
         near, front = tl.where(nearer, other, near), tl.where(nearer, other_at, front)
         far, behind = tl.where(farther, other, far), tl.where(farther, other_at, behind)
-    front_u = tl.load(motion + front, mask=exists, other=0.0)
-    front_v = tl.load(motion + plane + front, mask=exists, other=0.0)
-    du = front_u - tl.load(motion + behind, mask=exists, other=0.0)
-    dv = front_v - tl.load(motion + plane + behind, mask=exists, other=0.0)
+    u = tl.load(motion + front, mask=exists, other=0.0)
+    v = tl.load(motion + plane + front, mask=exists, other=0.0)
+    du = u - tl.load(motion + behind, mask=exists, other=0.0)
+    dv = v - tl.load(motion + plane + behind, mask=exists, other=0.0)
     edge = exists & (near < (1 - apart) * far) & (du * du + dv * dv > speed * speed)
     between = tl.where(far == float("inf"), 2 * near, tl.sqrt(near) * tl.sqrt(far))
     now_front = own < between
 
-    if FIRST:
-        onward_u, onward_v = front_u, front_v
-        u, v = front_u, front_v
-        left = tl.where(exists, 1.0, 0.0)
-        weights, fronts = left, 0.0 * left
-    else:
-        u, v = tl.load(path, mask=edge, other=0.0), tl.load(path + plane, mask=edge, other=0.0)
-        left = tl.load(path + 2 * plane, mask=edge, other=0.0)
-        weights = tl.load(path + 3 * plane, mask=edge, other=1.0)
-        onward_u = tl.load(path + 4 * plane, mask=edge, other=0.0)
-        onward_v = tl.load(path + 5 * plane, mask=edge, other=0.0)
-        fronts = tl.load(coverage + plane, mask=edge, other=0.0)
-    u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
-    there, inside = end_of(u, v, y, x, edge, H, W)
-    kept += b * words * plane
-    red, green, blue, its, nx, ny, nz, reset, on_u, on_v = kept_at(kept, plane, there, inside)
-    albedo_r, albedo_g, albedo_b, _, _ = kept_edge_at(kept, plane, there, inside)
-    is_front = distance(its) < between
-    weight = tl.where(inside, left * (1 - tl.abs(u - whole(u))) * (1 - tl.abs(v - whole(v))), 0.0)
-    weights += weight
-    fronts += tl.where(is_front, weight, 0.0)
-    onward_u, onward_v = tl.where(is_front, on_u, onward_u), tl.where(is_front, on_v, onward_v)
-    red = tl.where(its > 0, red * (albedo_r + gloss), red)
-    green = tl.where(its > 0, green * (albedo_g + gloss), green)
-    blue = tl.where(its > 0, blue * (albedo_b + gloss), blue)
+    onward_u, onward_v = u, v
+    left = tl.where(edge, 1.0, 0.0)
+    fronts = tl.zeros([BLOCK], tl.float32)
+    backs, s0, s1, s2, s3, s4, s5, s6, s7, s8 = (
+        fronts, fronts, fronts, fronts, fronts, fronts, fronts, fronts, fronts, fronts
+    )  # fmt: skip
+    for j in range(tl.where(tl.max(edge.to(tl.int32), axis=0) > 0, frames, 0)):
+        kept = frame_of(recent, j) + b * words * plane
+        u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
+        there, inside = end_of(u, v, y, x, edge, H, W)
+        red, green, blue, its, nx, ny, nz, reset, more_u, more_v = kept_at(kept, plane, there, inside)
+        albedo_r, albedo_g, albedo_b, _, _ = kept_edge_at(kept, plane, there, inside)
+        is_front = distance(its) < between
+        weight = tl.where(inside, left * (1 - tl.abs(u - whole(u))) * (1 - tl.abs(v - whole(v))), 0.0)
+        backs += tl.where(is_front, 0.0, weight)
+        weight = tl.where(is_front, weight, 0.0)
+        fronts += weight
+        red, green, blue = radiance(red, green, blue, albedo_r, albedo_g, albedo_b, its, gloss)
+        s0 += weight * red
+        s1 += weight * green
+        s2 += weight * blue
+        s3 += weight * albedo_r
+        s4 += weight * albedo_g
+        s5 += weight * albedo_b
+        s6 += weight * nx
+        s7 += weight * ny
+        s8 += weight * nz
+        left *= 1 - reset
+        onward_u, onward_v = tl.where(is_front, more_u, onward_u), tl.where(is_front, more_v, onward_v)
+        u, v = onward(u, v, onward_u, onward_v, inside, FAR_AWAY)
 
+    weights = 1 + fronts + backs
     for k in tl.static_range(9):
+        was = tl.load(seen + k * plane + at, mask=exists, other=0.0)
         back = tl.load(seen + k * plane + behind, mask=edge, other=0.0)
-        if FIRST:
-            total = tl.where(now_front, tl.load(now + (b * 9 + k) * plane + at, mask=exists, other=0.0), back)
-        else:
-            total = tl.load(out + k * plane, mask=edge, other=0.0)
-        value = (red if k == 0 else green if k == 1 else blue if k == 2 else albedo_r if k == 3 else albedo_g if k == 4
-                 else albedo_b if k == 5 else nx if k == 6 else ny if k == 7 else nz)  # fmt: skip
-        total += weight * tl.where(is_front, value, back)
-        if LAST:
-            was = tl.load(seen + k * plane + at, mask=exists, other=0.0)
-            total = total / weights
-            if k < 3:
-                total = tl.where(tl.abs(total - was) <= same * was, was, total)
-                total = was + light * (total - was)
-            total = tl.where(edge, total, was)
-        tl.store(out + k * plane, total, mask=exists)
+        of_now = now_light if k < 3 else now_albedo if k < 6 else now_normal
+        found = tl.load(of_now + now + k % 3 * plane, mask=edge & now_front, other=0.0)
+        total = (s0 if k == 0 else s1 if k == 1 else s2 if k == 2 else s3 if k == 3 else s4 if k == 4 else s5
+                 if k == 5 else s6 if k == 6 else s7 if k == 7 else s8)  # fmt: skip
+        total += tl.where(now_front, found, back) + tl.where(backs > 0, backs * back, 0.0)
+        total = total / weights
+        if k < 3:
+            total = tl.where(tl.abs(total - was) <= same * was, was, total)
+            total = was + light * (total - was)
+        tl.store(out + k * plane, tl.where(edge, total, was), mask=exists)
     tl.store(coverage, tl.where(edge & now_front, 1.0, 0.0), mask=exists)
-    tl.store(coverage + plane, tl.where(edge, fronts, 0.0), mask=exists)
-    tl.store(coverage + 2 * plane, tl.where(edge, weights - 1, 0.0), mask=exists)
-    tl.store(path, tl.where(inside, u + onward_u, FAR_AWAY), mask=exists)
-    tl.store(path + plane, tl.where(inside, v + onward_v, FAR_AWAY), mask=exists)
-    tl.store(path + 2 * plane, left * (1 - reset), mask=exists)
-    tl.store(path + 3 * plane, weights, mask=exists)
-    tl.store(path + 4 * plane, onward_u, mask=exists)
-    tl.store(path + 5 * plane, onward_v, mask=exists)
+    tl.store(coverage + plane, fronts, mask=exists)
+    tl.store(coverage + 2 * plane, fronts + backs, mask=exists)
 
 
 def over_and_coverage(
     seen: Tensor, now: Sequence[Tensor], motion: Tensor, depth: Tensor, recent: Sequence[Tensor]
 ) -> tuple[Tensor, Tensor]:
-    seen, now, motion, depth = (t.contiguous() for t in (seen, torch.cat(now, dim=1), motion, depth))
-    B, _, H, W = seen.shape
-    path, out, coverage = seen.new_empty(B, 6, H, W), torch.empty_like(seen), seen.new_empty(B, 3, H, W)
-    limits = OVER_APART, OVER_SPEED, OVER_SAME, OVER_LIGHT, GLOSS
-    for j, kept in enumerate(recent):
-        at = {"FIRST": j == 0, "LAST": j == len(recent) - 1, "BLOCK": BLOCK, "FAR_AWAY": FAR_AWAY}
-        _over[grid(B, H, W)](
-            seen, now, motion, depth, kept.contiguous(), path, out, coverage, H, W, kept.shape[1], *limits, **at
-        )
+    seen, motion, depth, (B, _, H, W) = seen.contiguous(), motion.contiguous(), depth.contiguous(), seen.shape
+    if [part.shape[1] for part in now] == [3, 3, 3]:
+        now, step = [part.contiguous() for part in now], 3
+    else:
+        now, step = torch.cat(now, dim=1).contiguous().split(3, dim=1), 9
+    frames, words = stacked(recent)
+    out, coverage = torch.empty_like(seen), seen.new_empty(B, 3, H, W)
+    _over[grid(B, H, W)](
+        seen, *now, motion, depth, frames, out, coverage, H, W, step, len(recent), words, OVER_APART, OVER_SPEED,
+        OVER_SAME, OVER_LIGHT, GLOSS, BLOCK=BLOCK, FAR_AWAY=FAR_AWAY,
+    )  # fmt: skip
     return out, coverage

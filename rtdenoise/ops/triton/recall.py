@@ -1,5 +1,5 @@
-"""`recall`. A frame after the other, kernels follow the paths and compare light over cells; what has not changed is
-summed up, and footprints follow paths of their own."""
+"""`recall` in three launches: paths lead through all kept frames and compare light over cells, the cells tell what has
+not changed, and that is summed up along the same paths, and along those of footprints."""
 
 from __future__ import annotations
 
@@ -24,7 +24,21 @@ from ...constants import (
 )
 from .alike import alike, surface_at
 from .common import BLOCK, grid, place
-from .path import beside, bounded, distance, end_of, kept_at, kept_edge_at, whole
+from .keep import keep as keep
+from .path import (
+    beside,
+    bounded,
+    distance,
+    edge_motion,
+    end_of,
+    frame_of,
+    kept_at,
+    kept_edge_at,
+    onward,
+    radiance,
+    stacked,
+    whole,
+)
 
 COLUMNS = 64  # of a program that sums over cells
 
@@ -35,9 +49,9 @@ def _root(light):
 
 
 @triton.jit
-def _look(light, depth, normal, kept, motion, path, found, cells, H, W, words, depth_tolerance, normal_tolerance,
-          FIRST: tl.constexpr, CELL: tl.constexpr, COLUMNS: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
-    """What a kept frame shows at the end of each path, the share that resets left of it, and sums over cells."""
+def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words, depth_tolerance, normal_tolerance,
+             CELL: tl.constexpr, COLUMNS: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
+    """Sums over cells of the differences between each kept frame and this one, and of their squares."""
     plane, rows = tl.cast(H, tl.int64) * W, tl.cdiv(H, CELL)
     b = (tl.program_id(1) // rows).to(tl.int64)
     row = tl.program_id(1) % rows
@@ -45,42 +59,31 @@ def _look(light, depth, normal, kept, motion, path, found, cells, H, W, words, d
     x = tl.program_id(0) * COLUMNS + tl.arange(0, COLUMNS)[None, :]
     exists = (y < H) & (x < W)
     at = y * W + x
-    path += b * 3 * plane + at
-    if FIRST:
-        u = tl.load(motion + b * 2 * plane + at, mask=exists, other=0.0)
-        v = tl.load(motion + (b * 2 + 1) * plane + at, mask=exists, other=0.0)
-        left = tl.where(exists, 1.0, 0.0)
-    else:
-        u, v = tl.load(path, mask=exists, other=0.0), tl.load(path + plane, mask=exists, other=0.0)
-        left = tl.load(path + 2 * plane, mask=exists, other=0.0)
-    u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
-    there, inside = end_of(u, v, y, x, exists, H, W)
-    kept += b * words * plane
-    red, green, blue, far, nx, ny, nz, reset, on_u, on_v = kept_at(kept, plane, there, inside)
-    d, hx, hy, hz = surface_at(depth + b * plane, normal + b * 3 * plane, plane, at, exists)
-    same = inside & alike(d, hx, hy, hz, far, nx, ny, nz, depth_tolerance, normal_tolerance)
-
-    found += b * 4 * plane + at
-    tl.store(found, red, mask=exists)
-    tl.store(found + plane, green, mask=exists)
-    tl.store(found + 2 * plane, blue, mask=exists)
-    tl.store(found + 3 * plane, tl.where(same, left, 0.0), mask=exists)
-    tl.store(path, tl.where(inside, u + on_u, FAR_AWAY), mask=exists)
-    tl.store(path + plane, tl.where(inside, v + on_v, FAR_AWAY), mask=exists)
-    tl.store(path + 2 * plane, left * (1 - reset), mask=exists)
-
+    u = tl.load(motion + b * 2 * plane + at, mask=exists, other=0.0)
+    v = tl.load(motion + (b * 2 + 1) * plane + at, mask=exists, other=0.0)
+    d, nx, ny, nz = surface_at(depth + b * plane, normal + b * 3 * plane, plane, at, exists)
     light += b * 3 * plane + at
-    r = tl.where(same, _root(red) - _root(tl.load(light, mask=exists, other=0.0)), 0.0)
-    g = tl.where(same, _root(green) - _root(tl.load(light + plane, mask=exists, other=0.0)), 0.0)
-    a = tl.where(same, _root(blue) - _root(tl.load(light + 2 * plane, mask=exists, other=0.0)), 0.0)
+    now_r = _root(tl.load(light, mask=exists, other=0.0))
+    now_g = _root(tl.load(light + plane, mask=exists, other=0.0))
+    now_b = _root(tl.load(light + 2 * plane, mask=exists, other=0.0))
     across = tl.cdiv(W, CELL)
     size = tl.cast(rows, tl.int64) * across
     cell = tl.program_id(0) * (COLUMNS // CELL) + tl.arange(0, COLUMNS // CELL)
-    cells += b * 4 * size + row * across + cell
-    for k in tl.static_range(4):
-        term = r if k == 0 else g if k == 1 else a if k == 2 else r * r + g * g + a * a
-        sums = tl.sum(tl.sum(tl.reshape(term, [CELL, COLUMNS // CELL, CELL]), axis=2), axis=0)
-        tl.store(cells + k * size, sums, mask=cell < across)
+    for j in range(frames):
+        u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
+        there, inside = end_of(u, v, y, x, exists, H, W)
+        kept = frame_of(recent, j) + b * words * plane
+        red, green, blue, its, its_x, its_y, its_z, _, more_u, more_v = kept_at(kept, plane, there, inside)
+        same = inside & alike(d, nx, ny, nz, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
+        r = tl.where(same, _root(red) - now_r, 0.0)
+        g = tl.where(same, _root(green) - now_g, 0.0)
+        a = tl.where(same, _root(blue) - now_b, 0.0)
+        of_frame = cells + (tl.cast(j, tl.int64) * B + b) * 4 * size + row * across + cell
+        for k in tl.static_range(4):
+            term = r if k == 0 else g if k == 1 else a if k == 2 else r * r + g * g + a * a
+            sums = tl.sum(tl.sum(tl.reshape(term, [CELL, COLUMNS // CELL, CELL]), axis=2), axis=0)
+            tl.store(of_frame + k * size, sums, mask=cell < across)
+        u, v = onward(u, v, more_u, more_v, inside, FAR_AWAY)
 
 
 @triton.jit
@@ -102,111 +105,109 @@ def _unchanged(cells, i, j, h, w, size, exists, SIDE: tl.constexpr, whole, none)
 
 
 @triton.jit
-def _stays(cells, stays, H, W, alike, changed, wide_alike, wide_changed, BLOCK: tl.constexpr):
-    """How far light has stayed as it is in each of H × W cells."""
+def _stays(cells, stays, H, W, B, alike, changed, wide_alike, wide_changed, BLOCK: tl.constexpr):
+    """How far light has stayed as it is in each of H × W cells, one kept frame a plane of programs."""
     b, y, x, exists = place(H, W, BLOCK)
     size = tl.cast(H, tl.int64) * W
-    cells += b * 4 * size
+    n = tl.cast(tl.program_id(2), tl.int64) * B + b
+    cells += n * 4 * size
     narrow = _unchanged(cells, y, x, H, W, size, exists, 1, alike, changed)
     wide = _unchanged(cells, y, x, H, W, size, exists, 2, wide_alike, wide_changed)
-    tl.store(stays + b * size + y * W + x, narrow * wide, mask=exists)
+    tl.store(stays + n * size + y * W + x, narrow * wide, mask=exists)
 
 
 @triton.jit
-def _mean(found, stays, mean, count, H, W, B, frames, CELL: tl.constexpr, BLOCK: tl.constexpr):
-    """The mean of what was found in all frames."""
+def _sum(depth, normal, motion, uncovered, misplaced, recent, stays, mean, count, seen, seen_count, H, W, B, frames,
+         words, depth_tolerance, normal_tolerance, edge_speed, gloss, FOOTPRINT: tl.constexpr, MISPLACED: tl.constexpr,
+         CELL: tl.constexpr, BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
+    """The means of what has not changed: of light, and with FOOTPRINT of all that was seen in the pixel."""
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
+    at = y * W + x
     across = tl.cdiv(W, CELL)
     size = tl.cast(tl.cdiv(H, CELL), tl.int64) * across
-    at, cell = y * W + x, y // CELL * across + x // CELL
-    r = tl.zeros([BLOCK], tl.float32)
-    g, a, total = r, r, r
+    stays += b * size + y // CELL * across + x // CELL
+    depth += b * plane
+    normal += b * 3 * plane
+    motion += b * 2 * plane
+    u = tl.load(motion + at, mask=exists, other=0.0)
+    v = tl.load(motion + plane + at, mask=exists, other=0.0)
+    d, nx, ny, nz = surface_at(depth, normal, plane, at, exists)
+    left = tl.where(exists, 1.0, 0.0)
+    total = tl.zeros([BLOCK], tl.float32)
+    r, g, a = total, total, total
+    if FOOTPRINT:
+        edge_u, edge_v, nearest = edge_motion(motion, depth, plane, y, x, exists, H, W, depth_tolerance, edge_speed)
+        belongs = exists & (tl.load(uncovered + b * plane + at, mask=exists, other=1) == 0)
+        less = tl.load(misplaced + b) if MISPLACED else 0.0
+        edge_left, edge_total = left, total
+        s0, s1, s2, s3, s4, s5, s6, s7, s8 = total, total, total, total, total, total, total, total, total
+        above = surface_at(depth, normal, plane, beside(y, x, 1, H, W), exists)
+        before = surface_at(depth, normal, plane, beside(y, x, 2, H, W), exists)
+        after = surface_at(depth, normal, plane, beside(y, x, 3, H, W), exists)
+        below = surface_at(depth, normal, plane, beside(y, x, 4, H, W), exists)
     for j in range(frames):
-        n = tl.cast(j, tl.int64) * B + b
-        here = found + n * 4 * plane + at
-        weight = tl.load(here + 3 * plane, mask=exists, other=0.0)
-        weight *= tl.load(stays + n * size + cell, mask=exists, other=0.0)
-        r += weight * tl.load(here, mask=exists, other=0.0)
-        g += weight * tl.load(here + plane, mask=exists, other=0.0)
-        a += weight * tl.load(here + 2 * plane, mask=exists, other=0.0)
+        kept = frame_of(recent, j) + b * words * plane
+        unchanged = tl.load(stays + tl.cast(j, tl.int64) * B * size, mask=exists, other=0.0)
+        u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
+        there, inside = end_of(u, v, y, x, exists, H, W)
+        red, green, blue, its, its_x, its_y, its_z, reset, more_u, more_v = kept_at(kept, plane, there, inside)
+        same = inside & alike(d, nx, ny, nz, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
+        weight = tl.where(same, left * unchanged, 0.0)
+        r += weight * red
+        g += weight * green
+        a += weight * blue
         total += weight
+        left *= 1 - reset
+        u, v = onward(u, v, more_u, more_v, inside, FAR_AWAY)
+        if FOOTPRINT:
+            edge_u, edge_v = bounded(edge_u, FAR_AWAY), bounded(edge_v, FAR_AWAY)
+            there, inside = end_of(edge_u, edge_v, y, x, exists, H, W)
+            red, green, blue, its, its_x, its_y, its_z, reset, _, _ = kept_at(kept, plane, there, inside)
+            albedo_r, albedo_g, albedo_b, more_u, more_v = kept_edge_at(kept, plane, there, inside)
+            shown = alike(d, nx, ny, nz, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
+            shown |= _of(above, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
+            shown |= _of(before, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
+            shown |= _of(after, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
+            shown |= _of(below, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
+            shown &= inside & belongs & (distance(its) >= (1 - depth_tolerance) * nearest)
+            du, dv = tl.abs(edge_u - whole(edge_u)), tl.abs(edge_v - whole(edge_v))
+            weight = unchanged * edge_left * (1 - du) * (1 - dv)
+            if MISPLACED:
+                weight = weight / (1 + less * (du * du + dv * dv))
+            weight = tl.where(shown, weight, 0.0)
+            red, green, blue = radiance(red, green, blue, albedo_r, albedo_g, albedo_b, its, gloss)
+            s0 += weight * red
+            s1 += weight * green
+            s2 += weight * blue
+            s3 += weight * albedo_r
+            s4 += weight * albedo_g
+            s5 += weight * albedo_b
+            s6 += weight * its_x
+            s7 += weight * its_y
+            s8 += weight * its_z
+            edge_total += weight
+            edge_left *= 1 - reset
+            edge_u, edge_v = onward(edge_u, edge_v, more_u, more_v, inside, FAR_AWAY)
     divisor = tl.maximum(total, 1e-6)
     mean += b * 3 * plane + at
     tl.store(mean, r / divisor, mask=exists)
     tl.store(mean + plane, g / divisor, mask=exists)
     tl.store(mean + 2 * plane, a / divisor, mask=exists)
     tl.store(count + b * plane + at, total, mask=exists)
+    if FOOTPRINT:
+        divisor = tl.maximum(edge_total, 1e-6)
+        seen += b * 9 * plane + at
+        for k in tl.static_range(9):
+            value = (s0 if k == 0 else s1 if k == 1 else s2 if k == 2 else s3 if k == 3 else s4 if k == 4 else s5
+                     if k == 5 else s6 if k == 6 else s7 if k == 7 else s8)  # fmt: skip
+            tl.store(seen + k * plane, value / divisor, mask=exists)
+        tl.store(seen_count + b * plane + at, edge_total, mask=exists)
 
 
 @triton.jit
-def _see(depth, normal, motion, uncovered, misplaced, kept, stays, path, seen, count, H, W, words, depth_tolerance,
-         normal_tolerance, edge_speed, gloss, FIRST: tl.constexpr, LAST: tl.constexpr, CELL: tl.constexpr,
-         BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
-    """Add to each footprint what a kept frame saw along the path of the edge in the pixel."""
-    b, y, x, exists = place(H, W, BLOCK)
-    plane = tl.cast(H, tl.int64) * W
-    at = y * W + x
-    depth += b * plane
-    normal += b * 3 * plane
-    path += b * 4 * plane + at
-    seen += b * 9 * plane + at
-    count += b * plane + at
-    if FIRST:
-        motion += b * 2 * plane
-        own_u = tl.load(motion + at, mask=exists, other=0.0)
-        own_v = tl.load(motion + plane + at, mask=exists, other=0.0)
-        own = distance(tl.load(depth + at, mask=exists, other=0.0))
-        u, v, nearest = own_u, own_v, own
-        for k in tl.static_range(1, 5):
-            other_at = beside(y, x, k, H, W)
-            other = distance(tl.load(depth + other_at, mask=exists, other=0.0))
-            nearer = other < (1 - depth_tolerance) * nearest
-            u = tl.where(nearer, tl.load(motion + other_at, mask=exists, other=0.0), u)
-            v = tl.where(nearer, tl.load(motion + plane + other_at, mask=exists, other=0.0), v)
-            nearest = tl.where(nearer, other, nearest)
-        slow = (u - own_u) * (u - own_u) + (v - own_v) * (v - own_v) <= edge_speed * edge_speed
-        u, v, nearest = tl.where(slow, u, own_u), tl.where(slow, v, own_v), tl.where(slow, nearest, own)
-        left = tl.where(exists, 1.0, 0.0)
-        tl.store(path + 3 * plane, nearest, mask=exists)
-    else:
-        u, v = tl.load(path, mask=exists, other=0.0), tl.load(path + plane, mask=exists, other=0.0)
-        left = tl.load(path + 2 * plane, mask=exists, other=0.0)
-        nearest = tl.load(path + 3 * plane, mask=exists, other=0.0)
-    u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
-    there, inside = end_of(u, v, y, x, exists, H, W)
-    kept += b * words * plane
-    red, green, blue, far, nx, ny, nz, reset, _, _ = kept_at(kept, plane, there, inside)
-    albedo_r, albedo_g, albedo_b, on_u, on_v = kept_edge_at(kept, plane, there, inside)
-
-    shown = tl.zeros([BLOCK], tl.int1)
-    for k in tl.static_range(5):
-        d, hx, hy, hz = surface_at(depth, normal, plane, beside(y, x, k, H, W), exists)
-        shown = shown | alike(d, hx, hy, hz, far, nx, ny, nz, depth_tolerance, normal_tolerance)
-    shown = shown & (distance(far) >= (1 - depth_tolerance) * nearest) & inside
-    shown = shown & (tl.load(uncovered + b * plane + at, mask=exists, other=1) == 0)
-    du, dv = tl.abs(u - whole(u)), tl.abs(v - whole(v))
-    across = tl.cdiv(W, CELL)
-    size = tl.cast(tl.cdiv(H, CELL), tl.int64) * across
-    weight = tl.load(stays + b * size + y // CELL * across + x // CELL, mask=exists, other=0.0)
-    weight *= left * (1 - du) * (1 - dv) / (1 + tl.load(misplaced + b) * (du * du + dv * dv))
-    weight = tl.where(shown, weight, 0.0)
-    red = tl.where(far > 0, red * (albedo_r + gloss), red)
-    green = tl.where(far > 0, green * (albedo_g + gloss), green)
-    blue = tl.where(far > 0, blue * (albedo_b + gloss), blue)
-
-    total = weight if FIRST else weight + tl.load(count, mask=exists, other=0.0)
-    tl.store(count, total, mask=exists)
-    divisor = tl.maximum(total, 1e-6) if LAST else 1.0
-    for k in tl.static_range(9):
-        value = (red if k == 0 else green if k == 1 else blue if k == 2 else albedo_r if k == 3 else albedo_g if k == 4
-                 else albedo_b if k == 5 else nx if k == 6 else ny if k == 7 else nz)  # fmt: skip
-        value = tl.where(shown, weight * value, 0.0)
-        value = value if FIRST else value + tl.load(seen + k * plane, mask=exists, other=0.0)
-        tl.store(seen + k * plane, value / divisor, mask=exists)
-    tl.store(path, tl.where(inside, u + on_u, FAR_AWAY), mask=exists)
-    tl.store(path + plane, tl.where(inside, v + on_v, FAR_AWAY), mask=exists)
-    tl.store(path + 2 * plane, left * (1 - reset), mask=exists)
+def _of(surface, depth, x, y, z, depth_tolerance, normal_tolerance):
+    return alike(surface[0], surface[1], surface[2], surface[3], depth, x, y, z, depth_tolerance, normal_tolerance)
 
 
 def recall(
@@ -219,29 +220,25 @@ def recall(
     misplaced: Tensor | None,
 ) -> tuple[Tensor, ...]:
     light, motion, depth, normal = (t.contiguous() for t in (light, motion, depth, normal))
-    recent = [kept.contiguous() for kept in recent]
     B, _, H, W = light.shape
     K, h, w = len(recent), triton.cdiv(H, RECALL_CELL), triton.cdiv(W, RECALL_CELL)
-    path, found = light.new_empty(B, 3, H, W), light.new_empty(K, B, 4, H, W)
+    recent, words = stacked(recent)
     cells, stays = light.new_empty(K, B, 4, h, w), light.new_empty(K, B, h, w)
     tests = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
     tolerances, far = (DEPTH_TOLERANCE, MIN_NORMAL_COSINE), {"CELL": RECALL_CELL, "FAR_AWAY": FAR_AWAY}
-    for j, kept in enumerate(recent):
-        _look[triton.cdiv(W, COLUMNS), B * h](
-            light, depth, normal, kept, motion, path, found[j], cells[j], H, W, kept.shape[1], *tolerances,
-            FIRST=j == 0, COLUMNS=COLUMNS, **far,
-        )  # fmt: skip
-        _stays[grid(B, h, w)](cells[j], stays[j], h, w, *tests, BLOCK=BLOCK)
-    mean, count = torch.empty_like(light), torch.empty_like(depth)
-    _mean[grid(B, H, W)](found, stays, mean, count, H, W, B, K, CELL=RECALL_CELL, BLOCK=BLOCK)
-    if uncovered is None:
-        return mean, count
-    uncovered = uncovered.contiguous().view(torch.uint8)
-    less = light.new_zeros(B) if misplaced is None else misplaced.expand(B, 1, 1, 1).reshape(B).contiguous()
-    path, seen, weights = light.new_empty(B, 4, H, W), light.new_empty(B, 9, H, W), torch.empty_like(depth)
-    for j, kept in enumerate(recent):
-        _see[grid(B, H, W)](
-            depth, normal, motion, uncovered, less, kept, stays[j], path, seen, weights, H, W, kept.shape[1],
-            *tolerances, RECALL_EDGE_SPEED, GLOSS, FIRST=j == 0, LAST=j == K - 1, BLOCK=BLOCK, **far,
-        )  # fmt: skip
-    return mean, count, seen, weights
+    counts = H, W, B, K, words
+    _compare[triton.cdiv(W, COLUMNS), B * h](
+        light, depth, normal, motion, recent, cells, *counts, *tolerances, COLUMNS=COLUMNS, **far
+    )
+    _stays[*grid(B, h, w), K](cells, stays, h, w, B, *tests, BLOCK=BLOCK)
+    results = torch.empty_like(light), torch.empty_like(depth)
+    masks = depth, depth  # not read
+    if uncovered is not None:
+        less = depth if misplaced is None else misplaced.expand(B, 1, 1, 1).reshape(B).contiguous()
+        masks = uncovered.contiguous().view(torch.uint8), less
+        results += light.new_empty(B, 9, H, W), torch.empty_like(depth)
+    _sum[grid(B, H, W)](
+        depth, normal, motion, *masks, recent, stays, *results, *results[:4 - len(results)], *counts, *tolerances,
+        RECALL_EDGE_SPEED, GLOSS, FOOTPRINT=uncovered is not None, MISPLACED=misplaced is not None, BLOCK=BLOCK, **far,
+    )  # fmt: skip
+    return results
