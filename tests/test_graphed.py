@@ -383,8 +383,9 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(config, monkeypat
     launched = set()
     kernels = {
         "apply_kernel": "_forward", "compose": "_compose", "downsample": "_downsample", "fetch": "_fetch",
-        "reproject": "_reproject", "soften": "_soften", "warp": "_warp", "recall": "_look _stays _mean _see",
-        "over": "_over", "around": "_bounds _within", "mix": "_told _mix",
+        "reproject": "_reproject", "soften": "_soften", "warp": "_warp", "recall": "_compare _stays _sum",
+        "over": "_over", "keep": "_keep", "history_motion": "_history_motion", "around": "_bounds _within",
+        "mix": "_told _mix",
     }  # fmt: skip
 
     class Kernel:
@@ -401,7 +402,7 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(config, monkeypat
     model = models.create(config).eval().requires_grad_(False).to("meta")
     with capturable(), ops.use("auto"):
         every_kind_of_step(model)
-    expected = {"_forward", "_warp", "_fetch", "_downsample", "_compose"}
+    expected = {"_forward", "_warp", "_fetch", "_downsample", "_compose", "_history_motion"}
     expected |= {"_reproject", "_soften"} if isinstance(model, models.AccumulatedKPN) else set()
     assert launched == (set(" ".join(kernels.values()).split()) if config.recent else expected)
 

@@ -686,27 +686,26 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     sizes = {n: "i32" for n in "HW" if n not in one}
     build(_forward, dict(K=3, KEEP=True, **C, **one), logits="*bf16", **sizes, **strides)
     build(_backward, dict(K=3, **C, **one), **sizes, **strides)
-    build(_fetch, {**C, **one}, **sizes)
-    for cubic in (False, True):
-        build(_warp, dict(CUBIC=cubic, **C, **one), **sizes)
+    build(_fetch, dict(C=3, BLOCK=128, **one), **sizes)
+    for yes in (False, True):
+        build(_warp, dict(CUBIC=yes, CHOICE=yes, C=3, BLOCK=128, **one), seen="*u8", **sizes)
     build(_downsample, dict(MAXIMUM=False, BLOCK=128, **one), **sizes)
     build(_compose, dict(C=3, MAXIMUM=True, BLOCK=128, **one), **sizes)
     build(_soften, dict(C=3, BLOCK=128, **one), **sizes)
-    build(_reproject, dict(C=7, CP=8, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1e6, **one), valid="*u8",
-          depth_tolerance="fp32", normal_tolerance="fp32", **sizes)
     near = dict(depth_tolerance="fp32", normal_tolerance="fp32", **sizes)
+    build(_reproject, dict(COUNTS=(3, 1), TOTAL=4, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1e6, **one),
+          stored=("*fp32",) * 2, valid="*u8", **near)
     masks = dict(seen="*u8", uncovered="*u8", threshold="fp32")
-    for images in ({}, dict(B=1, frames=1)):
-        paths, more = dict(FAR_AWAY=1e6, **one, **images), {"B", "frames"} - {*images}
-        counts = dict(words="i32", step="i32", recent=("*i32",) * 8, **dict.fromkeys(more, "i32"))
-        build(_compare, dict(CELL=4, COLUMNS=64, **paths), **near, **counts)
-        build(_stays, {"BLOCK": 128, **one, **{n: v for n, v in images.items() if n == "B"}}, **sizes, **counts,
-              **dict.fromkeys("alike changed wide_alike wide_changed".split(), "fp32"))
-        for yes in (False, True):
-            build(_sum, dict(CELL=4, FOOTPRINT=yes, MISPLACED=yes, BLOCK=128, **paths), uncovered="*u8",
-                  edge_speed="fp32", gloss="fp32", **near, **counts)
-        build(_over, {"BLOCK": 128, **{n: v for n, v in paths.items() if n != "B"}}, **sizes, **counts,
-              **dict.fromkeys("apart speed same light gloss".split(), "fp32"))
+    images = dict(B=1, frames=1) if one else {}
+    counts = dict(words="i32", step="i32", recent=("*i32",) * 8, **dict.fromkeys({"B", "frames"} - {*images}, "i32"))
+    build(_compare, dict(CELL=4, COLUMNS=64, FAR_AWAY=1e6, **one, **images), **near, **counts)
+    build(_stays, dict(BLOCK=128, **{n: v for n, v in {**one, **images}.items() if n in "HWB"}), **sizes, **counts,
+          **dict.fromkeys("alike changed wide_alike wide_changed".split(), "fp32"))
+    for yes in (False, True):
+        build(_sum, dict(CELL=4, FOOTPRINT=yes, MISPLACED=yes, BLOCK=128, FAR_AWAY=1e6, **one, **images),
+              uncovered="*u8", edge_speed="fp32", gloss="fp32", **near, **counts)
+    build(_over, dict(BLOCK=128, FAR_AWAY=1e6, **{n: v for n, v in {**one, **images}.items() if n != "B"}), **sizes,
+          **counts, **dict.fromkeys("apart speed same light gloss".split(), "fp32"))
     for first in (False, True):
         build(_keep, dict(WORDS=8, FOOTPRINT=first, BLOCK=128, **one), kept="*i32", edge_speed="fp32", **near)
         for shift in (False, True):

@@ -9,45 +9,60 @@ from torch import Tensor
 
 from ...constants import FAR_AWAY, MIN_HISTORY_WEIGHT
 from .alike import alike, surface_at
-from .common import constants, grid, place
+from .common import BLOCK, grid, place
+from .path import bounded
 
 
 @triton.jit
-def _bounded(motion, FAR_AWAY: tl.constexpr):
-    return tl.where(motion != motion, FAR_AWAY, tl.minimum(tl.maximum(motion, -FAR_AWAY), FAR_AWAY))
+def _tap(TAP: tl.constexpr, u, v, depth_before, normal_before, plane, d, nx, ny, nz, exists, H, W, depth_tolerance,
+         normal_tolerance):  # fmt: skip
+    """The bilinear weight of one of the four pixels around a target, if it shows the same surface; its place, -1 off
+    the screen."""
+    left, top = tl.floor(u), tl.floor(v)
+    f, g = u - left, v - top
+    i, j = top.to(tl.int32) + TAP // 2, left.to(tl.int32) + TAP % 2
+    inside = exists & (i >= 0) & (i < H) & (j >= 0) & (j < W)
+    at = i * W + j
+    wd, wx, wy, wz = surface_at(depth_before, normal_before, plane, at, inside)
+    same = inside & alike(d, nx, ny, nz, wd, wx, wy, wz, depth_tolerance, normal_tolerance)
+    weight = (f if TAP % 2 else 1 - f) * (g if TAP // 2 else 1 - g)
+    return tl.where(same, weight, 0.0), tl.where(inside, at, -1)
 
 
 @triton.jit
 def _reproject(stored, motion, depth, normal, depth_before, normal_before, out, valid, H, W, depth_tolerance,
-               normal_tolerance, C: tl.constexpr, CP: tl.constexpr, BLOCK: tl.constexpr, MIN_HISTORY_WEIGHT:
+               normal_tolerance, COUNTS: tl.constexpr, TOTAL: tl.constexpr, BLOCK: tl.constexpr, MIN_HISTORY_WEIGHT:
                tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
+    """`stored`: images of COUNTS channels, TOTAL together."""
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
-    c = tl.arange(0, CP)
     pixel = y * W + x
-    channels = b * C * plane + c[None, :] * plane
-    u = _bounded(tl.load(motion + b * 2 * plane + pixel, mask=exists, other=0.0), FAR_AWAY) + x
-    v = _bounded(tl.load(motion + (b * 2 + 1) * plane + pixel, mask=exists, other=0.0), FAR_AWAY) + y
-    left, top = tl.floor(u), tl.floor(v)
-    f, g = u - left, v - top
+    u = bounded(tl.load(motion + b * 2 * plane + pixel, mask=exists, other=0.0), FAR_AWAY) + x
+    v = bounded(tl.load(motion + (b * 2 + 1) * plane + pixel, mask=exists, other=0.0), FAR_AWAY) + y
     d, nx, ny, nz = surface_at(depth + b * plane, normal + b * 3 * plane, plane, pixel, exists)
-    total = tl.zeros([BLOCK], tl.float32)
-    found = tl.zeros([BLOCK, CP], tl.float32)
-    for tap in tl.static_range(4):
-        i, j = top.to(tl.int32) + tap // 2, left.to(tl.int32) + tap % 2
-        inside = exists & (i >= 0) & (i < H) & (j >= 0) & (j < W)
-        at = i * W + j
-        wd, wx, wy, wz = surface_at(depth_before + b * plane, normal_before + b * 3 * plane, plane, at, inside)
-        same = inside & alike(d, nx, ny, nz, wd, wx, wy, wz, depth_tolerance, normal_tolerance)
-        across = f if tap % 2 else 1 - f
-        weight = tl.where(same, across * (g if tap // 2 else 1 - g), 0.0)
-        total += weight
-        values = tl.load(stored + channels + at[:, None], mask=inside[:, None] & (c[None, :] < C), other=0.0)
-        found += weight[:, None] * values
+    depth_before += b * plane
+    normal_before += b * 3 * plane
+    w0, at0 = _tap(0, u, v, depth_before, normal_before, plane, d, nx, ny, nz, exists, H, W, depth_tolerance,
+                   normal_tolerance)  # fmt: skip
+    w1, at1 = _tap(1, u, v, depth_before, normal_before, plane, d, nx, ny, nz, exists, H, W, depth_tolerance,
+                   normal_tolerance)  # fmt: skip
+    w2, at2 = _tap(2, u, v, depth_before, normal_before, plane, d, nx, ny, nz, exists, H, W, depth_tolerance,
+                   normal_tolerance)  # fmt: skip
+    w3, at3 = _tap(3, u, v, depth_before, normal_before, plane, d, nx, ny, nz, exists, H, W, depth_tolerance,
+                   normal_tolerance)  # fmt: skip
+    total = w0 + w1 + w2 + w3
     enough = total >= MIN_HISTORY_WEIGHT
     scale = tl.where(enough, 1 / tl.maximum(total, MIN_HISTORY_WEIGHT), 0.0)
-    real = exists[:, None] & (c[None, :] < C)
-    tl.store(out + channels + pixel[:, None], found * scale[:, None], mask=real)
+    out += b * TOTAL * plane + pixel
+    for n in tl.static_range(len(stored)):
+        for c in range(COUNTS[n]):
+            source = stored[n] + (b * COUNTS[n] + c) * plane
+            found = w0 * tl.load(source + at0, mask=at0 >= 0, other=0.0)
+            found += w1 * tl.load(source + at1, mask=at1 >= 0, other=0.0)
+            found += w2 * tl.load(source + at2, mask=at2 >= 0, other=0.0)
+            found += w3 * tl.load(source + at3, mask=at3 >= 0, other=0.0)
+            tl.store(out, found * scale, mask=exists)
+            out += plane
     tl.store(valid + b * plane + pixel, enough.to(tl.uint8), mask=exists)
 
 
@@ -56,9 +71,12 @@ def reproject(
 ) -> tuple[Tensor, Tensor]:
     """`geometry` is depth and normal, then those of the previous frame; `tolerances` is that of depth, then of
     normals."""
-    stored, motion, *geometry = (t.contiguous() for t in (torch.cat(stored, dim=1), motion, *geometry))
-    B, C, H, W = stored.shape
-    out, valid = torch.empty_like(stored), torch.empty(B, 1, H, W, dtype=torch.uint8, device=stored.device)
-    limits = {"MIN_HISTORY_WEIGHT": MIN_HISTORY_WEIGHT, "FAR_AWAY": FAR_AWAY}
-    _reproject[grid(B, H, W)](stored, motion, *geometry, out, valid, H, W, *tolerances, **constants(C), **limits)
+    motion, *geometry = (t.contiguous() for t in (motion, *geometry))
+    B, _, H, W = motion.shape
+    counts = tuple(image.shape[1] for image in stored)
+    out, valid = motion.new_empty(B, sum(counts), H, W), motion.new_empty(B, 1, H, W, dtype=torch.uint8)
+    _reproject[grid(B, H, W)](
+        tuple(image.contiguous() for image in stored), motion, *geometry, out, valid, H, W, *tolerances, COUNTS=counts,
+        TOTAL=sum(counts), BLOCK=BLOCK, MIN_HISTORY_WEIGHT=MIN_HISTORY_WEIGHT, FAR_AWAY=FAR_AWAY,
+    )  # fmt: skip
     return out, valid.view(torch.bool)
