@@ -28,6 +28,7 @@ from rtdenoise.ops.features import features
 from rtdenoise.ops.max_pool import max_pool
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
+from rtdenoise.ops.off_pixel import off_pixel
 from rtdenoise.ops.over import over, over_and_coverage
 from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.shares import shares
@@ -190,6 +191,14 @@ def test_recall(both, backend, assert_images_close, size, count):
             sure = weight > 1  # dividing by less magnifies rounding
             assert_images_close(fused_mean * sure, mean * sure, "float32 quotient")
             assert weight.any() or min(size) < 4
+
+
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+def test_lookups_off_the_pixel_by_noise(both, assert_images_close):
+    noise = torch.tensor([0.0, 1e-9, 0.01, 0.25, 0.3, 8.0, math.inf]).view(-1, 1, 1, 1)
+    plain, fused = both(off_pixel, noise)
+    assert_images_close(fused, plain, "float32")
+    assert plain[0] > 1e6 and not plain[3:].any()
 
 
 @pytest.mark.parametrize("backend, size, count", RECALLED, indirect=["backend"], ids=str)
@@ -665,6 +674,7 @@ from rtdenoise.ops.triton.max_pool import _max_pool
 from rtdenoise.ops.triton.history_motion import _history_motion
 from rtdenoise.ops.triton.keep import _keep
 from rtdenoise.ops.triton.mix import _mix, _told
+from rtdenoise.ops.triton.off_pixel import _off_pixel
 from rtdenoise.ops.triton.over import _over
 from rtdenoise.ops.triton.recall import _compare, _stays, _sum
 from rtdenoise.ops.triton.reproject import _reproject
@@ -698,7 +708,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     masks = dict(seen="*u8", uncovered="*u8", threshold="fp32")
     images = dict(B=1, frames=1) if one else {}
     counts = dict(words="i32", step="i32", recent=("*i32",) * 8, **dict.fromkeys({"B", "frames"} - {*images}, "i32"))
-    build(_compare, dict(CELL=4, COLUMNS=64, FAR_AWAY=1e6, **one, **images), **near, **counts)
+    build(_compare, dict(CELL=4, COLUMNS=32, FAR_AWAY=1e6, **one, **images), **near, **counts)
     build(_stays, dict(BLOCK=128, **{n: v for n, v in {**one, **images}.items() if n in "HWB"}), **sizes, **counts,
           **dict.fromkeys("alike changed wide_alike wide_changed".split(), "fp32"))
     for yes in (False, True):
@@ -706,6 +716,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
               uncovered="*u8", edge_speed="fp32", gloss="fp32", **near, **counts)
     build(_over, dict(BLOCK=128, FAR_AWAY=1e6, **{n: v for n, v in {**one, **images}.items() if n != "B"}), **sizes,
           **counts, **dict.fromkeys("apart speed same light gloss".split(), "fp32"))
+    build(_off_pixel, dict(BLOCK=128, **({"count": 1} if one else {})), share="fp32", less="fp32", count="i32")
     for first in (False, True):
         build(_keep, dict(WORDS=8, FOOTPRINT=first, BLOCK=128, **one), kept="*i32", edge_speed="fp32", **near)
         for shift in (False, True):

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from ..constants import RECALL_MISPLACED, RECALL_NOISY
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
+from ..ops.off_pixel import off_pixel
 from ..ops.over import over, over_and_coverage
 from ..ops.pixels import accumulate, demodulate
 from ..ops.recall import Recalled, keep, recall
@@ -118,7 +118,7 @@ def _joined(a: Tensor, n: Tensor, b: Tensor, m: Tensor) -> tuple[Tensor, Tensor]
 def misplaced(frame: Frame, known: Known) -> Tensor:
     """How much less lookups off the pixel count, `[B, 1, 1, 1]` (`ops.recall`): the less noise, the more."""
     noise = noise_level(frame.radiance, frame.depth) if known.noise is None else known.noise
-    return RECALL_MISPLACED * (1 / noise.clamp(min=1e-6) - 1 / RECALL_NOISY).clamp(min=0)
+    return off_pixel(noise)
 
 
 def shifted(frame: Frame, history: History | None, known: Known) -> Known:

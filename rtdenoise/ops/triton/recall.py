@@ -40,7 +40,7 @@ from .path import (
     whole,
 )
 
-COLUMNS = 64  # of a program that sums over cells
+COLUMNS = 32  # of a program that sums over cells: one warp, so that sums need no shared memory
 
 
 @triton.jit
@@ -55,8 +55,9 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
     plane, rows = tl.cast(H, tl.int64) * W, tl.cdiv(H, CELL)
     b = (tl.program_id(1) // rows).to(tl.int64)
     row = tl.program_id(1) % rows
-    y = row * CELL + tl.arange(0, CELL)[:, None]
-    x = tl.program_id(0) * COLUMNS + tl.arange(0, COLUMNS)[None, :]
+    cell = tl.program_id(0) * (COLUMNS // CELL) + tl.arange(0, COLUMNS // CELL)
+    y = row * CELL + tl.arange(0, CELL)[:, None, None]
+    x = cell[None, :, None] * CELL + tl.arange(0, CELL)[None, None, :]
     exists = (y < H) & (x < W)
     at = y * W + x
     u = tl.load(motion + b * 2 * plane + at, mask=exists, other=0.0)
@@ -68,7 +69,6 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
     now_b = _root(tl.load(light + 2 * plane, mask=exists, other=0.0))
     across = tl.cdiv(W, CELL)
     size = tl.cast(rows, tl.int64) * across
-    cell = tl.program_id(0) * (COLUMNS // CELL) + tl.arange(0, COLUMNS // CELL)
     for j in range(frames):
         u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
         there, inside = end_of(u, v, y, x, exists, H, W)
@@ -81,8 +81,7 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
         of_frame = cells + (tl.cast(j, tl.int64) * B + b) * 4 * size + row * across + cell
         for k in tl.static_range(4):
             term = r if k == 0 else g if k == 1 else a if k == 2 else r * r + g * g + a * a
-            sums = tl.sum(tl.sum(tl.reshape(term, [CELL, COLUMNS // CELL, CELL]), axis=2), axis=0)
-            tl.store(of_frame + k * size, sums, mask=cell < across)
+            tl.store(of_frame + k * size, tl.sum(tl.sum(term, axis=2), axis=0), mask=cell < across)
         u, v = onward(u, v, more_u, more_v, inside, FAR_AWAY)
 
 
@@ -228,7 +227,7 @@ def recall(
     tolerances, far = (DEPTH_TOLERANCE, MIN_NORMAL_COSINE), {"CELL": RECALL_CELL, "FAR_AWAY": FAR_AWAY}
     counts = H, W, B, K, words
     _compare[triton.cdiv(W, COLUMNS), B * h](
-        light, depth, normal, motion, recent, cells, *counts, *tolerances, COLUMNS=COLUMNS, **far
+        light, depth, normal, motion, recent, cells, *counts, *tolerances, COLUMNS=COLUMNS, num_warps=1, **far
     )
     _stays[*grid(B, h, w), K](cells, stays, h, w, B, *tests, BLOCK=BLOCK)
     results = torch.empty_like(light), torch.empty_like(depth)
