@@ -307,7 +307,10 @@ def test_luminance_of_blocks(both, assert_images_close, size):
             assert_images_close(a[..., None, None], b[..., None, None], "float32")
 
 
-@pytest.mark.parametrize("size", [*SIZES, (8, 1100)], ids=str)
+SKIES = [("native", size) for size in [*SIZES, (8, 1100)]] + [("triton", size) for size in [(1, 1), (10, 66)]]
+
+
+@pytest.mark.parametrize("backend, size", SKIES, indirect=["backend"], ids=str)
 @pytest.mark.parametrize("hits", [0.0, 0.002, 0.2])
 def test_an_even_sky_is_kept_alike(both, size, hits):
     depth = (torch.rand(2, 1, *size) < hits).float()
@@ -669,6 +672,7 @@ from rtdenoise.ops.triton.compose import _compose
 from rtdenoise.ops.triton.soften import _soften
 from rtdenoise.ops.triton.downsample import _downsample
 from rtdenoise.ops.triton.around import _bounds, _within
+from rtdenoise.ops.triton.even_sky import _blocks, _even_sky
 from rtdenoise.ops.triton.fetch import _fetch
 from rtdenoise.ops.triton.max_pool import _max_pool
 from rtdenoise.ops.triton.history_motion import _history_motion
@@ -729,6 +733,8 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_to_planes, dict(O=3, CHANNELS=32, PRECISION="tf32", PADDED=16, BLOCK=128, **one), **half, **steps, **sizes)
     build(_within, dict(CELL=16, BLOCK=128, **one), C="i32", **sizes)
     build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
+    build(_blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
+    build(_even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)

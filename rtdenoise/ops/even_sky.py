@@ -9,8 +9,9 @@ from torch.nn import functional as F
 from ..constants import SKY_BLOCK, SKY_TOLERANCE
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("even_sky", native=Support(channels={"image": (3,), "radiance": (3,), "depth": (1,)}))
-MAX_WIDTH = 1 << 16  # pixels: the fused op has values of a whole row on its stack
+IMAGES = {"image": (3,), "radiance": (3,), "depth": (1,)}
+FUSED = Fused("even_sky", native=Support(channels=IMAGES), triton=Support(channels=IMAGES))
+MAX_WIDTH = 1 << 16  # pixels: the fused op in C has values of a whole row on its stack
 
 
 @falls_back
