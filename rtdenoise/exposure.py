@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
-from .color import luminance
-from .constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, FIREFLY_LIMIT, MIN_BRIGHTNESS, NOISE_WINDOW, NOISE_WINDOWS
+from .constants import BRIGHTNESS_BLOCK, FIREFLY_LIMIT, NOISE_WINDOW
 from .ops.block_luminance import block_luminance
+from .ops.dim import dim
+from .ops.ranks import exposure_of, kth_greatest, median
+from .ops.window_noise import window_noise
 
 
 def exposure(radiance: Tensor, block: int = BRIGHTNESS_BLOCK) -> Tensor:
@@ -20,8 +21,7 @@ def exposure(radiance: Tensor, block: int = BRIGHTNESS_BLOCK) -> Tensor:
     only. Frames darker than `MIN_BRIGHTNESS` count as black and get its exposure.
     """
     means, _ = block_luminance(radiance, block)
-    kept = means.sort(dim=1).values[:, : max(1, int(means.shape[1] * BRIGHTNESS_SHARE))]
-    return 1 / kept.mean(dim=1).clamp(min=MIN_BRIGHTNESS).reshape(-1, 1, 1, 1)
+    return exposure_of(means)
 
 
 def noise_level(radiance: Tensor, depth: Tensor) -> Tensor:
@@ -30,15 +30,9 @@ def noise_level(radiance: Tensor, depth: Tensor) -> Tensor:
     there are none. Most windows hold no edge, so that it falls with the number of samples: from 0.3 to 8 at 1 sample a
     pixel to 0.04 to 0.4 at 64.
     """
-    light = radiance.mean(1, keepdim=True)
-    if min(light.shape[2:]) < NOISE_WINDOW:
-        return torch.full_like(light[..., :1, :1], torch.inf)
-    mean, square = (F.avg_pool2d(x, NOISE_WINDOW, NOISE_WINDOWS) for x in (light, light.square()))
-    hit = F.max_pool2d(-depth, NOISE_WINDOW, NOISE_WINDOWS) < 0
-    count = NOISE_WINDOW**2
-    relative = (square / mean.square().clamp(min=1e-30) - 1).clamp(min=0) * count / (count - 1)
-    median = torch.where(hit & (mean > 0), relative, torch.nan).flatten(1).nanmedian(1).values
-    return median.nan_to_num(nan=torch.inf).view(-1, 1, 1, 1)
+    if min(radiance.shape[2:]) < NOISE_WINDOW:
+        return torch.full_like(radiance[:, :1, :1, :1], torch.inf)
+    return median(window_noise(radiance, depth))
 
 
 def limit_fireflies(radiance: Tensor, limit: float = FIREFLY_LIMIT, block: int = BRIGHTNESS_BLOCK) -> Tensor:
@@ -53,18 +47,7 @@ def limit_fireflies(radiance: Tensor, limit: float = FIREFLY_LIMIT, block: int =
     """
     _, maxima = block_luminance(radiance, block)
     count = min(2 + maxima.shape[1] // 50, maxima.shape[1])
-    usual = maxima.topk(count, dim=1).values[:, -1:]
+    usual = kth_greatest(maxima, count)
     if radiance.device.type == "cpu" and bool((maxima <= limit * usual).all()):
         return radiance  # no pixel is that bright; on a GPU, looking would mean waiting
-    usual, brightness = usual.reshape(-1, 1, 1, 1), luminance(radiance)
-    bound = limit * torch.maximum(_brightest_neighbour(brightness), usual)
-    cut = (brightness > bound) & (usual > 0)
-    return torch.where(cut, radiance * (bound / brightness), radiance)
-
-
-def _brightest_neighbour(image: Tensor) -> Tensor:
-    """Maximum of the 8 pixels around each, `[B, 1, H, W]`, of an image without negative values."""
-    sides = F.pad(image, (1, 1, 0, 0))
-    beside = torch.maximum(sides[..., :-2], sides[..., 2:])
-    rows = F.pad(torch.maximum(beside, image), (0, 0, 1, 1))
-    return torch.maximum(beside, torch.maximum(rows[..., :-2, :], rows[..., 2:, :]))
+    return dim(radiance, usual, limit)

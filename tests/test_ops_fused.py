@@ -17,11 +17,12 @@ from torch.autograd import forward_ad
 
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
-from rtdenoise.ops import dispatch, pixels
+from rtdenoise.ops import dispatch, pixels, ranks
 from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.blend_history import blend_history
 from rtdenoise.ops.block_luminance import block_luminance
 from rtdenoise.ops.convolve_bytes import convolve_bytes, packed
+from rtdenoise.ops.dim import dim
 from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
@@ -34,6 +35,7 @@ from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.shares import shares
 from rtdenoise.ops.soften import soften
 from rtdenoise.ops.to_planes import to_planes
+from rtdenoise.ops.window_noise import window_noise
 from rtdenoise.shift.displacement import displacement_sums
 from rtdenoise.splat import history_motion
 
@@ -299,12 +301,56 @@ def test_tested_reprojection_of_several(both, size):
         assert torch.equal(several[0], one[0]) and torch.equal(several[1], one[1])
 
 
-@pytest.mark.parametrize("size", [*SIZES, (8, 1100)], ids=str)
-def test_luminance_of_blocks(both, assert_images_close, size):
-    for block in (8, 5):
+@pytest.mark.parametrize("backend, size", [*CASES, ("native", (8, 1100))], indirect=["backend"], ids=str)
+def test_luminance_of_blocks(both, backend, assert_images_close, size):
+    for block in (8, 5) if backend[0] == "native" else (8, 3, 40):
         plain, fused = both(block_luminance, torch.randn(2, 3, *size), block)
         for a, b in zip(fused, plain, strict=True):
             assert_images_close(a[..., None, None], b[..., None, None], "float32")
+
+
+RANKED = {  # many alike, of either sign; some NaN; nothing but NaN
+    "few": lambda: torch.tensor([[-0.0, 2.0, -3.0, 0.0, 2.0], [1e-40, 1e30, -1e30, 2.0, -2.0]]),
+    "some NaN": lambda: torch.where(torch.rand(2, 300) < 0.3, torch.nan, torch.randn(2, 300)),
+    "NaN": lambda: torch.full((2, 1), torch.nan),
+    "many": lambda: torch.rand(1, 16384 + 9).mul(30).floor() + 0.1,  # more than stay in registers
+}
+
+
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("values", RANKED)
+def test_statistics_by_rank(both, assert_images_close, values):
+    values = RANKED[values]()
+    for k in {1, 1 + values.shape[1] // 3, values.shape[1]}:
+        plain, fused = both(ranks.kth_greatest, values, k)
+        torch.testing.assert_close(fused, plain, rtol=0, atol=0, equal_nan=True)
+    plain, fused = both(ranks.median, values)
+    assert torch.equal(fused, plain)
+    for light in (values.abs(), -values):
+        plain, fused = both(ranks.exposure_of, light)
+        assert torch.equal(fused.isnan(), plain.isnan())
+        assert_images_close(fused.nan_to_num(), plain.nan_to_num(), "float32")
+
+
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("size", [(1, 1), (4, 139)], ids=str)
+@pytest.mark.parametrize("usual", [(0.5, 0.0), (1e-9, 2.0)])
+def test_bright_pixels_are_dimmed_alike(both, size, usual):
+    radiance = torch.rand(2, 3, *size).pow(20)
+    radiance[:, :, ::2, ::5] = 1e15
+    plain, fused = both(dim, radiance, torch.tensor(usual).view(2, 1), 5.0)
+    assert torch.equal(fused, plain)
+    assert min(size) == 1 or not torch.equal(plain, radiance)
+
+
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("size", [(3, 3), (18, 30), (10, 264)], ids=str)
+def test_noise_of_windows(both, assert_images_close, size):
+    radiance, depth = torch.empty(2, 3, *size).exponential_(), torch.rand(2, 1, *size)
+    radiance[1, :, :3, :9], depth[depth < 0.03] = 0.0, 0.0
+    plain, fused = both(window_noise, radiance, depth)
+    assert torch.equal(fused.isnan(), plain.isnan())
+    assert_images_close(fused.nan_to_num(), plain.nan_to_num(), "float32")
 
 
 SKIES = [("native", size) for size in [*SIZES, (8, 1100)]] + [("triton", size) for size in [(1, 1), (10, 66)]]
@@ -672,6 +718,8 @@ from rtdenoise.ops.triton.compose import _compose
 from rtdenoise.ops.triton.soften import _soften
 from rtdenoise.ops.triton.downsample import _downsample
 from rtdenoise.ops.triton.around import _bounds, _within
+from rtdenoise.ops.triton.block_luminance import _block_luminance
+from rtdenoise.ops.triton.dim import _dim
 from rtdenoise.ops.triton.even_sky import _blocks, _even_sky
 from rtdenoise.ops.triton.fetch import _fetch
 from rtdenoise.ops.triton.max_pool import _max_pool
@@ -681,9 +729,12 @@ from rtdenoise.ops.triton.mix import _mix, _told
 from rtdenoise.ops.triton.off_pixel import _off_pixel
 from rtdenoise.ops.triton.over import _over
 from rtdenoise.ops.triton.recall import _compare, _stays, _sum
+from rtdenoise.ops.triton.ranks import _exposure_of, _kth_greatest, _median
+from rtdenoise.ops.triton.recall import _look, _mean, _see, _stays
 from rtdenoise.ops.triton.reproject import _reproject
 from rtdenoise.ops.triton.to_planes import _to_planes
 from rtdenoise.ops.triton.warp import _warp
+from rtdenoise.ops.triton.window_noise import _window_noise
 
 def build(kernel, constants, **types):
     names = kernel.arg_names
@@ -735,6 +786,15 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
     build(_blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
     build(_even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)
+    build(_dim, dict(BLOCK=128, **one), limit="fp32", **sizes)
+    for side, rows, count, wide in ((8, 8, 16, 8), (3, 4, 32, 4)):
+        build(_block_luminance, dict(SIDE=side, ROWS=rows, COUNT=count, WIDE=wide, **one), **sizes)
+    if not one:
+        build(_window_noise, dict(SIDE=3, STEP=8, COUNT=32), **sizes)
+    row = dict(CHUNK=2048, **(dict(N=1) if one else {}))
+    build(_kth_greatest, row, N="i32", k="i32")
+    build(_exposure_of, row, N="i32", count="i32", least="fp32")
+    build(_median, row, N="i32")
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
@@ -753,6 +813,8 @@ def test_every_fused_op_has_the_name_of_its_plain_one():
     """Declared implementations exist; every file of a folder belongs to an op or is shared."""
     shared = {"__init__", "cache", "compiler", "logits"}
     files = {"native": {*shared}, "triton": {"__init__", "common", "pool", "targets", "alike", "path", "curve", "keep"}}
+    files = {"native": {*shared}, "triton": {"__init__", "common", "pool", "targets", "alike", "path", "curve"}}
+    files["triton"].add("light")
     for module, fused in declarations():
         assert callable(getattr(module, fused.name).__wrapped__)  # decorated by `falls_back`
         assert module.__name__ in (f"rtdenoise.ops.{fused.file}", "rtdenoise.splat", "rtdenoise.shift.displacement")

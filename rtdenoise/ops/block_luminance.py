@@ -8,7 +8,8 @@ from torch.nn import functional as F
 from ..color import luminance
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("block_luminance", native=Support(channels={"radiance": (3,)}))
+SUPPORT = Support(channels={"radiance": (3,)})
+FUSED = Fused("block_luminance", native=SUPPORT, triton=SUPPORT)
 MAX_BLOCK = 1024  # pixels: the widest block that the fused op takes
 
 
