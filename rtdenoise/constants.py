@@ -76,6 +76,6 @@ PIXELS_UNIT = 0.06145  # of compressed light, as OIDN has it
 
 AROUND_CELL = 16  # side in pixels of the cells in which what is around a pixel lies (`ops.around`)
 
-MIN_DISTANCE = 1e-12  # least mean depth of a frame: never zero (`frame.mean_distance`)
+MIN_DISTANCE = 1e-12  # least mean depth of a frame: never zero (`ops.mean_distance`)
 
 MAX_HALF = 65504.0  # the largest half float

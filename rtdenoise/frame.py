@@ -20,7 +20,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
-from .constants import MIN_DISTANCE
 from .errors import InputError
 
 if TYPE_CHECKING:
@@ -237,9 +236,3 @@ def stack(frames: list[Frame]) -> Frame:
 
     names = [layer for layer in CHANNELS if all(getattr(frame, layer) is not None for frame in frames)]
     return Frame(**{n: torch.cat([getattr(f, n) for f in frames]) for n in names}, number=frames[0].number)
-
-
-def mean_distance(depth: Tensor) -> Tensor:
-    """Mean of the depths that are not 0, `[B, 1, 1, 1]`; never zero."""
-    hits = (depth > 0).sum((1, 2, 3), keepdim=True).clamp(min=1)
-    return (depth.sum((1, 2, 3), keepdim=True) / hits).clamp(min=MIN_DISTANCE)

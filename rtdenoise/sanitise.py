@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .errors import InputError
-from .frame import NOTHING_KNOWN, OFF_SCREEN, Frame, Known
+from .frame import NOTHING_KNOWN, Frame, Known
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -64,22 +64,10 @@ def sanitise(frame: Frame) -> Frame:
 
     `faults` counts these pixels. References, position, id and samples are left as they are.
     """
-    import torch
-
     from .exposure import limit_fireflies
-    from .ops.pixels import within
+    from .ops.replace_invalid import replace_invalid
 
-    clean = {layer: tensor for layer, tensor in frame.layers() if layer in VALID}
-    for layer, tensor in clean.items():
-        low, high = VALID[layer]
-        if tensor.device.type == "cpu" and within(tensor, low, high):
-            continue  # looking is cheaper than writing; on a GPU it would mean waiting
-        if layer == "depth":
-            clean[layer] = torch.where((tensor > 0) & (tensor < FAR), tensor, 0.0)
-        elif layer in ("motion", "motion_next"):
-            clean[layer] = torch.nan_to_num(tensor, nan=OFF_SCREEN, posinf=OFF_SCREEN, neginf=OFF_SCREEN)
-        else:
-            clean[layer] = torch.nan_to_num(tensor, nan=0.0, posinf=0.0, neginf=0.0).clamp_(low, high)
+    clean = replace_invalid({layer: tensor for layer, tensor in frame.layers() if layer in VALID}, VALID)
     clean["radiance"] = limit_fireflies(clean["radiance"])
     return replace(frame, **clean)
 

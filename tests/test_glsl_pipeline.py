@@ -20,13 +20,14 @@ from rtdenoise.data.exr import read_channels
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.exposure import exposure, limit_fireflies
-from rtdenoise.frame import Known, mean_distance
+from rtdenoise.frame import Known
 from rtdenoise.glsl import GpuArray, Pipeline, ShaderError, expand
 from rtdenoise.glsl.dispatch import dispatch
 from rtdenoise.glsl.passes import SELECT_GROUP
 from rtdenoise.glsl.source import shaders
 from rtdenoise.history import mismatch
 from rtdenoise.models import PRESETS, AccumulatedKPNConfig, HybridConfig
+from rtdenoise.ops.mean_distance import mean_distance
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.plan import look
 from rtdenoise.sanitise import sanitise

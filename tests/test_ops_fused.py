@@ -27,15 +27,18 @@ from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
 from rtdenoise.ops.max_pool import max_pool
+from rtdenoise.ops.mean_distance import mean_distance
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.off_pixel import off_pixel
 from rtdenoise.ops.over import over, over_and_coverage
 from rtdenoise.ops.recall import keep, recall
+from rtdenoise.ops.replace_invalid import replace_invalid
 from rtdenoise.ops.shares import shares
 from rtdenoise.ops.soften import soften
 from rtdenoise.ops.to_planes import to_planes
 from rtdenoise.ops.window_noise import window_noise
+from rtdenoise.sanitise import VALID
 from rtdenoise.shift.displacement import displacement_sums
 from rtdenoise.splat import history_motion
 
@@ -365,6 +368,29 @@ def test_an_even_sky_is_kept_alike(both, size, hits):
     plain, fused = both(even_sky, torch.rand(2, 3, *size), radiance, depth)
     assert torch.equal(plain, fused)
     assert min(size) < 17 or hits > 0.1 or (fused == radiance).any()
+
+
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("size", [(1, 1), (9, 930)], ids=str)
+def test_mean_distance(both, assert_images_close, size):
+    depth = torch.rand(3, 1, *size)
+    depth[depth < 0.3], depth[1], depth[2] = 0.0, 0.0, 1e9
+    plain, fused = both(mean_distance, depth)
+    assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("size", [(1, 1), (3, 333)], ids=str)
+@pytest.mark.parametrize("channels", [dict.fromkeys(VALID, 3) | {"components": 6, "depth": 1, "motion": 2},
+                                      {"normal": 3}], ids=str)  # fmt: skip
+def test_invalid_values_are_replaced_alike(both, size, channels):
+    found = torch.tensor([math.nan, math.inf, -math.inf, 1e9, 999999936.0, 3e38, 1e15, 2e15, 2.0, 2.1, -2.1, 0.0, 0.5])
+    layers = [found[torch.randint(len(found), (2, C, *size))] for C in channels.values()]
+    plain, fused = both(
+        lambda *layers: tuple(replace_invalid(dict(zip(channels, layers, strict=True)), VALID).values()), *layers
+    )
+    for a, b in zip(fused, plain, strict=True):
+        assert torch.equal(a.view(torch.int32), b.view(torch.int32))
 
 
 @pytest.mark.parametrize("backend, size", CASES[:-1], indirect=["backend"], ids=str)
@@ -725,12 +751,14 @@ from rtdenoise.ops.triton.fetch import _fetch
 from rtdenoise.ops.triton.max_pool import _max_pool
 from rtdenoise.ops.triton.history_motion import _history_motion
 from rtdenoise.ops.triton.keep import _keep
+from rtdenoise.ops.triton.mean_distance import _mean as _mean_distance, _sums
 from rtdenoise.ops.triton.mix import _mix, _told
 from rtdenoise.ops.triton.off_pixel import _off_pixel
 from rtdenoise.ops.triton.over import _over
 from rtdenoise.ops.triton.recall import _compare, _stays, _sum
 from rtdenoise.ops.triton.ranks import _exposure_of, _kth_greatest, _median
 from rtdenoise.ops.triton.recall import _look, _mean, _see, _stays
+from rtdenoise.ops.triton.replace_invalid import LAYERS, _replace
 from rtdenoise.ops.triton.reproject import _reproject
 from rtdenoise.ops.triton.to_planes import _to_planes
 from rtdenoise.ops.triton.warp import _warp
@@ -791,10 +819,16 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
         build(_block_luminance, dict(SIDE=side, ROWS=rows, COUNT=count, WIDE=wide, **one), **sizes)
     if not one:
         build(_window_noise, dict(SIDE=3, STEP=8, COUNT=32), **sizes)
-    row = dict(CHUNK=2048, **(dict(N=1) if one else {}))
+    count = dict(N=1) if one else {}
+    row = dict(CHUNK=2048, **count)
     build(_kth_greatest, row, N="i32", k="i32")
     build(_exposure_of, row, N="i32", count="i32", least="fp32")
     build(_median, row, N="i32")
+    build(_sums, dict(PART=4096, **count), N="i32")
+    build(_mean_distance, dict(AT_ONCE=1024, **(dict(parts=1) if one else {})), parts="i32", least="fp32")
+    layers = dict(zip((name.upper() for name in LAYERS), (3, 6, 3, 3, 1, 2, 0)))
+    limits = "darkest brightest least_albedo greatest_albedo least_normal greatest_normal far off_screen"
+    build(_replace, dict(PIXELS=512, **layers, **count), N="i32", **dict.fromkeys(limits.split(), "fp32"))
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)

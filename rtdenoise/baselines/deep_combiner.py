@@ -18,9 +18,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..errors import InputError
-from ..frame import mean_distance
 from ..models.window import Combined, Window, comparable, completed
 from ..ops import apply_kernel
+from ..ops.mean_distance import mean_distance
 
 WIDTH, LAYERS, SIDE = 100, 6, 5
 KERNEL = 15

@@ -23,11 +23,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..exposure import exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
+from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import apply_kernel, compose, downsample, pick, soften
 from ..ops.blend_history import blend_history
 from ..ops.even_sky import even_sky
 from ..ops.features import features
+from ..ops.mean_distance import mean_distance
 from ..ops.pixels import accumulate, demodulate, modulate, nearness
 from ..ops.shares import shares
 from ..sanitise import admit

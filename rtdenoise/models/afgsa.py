@@ -21,8 +21,9 @@ from torch.nn import functional as F
 
 from ..color import albedo_divisor, compress, expand
 from ..exposure import exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
+from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import apply_kernel, attend_blocks, compose, downsample
+from ..ops.mean_distance import mean_distance
 from ..ops.pixels import nearness
 from ..sanitise import BRIGHTEST, admit
 from .afgsa_config import EXTRACTORS, LIGHT, GuidedAttentionConfig

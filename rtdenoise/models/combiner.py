@@ -32,9 +32,10 @@ from torch.utils.checkpoint import checkpoint
 
 from ..color import albedo_divisor
 from ..exposure import exposure
-from ..frame import Frame, mean_distance
+from ..frame import Frame
 from ..ops import apply_kernel, downsample, pick
 from ..ops.logits import whole
+from ..ops.mean_distance import mean_distance
 from ..ops.pixels import nearness
 from .combiner_config import CombinerConfig
 from .inference import as_weights

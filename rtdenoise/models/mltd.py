@@ -24,9 +24,10 @@ from torch.nn import functional as F
 
 from ..errors import InputError
 from ..exposure import exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
+from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import apply_kernel, compose, downsample, reproject, warp
 from ..ops.even_sky import even_sky
+from ..ops.mean_distance import mean_distance
 from ..sanitise import admit
 from ..splat import history_motion
 from .config import Head

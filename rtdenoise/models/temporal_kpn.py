@@ -13,9 +13,10 @@ from torch import Tensor, nn
 
 from ..color import compress
 from ..exposure import exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known, mean_distance
+from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import apply_kernel, blend, compose, downsample, warp
 from ..ops.even_sky import even_sky
+from ..ops.mean_distance import mean_distance
 from ..ops.pixels import nearness
 from ..sanitise import admit
 from ..splat import history_motion

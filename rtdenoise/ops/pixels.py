@@ -75,7 +75,7 @@ def accumulate(
 @falls_back
 def nearness(
     depth: Tensor,  # [B, 1, H, W], 0 where nothing was hit
-    distance: Tensor,  # [B, 1, 1, 1] > 0: the frame's mean distance (`frame.mean_distance`)
+    distance: Tensor,  # [B, 1, 1, 1] > 0: the frame's mean distance (`ops.mean_distance`)
 ) -> Tensor:  # [B, 1, H, W] in [0, 1)
     """Depth as a network sees it: distance / (distance + depth); 0 where nothing was hit."""
     if run := NEARNESS(depth=depth):
