@@ -608,7 +608,7 @@ def test_shares(both, assert_images_close, size, dtype):
         assert_images_close(fused, plain, "float32")
 
 
-@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("backend, size", [*CASES, ("triton", (5, 141))], indirect=["backend"], ids=str)
 def test_pixelwise_ops(both, assert_images_close, size):
     def image(C: int = 3) -> torch.Tensor:
         return torch.rand(2, C, *size)
@@ -621,7 +621,8 @@ def test_pixelwise_ops(both, assert_images_close, size):
     ):
         assert_images_close(fused, plain, "float32")
     reset = image(1).round()  # a restart leaves no trace of the mean, however bright it was
-    for new, channels in ((image(), 3), ((image(), image(), image(1)), 7)):
+    four = image(), image(1), image(), image(1)
+    for new, channels in ((image(), 3), ((image(), image(), image(1)), 7), (four[:2], 4), (four, 8)):
         length = (9 * image(1)).floor() * (1 - reset)
         results = both(pixels.accumulate, new, 1e15 * image(channels), length, reset, 15.0)
         for plain, fused in zip(*results, strict=True):
@@ -757,6 +758,7 @@ from rtdenoise.ops.triton.off_pixel import _off_pixel
 from rtdenoise.ops.triton.over import _over
 from rtdenoise.ops.triton.recall import _compare, _stays, _sum
 from rtdenoise.ops.triton.ranks import _exposure_of, _kth_greatest, _median
+from rtdenoise.ops.triton.pixels import _accumulate, _demodulate, _modulate, _nearness
 from rtdenoise.ops.triton.recall import _look, _mean, _see, _stays
 from rtdenoise.ops.triton.replace_invalid import LAYERS, _replace
 from rtdenoise.ops.triton.reproject import _reproject
@@ -811,6 +813,11 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     steps = dict.fromkeys("C of_output of_input of_row of_column".split(), "i32")
     build(_to_planes, dict(O=3, CHANNELS=32, PRECISION="tf32", PADDED=16, BLOCK=128, **one), **half, **steps, **sizes)
     build(_within, dict(CELL=16, BLOCK=128, **one), C="i32", **sizes)
+    flat = dict(BLOCK=512, **({"plane": 1} if one else {})), {} if one else {"plane": "i32"}
+    build(_demodulate, dict(C=3, **flat[0]), gloss="fp32", **flat[1])
+    build(_modulate, dict(C=3, **flat[0]), gloss="fp32", **flat[1])
+    build(_accumulate, dict(M=3, N=6, C=9, **flat[0]), most="fp32", **flat[1])
+    build(_nearness, flat[0], **flat[1])
     build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
     build(_blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
     build(_even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)

@@ -11,13 +11,13 @@ from ..color import albedo_divisor
 from .blend import blend
 from .dispatch import Fused, Support, falls_back
 
-DEMODULATE = Fused("pixels.demodulate", native=Support(max_channels=8, channels={"albedo": (0,), "depth": (1,)}))
-MODULATE = Fused(
-    "pixels.modulate",
-    native=Support(max_channels=8, channels={"albedo": (0,), "mean_albedo": (0,), "sharp": (1,), "depth": (1,)}),
-)
-ACCUMULATE = Fused("pixels.accumulate", native=Support(max_channels=9, channels={"length": (1,), "reset": (1,)}))
-NEARNESS = Fused("pixels.nearness", native=Support())
+OF_DEMODULATE = Support(max_channels=8, channels={"albedo": (0,), "depth": (1,)})
+OF_MODULATE = Support(max_channels=8, channels={"albedo": (0,), "mean_albedo": (0,), "sharp": (1,), "depth": (1,)})
+OF_ACCUMULATE = Support(max_channels=9, channels={"length": (1,), "reset": (1,)})
+DEMODULATE = Fused("pixels.demodulate", native=OF_DEMODULATE, triton=OF_DEMODULATE)
+MODULATE = Fused("pixels.modulate", native=OF_MODULATE, triton=OF_MODULATE)
+ACCUMULATE = Fused("pixels.accumulate", native=OF_ACCUMULATE, triton=OF_ACCUMULATE)
+NEARNESS = Fused("pixels.nearness", native=Support(), triton=Support())
 WITHIN = Fused("pixels.within", native=Support())
 
 

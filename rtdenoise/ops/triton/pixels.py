@@ -1,0 +1,125 @@
+"""Ops in which every pixel stands alone: one pass each. A program computes `PIXELS` neighbouring pixels of an image,
+across the ends of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from ...constants import GLOSS
+
+PIXELS = 512
+
+
+@triton.jit
+def _here(plane, BLOCK: tl.constexpr):
+    """Image, the pixels of a program, numbered along rows, and which of them exist."""
+    at = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    return tl.program_id(1).to(tl.int64), at, at < plane
+
+
+@triton.jit
+def lerp(start, end, weight):
+    """As torch.lerp: exact at both ends."""
+    return tl.where(weight < 0.5, start + weight * (end - start), end - (1 - weight) * (end - start))
+
+
+@triton.jit
+def _demodulate(radiance, albedo, depth, out, plane, gloss, C: tl.constexpr, BLOCK: tl.constexpr):
+    b, at, exists = _here(plane, BLOCK)
+    hit = tl.load(depth + b * plane + at, mask=exists, other=0.0) > 0
+    at += b * C * plane
+    for c in tl.static_range(C):
+        a = tl.load(albedo + at + c * plane, mask=exists, other=0.0)
+        light = tl.load(radiance + at + c * plane, mask=exists, other=0.0)
+        tl.store(out + at + c * plane, light / tl.where(hit, a + gloss, 1.0), mask=exists)
+
+
+@triton.jit
+def _modulate(irradiance, albedo, mean_albedo, sharp, depth, out, plane, gloss, C: tl.constexpr, BLOCK: tl.constexpr):
+    b, at, exists = _here(plane, BLOCK)
+    hit = tl.load(depth + b * plane + at, mask=exists, other=0.0) > 0
+    weight = tl.load(sharp + b * plane + at, mask=exists, other=0.0)
+    at += b * C * plane
+    for c in tl.static_range(C):
+        light = tl.load(irradiance + at + c * plane, mask=exists, other=0.0)
+        a = tl.load(albedo + at + c * plane, mask=exists, other=0.0)
+        mean = tl.load(mean_albedo + at + c * plane, mask=exists, other=0.0)
+        divisor = tl.where(hit, lerp(mean, a, weight) + gloss, 1.0)
+        tl.store(out + at + c * plane, tl.where(light < 0, 0.0, light) * divisor, mask=exists)
+
+
+@triton.jit
+def _accumulate(first, second, third, mean, length, reset, out, next_length, plane, most, M: tl.constexpr,
+                N: tl.constexpr, C: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
+    """M channels of `first`, then those of `second` up to the N-th, then those of `third`, C in all."""
+    b, at, exists = _here(plane, BLOCK)
+    weight = 1 / (1 + tl.load(length + b * plane + at, mask=exists, other=0.0))
+    weight += tl.load(reset + b * plane + at, mask=exists, other=0.0) * (1 - weight)
+    frames = 1 / weight
+    tl.store(next_length + b * plane + at, tl.where(frames > most, most, frames), mask=exists)
+    for c in tl.static_range(C):
+        if c < M:
+            new = tl.load(first + (b * M + c) * plane + at, mask=exists, other=0.0)
+        elif c < N:
+            new = tl.load(second + (b * (N - M) + c - M) * plane + at, mask=exists, other=0.0)
+        else:
+            new = tl.load(third + (b * (C - N) + c - N) * plane + at, mask=exists, other=0.0)
+        here = (b * C + c) * plane + at
+        tl.store(out + here, lerp(tl.load(mean + here, mask=exists, other=0.0), new, weight), mask=exists)
+
+
+@triton.jit
+def _nearness(depth, distance, out, plane, BLOCK: tl.constexpr):
+    b, at, exists = _here(plane, BLOCK)
+    d = tl.load(depth + b * plane + at, mask=exists, other=0.0)
+    mean = tl.load(distance + b)
+    tl.store(out + b * plane + at, tl.where(d > 0, mean / (mean + d), 0.0), mask=exists)
+
+
+def demodulate(radiance: Tensor, albedo: Tensor, depth: Tensor) -> Tensor:
+    return _each_pixel(_demodulate, radiance, albedo, depth)
+
+
+def modulate(irradiance: Tensor, albedo: Tensor, mean_albedo: Tensor, sharp: Tensor, depth: Tensor) -> Tensor:
+    return _each_pixel(_modulate, irradiance, albedo, mean_albedo, sharp, depth)
+
+
+def accumulate(
+    new: Sequence[Tensor], mean: Tensor, length: Tensor, reset: Tensor, max_length: float
+) -> tuple[Tensor, Tensor]:
+    if len(new) > 3:
+        new = [torch.cat([*new], dim=1)]
+    new, inputs = [t.contiguous() for t in new], [t.contiguous() for t in (mean, length, reset)]
+    out, next_length = torch.empty_like(inputs[0]), torch.empty_like(inputs[1])
+    B, C, H, W = mean.shape
+    M, N = new[0].shape[1], sum(t.shape[1] for t in new[:2])
+    new += new[:1] * (3 - len(new))  # not read
+    sizes = {"M": M, "N": N, "C": C, "BLOCK": PIXELS}
+    _accumulate[grid(B, H, W)](*new, *inputs, out, next_length, H * W, float(max_length), **sizes)
+    return out, next_length
+
+
+def nearness(depth: Tensor, distance: Tensor) -> Tensor:
+    depth = depth.contiguous()
+    B, C, H, W = depth.shape
+    out, distance = torch.empty_like(depth), distance.expand(B, 1, 1, 1).reshape(B).contiguous()
+    _nearness[grid(B, C * H, W)](depth, distance, out, C * H * W, BLOCK=PIXELS)
+    return out
+
+
+def grid(images: int, H: int, W: int) -> tuple[int, int]:
+    """The number of programs for `images` images of H × W."""
+    return triton.cdiv(H * W, PIXELS), images
+
+
+def _each_pixel(kernel, *inputs: Tensor) -> Tensor:
+    inputs = [t.contiguous() for t in inputs]
+    out = torch.empty_like(inputs[0])
+    B, C, H, W = out.shape
+    kernel[grid(B, H, W)](*inputs, out, H * W, GLOSS, C=C, BLOCK=PIXELS)
+    return out
