@@ -468,18 +468,41 @@ def test_displacement_sums(both, assert_images_close, size, cell, stride):
     assert min(size) < 17 or (plain[:, 0].sum((1, 2)) > 0).all()
 
 
-@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16], ids=str)
-def test_features(both, assert_images_close, size, dtype):
+def test_features(both, backend, assert_images_close, size, dtype):
     light = [10 ** (9 * torch.rand(2, 3, *size) - 6), torch.zeros(2, 1, *size)]
     light[0][:, 0, 0, 0], light[0][:, 1, 0, 0] = 1e-30, 1e36
     guides = [torch.randn(2, 4, *size), torch.rand(2, 1, *size) < 0.5]
     like = torch.empty(4, 9, 3, 3, dtype=dtype).to(memory_format=torch.channels_last)
     scale = torch.tensor([0.3, 70.0]).reshape(2, 1, 1, 1)
-    plain, fused = both(lambda *tensors: features(tensors[:2], tensors[2:], scale, like), *light, *guides)
-    assert plain.shape[1] == 9 and plain.dtype == fused.dtype == dtype
-    assert fused.stride() == plain.stride() and torch.equal(fused[:, 4:], plain[:, 4:])  # guides are only rounded
-    assert_images_close(fused.float(), plain.float(), "float32" if dtype == torch.float32 else "bfloat16 rounding")
+
+    def joined(scale, unit, *layers):
+        return features(layers[:2], layers[2:], scale, like.to(scale.device), unit)
+
+    cuts = dtype == torch.bfloat16 and backend == ("triton", "cpu")  # Triton's interpreter does not round
+    for unit in (1.0, 0.0625 if cuts else 0.06145):
+        plain, fused = both(joined, scale, unit, *light, *guides)
+        assert plain.shape[1] == 9 and plain.dtype == fused.dtype == dtype
+        assert fused.stride() == plain.stride()
+        assert_images_close(fused.float(), plain.float(), "float32" if dtype == torch.float32 else "bfloat16 rounding")
+        assert cuts or torch.equal(fused[:, 4:], plain[:, 4:])  # guides are only rounded
+
+
+@pytest.mark.parametrize("backend, size", CASES[:-1], indirect=["backend"], ids=str)
+def test_features_of_several_kinds(both, assert_images_close, size):
+    """As the kernels' network reads them, flags among numbers; then light alone, and flags without numbers."""
+    like = torch.empty(4, 9, 3, 3).to(memory_format=torch.channels_last)
+    light, flag = tuple(torch.rand(2, 3, *size) for _ in range(3)), torch.rand(2, 1, *size) < 0.5
+    guides = *(torch.randn(2, channels, *size) for channels in (3, 1)), flag, torch.randn(2, 2, *size)
+
+    def joined(scale, light, guides):
+        return features(light, guides, scale, like.to(scale.device))
+
+    for given in (guides, (), (flag,)):
+        plain, fused = both(joined, torch.tensor([0.3, 70.0]).reshape(2, 1, 1, 1), light, given)
+        assert plain.shape[1] == 9 + sum(x.shape[1] for x in given)
+        assert_images_close(fused, plain, "float32")
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.float64], ids=str)
@@ -748,6 +771,7 @@ from rtdenoise.ops.triton.around import _bounds, _within
 from rtdenoise.ops.triton.block_luminance import _block_luminance
 from rtdenoise.ops.triton.dim import _dim
 from rtdenoise.ops.triton.even_sky import _blocks, _even_sky
+from rtdenoise.ops.triton.features import _features
 from rtdenoise.ops.triton.fetch import _fetch
 from rtdenoise.ops.triton.max_pool import _max_pool
 from rtdenoise.ops.triton.history_motion import _history_motion
@@ -818,6 +842,9 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_modulate, dict(C=3, **flat[0]), gloss="fp32", **flat[1])
     build(_accumulate, dict(M=3, N=6, C=9, **flat[0]), most="fp32", **flat[1])
     build(_nearness, flat[0], **flat[1])
+    build(_features, dict(LIT=(0, 3, 6), LIT_FLAGS=(False,) * 2, ENDS=(0, 3, 4), FLAGS=(False, True), LP=8, GP=4,
+                          BLOCK=128, **({"plane": 1} if one else {})),
+          light=("*fp32",) * 2, guides=("*fp32", "*u8"), out="*bf16", unit="fp32", **flat[1])
     build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
     build(_blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
     build(_even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)

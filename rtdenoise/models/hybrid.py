@@ -103,5 +103,4 @@ class PixelNetwork(nn.Module):
     @torch.no_grad()
     def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
         """`features`, `[B, 9, H, W]`, with light in OIDN's unit."""
-        x = features((radiance,), (albedo, normal), scale, self.last.weight)
-        return torch.cat([x[:, :3] * PIXELS_UNIT, x[:, 3:]], dim=1)
+        return features((radiance,), (albedo, normal), scale, self.last.weight, PIXELS_UNIT)

@@ -10,7 +10,8 @@ from torch import Tensor
 from ..color import compress
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("features", native=Support())  # channels last only, to one of `TYPES`
+# Channels last only, to one of `TYPES`.
+FUSED = Fused("features", native=Support(bytes=("flags",)), triton=Support(bytes=("flags",)))
 TYPES = torch.float32, torch.bfloat16
 
 
@@ -20,14 +21,25 @@ def features(
     guides: Sequence[Tensor],  # [B, C, H, W] each, float or bool: all other layers
     scale: Tensor,  # [B, 1, 1, 1] exposure: light is multiplied by it
     like: Tensor,  # gives the dtype and, if it has 4 axes, the memory format of the result
+    unit: float = 1.0,  # of light: it is multiplied by it in the end
 ) -> Tensor:  # [B, ΣC, H, W]
     """Light, compressed by `color.compress` at one exposure, then the guides, in the order given:
 
-    out[b, :, y, x] = [log(1 + scale[b] · light[b, :, y, x]), guides[b, :, y, x]]
+    out[b, :, y, x] = [unit · log(1 + scale[b] · light[b, :, y, x]), guides[b, :, y, x]]
+
+    A logarithm is rounded to the dtype before the unit multiplies it.
     """
     last = not like.is_contiguous() and like.is_contiguous(memory_format=torch.channels_last)
     form = {"dtype": like.dtype, "memory_format": torch.channels_last if last else torch.contiguous_format}
+    if last and like.dtype in TYPES:
+        guides = [guide if guide.dtype is torch.bool else guide.to(light[0].dtype) for guide in guides]
+        flags = [guide.view(torch.uint8) for guide in guides if guide.dtype is torch.bool]
+        if run := FUSED(light=light, guides=[x for x in guides if x.dtype is not torch.bool], flags=flags):
+            return run(light, guides, scale, like.dtype, unit)
     guides = [guide.to(light[0].dtype) for guide in guides]
-    if last and like.dtype in TYPES and (run := FUSED(light=light, guides=guides)):
-        return run(light, guides, scale, like.dtype)
-    return torch.cat([compress(torch.cat([*light], dim=1) * scale), *guides], dim=1).to(**form)
+    compressed = compress(torch.cat([*light], dim=1) * scale)
+    out = torch.cat([compressed, *guides], dim=1).to(**form)
+    if unit == 1:
+        return out
+    lit = compressed.shape[1]
+    return torch.cat([out[:, :lit] * unit, out[:, lit:]], dim=1)

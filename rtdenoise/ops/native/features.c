@@ -1,5 +1,6 @@
 // A network's input, channels last, in one pass over the planes of a frame. The specification is ops/features.py. C is the
-// number of features, of which the first LIGHT are compressed; HALF is 1 for bfloat16, 0 for float32.
+// number of features, of which the first LIGHT are compressed and then multiplied by UNIT; HALF is 1 for bfloat16, 0 for
+// float32.
 #include "common.h"
 #include "log1p.h"
 
@@ -13,6 +14,7 @@ static inline uint32_t rounded(float x) {
     uint32_t bits = bits_of(x);
     return bits + 0x7fff + (bits >> 16 & 1);
 }
+static inline float stored(float x) { return from_bits(rounded(x) & 0xffff0000); }
 static inline uint64_t word(const float *x) {
     uint32_t low = rounded(x[0]) >> 16 | (rounded(x[BLOCK]) & 0xffff0000);
     uint32_t high = rounded(x[2 * BLOCK]) >> 16 | (rounded(x[3 * BLOCK]) & 0xffff0000);
@@ -20,10 +22,13 @@ static inline uint64_t word(const float *x) {
 }
 #else
 #define PER 2
+static inline float stored(float x) { return x; }
 static inline uint64_t word(const float *x) { return bits_of(x[0]) | (uint64_t)bits_of(x[BLOCK]) << 32; }
 #endif
 #define SIZE (8 / PER)  // bytes of a feature
 #define WORDS ((C + PER - 1) / PER)
+
+static inline float in_unit(float x) { return UNIT == 1 ? x : stored(x) * (float)UNIT; }
 
 // planes: C pointers to `pixels` float32 each; out [pixels, C]. A block of pixels is packed into words, in vector code, and
 // only words are transposed: moving single values is slow. Planes are prefetched because processors follow few streams.
@@ -39,7 +44,7 @@ void features(const float *const *planes, float scale, uint8_t *out, int64_t pix
             for (int x = 0; x < n; x += 16) __builtin_prefetch(plane + 2 * BLOCK + x);
 #pragma omp simd
             for (int x = 0; x < n; x++)
-                values[c * BLOCK + x] = c < LIGHT ? log1p_positive(plane[x] * scale) : plane[x];
+                values[c * BLOCK + x] = c < LIGHT ? in_unit(log1p_positive(plane[x] * scale)) : plane[x];
         }
         for (int w = 0; w < WORDS; w++)
 #pragma omp simd

@@ -11,12 +11,14 @@ from torch import Tensor
 from .compiler import library, planes, pointer
 
 
-def features(light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype) -> Tensor:
-    layers = [layer.contiguous() for layer in (*light, *guides)]
+def features(
+    light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype, unit: float
+) -> Tensor:
+    layers = [layer.float().contiguous() for layer in (*light, *guides)]
     B, _, H, W = layers[0].shape
     channels, lit = (sum(layer.shape[1] for layer in group) for group in (layers, light))
     out = torch.empty(B, channels, H, W, dtype=dtype, device="cpu", memory_format=torch.channels_last)
-    run = library("features", C=channels, LIGHT=lit, HALF=int(dtype == torch.bfloat16)).features
+    run = library("features", C=channels, LIGHT=lit, HALF=int(dtype == torch.bfloat16), UNIT=unit).features
     for b in range(B):
         each = planes([layer[b : b + 1] for layer in layers])
         run(each, c_float(scale[b].item()), pointer(out[b]), c_int64(H * W), torch.get_num_threads())

@@ -1,5 +1,5 @@
 """Ops in which every pixel stands alone: one pass each. A program computes `PIXELS` neighbouring pixels of an image,
-across the ends of rows."""
+across the ends of its rows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PIXELS = 512
 
 
 @triton.jit
-def _here(plane, BLOCK: tl.constexpr):
+def here(plane, BLOCK: tl.constexpr):
     """Image, the pixels of a program, numbered along rows, and which of them exist."""
     at = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     return tl.program_id(1).to(tl.int64), at, at < plane
@@ -30,7 +30,7 @@ def lerp(start, end, weight):
 
 @triton.jit
 def _demodulate(radiance, albedo, depth, out, plane, gloss, C: tl.constexpr, BLOCK: tl.constexpr):
-    b, at, exists = _here(plane, BLOCK)
+    b, at, exists = here(plane, BLOCK)
     hit = tl.load(depth + b * plane + at, mask=exists, other=0.0) > 0
     at += b * C * plane
     for c in tl.static_range(C):
@@ -41,7 +41,7 @@ def _demodulate(radiance, albedo, depth, out, plane, gloss, C: tl.constexpr, BLO
 
 @triton.jit
 def _modulate(irradiance, albedo, mean_albedo, sharp, depth, out, plane, gloss, C: tl.constexpr, BLOCK: tl.constexpr):
-    b, at, exists = _here(plane, BLOCK)
+    b, at, exists = here(plane, BLOCK)
     hit = tl.load(depth + b * plane + at, mask=exists, other=0.0) > 0
     weight = tl.load(sharp + b * plane + at, mask=exists, other=0.0)
     at += b * C * plane
@@ -57,7 +57,7 @@ def _modulate(irradiance, albedo, mean_albedo, sharp, depth, out, plane, gloss, 
 def _accumulate(first, second, third, mean, length, reset, out, next_length, plane, most, M: tl.constexpr,
                 N: tl.constexpr, C: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     """M channels of `first`, then those of `second` up to the N-th, then those of `third`, C in all."""
-    b, at, exists = _here(plane, BLOCK)
+    b, at, exists = here(plane, BLOCK)
     weight = 1 / (1 + tl.load(length + b * plane + at, mask=exists, other=0.0))
     weight += tl.load(reset + b * plane + at, mask=exists, other=0.0) * (1 - weight)
     frames = 1 / weight
@@ -69,13 +69,13 @@ def _accumulate(first, second, third, mean, length, reset, out, next_length, pla
             new = tl.load(second + (b * (N - M) + c - M) * plane + at, mask=exists, other=0.0)
         else:
             new = tl.load(third + (b * (C - N) + c - N) * plane + at, mask=exists, other=0.0)
-        here = (b * C + c) * plane + at
-        tl.store(out + here, lerp(tl.load(mean + here, mask=exists, other=0.0), new, weight), mask=exists)
+        before = tl.load(mean + (b * C + c) * plane + at, mask=exists, other=0.0)
+        tl.store(out + (b * C + c) * plane + at, lerp(before, new, weight), mask=exists)
 
 
 @triton.jit
 def _nearness(depth, distance, out, plane, BLOCK: tl.constexpr):
-    b, at, exists = _here(plane, BLOCK)
+    b, at, exists = here(plane, BLOCK)
     d = tl.load(depth + b * plane + at, mask=exists, other=0.0)
     mean = tl.load(distance + b)
     tl.store(out + b * plane + at, tl.where(d > 0, mean / (mean + d), 0.0), mask=exists)
@@ -100,7 +100,7 @@ def accumulate(
     M, N = new[0].shape[1], sum(t.shape[1] for t in new[:2])
     new += new[:1] * (3 - len(new))  # not read
     sizes = {"M": M, "N": N, "C": C, "BLOCK": PIXELS}
-    _accumulate[grid(B, H, W)](*new, *inputs, out, next_length, H * W, float(max_length), **sizes)
+    _accumulate[grid(B, H * W)](*new, *inputs, out, next_length, H * W, float(max_length), **sizes)
     return out, next_length
 
 
@@ -108,18 +108,18 @@ def nearness(depth: Tensor, distance: Tensor) -> Tensor:
     depth = depth.contiguous()
     B, C, H, W = depth.shape
     out, distance = torch.empty_like(depth), distance.expand(B, 1, 1, 1).reshape(B).contiguous()
-    _nearness[grid(B, C * H, W)](depth, distance, out, C * H * W, BLOCK=PIXELS)
+    _nearness[grid(B, C * H * W)](depth, distance, out, C * H * W, BLOCK=PIXELS)
     return out
 
 
-def grid(images: int, H: int, W: int) -> tuple[int, int]:
-    """The number of programs for `images` images of H × W."""
-    return triton.cdiv(H * W, PIXELS), images
+def grid(images: int, plane: int, block: int = PIXELS) -> tuple[int, int]:
+    """The number of programs of `block` pixels for images of `plane` pixels (`here`)."""
+    return triton.cdiv(plane, block), images
 
 
 def _each_pixel(kernel, *inputs: Tensor) -> Tensor:
     inputs = [t.contiguous() for t in inputs]
     out = torch.empty_like(inputs[0])
     B, C, H, W = out.shape
-    kernel[grid(B, H, W)](*inputs, out, H * W, GLOSS, C=C, BLOCK=PIXELS)
+    kernel[grid(B, H * W)](*inputs, out, H * W, GLOSS, C=C, BLOCK=PIXELS)
     return out
