@@ -24,6 +24,7 @@ from rtdenoise.ops.block_luminance import block_luminance
 from rtdenoise.ops.convolve_bytes import convolve_bytes, packed
 from rtdenoise.ops.dim import dim
 from rtdenoise.ops.even_sky import even_sky
+from rtdenoise.ops.evened import evened, held_and_tells
 from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
 from rtdenoise.ops.max_pool import max_pool
@@ -110,11 +111,13 @@ def test_a_tap_whose_weight_underflows_is_ignored(both, far):
         assert torch.equal(result[:, :, 4, 35], torch.ones(1, 3))
 
 
-@pytest.mark.parametrize("size", SIZES, ids=str)
-@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+BLENDED = [(*case, dtype) for case in CASES for dtype in DTYPES if case[0] == "native" or dtype == torch.bfloat16]
+
+
+@pytest.mark.parametrize("backend, size, dtype", BLENDED, indirect=["backend"], ids=str)
 def test_blend_history(both, assert_images_close, size, dtype):
     """Single gaps and gaps in rows, then none, then nothing but gaps."""
-    spatial, past, alpha = torch.rand(2, 3, *size), torch.rand(2, 3, *size), torch.rand(2, 1, *size)
+    spatial, past, alpha = torch.rand(2, 4, *size), torch.rand(2, 4, *size), torch.rand(2, 1, *size)
     seen = torch.rand(2, 1, *size) < 0.8
     seen[:, :, ::3] = True
     logits = torch.randn(2, 4 * 9, *(-(-n // 2) for n in size)).to(dtype).contiguous(memory_format=torch.channels_last)
@@ -402,6 +405,29 @@ def test_light_is_expanded_within_what_is_around_alike(both, assert_images_close
     assert_images_close(fused, plain, "float32")
 
 
+@pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+def test_light_is_evened_alike(both, assert_images_close, size):
+    """Of one frame, of one to two, and of many; and where one frame is in all pixels around."""
+    light, image = torch.rand(2, 2, 3, *size).unbind()
+    count, trust = 1 + 2 * torch.rand(2, 1, *size).square(), torch.rand(2, 1, *size)
+    count[:, :, 1:] = count[:, :, 1:].floor()
+    count[1] = 1.0
+    plain, fused = both(evened, light, count, image, trust)
+    assert_images_close(fused, plain, "float32")
+    assert torch.equal(fused[1], light[1]) and not torch.equal(fused[0], light[0])
+
+
+@pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)
+@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+def test_the_frame_tells_alike(both, assert_images_close, size):
+    held = torch.rand(2, 1, *size) < 0.99
+    held[1], held[0, 0, -1, -1] = False, True
+    for given in (held, held.float() * torch.rand(2, 1, *size)):
+        for plain, fused in zip(*both(lambda x: held_and_tells(x, torch.float32), given), strict=True):
+            assert_images_close(fused, plain, "float32")
+
+
 @pytest.mark.parametrize("backend, size", CASES[:-1], indirect=["backend"], ids=str)
 @pytest.mark.parametrize("has_noisy", [True, False])
 @pytest.mark.parametrize("has_before", [True, False])
@@ -620,7 +646,7 @@ def test_to_planes_falls_back():
             to_planes(x, other, bias)
 
 
-@pytest.mark.parametrize("size", [*SIZES, (3, 1281)], ids=str)
+@pytest.mark.parametrize("backend, size", [*CASES, ("native", (3, 1281))], indirect=["backend"], ids=str)
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
 def test_shares(both, assert_images_close, size, dtype):
     cells = [-(-n // 2) for n in size]
@@ -764,13 +790,16 @@ import re, torch, triton, triton.language as tl
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 from rtdenoise.ops.triton.apply_kernel import _backward, _forward
+from rtdenoise.ops.triton.blend_history import _blend_history
 from rtdenoise.ops.triton.compose import _compose
+from rtdenoise.ops.triton.shares import _shares
 from rtdenoise.ops.triton.soften import _soften
 from rtdenoise.ops.triton.downsample import _downsample
 from rtdenoise.ops.triton.around import _bounds, _within
 from rtdenoise.ops.triton.block_luminance import _block_luminance
 from rtdenoise.ops.triton.dim import _dim
 from rtdenoise.ops.triton.even_sky import _blocks, _even_sky
+from rtdenoise.ops.triton.evened import _evened, _greatest, _tells
 from rtdenoise.ops.triton.features import _features
 from rtdenoise.ops.triton.fetch import _fetch
 from rtdenoise.ops.triton.max_pool import _max_pool
@@ -845,6 +874,13 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_features, dict(LIT=(0, 3, 6), LIT_FLAGS=(False,) * 2, ENDS=(0, 3, 4), FLAGS=(False, True), LP=8, GP=4,
                           BLOCK=128, **({"plane": 1} if one else {})),
           light=("*fp32",) * 2, guides=("*fp32", "*u8"), out="*bf16", unit="fp32", **flat[1])
+    build(_blend_history, dict(K=3, C=4, BLOCK=128, **one), logits="*bf16", seen="*u8", **sizes, **strides)
+    build(_shares, dict(N=3, BLOCK=128, **one), logits="*bf16", **sizes, **strides)
+    cells = dict(CELL=16, BLOCK=128, **one)
+    build(_evened, dict(C=3, **cells), share="fp32", **sizes)
+    for dtype in ("*fp32", "*u8"):
+        build(_greatest, dict(CELL=16, CELLS=8, **one), x=dtype, **sizes)
+        build(_tells, cells, held=dtype, **sizes)
     build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
     build(_blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
     build(_even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)

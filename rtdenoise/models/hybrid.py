@@ -20,6 +20,7 @@ from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.around import expand_within
 from ..ops.even_sky import even_sky
+from ..ops.evened import evened
 from ..ops.features import features
 from ..ops.max_pool import max_pool
 from ..ops.recall import FOOTPRINT
@@ -27,7 +28,7 @@ from ..ops.to_planes import to_planes
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
-from .mixing import evened, mix
+from .mixing import mix
 from .past import followed, seen
 from .unet import ConvRelu, Up
 

@@ -9,13 +9,11 @@ from .apply_kernel import MAX_KERNEL, apply_kernel, check
 from .blend import blend
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused(
-    "blend_history",
-    native=Support(
-        max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",), other=("logits",),
-        channels={"spatial": (0,), "alpha": (1,)},
-    ),
+SUPPORT = Support(
+    max_channels=8, max_kernel=MAX_KERNEL, halves=("logits",), other=("logits",),
+    channels={"spatial": (0,), "alpha": (1,)},
 )  # fmt: skip
+FUSED = Fused("blend_history", native=SUPPORT, triton=SUPPORT)
 
 
 @falls_back

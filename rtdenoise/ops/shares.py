@@ -7,7 +7,8 @@ from torch import Tensor
 from .dispatch import Fused, Support, falls_back
 from .logits import whole
 
-FUSED = Fused("shares", native=Support(halves=("logits",)))
+SUPPORT = Support(halves=("logits",))
+FUSED = Fused("shares", native=SUPPORT, triton=SUPPORT)
 
 
 @falls_back

@@ -5,7 +5,7 @@ each pixel, radiance, albedo and normal (`History.footprint`), and `models.mixin
 previous one. It is the history of the next frame.
 
 A pixel that one frame has seen, among others that many have, is noisier than these, and OIDN takes that for texture. So
-a little of the network's image stands in for its light (`mixing.evened`).
+a little of the network's image stands in for its light (`ops.evened`).
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from ..constants import MIX_SHARES, MIX_SHARES_OF_MANY
 from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
-from ..models.mixing import evened, mix
+from ..models.mixing import mix
 from ..models.past import followed, later, seen, shifted
 from ..models.presets import Config
 from ..ops import warp
 from ..ops.even_sky import even_sky
+from ..ops.evened import evened
 from ..ops.recall import FOOTPRINT, reset_of
 from ..sanitise import sanitise
 from ..splat import history_motion
