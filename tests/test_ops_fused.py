@@ -676,6 +676,9 @@ def test_pixelwise_ops(both, assert_images_close, size):
         results = both(pixels.accumulate, new, 1e15 * image(channels), length, reset, 15.0)
         for plain, fused in zip(*results, strict=True):
             assert_images_close(fused, plain, "float32")
+    frames = [(3 * image(1)).floor() for _ in range(2)]  # none in some pixels
+    for plain, fused in zip(*both(pixels.joined, image(9), frames[0], image(9), frames[1]), strict=True):
+        assert_images_close(fused, plain, "float32")
 
 
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
@@ -812,6 +815,7 @@ from rtdenoise.ops.triton.over import _over
 from rtdenoise.ops.triton.recall import _compare, _stays, _sum
 from rtdenoise.ops.triton.ranks import _exposure_of, _kth_greatest, _median
 from rtdenoise.ops.triton.pixels import _accumulate, _demodulate, _modulate, _nearness
+from rtdenoise.ops.triton.pixels import _accumulate, _demodulate, _joined, _modulate, _nearness
 from rtdenoise.ops.triton.recall import _look, _mean, _see, _stays
 from rtdenoise.ops.triton.replace_invalid import LAYERS, _replace
 from rtdenoise.ops.triton.reproject import _reproject
@@ -870,6 +874,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_demodulate, dict(C=3, **flat[0]), gloss="fp32", **flat[1])
     build(_modulate, dict(C=3, **flat[0]), gloss="fp32", **flat[1])
     build(_accumulate, dict(M=3, N=6, C=9, **flat[0]), most="fp32", **flat[1])
+    build(_joined, dict(C=9, **flat[0]), **flat[1])
     build(_nearness, flat[0], **flat[1])
     build(_features, dict(LIT=(0, 3, 6), LIT_FLAGS=(False,) * 2, ENDS=(0, 3, 4), FLAGS=(False, True), LP=8, GP=4,
                           BLOCK=128, **({"plane": 1} if one else {})),
@@ -1084,6 +1089,7 @@ def misfits():
     found = {
         "demodulate": (pixels.demodulate, (3, 3, 1)),
         "modulate": (pixels.modulate, (3, 3, 3, 1, 1)),
+        "joined": (lambda *a: torch.cat(pixels.joined(*a), 1), (3, 1, 3, 1)),
         "accumulate": (lambda *a: torch.cat(pixels.accumulate(*a, 9.0), 1), (3, 3, 1, 1)),
         "even_sky": (lambda image, light, depth: even_sky(image, light, depth - 0.5), (3, 3, 1)),
         "keep": (keep, (3, 1, 3, 1, 2, 3)),

@@ -13,7 +13,7 @@ from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
 from ..ops.off_pixel import off_pixel
 from ..ops.over import over, over_and_coverage
-from ..ops.pixels import accumulate, demodulate
+from ..ops.pixels import accumulate, demodulate, joined
 from ..ops.recall import Recalled, keep, recall
 from ..shift import picture
 from ..shift.light import light_shift
@@ -83,10 +83,10 @@ def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: K
     after, shift = later(config, frame, known), None if known.shift is None else -known.shift
     motion, _, covered = history_motion(reverse(frame), after, config.motion, shift)
     found = _recalled(config, frame, noisy, motion, after, covered, known)
-    light, length = _joined(past.light, past.length, found.light, found.count)
+    light, length = joined(past.light, past.length, found.light, found.count)
     past, seen = replace(past, light=light, length=length, later=after), (found.footprint, found.footprint_count)
     if config.footprint and past.footprint is not None:
-        seen = _joined(past.footprint, past.footprint_count, *seen)
+        seen = joined(past.footprint, past.footprint_count, *seen)
     return replace(past, footprint=seen[0], footprint_count=seen[1])
 
 
@@ -107,12 +107,6 @@ def _recalled(
     """`recall` of the history's recent frames."""
     for_footprints = (uncovered, misplaced(frame, known)) if config.footprint else ()
     return recall(noisy, motion, (frame.depth, frame.normal), history.recent, *for_footprints)
-
-
-def _joined(a: Tensor, n: Tensor, b: Tensor, m: Tensor) -> tuple[Tensor, Tensor]:
-    """Means of n and of m frames as one, and the frames in it."""
-    total = n + m
-    return torch.lerp(a, b, m / total.clamp(min=1e-6)), total
 
 
 def misplaced(frame: Frame, known: Known) -> Tensor:
@@ -195,4 +189,4 @@ def seen(
         return over(seen, now, sides[0][0], frame.depth, sides[0][1]) if sides else seen
     (a, of_a), (b, of_b) = (over_and_coverage(seen, now, motion, frame.depth, recent) for motion, recent in sides)
     n, m = ((1 + c[:, 2:]) * (c != 0).any(1, keepdim=True) for c in (of_a, of_b))  # 0: `seen`, as there is no edge
-    return _joined(a, n, b, m)[0]
+    return joined(a, n, b, m)[0]

@@ -18,6 +18,7 @@ DEMODULATE = Fused("pixels.demodulate", native=OF_DEMODULATE, triton=OF_DEMODULA
 MODULATE = Fused("pixels.modulate", native=OF_MODULATE, triton=OF_MODULATE)
 ACCUMULATE = Fused("pixels.accumulate", native=OF_ACCUMULATE, triton=OF_ACCUMULATE)
 NEARNESS = Fused("pixels.nearness", native=Support(), triton=Support())
+JOINED = Fused("pixels.joined", triton=Support(max_channels=9, channels={"n": (1,), "b": (0,), "m": (1,)}))
 WITHIN = Fused("pixels.within", native=Support())
 
 
@@ -70,6 +71,20 @@ def accumulate(
     weight = 1 / (1 + length)
     weight = weight + reset * (1 - weight)
     return blend(new, mean, weight), (1 / weight).clamp(max=max_length)
+
+
+@falls_back
+def joined(
+    a: Tensor,  # [B, C, H, W] a mean
+    n: Tensor,  # [B, 1, H, W] of so many frames
+    b: Tensor,  # [B, C, H, W] another mean
+    m: Tensor,  # [B, 1, H, W] of so many
+) -> tuple[Tensor, Tensor]:  # [B, C, H, W], [B, 1, H, W]
+    """Both means as one, and the frames in it; where there are none, `a`."""
+    if run := JOINED(a=a, n=n, b=b, m=m):
+        return run(a, n, b, m)
+    total = n + m
+    return torch.lerp(a, b, m / total.clamp(min=1e-6)), total
 
 
 @falls_back

@@ -74,6 +74,19 @@ def _accumulate(first, second, third, mean, length, reset, out, next_length, pla
 
 
 @triton.jit
+def _joined(a, n, b, m, out, total, plane, C: tl.constexpr, BLOCK: tl.constexpr):
+    image, at, exists = here(plane, BLOCK)
+    of_b = tl.load(m + image * plane + at, mask=exists, other=0.0)
+    both = tl.load(n + image * plane + at, mask=exists, other=0.0) + of_b
+    tl.store(total + image * plane + at, both, mask=exists)
+    at += image * C * plane
+    for c in tl.static_range(C):
+        mean = tl.load(a + at + c * plane, mask=exists, other=0.0)
+        other = tl.load(b + at + c * plane, mask=exists, other=0.0)
+        tl.store(out + at + c * plane, lerp(mean, other, of_b / tl.maximum(both, 1e-6)), mask=exists)
+
+
+@triton.jit
 def _nearness(depth, distance, out, plane, BLOCK: tl.constexpr):
     b, at, exists = here(plane, BLOCK)
     d = tl.load(depth + b * plane + at, mask=exists, other=0.0)
@@ -102,6 +115,14 @@ def accumulate(
     sizes = {"M": M, "N": N, "C": C, "BLOCK": PIXELS}
     _accumulate[grid(B, H * W)](*new, *inputs, out, next_length, H * W, float(max_length), **sizes)
     return out, next_length
+
+
+def joined(a: Tensor, n: Tensor, b: Tensor, m: Tensor) -> tuple[Tensor, Tensor]:
+    a, n, b, m = (t.contiguous() for t in (a, n, b, m))
+    out, total = torch.empty_like(a), torch.empty_like(n)
+    B, C, H, W = a.shape
+    _joined[grid(B, H * W)](a, n, b, m, out, total, H * W, C=C, BLOCK=PIXELS)
+    return out, total
 
 
 def nearness(depth: Tensor, distance: Tensor) -> Tensor:
