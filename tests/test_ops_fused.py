@@ -41,6 +41,7 @@ from rtdenoise.ops.to_planes import to_planes
 from rtdenoise.ops.window_noise import window_noise
 from rtdenoise.sanitise import VALID
 from rtdenoise.shift.displacement import displacement_sums
+from rtdenoise.shift.displacement import displacement, displacement_sums
 from rtdenoise.splat import history_motion
 
 SIZES = [(1, 1), (1, 9), (17, 5), (6, 3), (59, 161)]
@@ -482,7 +483,10 @@ def test_history_motion(both, size, kind):
             torch.testing.assert_close(fused, plain, rtol=0, atol=0, equal_nan=True)
 
 
-@pytest.mark.parametrize("size", [*SIZES, (20, 2100)], ids=str)
+SHIFTS = [*CASES, ("native", (20, 2100)), ("triton", (37, 50))]
+
+
+@pytest.mark.parametrize("backend, size", SHIFTS, indirect=["backend"], ids=str)
 @pytest.mark.parametrize("cell, stride", [(16, 2), (32, 1)])
 def test_displacement_sums(both, assert_images_close, size, cell, stride):
     now, before, here, depth = (torch.rand(2, 1, *size) for _ in range(4))
@@ -495,6 +499,21 @@ def test_displacement_sums(both, assert_images_close, size, cell, stride):
 
 
 @pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+@pytest.mark.parametrize("backend, size", SHIFTS, indirect=["backend"], ids=str)
+def test_displacement(both, assert_images_close, size):
+    before = (0.5 * torch.arange(size[1])).sin() * (0.4 * torch.arange(size[0])).cos()[:, None]
+    before = before.expand(2, 1, *size).contiguous()
+    now, here = before.roll(1, dims=3) + 0.01 * torch.rand(2, 1, *size), torch.rand(2, 1, *size).round()
+    motion, depth = torch.full((2, 2, *size), -0.25), torch.ones(2, 1, *size)
+    depth_before = depth + torch.rand(2, 1, *size).round()
+    both_ways = functools.partial(displacement, cell=16, damping=0.003)
+    found = tuple(zip(*both(both_ways, now, before, motion, here, depth, depth_before), strict=True))
+    for plain, fused in found:
+        assert_images_close(fused, plain, "float32 quotient")
+    assert min(size) < 17 or found[0][0][:, 0].mean().item() == pytest.approx(-0.75, abs=0.2)
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16], ids=str)
 def test_features(both, backend, assert_images_close, size, dtype):
     light = [10 ** (9 * torch.rand(2, 3, *size) - 6), torch.zeros(2, 1, *size)]
@@ -804,6 +823,7 @@ from rtdenoise.ops.triton.dim import _dim
 from rtdenoise.ops.triton.even_sky import _blocks, _even_sky
 from rtdenoise.ops.triton.evened import _evened, _greatest, _tells
 from rtdenoise.ops.triton.features import _features
+from rtdenoise.ops.triton.displacement_sums import _solve, _sums
 from rtdenoise.ops.triton.fetch import _fetch
 from rtdenoise.ops.triton.max_pool import _max_pool
 from rtdenoise.ops.triton.history_motion import _history_motion
@@ -904,6 +924,10 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     layers = dict(zip((name.upper() for name in LAYERS), (3, 6, 3, 3, 1, 2, 0)))
     limits = "darkest brightest least_albedo greatest_albedo least_normal greatest_normal far off_screen"
     build(_replace, dict(PIXELS=512, **layers, **count), N="i32", **dict.fromkeys(limits.split(), "fp32"))
+    for first, last in ((True, False), (False, True), (True, True)):
+        build(_sums, dict(SHIFTED=not first, CELL=16, STRIDE=2, SIDE=8, **one), tolerance="fp32", **sizes)
+        build(_solve, dict(FIRST=first, LAST=last, AROUND=3, BLOCK=32, **{n.lower(): 1 for n in one}), damping="fp32",
+              enough="fp32", **{n.lower(): "i32" for n in sizes})
 """
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
@@ -924,6 +948,8 @@ def test_every_fused_op_has_the_name_of_its_plain_one():
     files = {"native": {*shared}, "triton": {"__init__", "common", "pool", "targets", "alike", "path", "curve", "keep"}}
     files = {"native": {*shared}, "triton": {"__init__", "common", "pool", "targets", "alike", "path", "curve"}}
     files["triton"].add("light")
+    device = {"common", "pool", "targets", "alike", "path", "curve", "cells"}
+    files = {"native": {*shared}, "triton": {"__init__", *device}}
     for module, fused in declarations():
         assert callable(getattr(module, fused.name).__wrapped__)  # decorated by `falls_back`
         assert module.__name__ in (f"rtdenoise.ops.{fused.file}", "rtdenoise.splat", "rtdenoise.shift.displacement")

@@ -21,7 +21,9 @@ from ..ops import warp
 from ..ops.dispatch import Fused, Support, falls_back
 
 LAYERS = dict.fromkeys(("now", "before", "here", "depth", "was"), (1,)) | {"motion": (2,)}
-FUSED = Fused("displacement_sums", native=Support(other=("shift",), channels=LAYERS))
+SUMS = Support(other=("shift",), channels=LAYERS)
+FUSED = Fused("displacement_sums", native=SUMS, triton=SUMS)
+ALL_ROUNDS = Fused("displacement_sums.displacement", triton=Support(channels=LAYERS))
 
 
 @falls_back
@@ -55,10 +57,13 @@ def displacement_sums(
     return F.avg_pool2d(terms, cell) * cell**2
 
 
+@falls_back
 def displacement(*pictures: Tensor, cell: int, damping: float) -> tuple[Tensor, Tensor]:
     """The displacement of each cell, `[B, 2, h, w]` pixels (x, y), 0 where there is too little to tell by; and the
     share of Σ w e² that is left with it, `[B, 1, h, w]`, by the last round's slopes. `pictures` are the arguments of
     `displacement_sums` without `shift`; `damping` is added to the mean of g²."""
+    if run := ALL_ROUNDS(**dict(zip(("now", "before", "motion", "here", "depth", "was"), pictures, strict=True))):
+        return run(*pictures, cell=cell, damping=damping)
     now, before, motion, *others = pictures
     shift, first = motion.new_zeros(len(now), 2, *(-(-n // cell) for n in now.shape[2:])), None
     for _ in range(SHIFT_ROUNDS):
