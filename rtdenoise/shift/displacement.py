@@ -24,6 +24,7 @@ LAYERS = dict.fromkeys(("now", "before", "here", "depth", "was"), (1,)) | {"moti
 SUMS = Support(other=("shift",), channels=LAYERS)
 FUSED = Fused("displacement_sums", native=SUMS, triton=SUMS)
 ALL_ROUNDS = Fused("displacement_sums.displacement", triton=Support(channels=LAYERS))
+COMPRESSED = Fused("compressed", triton=Support(channels=dict.fromkeys(("now", "before"), (3,))))
 
 
 @falls_back
@@ -79,12 +80,16 @@ def displacement(*pictures: Tensor, cell: int, damping: float) -> tuple[Tensor, 
     return shift, left / first.clamp(min=1e-30)
 
 
-def compressed(now: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
+@falls_back
+def compressed(now: Tensor, before: Tensor, blurred: bool = False) -> tuple[Tensor, Tensor]:
     """log(1 + s x) of the luminance x of two pictures `[B, 3, H, W]`, `[B, 1, H, W]` each; s x is SHIFT_BRIGHTNESS at
-    the mean of the first."""
+    the mean of the first. `blurred`: means of that over 3×3 pixels."""
+    if run := COMPRESSED(now=now, before=before):
+        return run(now, before, blurred)
     now, before = luminance(now), luminance(before)
     scale = SHIFT_BRIGHTNESS / now.mean((1, 2, 3), keepdim=True).clamp(min=1e-12)
-    return tuple(x.mul_(scale).add_(1).log_() for x in (now, before))
+    pictures = (x.mul_(scale).add_(1).log_() for x in (now, before))
+    return tuple(_blurred(x) if blurred else x for x in pictures)
 
 
 def spread(cells: Tensor, cell: int, H: int, W: int) -> Tensor:
@@ -96,3 +101,10 @@ def _slopes(x: Tensor) -> tuple[Tensor, Tensor]:
     """∂/∂x and ∂/∂y."""
     x = F.pad(x, (1, 1, 1, 1), mode="replicate")
     return (x[..., 1:-1, 2:] - x[..., 1:-1, :-2]) / 2, (x[..., 2:, 1:-1] - x[..., :-2, 1:-1]) / 2
+
+
+def _blurred(x: Tensor) -> Tensor:
+    """Means over 3×3 pixels."""
+    x = F.pad(x, (1, 1, 1, 1), mode="replicate")
+    x = (x[:, :, :-2] + x[:, :, 1:-1]).add_(x[:, :, 2:])
+    return (x[..., :-2] + x[..., 1:-1]).add_(x[..., 2:]).div_(9)

@@ -26,10 +26,16 @@ from ..constants import (
     SHIFT_LIGHT_DAMPING,
 )
 from ..ops.block_luminance import block_luminance
+from ..ops.dispatch import Fused, Support, falls_back
 from .displacement import compressed, displacement, spread
+
+LAYERS = dict.fromkeys(("noisy", "before"), (3,)) | {"motion": (2,)} | dict.fromkeys(("depth", "was"), (1,))
+FUSED = Fused("light_shift", triton=Support(channels=LAYERS))
+SURFACE = Fused("light_shift.one_surface", triton=Support(channels={"depth": (1,)}))
 
 
 @torch.no_grad()
+@falls_back
 def light_shift(
     noisy: Tensor,  # [B, 3, H, W] radiance of the frame
     noisy_before: Tensor,  # [B, 3, H, W] of the frame before
@@ -41,11 +47,13 @@ def light_shift(
     luminance y and that of the frame before, y'. A pixel counts where it lies in or beside an even block of its
     surface. On a CPU there is nothing to do where no edge lies beside even light, or none has moved; on a GPU, looking
     would mean waiting."""
+    if run := FUSED(noisy=noisy, before=noisy_before, motion=motion, depth=depth, was=depth_before):
+        return run(noisy, noisy_before, motion, depth, depth_before)
     H, W = depth.shape[2:]
     near, edges = _even(noisy, depth)
     if noisy.device.type == "cpu" and not edges.any():
         return None
-    light, light_before = (_blurred(x) for x in compressed(noisy, noisy_before))
+    light, light_before = compressed(noisy, noisy_before, blurred=True)
     shift, _ = displacement(
         light, light_before, motion, _pixels(near, H, W), depth, depth_before,
         cell=SHIFT_LIGHT_CELL, damping=SHIFT_LIGHT_DAMPING,
@@ -69,8 +77,11 @@ def _even(noisy: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
     return near, near * (_greatest(greatest) > -SHIFT_CONTRAST * _greatest(-mean))
 
 
+@falls_back
 def one_surface(depth: Tensor) -> Tensor:
     """The pixels around which depth is that of one surface, 1, of `[B, 1, H, W]`; 0 elsewhere."""
+    if run := SURFACE(depth=depth):
+        return run(depth)
     return _pixels(_flat(depth), *depth.shape[2:])
 
 
@@ -114,10 +125,3 @@ def _squared(shift: Tensor) -> Tensor:
 
 def _pixels(blocks: Tensor, H: int, W: int) -> Tensor:
     return F.interpolate(blocks, scale_factor=SHIFT_BLOCK, mode="nearest")[..., :H, :W]
-
-
-def _blurred(x: Tensor) -> Tensor:
-    """Means over 3×3 pixels."""
-    x = F.pad(x, (1, 1, 1, 1), mode="replicate")
-    x = (x[:, :, :-2] + x[:, :, 1:-1]).add_(x[:, :, 2:])
-    return (x[..., :-2] + x[..., 1:-1]).add_(x[..., 2:]).div_(9)
