@@ -10,18 +10,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import (
-    DEPTH_TOLERANCE,
-    FAR_AWAY,
-    GLOSS,
-    MIN_NORMAL_COSINE,
-    RECALL_ALIKE,
-    RECALL_CELL,
-    RECALL_CHANGED,
-    RECALL_EDGE_SPEED,
-    RECALL_WIDE_ALIKE,
-    RECALL_WIDE_CHANGED,
-)
+from ...constants import DEPTH_TOLERANCE, FAR_AWAY, GLOSS, MIN_NORMAL_COSINE, RECALL_CELL, RECALL_EDGE_SPEED
 from .alike import alike, surface_at
 from .common import BLOCK, grid, place
 from .keep import keep as keep
@@ -39,6 +28,7 @@ from .path import (
     stacked,
     whole,
 )
+from .unchanged import unchanged
 
 COLUMNS = 32  # of a program that sums over cells: one warp, so that sums need no shared memory
 
@@ -86,36 +76,6 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
 
 
 @triton.jit
-def _unchanged(cells, i, j, h, w, size, exists, SIDE: tl.constexpr, whole, none):
-    """The factor of SIDE × SIDE cells and as many on each side of them."""
-    top, left = i // SIDE * SIDE - SIDE, j // SIDE * SIDE - SIDE
-    r = tl.zeros(j.shape, tl.float32)
-    g, b, square = r, r, r
-    for k in tl.static_range(9 * SIDE * SIDE):
-        y, x = top + k // (3 * SIDE), left + k % (3 * SIDE)
-        inside = exists & (y >= 0) & (y < h) & (x >= 0) & (x < w)
-        at = cells + y * w + x
-        r += tl.load(at, mask=inside, other=0.0)
-        g += tl.load(at + size, mask=inside, other=0.0)
-        b += tl.load(at + 2 * size, mask=inside, other=0.0)
-        square += tl.load(at + 3 * size, mask=inside, other=0.0)
-    q = (r * r + g * g + b * b) / tl.maximum(square, 1e-30)
-    return tl.minimum(tl.maximum((none - q) / (none - whole), 0.0), 1.0)
-
-
-@triton.jit
-def _stays(cells, stays, H, W, B, alike, changed, wide_alike, wide_changed, BLOCK: tl.constexpr):
-    """How far light has stayed as it is in each of H × W cells, one kept frame a plane of programs."""
-    b, y, x, exists = place(H, W, BLOCK)
-    size = tl.cast(H, tl.int64) * W
-    n = tl.cast(tl.program_id(2), tl.int64) * B + b
-    cells += n * 4 * size
-    narrow = _unchanged(cells, y, x, H, W, size, exists, 1, alike, changed)
-    wide = _unchanged(cells, y, x, H, W, size, exists, 2, wide_alike, wide_changed)
-    tl.store(stays + n * size + y * W + x, narrow * wide, mask=exists)
-
-
-@triton.jit
 def _sum(depth, normal, motion, uncovered, misplaced, recent, stays, mean, count, seen, seen_count, H, W, B, frames,
          words, depth_tolerance, normal_tolerance, edge_speed, gloss, FOOTPRINT: tl.constexpr, MISPLACED: tl.constexpr,
          CELL: tl.constexpr, BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
@@ -147,12 +107,12 @@ def _sum(depth, normal, motion, uncovered, misplaced, recent, stays, mean, count
         below = surface_at(depth, normal, plane, beside(y, x, 4, H, W), exists)
     for j in range(frames):
         kept = frame_of(recent, j) + b * words * plane
-        unchanged = tl.load(stays + tl.cast(j, tl.int64) * B * size, mask=exists, other=0.0)
+        same_light = tl.load(stays + tl.cast(j, tl.int64) * B * size, mask=exists, other=0.0)
         u, v = bounded(u, FAR_AWAY), bounded(v, FAR_AWAY)
         there, inside = end_of(u, v, y, x, exists, H, W)
         red, green, blue, its, its_x, its_y, its_z, reset, more_u, more_v = kept_at(kept, plane, there, inside)
         same = inside & alike(d, nx, ny, nz, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
-        weight = tl.where(same, left * unchanged, 0.0)
+        weight = tl.where(same, left * same_light, 0.0)
         r += weight * red
         g += weight * green
         a += weight * blue
@@ -171,7 +131,7 @@ def _sum(depth, normal, motion, uncovered, misplaced, recent, stays, mean, count
             shown |= _of(below, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
             shown &= inside & belongs & (distance(its) >= (1 - depth_tolerance) * nearest)
             du, dv = tl.abs(edge_u - whole(edge_u)), tl.abs(edge_v - whole(edge_v))
-            weight = unchanged * edge_left * (1 - du) * (1 - dv)
+            weight = same_light * edge_left * (1 - du) * (1 - dv)
             if MISPLACED:
                 weight = weight / (1 + less * (du * du + dv * dv))
             weight = tl.where(shown, weight, 0.0)
@@ -222,14 +182,13 @@ def recall(
     B, _, H, W = light.shape
     K, h, w = len(recent), triton.cdiv(H, RECALL_CELL), triton.cdiv(W, RECALL_CELL)
     recent, words = stacked(recent)
-    cells, stays = light.new_empty(K, B, 4, h, w), light.new_empty(K, B, h, w)
-    tests = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
+    cells = light.new_empty(K, B, 4, h, w)
     tolerances, far = (DEPTH_TOLERANCE, MIN_NORMAL_COSINE), {"CELL": RECALL_CELL, "FAR_AWAY": FAR_AWAY}
     counts = H, W, B, K, words
     _compare[triton.cdiv(W, COLUMNS), B * h](
         light, depth, normal, motion, recent, cells, *counts, *tolerances, COLUMNS=COLUMNS, num_warps=1, **far
     )
-    _stays[*grid(B, h, w), K](cells, stays, h, w, B, *tests, BLOCK=BLOCK)
+    stays = unchanged(cells)
     results = torch.empty_like(light), torch.empty_like(depth)
     masks = depth, depth  # not read
     if uncovered is not None:
