@@ -27,12 +27,13 @@ from rtdenoise.ops.triton.over import _over
 from rtdenoise.ops.triton.picture import _counts, _moved
 from rtdenoise.ops.triton.pixels import _accumulate, _demodulate, _joined, _modulate, _nearness
 from rtdenoise.ops.triton.ranks import _exposure_of, _kth_greatest, _median
-from rtdenoise.ops.triton.recall import _compare, _stays, _sum
+from rtdenoise.ops.triton.recall import _compare, _sum
 from rtdenoise.ops.triton.replace_invalid import LAYERS, _replace
 from rtdenoise.ops.triton.reproject import _reproject
 from rtdenoise.ops.triton.shares import _shares
 from rtdenoise.ops.triton.soften import _soften
 from rtdenoise.ops.triton.to_planes import _to_planes
+from rtdenoise.ops.triton.unchanged import _stays
 from rtdenoise.ops.triton.warp import _warp
 from rtdenoise.ops.triton.window_noise import _window_noise
 

@@ -874,71 +874,6 @@ def test_an_odd_picture_of_full_size(assert_images_close):
 
 def test_the_triton_kernels_compile_for_a_gpu():
     """The interpreter does not show this. Needs no GPU."""
-    code = """
-import re, torch, triton, triton.language as tl
-from triton.backends.compiler import GPUTarget
-from triton.compiler import ASTSource
-from rtdenoise.ops.triton.apply_kernel import _backward, _forward
-from rtdenoise.ops.triton.compose import _compose
-from rtdenoise.ops.triton.soften import _soften
-from rtdenoise.ops.triton.downsample import _downsample
-from rtdenoise.ops.triton.around import _bounds, _within
-from rtdenoise.ops.triton.fetch import _fetch
-from rtdenoise.ops.triton.history_motion import _history_motion
-from rtdenoise.ops.triton.keep import _keep
-from rtdenoise.ops.triton.mix import _mix, _told
-from rtdenoise.ops.triton.off_pixel import _off_pixel
-from rtdenoise.ops.triton.over import _over
-from rtdenoise.ops.triton.recall import _compare, _sum
-from rtdenoise.ops.triton.reproject import _reproject
-from rtdenoise.ops.triton.unchanged import _stays
-from rtdenoise.ops.triton.warp import _warp
-
-def build(kernel, constants, **types):
-    names = kernel.arg_names
-    signature = {n: "constexpr" if n in constants else types.get(n, "*fp32") for n in names}
-    source = ASTSource(kernel, signature, {(names.index(n),): v for n, v in constants.items()})
-    compiled = triton.compile(source, target=GPUTarget("cuda", 80, 32))
-    assert compiled.asm["ptx"], kernel
-    assert not re.search("muli %stride, .*: i32", compiled.asm["ttir"])  # all logits may be more than 2³¹ values
-
-strides = dict(batch="i64", stride="i32", cell_row="i64", row="i64", cell="i32", step="i32")
-C = dict(C=3, CP=4, BLOCK=128)
-for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
-    sizes = {n: "i32" for n in "HW" if n not in one}
-    build(_forward, dict(K=3, KEEP=True, **C, **one), logits="*bf16", **sizes, **strides)
-    build(_backward, dict(K=3, **C, **one), **sizes, **strides)
-    build(_fetch, dict(C=3, BLOCK=128, **one), **sizes)
-    for yes in (False, True):
-        build(_warp, dict(CUBIC=yes, CHOICE=yes, C=3, BLOCK=128, **one), seen="*u8", **sizes)
-    build(_downsample, dict(MAXIMUM=False, BLOCK=128, **one), **sizes)
-    build(_compose, dict(C=3, MAXIMUM=True, BLOCK=128, **one), **sizes)
-    build(_soften, dict(C=3, BLOCK=128, **one), **sizes)
-    near = dict(depth_tolerance="fp32", normal_tolerance="fp32", **sizes)
-    build(_reproject, dict(COUNTS=(3, 1), TOTAL=4, BLOCK=128, MIN_HISTORY_WEIGHT=0.01, FAR_AWAY=1e6, **one),
-          stored=("*fp32",) * 2, valid="*u8", **near)
-    masks = dict(seen="*u8", uncovered="*u8", threshold="fp32")
-    images = dict(B=1, frames=1) if one else {}
-    counts = dict(words="i32", step="i32", recent=("*i32",) * 8, **dict.fromkeys({"B", "frames"} - {*images}, "i32"))
-    build(_compare, dict(CELL=4, COLUMNS=32, FAR_AWAY=1e6, **one, **images), **near, **counts)
-    build(_stays, dict(BLOCK=128, **{n: v for n, v in {**one, **images}.items() if n in "HWB"}), **sizes, **counts,
-          **dict.fromkeys("alike changed wide_alike wide_changed".split(), "fp32"))
-    for yes in (False, True):
-        build(_sum, dict(CELL=4, FOOTPRINT=yes, MISPLACED=yes, BLOCK=128, FAR_AWAY=1e6, **one, **images),
-              uncovered="*u8", edge_speed="fp32", gloss="fp32", **near, **counts)
-    build(_over, dict(BLOCK=128, FAR_AWAY=1e6, **{n: v for n, v in {**one, **images}.items() if n != "B"}), **sizes,
-          **counts, **dict.fromkeys("apart speed same light gloss".split(), "fp32"))
-    build(_off_pixel, dict(BLOCK=128, **({"count": 1} if one else {})), share="fp32", less="fp32", count="i32")
-    for first in (False, True):
-        build(_keep, dict(WORDS=8, FOOTPRINT=first, BLOCK=128, **one), kept="*i32", edge_speed="fp32", **near)
-        for shift in (False, True):
-            build(_history_motion, dict(NEXT=first, SHIFT=shift, BLOCK=128, **one), **masks, **sizes)
-        build(_mix, dict(BEFORE=first, TOLD=first, CELL=4, BLOCK=128, **one),
-              **dict.fromkeys("usual share_before lowest smallest".split(), "fp32"), **sizes)
-    build(_bounds, dict(CELL=16, **one), **sizes)
-    build(_within, dict(CELL=16, BLOCK=128, **one), C="i32", **sizes)
-    build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
-"""
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     script = Path(__file__).with_name("kernels_for_a_gpu.py")
     result = subprocess.run([sys.executable, script], capture_output=True, text=True, env=environment)
@@ -956,10 +891,9 @@ def declarations():
 def test_every_fused_op_has_the_name_of_its_plain_one():
     """Declared implementations exist; every file of a folder belongs to an op or is shared."""
     shared = {"__init__", "cache", "compiler", "logits"}
-    device = {"common", "pool", "targets", "alike", "path", "curve", "cells", "light", "luminance", "keep"}
+    device = {"common", "pool", "targets", "alike", "path", "curve", "cells", "light", "luminance"}
+    device |= {"keep", "unchanged"}  # parts of `recall`
     files = {"native": {*shared}, "triton": {"__init__", *device}}
-    files = {"native": {*shared}, "triton": {"__init__", "common", "pool", "targets", "alike", "path", "curve"}}
-    files["triton"] |= {"keep", "unchanged"}  # parts of `recall`
     for module, fused in declarations():
         assert callable(getattr(module, fused.name).__wrapped__)  # decorated by `falls_back`
         assert module.__name__ in (f"rtdenoise.ops.{fused.file}", "rtdenoise.splat") or ".shift." in module.__name__
