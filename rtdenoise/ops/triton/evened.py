@@ -92,6 +92,6 @@ def held_and_tells(held: Tensor) -> tuple[Tensor, Tensor]:
 def _greatest_of_cells(x: Tensor) -> Tensor:
     B, _, H, W = x.shape
     h, w = triton.cdiv(H, AROUND_CELL), triton.cdiv(W, AROUND_CELL)
-    most = torch.empty(B, 1, h, w, device=x.device)
+    most = torch.empty(B, 1, h, w, dtype=torch.float32, device=x.device)
     _greatest[triton.cdiv(w, CELLS), B * h](x, most, H, W, CELL=AROUND_CELL, CELLS=CELLS)
     return most

@@ -25,6 +25,6 @@ def _shares(logits, out, H, W, batch, stride, cell_row, row, cell, step, N: tl.c
 
 def shares(logits: Tensor, size: tuple[int, int]) -> Tensor:
     B, N = logits.shape[0], logits.shape[3]
-    out = torch.empty(B, N, *size, device=logits.device)
+    out = torch.empty(B, N, *size, dtype=torch.float32, device=logits.device)
     _shares[grid(B, *size)](logits, out, *size, *strides(logits), N=N, BLOCK=BLOCK)
     return out
