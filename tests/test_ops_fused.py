@@ -329,15 +329,14 @@ RANKED = {  # many alike, of either sign; some NaN; nothing but NaN
 @pytest.mark.parametrize("values", RANKED)
 def test_statistics_by_rank(both, assert_images_close, values):
     values = RANKED[values]()
-    for k in {1, 1 + values.shape[1] // 3, values.shape[1]}:
+    for k in {1, 1 + values.shape[1] // 3}:
         plain, fused = both(ranks.kth_greatest, values, k)
         torch.testing.assert_close(fused, plain, rtol=0, atol=0, equal_nan=True)
     plain, fused = both(ranks.median, values)
     assert torch.equal(fused, plain)
-    for light in (values.abs(), -values):
-        plain, fused = both(ranks.exposure_of, light)
-        assert torch.equal(fused.isnan(), plain.isnan())
-        assert_images_close(fused.nan_to_num(), plain.nan_to_num(), "float32")
+    plain, fused = both(ranks.exposure_of, values)
+    assert torch.equal(fused.isnan(), plain.isnan())
+    assert_images_close(fused.nan_to_num(), plain.nan_to_num(), "float32")
 
 
 @pytest.mark.parametrize("backend", ["triton"], indirect=True)
