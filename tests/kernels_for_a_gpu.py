@@ -83,7 +83,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_bounds, dict(CELL=16, **one), **sizes)
     half = dict.fromkeys(("x", "weight", "bias"), "*bf16")
     steps = dict.fromkeys(["C", "of_output", "of_input", "of_row", "of_column"], "i32")
-    build(_to_planes, dict(O=3, CHANNELS=32, PRECISION="tf32", PADDED=16, BLOCK=128, **one), **half, **steps, **sizes)
+    build(_to_planes, dict(O=3, CHANNELS=32, PRECISION="half", PADDED=16, BLOCK=128, **one), **half, **steps, **sizes)
     build(_within, dict(CELL=16, BLOCK=128, **one), C="i32", **sizes)
     flat = dict(BLOCK=512, **({"plane": 1} if one else {})), {} if one else {"plane": "i32"}
     build(_demodulate, dict(C=3, **flat[0]), gloss="fp32", **flat[1])
@@ -91,8 +91,8 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_accumulate, dict(M=3, N=6, C=9, **flat[0]), most="fp32", **flat[1])
     build(_joined, dict(C=9, **flat[0]), **flat[1])
     build(_nearness, flat[0], **flat[1])
-    build(_features, dict(LIT=(0, 3, 6), LIT_FLAGS=(False,) * 2, ENDS=(0, 3, 4), FLAGS=(False, True), LP=8, GP=4,
-                          BLOCK=128, **({"plane": 1} if one else {})),
+    build(_features, dict(LIT=(0, 3, 6), LIT_FLAGS=(False,) * 2, ENDS=(0, 3, 4), FLAGS=(False, True), LP=8, GP=16,
+                          ALL=16, BLOCK=128, **({"plane": 1} if one else {})),
           light=("*fp32",) * 2, guides=("*fp32", "*u8"), out="*bf16", unit="fp32", **flat[1])
     build(_blend_history, dict(K=3, C=4, BLOCK=128, **one), logits="*bf16", seen="*u8", **sizes, **strides)
     build(_shares, dict(N=3, BLOCK=128, **one), logits="*bf16", **sizes, **strides)

@@ -588,13 +588,13 @@ def test_features(both, backend, assert_images_close, size, dtype):
     like = torch.empty(4, 9, 3, 3, dtype=dtype).to(memory_format=torch.channels_last)
     scale = torch.tensor([0.3, 70.0]).reshape(2, 1, 1, 1)
 
-    def joined(scale, unit, *layers):
-        return features(layers[:2], layers[2:], scale, like.to(scale.device), unit)
+    def joined(scale, unit, lanes, *layers):
+        return features(layers[:2], layers[2:], scale, like.to(scale.device), unit, lanes)
 
     cuts = dtype == torch.bfloat16 and backend == ("triton", "cpu")  # Triton's interpreter does not round
-    for unit in (1.0, 0.0625 if cuts else 0.06145):
-        plain, fused = both(joined, scale, unit, *light, *guides)
-        assert plain.shape[1] == 9 and plain.dtype == fused.dtype == dtype
+    for unit, lanes in ((1.0, 1), (0.0625 if cuts else 0.06145, 8)):
+        plain, fused = both(joined, scale, unit, lanes, *light, *guides)
+        assert plain.shape[1] == (9 if lanes == 1 else 16) and plain.dtype == fused.dtype == dtype
         assert fused.stride() == plain.stride()
         assert_images_close(fused.float(), plain.float(), "float32" if dtype == torch.float32 else "bfloat16 rounding")
         assert cuts or torch.equal(fused[:, 4:], plain[:, 4:])  # guides are only rounded

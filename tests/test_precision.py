@@ -13,8 +13,8 @@ from synthetic import make_frames
 
 from rtdenoise.errors import InputError
 from rtdenoise.models import available, load, read
-from rtdenoise.models.inference import as_weights, prepare, resolve
-from rtdenoise.models.unet import UNet, widened, widened_in_layout
+from rtdenoise.models.inference import _JoinedHeads, _Product, as_weights, prepare, resolve
+from rtdenoise.models.unet import HeadsByCells, UNet, widened, widened_in_layout
 from rtdenoise.run import memory
 
 ROOT = Path(__file__).parent.parent
@@ -65,6 +65,16 @@ def test_a_picture_is_widened_in_its_layout(layout, down, right):
     x = torch.rand(2, 3, 4, 5).to(memory_format=layout)
     found = widened_in_layout(x, down, right)
     assert torch.equal(found, widened(x, down, right)) and found.is_contiguous(memory_format=layout)
+
+
+def test_products_of_matrices_are_the_convolutions_of_heads(assert_images_close):
+    """What `prepare` makes of 1×1 convolutions on CUDA: the same numbers, from matrices that tensor cores can read."""
+    heads, head, x = HeadsByCells(5, [25, 9, 3]), torch.nn.Conv2d(5, 27, 1), torch.randn(2, 5, 4, 6)
+    expected, one = heads(x), head(x)
+    _JoinedHeads.take(heads), _Product.take(head)
+    for found, wanted in zip([*heads(x), head(x)], [*expected, one], strict=True):
+        assert_images_close(found.detach(), wanted.detach(), "float32")
+    assert heads.matrix.shape == (104 + 40 + 16, 5) and head.matrix.shape == (32, 5)
 
 
 def test_an_unknown_precision_is_named():

@@ -33,11 +33,11 @@ from ..ops.pixels import accumulate, demodulate, modulate, nearness
 from ..ops.shares import shares
 from ..sanitise import admit
 from .config import AccumulatedKPNConfig
-from .inference import as_weights, pointwise
+from .inference import as_weights
 from .losses import frame_loss
 from .past import Past, followed, footprint, kept, reprojected, shifted
 from .refinement import GuidedRefinement
-from .unet import ConvRelu, UNet, by_name, widened
+from .unet import ConvRelu, HeadsByCells, UNet, by_name, widened
 
 FIRST_FRAME = slice(0, 3), slice(6, 19)  # input channels that are not zero everywhere in a first frame
 
@@ -79,8 +79,8 @@ class AccumulatedKPN(nn.Module):
         self.config = config
         self.stem = ConvRelu(config.features, config.widths[0], 4, stride=2, padding=1)
         self.unet = UNet(config.widths[0], config.widths)
-        full, *outputs = (sum(config.channels(scale)) for scale in range(config.scales))
-        self.full_head = nn.ConvTranspose2d(config.widths[0], full, 2, stride=2)  # of the four pixels in each cell
+        outputs = [sum(config.channels(scale)) for scale in range(1, config.scales)]
+        self.full_head = HeadsByCells(config.widths[0], config.channels(0))
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(config.widths, outputs, strict=False))
         if config.guided:
             self.refine = GuidedRefinement(config.widths[1])
@@ -177,14 +177,16 @@ class AccumulatedKPN(nn.Module):
         self, frame: Frame, noisy: Tensor, mean_albedo: Tensor, past: Past, known: Known = NOTHING_KNOWN
     ) -> Tensor:
         """The network's input `[B, 21, H, W]` in the dtype of its weights: light compressed at one exposure, nearness
-        and length in [0, 1]. In a first frame only the channels of `FIRST_FRAME`."""
+        and length in [0, 1]. In a first frame only the channels of `FIRST_FRAME`. Zeros fill the lanes of the first
+        convolution (`ConvRelu.lanes`)."""
         scale = exposure(noisy) if known.exposure is None else known.exposure
         distance = mean_distance(frame.depth) if known.distance is None else known.distance
         geometry = frame.albedo, mean_albedo, frame.normal, nearness(frame.depth, distance)
         if known.first:
-            return features((noisy, past.output), geometry, scale, self.stem.weight)
+            return features((noisy, past.output), geometry, scale, self.stem.weight, lanes=self.stem.lanes)
         time = past.length / self.config.longest, past.uncovered
-        return features((noisy, past.light, past.output), (*geometry, *time), scale, self.stem.weight)
+        light = noisy, past.light, past.output
+        return features(light, (*geometry, *time), scale, self.stem.weight, lanes=self.stem.lanes)
 
     def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:
         """As `Denoiser.statistics`, with the exposure of demodulated light."""
@@ -197,13 +199,12 @@ class AccumulatedKPN(nn.Module):
         x = widened(features, H % 2, W % 2) if W % 2 or H % 2 else features
         levels = self.unet(self._stem(x), self.config.scales - 1)
         if self.config.guided:
-            albedo = 9 if x.shape[1] == self.config.features else 6  # first channel: light comes before
+            albedo = 9 if x.shape[1] >= self.config.features else 6  # first channel: light comes before
             surface = torch.cat([x[:, albedo : albedo + 3], x[:, albedo + 6 : albedo + 10]], dim=1)
             levels[1] = self.refine(levels[1], surface)
-        full = self._full_head(levels[0])
+        full = {head.name: x for head, x in zip(self.config.heads[0], self.full_head(levels[0]), strict=True)}
         coarser = [
-            by_name(pointwise(x, head.weight, head.bias), names)
-            for head, x, names in zip(self.heads, levels, self.config.heads[1:], strict=True)
+            by_name(head(x), names) for head, x, names in zip(self.heads, levels, self.config.heads[1:], strict=True)
         ]
         alphas = [scale["alpha"].float().sigmoid() for scale in coarser]
         picks = [(full["pick"], shares(full["pick_share"], (H, W)))] if "pick" in full else []
@@ -214,17 +215,6 @@ class AccumulatedKPN(nn.Module):
         each = shares(full["shares"], (H, W)).split(1, dim=1)
         return Heads(spatial, alphas, picks, detail, full["temporal"], full.get("edge"), *each)
 
-    def _full_head(self, x: Tensor) -> dict[str, Tensor]:
-        """The heads at full size by cells, `[B, 2, 2, channels, H/2, W/2]` each: a transposed convolution whose stride
-        is its size is a 1×1 convolution for each pixel of a cell. One convolution a head keeps the channels that are
-        used together next to each other in memory."""
-        sizes, parts = self.config.channels(0), {}
-        weights, biases = self.full_head.weight.split(sizes, dim=1), self.full_head.bias.split(sizes)
-        for head, weight, bias in zip(self.config.heads[0], weights, biases, strict=True):
-            weight = weight.permute(2, 3, 1, 0).reshape(4 * head.channels, -1, 1, 1)
-            parts[head.name] = pointwise(x, weight, bias.repeat(4)).unflatten(1, (2, 2, head.channels))
-        return parts
-
     def _stem(self, x: Tensor) -> Tensor:
         """The first convolution with its ReLU, of all input channels or of `FIRST_FRAME`, to `[B, C, H/2, W/2]`.
         Pictures smaller than its kernel are padded first: in half precision oneDNN (torch 2.13) reads beyond their
@@ -232,7 +222,7 @@ class AccumulatedKPN(nn.Module):
         H, W = x.shape[2:]
         if min(H, W) < 4:
             x = F.pad(x, (0, max(0, 4 - W), 0, max(0, 4 - H)))
-        if x.shape[1] == self.config.features:
+        if x.shape[1] >= self.config.features:
             return self.stem(x)[:, :, : H // 2, : W // 2]
         # Joined from slices: a CUDA graph cannot copy a list of indices to the GPU.
         weight = as_weights(torch.cat([self.stem.weight[:, part] for part in FIRST_FRAME], dim=1), self)

@@ -104,4 +104,5 @@ class PixelNetwork(nn.Module):
     @torch.no_grad()
     def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
         """`features`, `[B, 9, H, W]`, with light in OIDN's unit."""
-        return features((radiance,), (albedo, normal), scale, self.last.weight, PIXELS_UNIT)
+        lanes = self.encoder[0].lanes
+        return features((radiance,), (albedo, normal), scale, self.last.weight, PIXELS_UNIT, lanes)

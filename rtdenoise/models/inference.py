@@ -8,7 +8,8 @@ from torch.nn import functional as F
 
 from ..errors import InputError
 from ..ops.convolve_bytes import multiplies_bytes
-from .unet import ConvRelu, Up
+from ..ops.features import filled
+from .unet import ConvRelu, HeadsByCells, Up
 
 INT8 = "int8"
 PRECISIONS = ("auto", "fp32", "bf16", INT8)
@@ -67,15 +68,24 @@ def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
     Convolutions compute in channels last, on CPUs and on tensor cores; other layouts are converted in every call.
     `as_weights` converts the network's input.
     """
-    fuses = _fuses(dtype, next(network.parameters()).device)
-    for module in list(network.modules()) if fuses else ():
-        if isinstance(module, nn.Sequential):
-            _fuse(module)
-        if type(module) is ConvRelu:
-            module.__class__ = _FusedConvRelu
+    device = next(network.parameters()).device
+    half = dtype != torch.float32
+    fuses = _fuses(dtype, device)
     for module in list(network.modules()):
+        if fuses and isinstance(module, nn.Sequential):
+            _fuse(module)
+        if fuses and type(module) is ConvRelu:
+            module.__class__ = _FusedConvRelu
         if isinstance(module, Up):
             _FusedUp.take(module)
+        if device.type == "cuda" and isinstance(module, HeadsByCells):
+            _JoinedHeads.take(module)
+        if device.type == "cuda" and type(module) is nn.Conv2d and module.kernel_size == (1, 1):
+            _Product.take(module)
+    if fuses and half and device.type == "cuda":
+        for module in network.modules():
+            if isinstance(module, _FusedConvRelu | _FusedUp):
+                module.fill_lanes()
     return network.to(dtype=dtype, memory_format=torch.channels_last)
 
 
@@ -89,11 +99,17 @@ def as_weights(x: Tensor, network: nn.Module) -> Tensor:
 class _FusedConvRelu(ConvRelu):
     """Convolution, bias and ReLU in one pass, by oneDNN on a CPU and by cuDNN on CUDA."""
 
+    def fill_lanes(self) -> None:
+        """Take as many channels as tensor cores read at once in half precision, the last with weights of 0: cuDNN would
+        convert the layout of others in every call."""
+        self.lanes = LANES
+        self.register_buffer("filled", filled(self.weight.detach(), LANES), persistent=False)
+
     def forward(self, x: Tensor) -> Tensor:
         if x.device.type != "cpu" and not _has_cudnn(x.device):  # moved there since `prepare`
             return super().forward(x)
         if x.device.type != "cpu":
-            x, weight = in_lanes(x, self.weight)
+            x, weight = (filled(x, LANES), self.filled) if self.lanes > 1 else (x, self.weight)
             return torch.cudnn_convolution_relu(
                 x, weight, self.bias, self.stride, self.padding, self.dilation, self.groups
             )
@@ -119,12 +135,16 @@ class _FusedUp(Up):
         up.register_buffer("of_skip", weight[:, up.below :].clone(), persistent=False)
         up.__class__ = cls
 
+    def fill_lanes(self) -> None:
+        """As that of `_FusedConvRelu`, for the skip connection."""
+        self.of_skip = filled(self.of_skip, LANES)
+
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         fused = type(self[0]) is _FusedConvRelu
         if fused and _has_cudnn(x.device):
             y = F.conv_transpose2d(x, self.of_below, stride=2, padding=1)
-            skip, weight = in_lanes(skip, self.of_skip)
-            y = torch.cudnn_convolution_add_relu(skip, weight, y, 1.0, self[0].bias, (1, 1), (1, 1), (1, 1), 1)
+            skip = filled(skip, self[0].lanes)
+            y = torch.cudnn_convolution_add_relu(skip, self.of_skip, y, 1.0, self[0].bias, (1, 1), (1, 1), (1, 1), 1)
             return self[3](self[2](y))
         y = F.conv_transpose2d(x, self.of_below, self[0].bias, stride=2, padding=1)
         if fused and x.device.type == "cpu":
@@ -147,21 +167,45 @@ def enlarging(weight: Tensor) -> Tensor:
     return torch.einsum("ty,oiyx,sx->iots", sums, weight, sums)
 
 
-def in_lanes(x: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-    """A convolution's features and its weights `[O, I, h, w]` with as many channels, on CUDA in half precision a
-    multiple of `LANES`: tensor cores read no others, and cuDNN would convert them in every call. Channels that are
-    added are 0."""
-    channels = max(x.shape[1], weight.shape[1])
-    if x.device.type == "cuda" and x.dtype != torch.float32:
-        channels += -channels % LANES
-    return tuple(t if t.shape[1] == channels else F.pad(t, (0, 0, 0, 0, 0, channels - t.shape[1])) for t in (x, weight))
+class _JoinedHeads(HeadsByCells):
+    """All heads in one product of matrices, for a GPU."""
+
+    @classmethod
+    def take(cls, heads: HeadsByCells) -> None:
+        """Turn `heads` into this class, in place."""
+        weights, biases = zip(*heads.pointwise(), strict=True)
+        heads.register_buffer("matrix", torch.cat([_in_rows(w.detach().flatten(1)) for w in weights]), persistent=False)
+        heads.register_buffer("offset", torch.cat([_in_rows(b.detach()) for b in biases]), persistent=False)
+        heads.__class__ = cls
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        sizes = [4 * size for size in self.sizes]
+        parts = _product(x, self.matrix, self.offset).split([n + -n % LANES for n in sizes], dim=1)
+        return [part[:, :n].unflatten(1, (2, 2, n // 4)) for part, n in zip(parts, sizes, strict=True)]
 
 
-def pointwise(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """A 1×1 convolution; its weights are `[O, I, 1, 1]`. On CUDA a product of matrices: it adds the bias as well."""
-    if x.device.type != "cuda":
-        return F.conv2d(x, weight, bias)
-    return F.linear(x.permute(0, 2, 3, 1), weight.flatten(1), bias).permute(0, 3, 1, 2)
+class _Product(nn.Conv2d):
+    """A 1×1 convolution as a product of matrices, for a GPU: it adds the bias as well."""
+
+    @classmethod
+    def take(cls, convolution: nn.Conv2d) -> None:
+        """Turn `convolution` into this class, in place."""
+        weight, bias = convolution.weight.detach().flatten(1), convolution.bias.detach()
+        convolution.register_buffer("matrix", _in_rows(weight), persistent=False)
+        convolution.register_buffer("offset", _in_rows(bias), persistent=False)
+        convolution.__class__ = cls
+
+    def forward(self, x: Tensor) -> Tensor:
+        return _product(x, self.matrix, self.offset)[:, : len(self.bias)]
+
+
+def _product(x: Tensor, matrix: Tensor, offset: Tensor) -> Tensor:
+    return F.linear(x.permute(0, 2, 3, 1), matrix, offset).permute(0, 3, 1, 2)
+
+
+def _in_rows(x: Tensor) -> Tensor:
+    """With zeros for as many rows as tensor cores write at once."""
+    return F.pad(x, (*(0, 0) * (x.ndim - 1), 0, -len(x) % LANES))
 
 
 def _fuse(layers: nn.Sequential) -> None:

@@ -22,6 +22,8 @@ def by_name(outputs: Tensor, heads: Iterable[Head]) -> dict[str, Tensor]:
 class ConvRelu(nn.Conv2d):
     """A convolution with its ReLU."""
 
+    lanes = 1  # its input may have zeros for channels up to a multiple of this
+
     def forward(self, x: Tensor) -> Tensor:
         return F.relu(super().forward(x))
 
@@ -60,6 +62,26 @@ class UNet(nn.Module):
             if level < scales:
                 features.append(x[:, :, : -(-H // 2**level), : -(-W // 2**level)])
         return features[::-1]
+
+
+class HeadsByCells(nn.ConvTranspose2d):
+    """Heads at twice the size of the features, of `sizes` channels each: a transposed convolution whose stride is its
+    size is a 1×1 convolution for each of the four pixels of a cell."""
+
+    def __init__(self, inputs: int, sizes: list[int]) -> None:
+        super().__init__(inputs, sum(sizes), 2, stride=2)
+        self.sizes = sizes
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """`[B, inputs, h, w]` to logits by cells, `[B, 2, 2, size, h, w]` each (`ops.apply_kernel`). One convolution a
+        head keeps the channels that are used together next to each other in memory."""
+        parts = (F.conv2d(x, weight, bias) for weight, bias in self.pointwise())
+        return [part.unflatten(1, (2, 2, size)) for part, size in zip(parts, self.sizes, strict=True)]
+
+    def pointwise(self) -> list[tuple[Tensor, Tensor]]:
+        """Weights `[4 · size, inputs, 1, 1]` and bias of the 1×1 convolution of each head."""
+        parts = zip(self.weight.split(self.sizes, dim=1), self.bias.split(self.sizes), strict=True)
+        return [(w.permute(2, 3, 1, 0).reshape(-1, self.in_channels, 1, 1), b.repeat(4)) for w, b in parts]
 
 
 def widened(x: Tensor, down: int, right: int) -> Tensor:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from ..color import compress
 from .dispatch import Fused, Support, falls_back
@@ -22,7 +23,8 @@ def features(
     scale: Tensor,  # [B, 1, 1, 1] exposure: light is multiplied by it
     like: Tensor,  # gives the dtype and, if it has 4 axes, the memory format of the result
     unit: float = 1.0,  # of light: it is multiplied by it in the end
-) -> Tensor:  # [B, ΣC, H, W]
+    lanes: int = 1,
+) -> Tensor:  # [B, ΣC, H, W]; zeros fill the channels up to a multiple of `lanes`
     """Light, compressed by `color.compress` at one exposure, then the guides, in the order given:
 
     out[b, :, y, x] = [unit · log(1 + scale[b] · light[b, :, y, x]), guides[b, :, y, x]]
@@ -35,11 +37,15 @@ def features(
         guides = [guide if guide.dtype is torch.bool else guide.to(light[0].dtype) for guide in guides]
         flags = [guide.view(torch.uint8) for guide in guides if guide.dtype is torch.bool]
         if run := FUSED(light=light, guides=[x for x in guides if x.dtype is not torch.bool], flags=flags):
-            return run(light, guides, scale, like.dtype, unit)
+            return run(light, guides, scale, like.dtype, unit, lanes)
     guides = [guide.to(light[0].dtype) for guide in guides]
     compressed = compress(torch.cat([*light], dim=1) * scale)
     out = torch.cat([compressed, *guides], dim=1).to(**form)
-    if unit == 1:
-        return out
     lit = compressed.shape[1]
-    return torch.cat([out[:, :lit] * unit, out[:, lit:]], dim=1)
+    out = out if unit == 1 else torch.cat([out[:, :lit] * unit, out[:, lit:]], dim=1)
+    return filled(out, lanes)
+
+
+def filled(x: Tensor, lanes: int) -> Tensor:
+    """`x` with zeros for channels up to a multiple of `lanes`."""
+    return F.pad(x, (0, 0, 0, 0, 0, -x.shape[1] % lanes)) if x.shape[1] % lanes else x

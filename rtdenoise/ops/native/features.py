@@ -8,11 +8,12 @@ from ctypes import c_float, c_int64
 import torch
 from torch import Tensor
 
+from ..features import filled
 from .compiler import library, planes, pointer
 
 
 def features(
-    light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype, unit: float
+    light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype, unit: float, lanes: int
 ) -> Tensor:
     layers = [layer.float().contiguous() for layer in (*light, *guides)]
     B, _, H, W = layers[0].shape
@@ -22,4 +23,4 @@ def features(
     for b in range(B):
         each = planes([layer[b : b + 1] for layer in layers])
         run(each, c_float(scale[b].item()), pointer(out[b]), c_int64(H * W), torch.get_num_threads())
-    return out
+    return filled(out, lanes)

@@ -39,36 +39,35 @@ def _joined(images, other, b, plane, at, exists, ENDS: tl.constexpr, FLAGS: tl.c
 
 @triton.jit
 def _features(light, guides, scale, out, plane, unit, LIT: tl.constexpr, LIT_FLAGS: tl.constexpr, ENDS: tl.constexpr,
-              FLAGS: tl.constexpr, LP: tl.constexpr, GP: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
+              FLAGS: tl.constexpr, LP: tl.constexpr, GP: tl.constexpr, ALL: tl.constexpr,
+              BLOCK: tl.constexpr):  # fmt: skip
     b, at, exists = here(plane, BLOCK)
     L: tl.constexpr = LIT[len(LIT) - 1]
-    G: tl.constexpr = ENDS[len(ENDS) - 1]
-    out += (b * plane + at)[:, None] * (L + G)
+    out += (b * plane + at)[:, None] * ALL
     c = tl.arange(0, LP)[None, :]
     values = _joined(light, light[0], b, plane, at, exists, LIT, LIT_FLAGS, LP)
     values = compressed(tl.load(scale + b) * values).to(out.dtype.element_ty).to(tl.float32) * unit
     tl.store(out + c, values.to(out.dtype.element_ty), mask=exists[:, None] & (c < L))
-    if G > 0:
+    if ALL > L:
         c = tl.arange(0, GP)[None, :]
-        values = _joined(guides, light[0], b, plane, at, exists, ENDS, FLAGS, GP)
-        tl.store(out + L + c, values.to(out.dtype.element_ty), mask=exists[:, None] & (c < G))
+        values = _joined(guides, light[0], b, plane, at, exists, ENDS, FLAGS, GP)  # 0 beyond the last guide
+        tl.store(out + L + c, values.to(out.dtype.element_ty), mask=exists[:, None] & (c < ALL - L))
 
 
 def features(
-    light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype, unit: float
+    light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype, unit: float, lanes: int
 ) -> Tensor:
     light, guides = (tuple(x.contiguous() for x in images) for images in (light, guides))
     B, _, H, W = light[0].shape
     scale = scale.expand(B, 1, 1, 1).reshape(B).contiguous()
     lit, ends = ((0, *accumulate(x.shape[1] for x in images)) for images in (light, guides))
-    out = torch.empty(
-        B, lit[-1] + ends[-1], H, W, dtype=dtype, device=light[0].device, memory_format=torch.channels_last
-    )
+    channels = triton.cdiv(lit[-1] + ends[-1], lanes) * lanes
+    out = torch.empty(B, channels, H, W, dtype=dtype, device=light[0].device, memory_format=torch.channels_last)
     flags = tuple(x.dtype is torch.bool for x in guides)
     guides = tuple(x.view(torch.uint8) if flag else x for x, flag in zip(guides, flags, strict=True))
-    sizes = {"LP": triton.next_power_of_2(lit[-1]), "GP": triton.next_power_of_2(ends[-1]), "BLOCK": PIXELS}
+    sizes = {"LP": triton.next_power_of_2(lit[-1]), "GP": triton.next_power_of_2(channels - lit[-1]), "ALL": channels}
     _features[grid(B, H * W, PIXELS)](
         light, guides or light, scale, out, H * W, float(unit), LIT=lit, LIT_FLAGS=(False,) * len(light), ENDS=ends,
-        FLAGS=flags, **sizes,
+        FLAGS=flags, BLOCK=PIXELS, **sizes,
     )  # fmt: skip
     return out

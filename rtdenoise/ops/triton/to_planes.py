@@ -27,7 +27,10 @@ def _to_planes(x, weight, bias, out, H, W, C, of_output, of_input, of_row, of_co
             c = first + channel
             features = tl.load(there[:, None] + c[None, :], mask=inside[:, None], other=0.0)
             weights = tl.load(tap[None, :] + c[:, None] * of_input, mask=o[None, :] < O, other=0.0)
-            total += tl.dot(features.to(tl.float32), weights.to(tl.float32), input_precision=PRECISION)
+            if PRECISION == "half":
+                total = tl.dot(features, weights, total)
+            else:
+                total = tl.dot(features.to(tl.float32), weights.to(tl.float32), total, input_precision="ieee")
     at = out + (b * O + o[None, :]) * plane + (i * W + j)[:, None]
     tl.store(at, total, mask=exists[:, None] & (o[None, :] < O))
 
@@ -37,7 +40,8 @@ def to_planes(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     O = len(weight)
     out = x.new_empty((B, O, H, W), dtype=torch.float32)
     channels = next(n for n in (64, 32, 16) if C % n == 0)
-    precision = "ieee" if torch.float32 in (x.dtype, weight.dtype) else "tf32"  # exact for halves, and faster
+    halves = x.is_cuda and x.dtype == weight.dtype != torch.float32  # the interpreter multiplies none
+    precision = "half" if halves else "ieee"
     _to_planes[grid(B, H, W)](
         x, weight, bias, out, H, W, C, *weight.stride(), O=O, CHANNELS=channels, PRECISION=precision, PADDED=PADDED,
         BLOCK=BLOCK,
