@@ -91,9 +91,9 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_accumulate, dict(M=3, N=6, C=9, **flat[0]), most="fp32", **flat[1])
     build(_joined, dict(C=9, **flat[0]), **flat[1])
     build(_nearness, flat[0], **flat[1])
-    build(_features, dict(LIT=(0, 3, 6), LIT_FLAGS=(False,) * 2, ENDS=(0, 3, 4), FLAGS=(False, True), LP=8, GP=16,
-                          ALL=16, BLOCK=128, **({"plane": 1} if one else {})),
-          light=("*fp32",) * 2, guides=("*fp32", "*u8"), out="*bf16", unit="fp32", **flat[1])
+    build(_features, dict(ENDS=(0, 3, 6, 7), FLAGS=(False, False, True), LIGHT=3, ALL=8, CP=8, BLOCK=128,
+                          **({"plane": 1} if one else {})),
+          images=("*fp32", "*fp32", "*u8"), out="*bf16", unit="fp32", **flat[1])
     build(_blend_history, dict(K=3, C=4, BLOCK=128, **one), logits="*bf16", seen="*u8", **sizes, **strides)
     build(_shares, dict(N=3, BLOCK=128, **one), logits="*bf16", **sizes, **strides)
     cells = dict(CELL=16, BLOCK=128, **one)

@@ -17,11 +17,13 @@ PIXELS = 128  # of a program
 
 
 @triton.jit
-def _joined(images, other, b, plane, at, exists, ENDS: tl.constexpr, FLAGS: tl.constexpr, CP: tl.constexpr):
-    """Images joined along channels, [BLOCK, CP]: the k-th one from channel ENDS[k] to ENDS[k + 1], of bytes where
-    FLAGS[k]. Addresses are chosen first, from `other` on, so that one load reads all that are of floats."""
+def _features(images, scale, out, plane, unit, ENDS: tl.constexpr, FLAGS: tl.constexpr, LIGHT: tl.constexpr,
+              ALL: tl.constexpr, CP: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
+    """The k-th image is channels ENDS[k] to ENDS[k + 1], of bytes where FLAGS[k]. Addresses are chosen first, so that
+    one load reads all that are of floats, and one store writes a pixel. Channels beyond the last image are 0."""
+    b, at, exists = here(plane, BLOCK)
     c = tl.arange(0, CP)[None, :]
-    number, source = c < 0, other + 0 * c
+    number, source = c < 0, images[0] + 0 * c
     for k in tl.static_range(len(FLAGS)):
         if not FLAGS[k]:
             inside = (c >= ENDS[k]) & (c < ENDS[k + 1])
@@ -30,44 +32,26 @@ def _joined(images, other, b, plane, at, exists, ENDS: tl.constexpr, FLAGS: tl.c
     values = tl.load(source + at[:, None], mask=exists[:, None] & number, other=0.0)
     for k in tl.static_range(len(FLAGS)):
         if FLAGS[k]:
-            inside = (c >= ENDS[k]) & (c < ENDS[k + 1])
-            source_of_flags = images[k] + (b * (ENDS[k + 1] - ENDS[k]) + c - ENDS[k]) * plane + at[:, None]
-            flags = tl.load(source_of_flags, mask=exists[:, None] & inside, other=0)
-            values = tl.where(inside, flags.to(tl.float32), values)
-    return values
-
-
-@triton.jit
-def _features(light, guides, scale, out, plane, unit, LIT: tl.constexpr, LIT_FLAGS: tl.constexpr, ENDS: tl.constexpr,
-              FLAGS: tl.constexpr, LP: tl.constexpr, GP: tl.constexpr, ALL: tl.constexpr,
-              BLOCK: tl.constexpr):  # fmt: skip
-    b, at, exists = here(plane, BLOCK)
-    L: tl.constexpr = LIT[len(LIT) - 1]
-    out += (b * plane + at)[:, None] * ALL
-    c = tl.arange(0, LP)[None, :]
-    values = _joined(light, light[0], b, plane, at, exists, LIT, LIT_FLAGS, LP)
-    values = compressed(tl.load(scale + b) * values).to(out.dtype.element_ty).to(tl.float32) * unit
-    tl.store(out + c, values.to(out.dtype.element_ty), mask=exists[:, None] & (c < L))
-    if ALL > L:
-        c = tl.arange(0, GP)[None, :]
-        values = _joined(guides, light[0], b, plane, at, exists, ENDS, FLAGS, GP)  # 0 beyond the last guide
-        tl.store(out + L + c, values.to(out.dtype.element_ty), mask=exists[:, None] & (c < ALL - L))
+            flags = tl.load(images[k] + b * plane + at, mask=exists, other=0).to(tl.float32)
+            values = tl.where(c == ENDS[k], flags[:, None], values)
+    lit = compressed(tl.load(scale + b) * tl.where(c < LIGHT, values, 0.0))
+    lit = lit.to(out.dtype.element_ty).to(tl.float32) * unit
+    values = tl.where(c < LIGHT, lit, values).to(out.dtype.element_ty)
+    tl.store(out + (b * plane + at)[:, None] * ALL + c, values, mask=exists[:, None] & (c < ALL))
 
 
 def features(
     light: Sequence[Tensor], guides: Sequence[Tensor], scale: Tensor, dtype: torch.dtype, unit: float, lanes: int
 ) -> Tensor:
-    light, guides = (tuple(x.contiguous() for x in images) for images in (light, guides))
-    B, _, H, W = light[0].shape
+    several = (x.float() if x.dtype is torch.bool and x.shape[1] > 1 else x for x in guides)  # flags have one channel
+    images = tuple(x.contiguous() for x in (*light, *several))
+    B, _, H, W = images[0].shape
     scale = scale.expand(B, 1, 1, 1).reshape(B).contiguous()
-    lit, ends = ((0, *accumulate(x.shape[1] for x in images)) for images in (light, guides))
-    channels = triton.cdiv(lit[-1] + ends[-1], lanes) * lanes
-    out = torch.empty(B, channels, H, W, dtype=dtype, device=light[0].device, memory_format=torch.channels_last)
-    flags = tuple(x.dtype is torch.bool for x in guides)
-    guides = tuple(x.view(torch.uint8) if flag else x for x, flag in zip(guides, flags, strict=True))
-    sizes = {"LP": triton.next_power_of_2(lit[-1]), "GP": triton.next_power_of_2(channels - lit[-1]), "ALL": channels}
-    _features[grid(B, H * W, PIXELS)](
-        light, guides or light, scale, out, H * W, float(unit), LIT=lit, LIT_FLAGS=(False,) * len(light), ENDS=ends,
-        FLAGS=flags, BLOCK=PIXELS, **sizes,
-    )  # fmt: skip
+    ends = 0, *accumulate(x.shape[1] for x in images)
+    channels = triton.cdiv(ends[-1], lanes) * lanes
+    out = torch.empty(B, channels, H, W, dtype=dtype, device=images[0].device, memory_format=torch.channels_last)
+    flags = tuple(x.dtype is torch.bool for x in images)
+    images = tuple(x.view(torch.uint8) if flag else x for x, flag in zip(images, flags, strict=True))
+    sizes = {"LIGHT": ends[len(light)], "ALL": channels, "CP": triton.next_power_of_2(channels), "BLOCK": PIXELS}
+    _features[grid(B, H * W, PIXELS)](images, scale, out, H * W, float(unit), ENDS=ends, FLAGS=flags, **sizes)
     return out
