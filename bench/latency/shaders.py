@@ -28,12 +28,12 @@ class Shaders:
     """One denoiser in one precision, with a frame and its history on the GPU."""
 
     def __init__(self, denoiser: Denoiser, frame: Frame, half: bool) -> None:
-        tensors = {name: tensor.float().cpu().numpy() for name, tensor in denoiser.state_dict().items()}
+        tensors = {name: _array(tensor) for name, tensor in denoiser.state_dict().items()}
         self._pipeline = Pipeline(denoiser.config, tensors, half)
         self._ctx = self._pipeline.ctx
-        self._layers = {name: GpuArray.upload(self._ctx, t[0].cpu().numpy()) for name, t in frame.layers()}
+        self._layers = {name: GpuArray.upload(self._ctx, _array(t[0])) for name, t in frame.layers()}
         _, history = self._pipeline.run(self._layers)
-        self._history = self._pipeline.remember(history, [frame.map(torch.Tensor.numpy)] * denoiser.config.recent)
+        self._history = self._pipeline.remember(history, [frame.map(_array)] * denoiser.config.recent)
 
     def step(self) -> GpuArray:
         """One frame with history, from the GPU to the GPU; returns when it is done."""
@@ -58,6 +58,10 @@ class Shaders:
         kept = [a for a in vars(self._history).values() if isinstance(a, GpuArray)]
         arrays = [*self._layers.values(), *kept, *kept, *self._history.recent]
         return (sum(array.buffer.size for array in arrays) + self._pipeline.scratch.nbytes) / 1e6
+
+
+def _array(tensor: torch.Tensor) -> np.ndarray:
+    return tensor.float().cpu().numpy()
 
 
 def renderer() -> str:
