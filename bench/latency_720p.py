@@ -29,7 +29,8 @@ from rtdenoise.baselines.oidn import installed
 from rtdenoise.frame import Frame
 
 RESULT, PAGES = RESULTS / "latency_720p.json", (DOCS / "results" / "performance.md",)
-PICTURE = DOCS / "images" / "latency_720p.png"
+ON_CUDA = RESULTS / "latency_720p_cuda.json"
+OTHER_RESULTS = (ON_CUDA,)  # with tables on the same pages
 SIZES = {
     "quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
     "4k": (3840, 2160),
@@ -52,9 +53,9 @@ class Options:
     """'auto', 'cpu' or 'cuda'."""
     quick: bool = False
     """64×36, 3 calls."""
-    out: Path = RESULT
-    """JSON file; its table and plot go beside it, .md and .png. The default also updates docs/results/performance.md
-    and its plot, unless --quick."""
+    out: Path | None = None
+    """JSON file; its table and plot go beside it, .md and .png (default: that of the device in bench/results; it also
+    updates docs/results/performance.md and the plot there, unless --quick)."""
 
 
 def main(o: Options) -> None:
@@ -73,13 +74,15 @@ def main(o: Options) -> None:
     cuda = torch.cuda.get_device_name() if torch.cuda.is_available() else "not measured: there is none"
     devices = {"torch": cuda if device == "cuda" else harness.cpu(), "cpu": harness.cpu(), "glsl": gl, "cuda": cuda}
     content = {"device": device, "measured_peaks": peaks, "rows": rows}
-    published = o.out == RESULT and not o.quick
+    out = o.out or (ON_CUDA if device == "cuda" else RESULT)
+    published = out in (RESULT, ON_CUDA) and not o.quick
     where = {"pages": PAGES, "tables": tables} if published else {}
-    document = harness.publish(o.out, content, devices=devices, **where)
+    document = harness.publish(out, content, devices=devices, **where)
     text = "\n\n".join(filter(None, [*(table(document, size) for size in sizes), scaling(document["rows"])]))
-    o.out.with_suffix(".md").write_text(text + "\n")
+    picture = (DOCS / "images" / out.name if published else out).with_suffix(".png")
+    if not published:
+        out.with_suffix(".md").write_text(text + "\n")
     print(text)
-    picture = PICTURE if published else o.out.with_suffix(".png")
     if find_spec("matplotlib"):
         plot(document, picture)
     else:
@@ -87,8 +90,9 @@ def main(o: Options) -> None:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Sections `latency` and `scaling`."""
-    return {"latency": table(document, "720p"), "scaling": scaling(document["rows"])}
+    """Sections `latency` and `scaling`, or `latency-cuda` and `scaling-cuda`."""
+    where = "-cuda" if document["device"] == "cuda" else ""
+    return {f"latency{where}": table(document, "720p"), f"scaling{where}": scaling(document["rows"])}
 
 
 def run(
@@ -105,12 +109,13 @@ def run(
     calls = max(3, round(calls * min(1, 1280 * 720 / (W * H))))
     frame = methods.synthetic_frame(H, W).to(device)
     timed = [m for preset in presets for m in methods.torch_methods(preset, frame, device, backends)]
-    if with_shaders:
-        timed += [m for preset in presets for m in methods.shader_methods(preset, frame)]
     if installed():
         timed += methods.oidn_methods(frame, qualities)
-
-    totals = harness.measure({m.name: partial(step, m, device) for m in timed}, calls, warmup=1)
+    shaders = [m for preset in presets for m in methods.shader_methods(preset, frame)] if with_shaders else []
+    totals = {}
+    for turn in (timed, shaders):  # a GPU takes its time to go from OpenGL to CUDA
+        totals |= harness.measure({m.name: partial(step, m, device) for m in turn}, calls, warmup=1)
+    timed += shaders
     rows = [{"method": m.name, TOTAL: totals[m.name]} for m in timed]
     for row, method in zip(rows, timed, strict=True):
         if method.model:

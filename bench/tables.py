@@ -15,7 +15,8 @@ from bench import harness
 
 # isort: split
 
-# Each has RESULT, a JSON file; PAGES, the pages with its sections; and tables(document) -> section -> Markdown.
+# Each has RESULT, a JSON file (some OTHER_RESULTS beside it); PAGES, the pages with its sections; and tables(document)
+# -> section -> Markdown.
 MODULES = (
     "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "combine_papers", "cycles",
     "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis", "missing_layers", "mltd",
@@ -29,7 +30,8 @@ MODULES = (
 def main() -> None:
     for name in MODULES:
         bench = importlib.import_module(f"bench.{name}")
-        harness.insert_sections(bench.tables(json.loads(bench.RESULT.read_text())), bench.PAGES)
+        for result in (bench.RESULT, *getattr(bench, "OTHER_RESULTS", ())):
+            harness.insert_sections(bench.tables(json.loads(result.read_text())), bench.PAGES)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 # Check and time the GPU paths on a machine with an NVIDIA GPU:  sh tools/gpu_check.sh [tests|table]
 #
 # `tests`: Triton's kernels, CUDA graphs and the shaders compute the same as the plain ops. `table`: times, into
-# bench/results/latency_720p_cuda.{json,md,png}. Either takes ten minutes at most; without an argument it does both.
+# bench/results/latency_720p_cuda.json and docs/results/performance.md. Either takes ten minutes at most; without an argument it does both.
 #
 # Where python3 (or PYTHON=...) has a PyTorch that sees the GPU, that one is used, and nothing is asked of the network unless
 # other packages are missing. WHEELS=FOLDER takes those from a folder of wheels instead: they go into build/gpu-venv, beside
@@ -29,7 +29,7 @@ main() {
         fi
     fi
     if [ "$part" != tests ]; then
-        timeout 570 "$python" bench/latency_720p.py --device cuda --out bench/results/latency_720p_cuda.json || failed=1
+        timeout 570 "$python" bench/latency_720p.py --device cuda || failed=1
     fi
     exit $failed
 }

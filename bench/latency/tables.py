@@ -23,12 +23,14 @@ def table(document: dict, size: str) -> str:
         "|---|" + "---|" * (len(STAGES) + 5),
     ]
     for row in rows:
-        lines.append(f"| {row['method']} | {' | '.join(_cells(row, base, document['measured_peaks']))} |")
+        cells = _cells(row, base, document["measured_peaks"], 2 if document["device"] == "cuda" else 1)
+        lines.append(f"| {row['method']} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def _cells(row: dict, base: float | None, peaks: dict[str, float]) -> list[str]:
-    """Stages, total, ratio to `base`, rates of kernels and network relative to `peaks`, memory."""
+def _cells(row: dict, base: float | None, peaks: dict[str, float], places: int) -> list[str]:
+    """Stages, total, ratio to `base`, rates of kernels and network relative to `peaks`, memory; milliseconds with so
+    many decimal `places`."""
     stages, rates, memory = [EMPTY] * len(STAGES), [EMPTY, EMPTY], EMPTY
     if "reason" in row:
         return [*stages, row["reason"], EMPTY, *rates, memory]
@@ -36,14 +38,14 @@ def _cells(row: dict, base: float | None, peaks: dict[str, float]) -> list[str]:
     ratio = EMPTY if base is None else f"{base / total:.2f}× as fast"
     if "stages" in row:
         times = {stage: row["stages"][stage]["median_ms"] for stage in STAGES}
-        stages, memory = [f"{t:.1f}" for t in times.values()], f"{row['peak_mb']:.0f}"
+        stages, memory = [f"{t:.{places}f}" for t in times.values()], f"{row['peak_mb']:.0f}"
     if "gb" in row:
         network, kernels = list(STAGES)[:2]
         rates = [f"{100 * row['gb'][kernels] / times[kernels] * 1000 / peaks['copy_gb_per_s']:.0f} %", EMPTY]
         if "int8" not in row["method"]:  # torch has no product of bytes to compare with
             product = peaks["bf16_gflop_per_s" if "bf16" in row["method"] else "fp32_gflop_per_s"]
             rates[1] = f"{100 * row['prediction_gflop'] / times[network] * 1000 / product:.0f} %"
-    return [*stages, f"{total:.1f} ± {row[TOTAL]['iqr_ms']:.1f}", ratio, *rates, memory]
+    return [*stages, f"{total:.{places}f} ± {row[TOTAL]['iqr_ms']:.{places}f}", ratio, *rates, memory]
 
 
 def scaling(rows: list[dict]) -> str:

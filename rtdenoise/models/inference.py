@@ -66,10 +66,11 @@ def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
     for training.
 
     Convolutions compute in channels last, on CPUs and on tensor cores; other layouts are converted in every call.
-    `as_weights` converts the network's input.
+    `as_weights` converts the network's input. On CUDA a network in float32 stays as it is: cuDNN is slower otherwise.
     """
     device = next(network.parameters()).device
-    half = dtype != torch.float32
+    if device.type == "cuda" and dtype == torch.float32:
+        return network.float()
     fuses = _fuses(dtype, device)
     for module in list(network.modules()):
         if fuses and isinstance(module, nn.Sequential):
@@ -82,7 +83,7 @@ def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
             _JoinedHeads.take(module)
         if device.type == "cuda" and type(module) is nn.Conv2d and module.kernel_size == (1, 1):
             _Product.take(module)
-    if fuses and half and device.type == "cuda":
+    if fuses and device.type == "cuda":
         for module in network.modules():
             if isinstance(module, _FusedConvRelu | _FusedUp):
                 module.fill_lanes()
