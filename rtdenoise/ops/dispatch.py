@@ -162,8 +162,9 @@ def backend(device: str) -> tuple[str | None, str | None]:
             native.prepare()
             return "native", None
         if device == "cuda":
-            from .triton import common as common
+            from .triton import first_use
 
+            first_use.prepare()
             return "triton", None
     except (ImportError, OSError, RuntimeError) as error:
         _warn(device, error)
