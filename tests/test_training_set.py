@@ -163,6 +163,22 @@ def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
     assert len(files) == 4 and Path(scene).parent.name == "hall"
 
 
+def test_a_scene_to_leave_out_that_is_not_there_is_named(room, tmp_path, monkeypatch, capsys):
+    (tmp_path / "hall").mkdir()
+    (tmp_path / "hall" / "scene.xml").write_text(ROOM)
+    asked = []
+    render = "rtdenoise.render.clips.render_clips"
+    monkeypatch.setattr(render, lambda out, options, _: asked.append(options) or {"clips": 0})
+    arguments = ["clips", "--out", str(tmp_path / "out"), "--scenes", str(tmp_path)]
+    with pytest.raises(SystemExit):
+        main([*arguments, "--exclude", "street", "Hal"])
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert f"--exclude Hal: {tmp_path} has no such scene (did you mean 'hall'?)" in line and not asked
+    main([*arguments, "--exclude", "street", "hall"])  # street is one of the default names, here or not
+    main(arguments)
+    assert [[Path(file).parent.name for file, _ in o.scenes] for o in asked] == [["room"], ["hall", "room"]]
+
+
 def test_windows_are_chosen_where_most_is_uncovered():
     windows = [ClipWindow(0, 0, x, 0.01 * x, 1.0) for x in range(0, 33, 8)]
     rng = np.random.default_rng(0)

@@ -40,7 +40,7 @@ class Clips:
     motions: Path | None = None
     """With --scenes: folder of NAME.toml, the motions of these scenes."""
     exclude: tuple[str, ...] = ("street", "dining-room", "staircase2", "bathroom")
-    """With --scenes: names that are left out, to validate on."""
+    """With --scenes: names that are left out, to validate on; of others than the default ones each must be there."""
     sun: float = 0.0
     """Share of the generated scenes that a sun shines on, with sharp shadows (0 to 1)."""
     calm: float = 0.0
@@ -135,7 +135,7 @@ class Clips:
         self._refuse_unused_options()
         from ..render.clips import render_clips
         from ..render.metropolis import MetropolisOptions, chains_of
-        from ..render.options import ClipOptions, find_scenes, parse_shard
+        from ..render.options import ClipOptions, find_scenes, parse_shard, require_scenes
 
         size = (self.height or self.size, self.width or self.size)
         refuse_too_many_paths(size, self.spp)
@@ -143,13 +143,16 @@ class Clips:
         if self.integrator == "pssmlt":
             metropolis = MetropolisOptions(self.chains or 0, attribution=self.attribution)
             chains_of(metropolis, size, self.spp)
+        scenes = ()
+        if self.scenes:
+            scenes = find_scenes(self.scenes, self.motions, self.exclude)
+            require_scenes(self.scenes, set(self.exclude) - set(Clips.exclude))
         options = ClipOptions(
             self.count, size, self.frames, self.seed, self.spp, self.reference_error, self._reference_range(),
             self.reference_spp or (256 if metropolis else 64), self.max_depth or (8 if metropolis else 6),
             self.workers, parse_shard(self.shard),
-            find_scenes(self.scenes, self.motions, self.exclude) if self.scenes else (), self.generator, self.sun,
-            self.calm, str(self.textures or ""), str(self.assets or ""), self.allow_unlicensed, self.lead_in,
-            self.repeats, self.most_spp, self.ray or "", metropolis,
+            scenes, self.generator, self.sun, self.calm, str(self.textures or ""), str(self.assets or ""),
+            self.allow_unlicensed, self.lead_in, self.repeats, self.most_spp, self.ray or "", metropolis,
         )  # fmt: skip
         with progress_bar("rendering") as bar:
             task = bar.add_task("render", total=None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from .metropolis import MetropolisOptions
 from .scenes import wide
 
@@ -141,3 +141,11 @@ def find_scenes(folder: Path, motions: Path | None, exclude: tuple[str, ...]) ->
         names = ", ".join(f"{f.parent.name}.toml" for f in files[:3])
         raise InputError(f"{motions}: no motion of these scenes found; expected files NAME.toml, such as {names}")
     return pairs
+
+
+def require_scenes(folder: Path, names: set[str]) -> None:
+    """Raise InputError for a name without FOLDER/NAME/scene.xml, such as a typo in what is to be left out."""
+    known = {f.parent.name for f in Path(folder).glob("*/scene.xml")}
+    for name in sorted(names - known):
+        raise InputError(f"--exclude {name}: {folder} has no such scene{did_you_mean(name, sorted(known))}; expected "
+                         "the NAME of a NAME/scene.xml")  # fmt: skip
