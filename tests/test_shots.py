@@ -13,6 +13,8 @@ from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.exr import write_layers
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
+from rtdenoise.training.batches import TrainingSet
+from rtdenoise.training.config import TrainConfig
 
 SMALL = ["--size", "12", "--frames", "4"]
 
@@ -94,6 +96,22 @@ def test_references_in_other_files_and_one_signal(tmp_path, capsys):
     )
 
 
+def test_clips_tell_their_samples_a_pixel(tmp_path, shot, capsys):
+    told = write_sequence(tmp_path / "told", [frame.with_samples(4) for frame in make_frames(4, H=26, W=36)])
+    noted = write_sequence(tmp_path / "noted", make_frames(4, H=26, W=36))
+    (noted / "samples.json").write_text('{"spp": 2}')
+    out = tmp_path / "clips"
+    data = cut(out / "a", shot, told, noted)
+    spp = {data.facts(i)["source"]: data.facts(i)["spp"] for i in range(len(data))}
+    assert spp == {str(shot): 1, str(told): 4, str(noted): 2}
+    data = cut(out / "b", shot, told, options=["--spp", "8"])
+    assert {data.facts(i)["spp"] for i in range(len(data))} == {8, 4}
+    config = TrainConfig(data=(out / "b",), out=tmp_path, least_spp=5)
+    assert len(TrainingSet.open(config).clips) == 12  # those of `shot`
+    again = error_of(capsys, shot, told, "--out", out / "b", *SMALL, "--spp", "9")
+    assert "is another clip; choose another --out" in again
+
+
 def test_bad_pixels_do_not_get_into_clips(tmp_path):
     frames = [with_bad_pixels(frame) for frame in make_frames(4, H=26, W=36)]
     data = cut(tmp_path / "clips", write_sequence(tmp_path / "bad", frames))
@@ -118,7 +136,7 @@ def test_what_cannot_be_cut_is_one_line(tmp_path, shot, capsys):
     assert "frames are 36×26, clips 128×128; take a smaller --size" in error_of(capsys, shot, "--out", out)
     many = (shot, "--out", out, "--size", "8", "--frames", "10")
     assert "has 9 frames, clips 10; take fewer --frames" in error_of(capsys, *many)
-    assert "--spp: is for rendering" in error_of(capsys, shot, "--out", out, "--spp", "4")
+    assert "--max-depth: is for rendering" in error_of(capsys, shot, "--out", out, "--max-depth", "4")
     assert "--preset: goes with SHOT" in error_of(capsys, "--out", out, "--preset", "native")
     for layer in ("reference", "motion_next"):
         without = ("indirect_reference", layer) if layer == "reference" else (layer,)

@@ -20,7 +20,7 @@ OF_PATHS = {
     "reference_error", "lead_in", "repeats", "most_spp",
 }  # fmt: skip
 OF_CHAINS = {"chains", "attribution"}
-OF_BOTH = {"shots", "out", "count", "frames", "size", "width", "height", "seed"}
+OF_BOTH = {"shots", "out", "count", "frames", "size", "width", "height", "seed", "spp"}
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,10 @@ class Clips:
     """Pixels."""
     height: int | None = None
     """Pixels."""
-    spp: int = 1
+    spp: Annotated[int | None, arg(help_behavior_hint="(default: 1, of a SHOT what its files tell)")] = None
     """Samples per pixel of the noisy frames; with --assets half of the clips have 2 to 64 times as many. With pssmlt
-    mutations: a quarter of the clips each have 1, 2, 4 and 8 times as many."""
+    mutations: a quarter of the clips each have 1, 2, 4 and 8 times as many. With SHOT: of frames that do not tell by a
+    layer samples."""
     most_spp: int | None = None
     """With --assets: the most samples per pixel of the noisy frames (default: 64 times --spp).
     --most-spp 1 renders frames of one sample alone."""
@@ -114,7 +115,7 @@ class Clips:
         from ..training.shots import CutOptions, cut_clips
 
         size = (self.height or self.size, self.width or self.size)
-        options = CutOptions(self.count, size, self.frames, self.seed, self.preset)
+        options = CutOptions(self.count, size, self.frames, self.seed, self.preset, self.spp or 0)
         with progress_bar("cutting") as bar:
             task = bar.add_task("cut", total=None)
             count = cut_clips(
@@ -137,18 +138,18 @@ class Clips:
         from ..render.metropolis import MetropolisOptions, chains_of
         from ..render.options import ClipOptions, find_scenes, parse_shard, require_scenes
 
-        size = (self.height or self.size, self.width or self.size)
-        refuse_too_many_paths(size, self.spp)
+        size, spp = (self.height or self.size, self.width or self.size), self.spp or 1
+        refuse_too_many_paths(size, spp)
         metropolis = None
         if self.integrator == "pssmlt":
             metropolis = MetropolisOptions(self.chains or 0, attribution=self.attribution)
-            chains_of(metropolis, size, self.spp)
+            chains_of(metropolis, size, spp)
         scenes = ()
         if self.scenes:
             scenes = find_scenes(self.scenes, self.motions, self.exclude)
             require_scenes(self.scenes, set(self.exclude) - set(Clips.exclude))
         options = ClipOptions(
-            self.count, size, self.frames, self.seed, self.spp, self.reference_error, self._reference_range(),
+            self.count, size, self.frames, self.seed, spp, self.reference_error, self._reference_range(),
             self.reference_spp or (256 if metropolis else 64), self.max_depth or (8 if metropolis else 6),
             self.workers, parse_shard(self.shard),
             scenes, self.generator, self.sun, self.calm, str(self.textures or ""), str(self.assets or ""),
@@ -188,8 +189,8 @@ class Clips:
             raise InputError(f"--{min(unused)}: is for generated scenes, not for --assets")
         if self.most_spp is not None and not self.assets:
             raise InputError("--most-spp: goes with --assets; other sets have --spp samples a pixel")
-        if self.most_spp is not None and self.most_spp < self.spp:
-            raise InputError(f"--most-spp: expected {self.spp} (--spp) or more, got {self.most_spp}")
+        if self.most_spp is not None and self.most_spp < (spp := self.spp or 1):
+            raise InputError(f"--most-spp: expected {spp} (--spp) or more, got {self.most_spp}")
         if self.repeats > 1 and not (self.assets and self.frames == 1):
             raise InputError("--repeats: is for stills, --assets with --frames 1")
         if self.lead_in and self.assets and self.frames == 1:

@@ -29,7 +29,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     )  # fmt: skip
     if not auto:
         return sequence, options, []
-    samples = _known_samples(sequence, options)
+    samples = known_samples(sequence, options.samples)
     if "samples" not in layers:
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
     kernels_alone = options.offline or options.oidn or options.correct or options.lights or bool(options.also)
@@ -66,8 +66,8 @@ def _has_little_noise(sequence: Sequence) -> bool:
     return noise_level(frame.radiance, frame.depth).item() < LITTLE
 
 
-def _known_samples(sequence: Sequence, options: Options) -> float:
-    """Samples a pixel of the first frame; 0: unknown."""
+def known_samples(sequence: Sequence, given: int) -> float:
+    """Samples a pixel of the first frame: of its layer `samples`, or `given`, or as the file notes them; 0: unknown."""
     if "samples" not in sequence.rules:
-        return options.samples or sequence.header.samples
+        return given or sequence.header.samples
     return float(sequence.only({"radiance", "samples"}).read(0).samples.mean())

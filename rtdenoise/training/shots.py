@@ -21,6 +21,7 @@ from ..evaluate.origin import typed
 from ..evaluate.sequence import uncovered
 from ..files import dumps, lock, remove_unfinished, utf8, write_atomically
 from ..frame import Frame
+from ..run.choice import known_samples
 from ..sanitise import sanitise
 
 NEEDED = ("albedo", "normal", "depth", "motion", "motion_next")
@@ -45,6 +46,7 @@ class CutOptions:
     frames: int  # of a clip
     seed: int = 0  # of the choice, where shots have more windows than `count`
     preset: str = "auto"
+    spp: int = 0  # samples a pixel of frames that do not tell; 0: as noted in the files, or in samples.json, or 1
 
 
 @dataclass(frozen=True)
@@ -74,22 +76,24 @@ def cut_clips(
     if references and len(references) != len(shots):
         raise InputError(f"--reference: expected a folder for each of {len(shots)} shots, got {len(references)}")
     opened = [_open(shot, options.preset, *references[i : i + 1]) for i, shot in enumerate(shots)]
+    spp = [_samples(sources, options) for sources in opened]
     windows = [window for i, sources in enumerate(opened) for window in _windows(i, sources, options)]
     chosen = np.random.default_rng(options.seed).permutation(len(windows))[: options.count]
     clips = [windows[i] for i in sorted(chosen)]
     for i, sources in enumerate(opened):
         taken = sum(window.shot == i for window in clips)
         say(f"{shots[i]}: {' and '.join(sources)}; {len(_first(sources).base)} frames, {taken} clips")
+    facts = [_facts(window, opened[window.shot], options) | {"spp": spp[window.shot]} for window in clips]
     out.mkdir(parents=True, exist_ok=True)
     with lock(out):
         remove_unfinished(out)
-        missing = [i for i, window in enumerate(clips) if not _is_there(out, i, _facts(window, opened, options))]
+        missing = [i for i in range(len(clips)) if not _is_there(out, i, facts[i])]
         on_clip(0, len(missing))
         done = 0
         for _, group in groupby(missing, key=lambda i: (clips[i].shot, clips[i].first)):
             numbers = list(group)
             for start in range(0, len(numbers), AT_ONCE):
-                part = {i: clips[i] for i in numbers[start : start + AT_ONCE]}
+                part = {i: (clips[i], facts[i]) for i in numbers[start : start + AT_ONCE]}
                 _cut(out, part, opened, options)
                 done += len(part)
                 on_clip(done, len(missing))
@@ -135,9 +139,14 @@ def _windows(shot: int, sources: dict[str, Source], options: CutOptions) -> list
     ]
 
 
-def _facts(window: ClipPlace, opened: list[dict[str, Source]], options: CutOptions) -> dict:
+def _samples(sources: dict[str, Source], options: CutOptions) -> float:
+    """Samples a pixel of a shot's noisy frames."""
+    source = _first(sources)
+    return round(known_samples(source.base, options.spp), 2) or source.spp  # a mean in float32 may just miss its value
+
+
+def _facts(window: ClipPlace, sources: dict[str, Source], options: CutOptions) -> dict:
     """The facts of a clip that are known before it is cut."""
-    sources = opened[window.shot]
     source = _first(sources)
     return {
         "kind": SHOT, "source": str(source.folder.resolve()), "signals": list(sources), "seed": options.seed,
@@ -151,25 +160,27 @@ def _is_there(out: Path, number: int, facts: dict) -> bool:
     path = clip_path(out, number)
     if not path.exists():
         return False
-    if facts.items() <= read_facts(path).items():
+    if facts.items() <= ({"spp": 1} | read_facts(path)).items():  # older clips do not tell
         return True
     raise InputError(f"{path}: is another clip; choose another --out, or the shots and options of that run")
 
 
-def _cut(out: Path, clips: dict[int, ClipPlace], opened: list[dict[str, Source]], options: CutOptions) -> None:
-    """Cut clips that share their frames: number -> window."""
-    started, one = time.process_time(), next(iter(clips.values()))
+def _cut(
+    out: Path, clips: dict[int, tuple[ClipPlace, dict]], opened: list[dict[str, Source]], options: CutOptions
+) -> None:
+    """Cut clips that share their frames: number -> (window, facts known before)."""
+    started, (one, _) = time.process_time(), next(iter(clips.values()))
     sources = opened[one.shot]
     layers: dict[int, list[dict[str, np.ndarray]]] = {number: [] for number in clips}
     crops: dict[int, list[Frame]] = {number: [] for number in clips}  # of the first signal
     for i in range(one.first, one.first + options.frames):
         frames = {signal: _read(source, i) for signal, source in sources.items()}
-        for number, window in clips.items():
+        for number, (window, _) in clips.items():
             parts = {name: frame.crop(window.top, window.left, *options.size) for name, frame in frames.items()}
             layers[number].append(_layers(parts))
             crops[number].append(next(iter(parts.values())).map(torch.clone))
-    for number, window in clips.items():
-        facts = _facts(window, opened, options) | {
+    for number, (_, known) in clips.items():
+        facts = known | {
             "index": number, "halves": crops[number][0].reference_half is not None,
             "uncovered": float(torch.cat(uncovered(crops[number])).float().mean()),
             "seconds": (time.process_time() - started) / len(clips), "versions": {"rtdenoise": __version__},
