@@ -202,6 +202,8 @@ def test_from_python(weights):
     two = {name: np.stack([array, array]).transpose(0, 3, 1, 2) for name, array in layers.items()}
     with pytest.raises(InputError, match="one picture at a time"):
         Denoiser(weights, oidn=True)(np.stack([color, color]).transpose(0, 3, 1, 2), **two)
+    with pytest.raises(InputError, match=r"^oidn: model 'paper' does not average light"):
+        Denoiser("paper", oidn=True)
     with pytest.raises(InputError, match="goes without correct"):
         Denoiser(weights, oidn=True, correct=True)
 

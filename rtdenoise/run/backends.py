@@ -133,10 +133,10 @@ class TorchBackend:
             raise InputError(f"{model}: denoises single pictures, and the correction needs the frames before")
         averages = "mean" in self._denoiser.config.carries
         if lookahead and not averages:
-            raise InputError(f"--lookahead: model {model!r} does not average light over time; choose hybrid, default, "
+            raise InputError(f"lookahead: model {model!r} does not average light over time; choose hybrid, default, "
                              "many, fast or quality")  # fmt: skip
         if oidn and not averages:
-            raise InputError(f"--oidn: model {model!r} does not average light; choose default, many, fast or quality")
+            raise InputError(f"oidn: model {model!r} does not average light; choose default, many, fast or quality")
         self._correct, self._opinion = correct, Opinion(self._denoiser.config) if oidn else None
         wanted = {} if recent is None else {"recent": recent}
         if averages:

@@ -39,7 +39,7 @@ class Opinion:
     def __init__(self, config: Config) -> None:
         """`config` of the network as it is stored. Raises InputError where `pyoidn` is not installed."""
         if not installed():
-            raise InputError("--oidn: OIDN is not installed: pip install pyoidn")
+            raise InputError("oidn: OIDN is not installed: pip install pyoidn")
         self._oidn, self._motion = Oidn(), config.motion
         self._few = config.recent > 0 and not getattr(config, "many", False)
         self._config = replace(config, footprint=True) if self._few else config
