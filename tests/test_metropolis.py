@@ -259,6 +259,7 @@ def test_chains_fit_the_picture():
         ("clips --chains 9", "--chains: goes with --integrator pssmlt"),
         ("clips --integrator pssmlt --sun 1", "--sun: goes with --integrator path"),
         ("clips --integrator pssmlt --reference-spp 0", "need references"),
+        ("clips --integrator pssmlt --reference-spp 9", "in two halves; expected an even number, got 9"),
     ],
 )
 def test_options_that_do_not_fit(tmp_path, capsys, arguments, message):

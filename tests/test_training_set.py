@@ -505,6 +505,7 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
         ("clips --size 4096 --spp 256", "4096×4096 pixels take 4294967296 paths a frame, expected 4294967295"),
         (f"render wide:{'9' * 5000}", "unknown scene 'wide:999"),
         ("render sample --seed -1", "--seed: expected 0 or more, got -1"),
+        ("render sample --reference-spp 1", "are rendered in two halves; expected an even number, got 1"),
         ("render sample --reference-spp -2", "--reference-spp: expected 0 or more, got -2"),
         ("render --clips 2", "rtdenoise clips --count 2 --out "),
         ("render --clips=2", "--generator 1"),

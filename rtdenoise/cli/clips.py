@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from ..errors import InputError
 from .progress import progress_bar
-from .render import at_least_one, not_negative, refuse_too_many_paths
+from .render import at_least_one, not_negative, refuse_odd_references, refuse_too_many_paths
 
 OF_WINDOWS = {"scenes", "motions", "exclude", "sun", "calm", "textures", "reference_error", "assets", "lead_in"}
 OF_GENERATED = {"sun", "calm", "textures", "generator", "frames"}
@@ -77,7 +77,7 @@ class Clips:
     stills from 16 on)."""
     reference_spp: int | None = None
     """With --generator 1: samples per pixel of the references (default: 64), more in noisier scenes. With pssmlt:
-    mutations, of both halves together (default: 256)."""
+    mutations, of both halves together: an even number (default: 256)."""
     max_depth: int | None = None
     """Longest light path, in edges (default: 6, with pssmlt 8)."""
     integrator: Literal["path", "pssmlt"] = "path"
@@ -142,6 +142,7 @@ class Clips:
         refuse_too_many_paths(size, spp)
         metropolis = None
         if self.integrator == "pssmlt":
+            refuse_odd_references(self.reference_spp)
             metropolis = MetropolisOptions(self.chains or 0, attribution=self.attribution)
             chains_of(metropolis, size, spp)
         scenes = ()

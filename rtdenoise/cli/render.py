@@ -46,7 +46,7 @@ class Render:
     spp: int = 1
     """Samples per pixel of the noisy frames; with pssmlt, mutations."""
     reference_spp: int = 256
-    """Samples per pixel of the references; 0: no references."""
+    """Samples per pixel of the references, half of them in each of two halves: an even number; 0: no references."""
     max_depth: int | None = None
     """Longest light path, in edges (default: 6, for caustic:SEED 8)."""
     seed: int = 0
@@ -67,6 +67,7 @@ class Render:
             raise InputError("nothing to render: name a scene; training sets are rendered by `rtdenoise clips`")
         at_least_one(self, "frames", "width", "height", "size", "spp", "max_depth", "chains")
         not_negative(self, "reference_spp", "seed")
+        refuse_odd_references(self.reference_spp)
         from ..render.frames import RenderOptions
         from ..render.scenes.caustic import CAUSTIC_DEPTH
         from ..render.scenes.named import open_scene
@@ -114,6 +115,13 @@ def at_least_one(command: object, *names: str) -> None:
 def not_negative(command: object, *names: str) -> None:
     """Raise InputError where one of these options is given and below 0, or above its limit in `MOST`."""
     _within(0, command, names)
+
+
+def refuse_odd_references(reference_spp: int | None) -> None:
+    """Raise InputError for a number of samples that two halves cannot share."""
+    if reference_spp and reference_spp % 2:
+        raise InputError(f"--reference-spp: references are rendered in two halves; expected an even number, got "
+                         f"{reference_spp}")  # fmt: skip
 
 
 def refuse_too_many_paths(size: tuple[int, int], spp: int) -> None:
