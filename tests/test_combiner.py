@@ -4,6 +4,7 @@ import math
 import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -35,6 +36,7 @@ from rtdenoise.models.window import comparable, two_step
 from rtdenoise.training.batches import windows
 from rtdenoise.training.config import TrainConfig
 from rtdenoise.training.trainer import Trainer
+from rtdenoise.training.validate import open_validation
 
 SMALL = {
     "ours": CombinerConfig(widths=(6, 8, 8)),
@@ -332,6 +334,16 @@ def test_training_corrects_the_estimate(clips, tmp_path, monkeypatch):
     assert sum(row["loss"] for row in rows[-10:]) < 0.995 * sum(row["loss"] for row in rows[:10])
     found = trainer.task.validate(trainer.average, data, config)
     assert found.keys() == {"estimate", "denoised"}
+
+
+def test_of_both_signals_combiners_are_validated_on_beauty(clips, tmp_path, monkeypatch):
+    """As docs/use/training.md says, other networks on indirect light."""
+    load, asked = ClipDataset.load, []
+    monkeypatch.setattr(ClipDataset, "load", lambda *a, **kw: asked.append(kw["signal"]) or load(*a, **kw))
+    for model, estimates in (("combiner", ("fast",)), ("default", ())):
+        config = TrainConfig((clips,), tmp_path, val=clips, model=model, signal="both", estimates=estimates)
+        open_validation(config, SimpleNamespace(scenes=set))
+    assert asked == ["color"] * 4 + ["indirect"] * 4
 
 
 def test_windows_of_any_length_keep_their_current_frame(clips):

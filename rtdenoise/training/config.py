@@ -35,7 +35,8 @@ class TrainConfig:
     set: UseAppendAction[tuple[str, ...]] = ()
     """Fields of the network's configuration to change, as NAME=VALUE: widths=32,48,64,80,96 or longest=24."""
     signal: str = "indirect"
-    """The signal to denoise: 'indirect', 'color', or 'both' (color in a third of the clips)."""
+    """The signal to denoise: 'indirect', 'color', or 'both' (color in a third of the clips, validated on indirect
+    light; of combiners all that `rtdenoise estimates` stored, validated on color)."""
     motion: str = "dual"
     """Motion vectors that fetch history: 'dual', or 'traditional' for setting A of the paper."""
     occlusion_loss: bool = True
