@@ -196,6 +196,12 @@ def dark(planes):
         planes[f"ViewLayer.Diffuse Direct.{c}"] *= 0
 
 
+def signed(planes):
+    """A layer of colours of which a third is negative."""
+    planes |= {f"ViewLayer.bend.{c}": planes[f"ViewLayer.Combined.{c}"] for c in "GB"}
+    planes["ViewLayer.bend.R"] = -planes["ViewLayer.Combined.R"]
+
+
 def mask(planes):
     planes["ViewLayer.mask.X"] = planes["ViewLayer.Combined.R"]
 
@@ -214,6 +220,8 @@ def clear(planes):
     (without(), {"also": ("Emision",)}, "did you mean 'Emission'?"),
     (mask, {"also": ("mask",)}, "no layer 'mask' of three colours; the file has Combined, Denoising Albedo, "),
     (without(), {"lights": True, "also": ("Emission",)}, "--also Emission: --lights denoises this pass already"),
+    (without(), {"also": ("Vector",)}, "--also Vector: holds vectors (X, Y, Z) and no light: leave it out"),
+    (signed, {"also": ("bend",)}, "--also bend: 36 % of it is negative, and light never is"),
     (without(), {"also": ("Combined",)}, "--also Combined: is the picture itself, which is denoised anyway"),
     (without(), {"lights": True, "signal": "indirect"}, "goes with --signal color"),
     (without(), {"lights": True, "keep": ("all",)}, "goes without --keep"),

@@ -101,14 +101,12 @@ def _layer(sequence: Sequence, prefix: str, name: str) -> Rule:
     channels = sequence.header.channels
     literal = name and not set(name) & set("*?[|")  # which `rules` takes for patterns
     for full in (f"{prefix}{name}", name) if literal else ():
-        for components in ("RGB", "XYZ"):
-            if rule := rules(full, components)[0].match(channels):
-                return rule
+        if rule := rules(full, "RGB")[0].match(channels):
+            return rule
+        if rules(full, "XYZ")[0].match(channels):
+            raise InputError(f"{sequence.paths[0]}: --also {name}: holds vectors (X, Y, Z) and no light: leave it out; "
+                             "--layout source passes it on")  # fmt: skip
     layers = {c.rpartition(".")[0] for c in channels}
-    known = {
-        layer.removeprefix(prefix)
-        for layer in layers
-        if any(all(f"{layer}.{c}" in channels for c in components) for components in ("RGB", "XYZ"))
-    }
+    known = {layer.removeprefix(prefix) for layer in layers if all(f"{layer}.{c}" in channels for c in "RGB")}
     raise InputError(f"{sequence.paths[0]}: --also: no layer {name!r} of three colours{did_you_mean(name, known)}; "
                      f"the file has {', '.join(sorted(known))}")  # fmt: skip

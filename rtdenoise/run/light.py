@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ..models.presets import Config
 
 OWN_COLOR = "Diffuse"  # the lobe whose light is divided by its own colour
+MAX_NEGATIVE = 0.1  # of the light in a layer of `--also`; filters of some renderers have lobes below 0
 MAX_APART = 0.02  # of the mean radiance; half floats round by less than 0.001
 PICTURE = ""  # the name of the sum of all light
 BACKGROUND = "Environment"  # with a transparent film Cycles leaves it out of Combined
@@ -109,7 +110,10 @@ class LightBackend:
 
         ready, device = self._inner.prepare(frame), self._inner.device
         with torch.inference_mode(), explained(ready.name, ready.size, device):
-            images = {name: _valid(torch.from_numpy(image).to(device)) for name, image in self._stored.items()}
+            images = {name: torch.from_numpy(image).to(device) for name, image in self._stored.items()}
+            for name in self._passes.also:
+                _check_sign(ready.name, name, images[name])
+            images = {name: _valid(image) for name, image in images.items()}
             noisy = torch.as_tensor(frame.radiance).to(device)
             # Fireflies are dimmed in the parts as in the whole.
             dimmed = torch.where(ready.radiance < noisy, ready.radiance / noisy, 1.0)
@@ -213,6 +217,14 @@ def _check_sum(frame: Frame, apart: float, passes: LightPasses) -> None:
         advice = "" if passes.volumes else "are there volumes? switch on View Layer > Passes > Light > Volume, or "
         raise InputError(f"{frame.name}: --lights: the light passes do not add up to the picture, {100 * apart:.0f} % "
                          f"is missing or too much; {advice}leave --lights out")  # fmt: skip
+
+
+def _check_sign(frame: str, name: str, image: Tensor) -> None:
+    """Raise InputError for a layer that is no light: much of it is negative."""
+    finite = image.nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
+    if (share := (finite.clamp(max=0).mean() / -finite.abs().mean()).item()) > MAX_NEGATIVE:  # black: NaN
+        raise InputError(f"{frame}: --also {name}: {100 * share:.0f} % of it is negative, and light never is: leave it "
+                         "out")  # fmt: skip
 
 
 def _whole_groups(frame: Frame, images: dict[str, Tensor], passes: LightPasses) -> tuple[str, ...]:
