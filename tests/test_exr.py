@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rtdenoise.data.exr import read_channels, read_header, write_layers
+from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 
 H, W = 37, 23
@@ -139,6 +140,24 @@ def test_every_part_comes_back(tmp_path, compression):
     for part, channels in parts.items():
         for name, plane in channels.items():
             np.testing.assert_array_equal(read[f"{part}.{name}"], plane)
+
+
+def test_of_several_views_the_one_without_a_prefix_is_read(tmp_path):
+    planes = {f"{layer}{view}{c}": np.full((4, 4), len(view)) for layer in ("", "albedo.") for view in ("", "left.")
+              for c in "RGB"}  # fmt: skip
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "multiView": ["right", "left"]}
+    channels = {name: plane.astype(np.float32) for name, plane in planes.items()}
+    (tmp_path / "one").mkdir()
+    OpenEXR.File([OpenEXR.Part(header, channels)]).write(str(tmp_path / "one" / "1.exr"))
+    frame = open_sequence(tmp_path / "one", layers=()).read(0)
+    assert not frame.radiance.any() and not frame.albedo.any()
+    parts = [
+        OpenEXR.Part(header | {"view": view}, {f"albedo.{c}": np.zeros((4, 4), np.float32) for c in "RGB"}, view)
+        for view in ("left", "right")
+    ]
+    OpenEXR.File(parts).write(str(tmp_path / "2.exr"))
+    with pytest.raises(InputError, match=r"2.exr: holds several views \(left, right\) with channels of one name, such"):
+        read_header(tmp_path / "2.exr")
 
 
 def test_tiled_parts(tmp_path):

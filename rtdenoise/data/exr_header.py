@@ -90,7 +90,8 @@ def _parse(path: Path, head: bytes) -> ExrHeader:
         descriptions.append(_parse_attributes(path, cursor))
     cursor.position += bool(version & MULTI_PART)
     parts = tuple(_parse_part(path, cursor, raw, found, version) for raw, found in descriptions)
-    _refuse_repeated(path, [full for part in parts for full in part.full_names])
+    views = [found["view"].decode("utf-8", "replace") for _, found in descriptions if "view" in found]
+    _refuse_repeated(path, [full for part in parts for full in part.full_names], tuple(dict.fromkeys(views)))
     channels = {full: part.channels[stored] for part in parts for full, stored in part.full_names.items()}
     width, height = parts[0].size
     first = descriptions[0][1]
@@ -189,9 +190,12 @@ def _parse_channels(value: bytes) -> list[tuple[str, str]]:
     return channels
 
 
-def _refuse_repeated(path: Path, names: list[str]) -> None:
+def _refuse_repeated(path: Path, names: list[str], views: tuple[str, ...] = ()) -> None:
     seen = set()
     for name in names:
+        if name in seen and len(views) > 1:
+            raise InputError(f"{path}: holds several views ({', '.join(views)}) with channels of one name, such as "
+                             f"'{name}'; write each view into files of its own")  # fmt: skip
         if name in seen:
             raise InputError(f"{path}: two channels are called '{name}'; rename one")
         seen.add(name)
