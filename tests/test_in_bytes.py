@@ -85,6 +85,37 @@ def test_phases_enlarge_and_join():
     assert (y - expected.clamp(0, 255)).abs().max() <= 0.5001
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"x": (1, 6, 6, 8)}, r"expected x \[B, C, H, W\], C a multiple of 4, got \(1, 6, 6, 8\)"),
+        ({"below": (1, 8, 3, 3)}, r"expected below \[1, C, 6 / 2, 8 / 2\]"),
+        ({"x": (1, 4, 7, 8)}, r"expected below \[1, C, 7 / 2, 8 / 2\]"),
+        ({"below": None}, r"expected factor and bias \[1, O\]"),
+        ({"bias": (4, 5)}, r"got \(4, 6\) and \(4, 5\)"),
+        ({"x": (1, 8, 6, 8)}, r"expected weight \(4, 26, 32, 4\), got \(4, 17, 32, 4\)"),
+        ({"weight": (4, 17, 4, 4)}, r"expected weight \(4, 17, 32, 4\)"),
+        ({"factor": (4, 33), "bias": (4, 33)}, r"expected weight \(4, 17, 64, 4\)"),
+        ({"dtype": torch.float32}, "expected a result of uint8 or bfloat16"),
+    ],
+)
+def test_bytes_that_do_not_fit_are_refused(change, message):
+    """Compiled code would read beyond them."""
+    shapes = {"x": (1, 4, 6, 8), "weight": (4, 17, 32, 4), "factor": (4, 6), "bias": (4, 6), "below": (1, 8, 3, 4)}
+    types = {"weight": torch.int8, "factor": torch.float32, "bias": torch.float32}
+
+    def call(**options):
+        tensors = {
+            name: value if value is None or name == "dtype" else torch.zeros(value, dtype=types.get(name, torch.uint8))
+            for name, value in {**shapes, **options}.items()
+        }
+        return convolve_bytes(**tensors)
+
+    assert call().shape == (1, 6, 6, 8)
+    with pytest.raises(ValueError, match=message):
+        call(**change)
+
+
 def test_features_have_their_channels():
     radiance, albedo, normal, scale = inputs(4, 6)
     radiance[..., 0, 0], normal[..., 0, 1] = 1e9, -1.0

@@ -34,6 +34,7 @@ def convolve_bytes(
     joined to x before the convolution. A window of 3×3 pixels then covers 2×2 of `below`; each place among the 2×2
     pixels of one below, row first, has weights, factor and bias of its own.
     """
+    _check(x, weight, factor, bias, below, dtype)
     count = factor.shape[1]
     taps = (3,) if below is None else (2, 3)
     pictures = [y for y in (below, x) if y is not None]
@@ -56,6 +57,30 @@ def convolve_bytes(
         B, O, H, W = phases[0].shape
         phases = [torch.stack(phases, dim=-1).view(B, O, H, W, 2, 2).transpose(3, 4).reshape(B, O, 2 * H, 2 * W)]
     return phases[0].to(dtype, memory_format=torch.channels_last)
+
+
+def _check(
+    x: Tensor, weight: Tensor, factor: Tensor, bias: Tensor, below: Tensor | None, dtype: torch.dtype
+) -> None:
+    """Raise ValueError for arguments that do not fit each other: compiled code would read beyond them."""
+    if x.ndim != 4 or x.shape[1] % QUAD:
+        raise ValueError(f"expected x [B, C, H, W], C a multiple of {QUAD}, got {tuple(x.shape)}")
+    phases, quads = (1 if below is None else 4), 9 * x.shape[1] // QUAD
+    if below is not None:
+        B, _, H, W = x.shape
+        if below.ndim != 4 or below.shape[1] % QUAD or [len(below), *(2 * n for n in below.shape[2:])] != [B, H, W]:
+            raise ValueError(f"expected below [{B}, C, {H} / 2, {W} / 2], C a multiple of {QUAD}, got "
+                             f"{tuple(below.shape)}")  # fmt: skip
+        quads += 4 * below.shape[1] // QUAD
+    if factor.ndim != 2 or len(factor) != phases or bias.shape != factor.shape:
+        raise ValueError(f"expected factor and bias [{phases}, O], got {tuple(factor.shape)} and {tuple(bias.shape)}")
+    expected = phases, quads, -(-factor.shape[1] // BLOCK) * BLOCK, QUAD
+    if weight.shape != expected:
+        raise ValueError(f"expected weight {expected}, got {tuple(weight.shape)}")
+    if (found := (weight.dtype, factor.dtype, bias.dtype)) != (torch.int8, torch.float32, torch.float32):
+        raise ValueError(f"expected weight, factor and bias of int8, float32 and float32, got {found}")
+    if dtype not in (torch.uint8, torch.bfloat16):
+        raise ValueError(f"expected a result of uint8 or bfloat16, got {dtype}")
 
 
 def multiplies_bytes() -> bool:
