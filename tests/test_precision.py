@@ -13,7 +13,7 @@ from synthetic import make_frames
 
 from rtdenoise.errors import InputError
 from rtdenoise.models import available, load, read
-from rtdenoise.models.inference import _JoinedHeads, _Product, as_weights, prepare, resolve
+from rtdenoise.models.inference import _FusedConvRelu, _FusedUp, _JoinedHeads, _Product, as_weights, prepare, resolve
 from rtdenoise.models.unet import HeadsByCells, UNet, widened, widened_in_layout
 from rtdenoise.run import memory
 
@@ -49,11 +49,15 @@ def test_a_cpu_without_bfloat16_computes_in_it_all_the_same(assert_images_close,
         assert_images_close(ready.step(frame)[0], trained.step(frame)[0], "bfloat16 network")
 
 
-@pytest.mark.parametrize("size", [(1, 1), (13, 22), (32, 16)], ids=str)
-def test_a_decoder_that_enlarges_nothing_is_the_one_that_was_trained(assert_images_close, size):
+@pytest.mark.parametrize("size, lanes", [((1, 1), False), ((13, 22), False), ((32, 16), False), ((32, 16), True)])
+def test_a_decoder_that_enlarges_nothing_is_the_one_that_was_trained(assert_images_close, size, lanes):
+    """Also with `lanes` as `prepare` fills them on CUDA, of a network that is moved to a CPU then."""
     torch.manual_seed(0)
-    trained, x = UNet(5, (8, 12, 20)).eval().requires_grad_(False), torch.randn(2, 5, *size)
+    trained, x = UNet(5, (4, 12, 20)).eval().requires_grad_(False), torch.randn(2, 5, *size)
     ready = prepare(copy.deepcopy(trained), torch.float32)
+    for module in ready.modules():
+        if lanes and isinstance(module, _FusedConvRelu | _FusedUp):
+            module.fill_lanes()
     assert trained.state_dict().keys() == ready.state_dict().keys()
     for a, b in zip(trained(x, 2), ready(as_weights(x, ready), 2), strict=True):
         assert_images_close(b, a, "float32")
@@ -69,10 +73,11 @@ def test_a_picture_is_widened_in_its_layout(layout, down, right):
 
 def test_products_of_matrices_are_the_convolutions_of_heads(assert_images_close):
     """What `prepare` makes of 1×1 convolutions on CUDA: the same numbers, from matrices that tensor cores can read."""
-    heads, head, x = HeadsByCells(5, [25, 9, 3]), torch.nn.Conv2d(5, 27, 1), torch.randn(2, 5, 4, 6)
-    expected, one = heads(x), head(x)
-    _JoinedHeads.take(heads), _Product.take(head)
-    for found, wanted in zip([*heads(x), head(x)], [*expected, one], strict=True):
+    heads, x = HeadsByCells(5, [25, 9, 3]), torch.randn(2, 5, 4, 6)
+    head, query = torch.nn.Conv2d(5, 27, 1), torch.nn.Conv2d(5, 12, 1, bias=False)
+    expected = [*heads(x), head(x), query(x)]
+    _JoinedHeads.take(heads), _Product.take(head), _Product.take(query)
+    for found, wanted in zip([*heads(x), head(x), query(x)], expected, strict=True):
         assert_images_close(found.detach(), wanted.detach(), "float32")
     assert heads.matrix.shape == (104 + 40 + 16, 5) and head.matrix.shape == (32, 5)
 

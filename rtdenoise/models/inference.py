@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -107,16 +109,16 @@ class _FusedConvRelu(ConvRelu):
         self.register_buffer("filled", filled(self.weight.detach(), LANES), persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        if x.device.type != "cpu" and not _has_cudnn(x.device):  # moved there since `prepare`
-            return super().forward(x)
-        if x.device.type != "cpu":
-            x, weight = (filled(x, LANES), self.filled) if self.lanes > 1 else (x, self.weight)
+        x, weight = (filled(x, self.lanes), self.filled) if self.lanes > 1 else (x, self.weight)
+        if x.device.type == "cpu":
+            return torch.ops.mkldnn._convolution_pointwise(
+                x, weight, self.bias, self.padding, self.stride, self.dilation, self.groups, "relu", [], ""
+            )
+        if _by_cudnn(x.dtype, x.device):
             return torch.cudnn_convolution_relu(
                 x, weight, self.bias, self.stride, self.padding, self.dilation, self.groups
             )
-        return torch.ops.mkldnn._convolution_pointwise(
-            x, self.weight, self.bias, self.padding, self.stride, self.dilation, self.groups, "relu", [], ""
-        )
+        return F.relu(self._conv_forward(x, weight, self.bias))  # moved there since `prepare`
 
 
 class _FusedUp(Up):
@@ -142,9 +144,9 @@ class _FusedUp(Up):
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         fused = type(self[0]) is _FusedConvRelu
-        if fused and _has_cudnn(x.device):
+        skip = filled(skip, self[0].lanes) if fused else skip
+        if fused and _by_cudnn(x.dtype, x.device):
             y = F.conv_transpose2d(x, self.of_below, stride=2, padding=1)
-            skip = filled(skip, self[0].lanes)
             y = torch.cudnn_convolution_add_relu(skip, self.of_skip, y, 1.0, self[0].bias, (1, 1), (1, 1), (1, 1), 1)
             return self[3](self[2](y))
         y = F.conv_transpose2d(x, self.of_below, self[0].bias, stride=2, padding=1)
@@ -186,21 +188,21 @@ class _JoinedHeads(HeadsByCells):
 
 
 class _Product(nn.Conv2d):
-    """A 1×1 convolution as a product of matrices, for a GPU: it adds the bias as well."""
+    """A 1×1 convolution as a product of matrices, for a GPU: it adds a bias as well."""
 
     @classmethod
     def take(cls, convolution: nn.Conv2d) -> None:
         """Turn `convolution` into this class, in place."""
-        weight, bias = convolution.weight.detach().flatten(1), convolution.bias.detach()
+        weight, bias = convolution.weight.detach().flatten(1), convolution.bias
         convolution.register_buffer("matrix", _in_rows(weight), persistent=False)
-        convolution.register_buffer("offset", _in_rows(bias), persistent=False)
+        convolution.register_buffer("offset", None if bias is None else _in_rows(bias.detach()), persistent=False)
         convolution.__class__ = cls
 
     def forward(self, x: Tensor) -> Tensor:
-        return _product(x, self.matrix, self.offset)[:, : len(self.bias)]
+        return _product(x, self.matrix, self.offset)[:, : self.out_channels]
 
 
-def _product(x: Tensor, matrix: Tensor, offset: Tensor) -> Tensor:
+def _product(x: Tensor, matrix: Tensor, offset: Tensor | None) -> Tensor:
     return F.linear(x.permute(0, 2, 3, 1), matrix, offset).permute(0, 3, 1, 2)
 
 
@@ -221,11 +223,19 @@ def _fuses(dtype: torch.dtype, device: torch.device) -> bool:
     """Whether a library convolves with bias and ReLU at once: cuDNN on CUDA, oneDNN on a CPU. Older CPUs (AVX2) have no
     bfloat16: plain torch, which is slow in it, has to do."""
     if device.type != "cpu":
-        return _has_cudnn(device)
+        return _by_cudnn(dtype, device)
     if not (torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")):
         return False
     return dtype != torch.bfloat16 or torch.ops.mkldnn._is_mkldnn_bf16_supported()
 
 
-def _has_cudnn(device: torch.device) -> bool:
-    return device.type == "cuda" and torch.version.cuda is not None and torch.backends.cudnn.is_available()
+def _by_cudnn(dtype: torch.dtype, device: torch.device) -> bool:
+    """Whether cuDNN does: in half precision (in float32 it is slower so), on GPUs that have bfloat16."""
+    if device.type != "cuda" or dtype == torch.float32 or torch.version.cuda is None:
+        return False
+    return torch.backends.cudnn.enabled and torch.backends.cudnn.is_available() and _has_bfloat16(device)
+
+
+@functools.cache
+def _has_bfloat16(device: torch.device) -> bool:  # that of a tensor, with its number
+    return torch.cuda.get_device_capability(device) >= (8, 0)
