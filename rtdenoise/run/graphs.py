@@ -156,7 +156,8 @@ class RecordedStep:
         image, history = self._written
         written = {id(tensor): tensor for tensor in (image, *history.layers().values()) if id(tensor) not in out}
         copies = [torch.empty_like(tensor) for tensor in written.values()]
-        torch._foreach_copy_(copies, list(written.values()))
+        if copies:
+            torch._foreach_copy_(copies, list(written.values()))
         out |= zip(written, copies, strict=True)
         return out[id(image)], History.from_layers({n: out[id(t)] for n, t in history.layers().items()})
 
