@@ -84,8 +84,8 @@ def recall(
     """
     B, _, H, W = light.shape
     check_kept(recent, (B, RECALL_WORDS if uncovered is None else RECALL_FOOTPRINT_WORDS, H, W))
-    if uncovered is not None and uncovered.shape != (B, 1, H, W):
-        raise ValueError(f"expected uncovered {(B, 1, H, W)}, got {tuple(uncovered.shape)}")
+    if uncovered is not None and (uncovered.shape != (B, 1, H, W) or uncovered.dtype is not torch.bool):
+        raise ValueError(f"expected uncovered {(B, 1, H, W)} bool, got {tuple(uncovered.shape)} {uncovered.dtype}")
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
         return Recalled(*run(light, motion, *surface, recent, uncovered, misplaced))
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
