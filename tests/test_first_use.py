@@ -12,10 +12,10 @@ COMPILE = """
 import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
-from rtdenoise.ops import dispatch
+from rtdenoise.ops.triton import first_use
 from rtdenoise.ops.triton.max_pool import _max_pool
 
-dispatch.backend("cuda")
+first_use.listen_to_compilations()
 for run in (512, 1024):
     signature = {"x": "*fp32", "out": "*fp32", "w": "i32", "C": "i32", "RUN": "constexpr"}
     triton.compile(ASTSource(_max_pool, signature, {(4,): run}), target=GPUTarget("cuda", 80, 32))

@@ -1,6 +1,7 @@
 """The fused ops against the plain ones, which are the specification: every size, dtype and layout, extreme logits,
 gradients; and the fallback to plain ops. The CUDA ops run on a GPU if there is one, else in Triton's interpreter."""
 
+import contextlib
 import functools
 import importlib
 import logging
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch._subclasses import FakeTensorMode
 from torch.autograd import forward_ad
 
 from rtdenoise import ops
@@ -27,6 +29,7 @@ from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.evened import evened, held_and_tells
 from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
+from rtdenoise.ops.max_pool import FUSED as MAX_POOL
 from rtdenoise.ops.max_pool import max_pool
 from rtdenoise.ops.mean_distance import mean_distance
 from rtdenoise.ops.mix import mix
@@ -926,6 +929,43 @@ def test_the_reason_for_running_plain_is_given(arguments, problem):
         assert ops.apply_kernel(image, logits).shape == image.shape
     with pytest.raises(RuntimeError, match=problem), ops.use("fused"):
         ops.apply_kernel(image, logits)
+
+
+def test_a_grid_has_room_for_the_rows_of_a_picture(monkeypatch):
+    """For those of all channels, unless a program has these together."""
+    monkeypatch.setattr(dispatch, "backend", lambda _: ("triton", None))
+    wide, long = torch.empty(1, 64, 2160, 2, device="meta"), torch.empty(1, 1, 65536, 2, device="meta")
+    assert MAX_POOL(x=wide) and not MAX_POOL(x=long) and not pixels.NEARNESS(depth=wide)
+
+
+def test_kernels_run_on_the_gpu_of_their_tensors(monkeypatch):
+    current = [0]
+
+    @contextlib.contextmanager
+    def on(device):
+        current.append(device.index)
+        yield
+        current.pop()
+
+    monkeypatch.setattr(torch.cuda, "device", on)
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: current[-1])
+    monkeypatch.setattr(dispatch, "backend", lambda _: ("triton", None))
+    monkeypatch.setattr(dispatch, "_function", lambda *_: lambda: current[-1])
+    op = dispatch.Fused("joined", triton=dispatch.Support())
+    with FakeTensorMode():
+        images = [torch.empty(1, 3, 8, 9, device=f"cuda:{n}") for n in range(2)]
+        assert [op(a=image)() for image in images] == [0, 1]
+        assert op(a=images[0], b=images[1]) is None  # torch says what does not fit
+
+
+def test_without_what_triton_needs_the_plain_ops_run_and_a_warning_says_so(monkeypatch, caplog):
+    def fails():
+        raise subprocess.CalledProcessError(1, "gcc")
+
+    monkeypatch.setattr(importlib.import_module("rtdenoise.ops.triton.common"), "prepare", fails)
+    with caplog.at_level(logging.WARNING):
+        folder, why = dispatch.backend.__wrapped__("cuda")
+    assert folder is None and "gcc" in why and "slower without fused ops on cuda" in caplog.text
 
 
 def test_a_temporal_kernel_of_other_sizes_is_refused():

@@ -30,6 +30,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
+from subprocess import SubprocessError
 
 import torch
 from torch import Tensor
@@ -39,7 +40,7 @@ from ..errors import InputError, NotCompiled
 
 CHOICES = ("auto", "plain", "fused")
 MAX_PIXELS = 2**31 - 1  # of a plane: fused ops number pixels by 32-bit integers
-MAX_ROWS = {"triton": 65535}  # B·C·H: programs along the second axis of a CUDA grid
+MAX_ROWS = {"triton": 65535}  # B·C·H at most: programs along the second axis of a CUDA grid
 HALVES = (torch.bfloat16, torch.float16)
 
 DEFAULT = os.environ.get("RTDENOISE_OPS", "auto")
@@ -88,6 +89,7 @@ class Support:
     halves: tuple[str, ...] = ()  # arguments that may be bfloat16 or float16 too
     bytes: tuple[str, ...] = ()  # arguments that are uint8
     other: tuple[str, ...] = ()  # arguments of other sizes, which the op checks itself
+    channels_last: bool = False  # the first argument, as the op checks itself: a program has all channels of a row
     gradients: tuple[str, ...] = ()  # arguments in which it is differentiable
     # of arguments that the op does not check itself, each tensor's of a sequence; 0: as many as the first argument
     channels: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
@@ -110,16 +112,28 @@ class Fused:
         if plain() or transformed():
             return None
         first = next(iter(arguments.values()))
-        folder, problem = _available((first if isinstance(first, Tensor) else first[0]).device.type)
+        device = (first if isinstance(first, Tensor) else first[0]).device
+        folder, problem = _available(device.type)
         if folder is not None:
             if folder not in self.support:
                 return None
             problem = _problem(self.support[folder], MAX_ROWS.get(folder), arguments)
         if problem is None:
-            return _function(folder, self.file, self.name)
+            run = _function(folder, self.file, self.name)
+            return run if _is_current(device) else functools.partial(_on, device, run)
         if _choice == "fused":
             raise RuntimeError(f"{self.name}: no fused path: {problem}")
         return None
+
+
+def _is_current(device: torch.device) -> bool:
+    return device.type != "cuda" or device.index == torch.cuda.current_device()
+
+
+def _on(device: torch.device, run: Callable, *arguments, **options):
+    """Triton launches kernels on the current GPU, wherever the tensors are."""
+    with torch.cuda.device(device):
+        return run(*arguments, **options)
 
 
 def falls_back(op: Callable) -> Callable:
@@ -166,7 +180,7 @@ def backend(device: str) -> tuple[str | None, str | None]:
 
             first_use.prepare()
             return "triton", None
-    except (ImportError, OSError, RuntimeError) as error:
+    except (ImportError, OSError, RuntimeError, SubprocessError) as error:
         _warn(device, error)
         return None, str(error)
     return None, f"there is none for {device}"
@@ -186,7 +200,7 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
     differentiating = torch.is_grad_enabled()
     first = next(iter(arguments.values()))
     images = (first,) if isinstance(first, Tensor) else first
-    shape = images[0].shape
+    shape, place = images[0].shape, images[0].get_device()
     for name, value in arguments.items():
         tensors = (value,) if isinstance(value, Tensor) else value or ()
         for tensor in tensors:
@@ -197,13 +211,16 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
                 return f"it has no gradient in {name}"
             if transformed(tensor):
                 return "it has no derivatives in forward mode"
+            if tensor.get_device() != place:
+                return f"{name} is on {tensor.device}, it takes tensors of {images[0].device}"
             if (tensor.shape[0], *tensor.shape[2:]) != (shape[0], *shape[2:]) and name not in support.other:
                 return f"{name} is {tuple(tensor.shape)}, it takes images like {tuple(shape)}"
         if tensors and name in support.channels:
             wanted = [count or shape[1] for count in support.channels[name]]
             if (found := [tensor.shape[1] for tensor in tensors]) != wanted:
                 return f"{name} has {found} channels, it takes {wanted}"
-    if images[0].numel() == 0 or shape[-2] * shape[-1] > MAX_PIXELS or (max_rows and math.prod(shape[:-1]) > max_rows):
+    rows = math.prod(shape[:-1]) // (shape[1] if support.channels_last else 1) if max_rows else 0
+    if images[0].numel() == 0 or shape[-2] * shape[-1] > MAX_PIXELS or (max_rows and rows > max_rows):
         return f"it takes no images of {tuple(shape)}"
     channels = sum(image.shape[1] for image in images) if support.max_channels else 0
     if support.max_channels and channels > support.max_channels:

@@ -8,7 +8,7 @@ from torch.nn import functional as F
 
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("max_pool", triton=Support(halves=("x",)))  # channels last only
+FUSED = Fused("max_pool", triton=Support(halves=("x",), channels_last=True))
 
 
 @falls_back

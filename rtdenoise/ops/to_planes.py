@@ -10,7 +10,8 @@ from torch.nn import functional as F
 
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("to_planes", native=Support(halves=("x",)), triton=Support(halves=("x",)))  # channels last only
+SUPPORT = Support(halves=("x",), channels_last=True)
+FUSED = Fused("to_planes", native=SUPPORT, triton=SUPPORT)
 LANES = 16  # the fused op takes multiples of as many channels
 MOST = 4  # planes that it makes at once
 
@@ -30,7 +31,7 @@ def to_planes(
     O, C = weight.shape[:2]
     last = x.is_contiguous(memory_format=torch.channels_last) and C % LANES == 0 and O <= MOST
     fits = weight.shape == (len(bias), x.shape[1], 3, 3)  # torch says what does not
-    trained = torch.is_grad_enabled() and weight.requires_grad
+    trained = torch.is_grad_enabled() and (weight.requires_grad or bias.requires_grad)
     taken = x.dtype != torch.float16 or x.device.type != "cpu"
     if last and fits and not trained and taken and (run := FUSED(x=x)):
         return run(x, weight, bias)

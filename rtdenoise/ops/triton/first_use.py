@@ -7,15 +7,23 @@ import functools
 import logging
 
 import triton
+from triton.runtime import driver
 
 COMPILE_SECONDS = 30  # of all kernels of a step of `default`
 LEAST = 3, 4  # takes tuples of pointers, and tells what it compiles; with PyTorch 2.8
 
 
 def prepare() -> None:
-    """Raises RuntimeError for an older Triton."""
+    """Start Triton's driver, which a C compiler makes at the first time. Raises RuntimeError for an older Triton, and
+    what Triton does where the driver cannot be made."""
     if tuple(int(part) for part in triton.__version__.split(".")[:2]) < LEAST:
         raise RuntimeError(f"Triton {triton.__version__} is older than 3.4, which comes with PyTorch 2.8")
+    _ = driver.active.utils
+    listen_to_compilations()
+
+
+def listen_to_compilations() -> None:
+    """From now on say so when a kernel of ours is compiled, once a process."""
     knob = triton.knobs.compilation
     earlier = knob.listener
 
