@@ -186,7 +186,7 @@ def _ahead(base: Method, frames: int) -> Method:
     check_lookahead(frames, f"{base.name}-ahead{frames}")
     name = base.name.removesuffix(PREFILTERED).removesuffix(OIDN)
     if name not in available() or "mean" not in read_config(name).carries:
-        raise InputError(f"{base.name}-ahead{frames}: expected the name of a network that averages light, NAME{OIDN} or "
+        raise InputError(f"{base.name}-ahead{frames}: expected a network that averages light: NAME, NAME{OIDN} or "
                          f"NAME{PREFILTERED}")  # fmt: skip
 
     def start(device: str | torch.device, precision: str) -> Step:

@@ -110,11 +110,11 @@ class TorchBackend:
         lookahead: int = 0,
         prefilter: bool = False,
     ) -> None:
-        """`oidn` mixes OIDN's opinion into the images (`opinion`); with `prefilter` it denoises albedo and normal first.
-        `recent`: frames that a network which averages light keeps, in place of its configuration's; 0 is a running
-        mean, by the same weights. `footprint`: its histories have one, of `opinion.RECENT` frames; `oidn` needs them,
-        too. `lookahead`: frames that its steps will get `ahead`; networks that keep none then keep `opinion.RECENT`.
-        Raises InputError where one cannot."""
+        """`oidn` mixes OIDN's opinion into the images (`opinion`), with `prefilter` that of albedo and normal without
+        noise. `recent`: frames that a network which averages light keeps, in place of its configuration's; 0 is a
+        running mean, by the same weights. `footprint`: its histories have one, of `opinion.RECENT` frames; `oidn` needs
+        them, too. `lookahead`: frames that its steps will get `ahead`; networks that keep none then keep
+        `opinion.RECENT`. Raises InputError where one cannot."""
         import torch
 
         from ..models import load
