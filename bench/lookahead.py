@@ -11,7 +11,6 @@ docs/notes/lookahead.md and strips in docs/images/lookahead. An interrupted run 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -26,21 +25,18 @@ import tyro
 
 from bench.latency.methods import partly_in_bytes, settled, synthetic_frame
 from rtdenoise.baselines import Oidn
-from rtdenoise.evaluate.registry import choose
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.frame import Known
 from rtdenoise.models import load
 from rtdenoise.models.inference import resolve
 from rtdenoise.report.readings import label
-from rtdenoise.run.opinion import RECENT
 
 RESULT, PAGES = RESULTS / "lookahead.json", (DOCS / "notes" / "lookahead.md",)
 OUT, PICTURES = ROOT / "out" / "lookahead", DOCS / "images" / "lookahead"
 SIGNALS = ("color", "indirect")
 REFERENCE = "oidn"
 METHODS = ("default", "default-ahead2", "hybrid-fast", "hybrid-fast-ahead2", "hybrid", "hybrid-ahead1", "hybrid-ahead2",
-           "hybrid-ahead4", "default-oidn", "default-oidn-ahead2", "default-oidn-prefiltered",
-           "default-oidn-prefiltered-ahead2")  # fmt: skip
+           "hybrid-ahead4", "default-oidn-ahead2")  # fmt: skip
 IN_BYTES = ("hybrid-fast-ahead2", "hybrid-ahead2")
 MANY = ("many-oidn", "hybrid", "hybrid-many", "hybrid-many-ahead2")
 MANY_IN_BYTES = ("hybrid-many",)
@@ -49,7 +45,6 @@ SHOWN = {"OIDN": "oidn", "hybrid": "hybrid", "two ahead": "hybrid-ahead2"}
 DRAWN = ("standard720", "color"), ("street", "staircase2")  # the sequences that are drawn
 SETS = {"standard720": "windows of 1280×720", "standard": "small pictures"}
 TIMED, AHEAD = ("hybrid-fast", "hybrid"), (0, 1, 2, 4)
-WITH_OIDN = ("default-oidn", "default-oidn-prefiltered")
 
 
 def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
@@ -82,9 +77,7 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
     precisions = ("bf16", "fp32") if resolve("auto", "cpu") == torch.bfloat16 else ("fp32",)
     with torch.inference_mode():
         times = [times_of(precision) for precision in precisions]
-        with_oidn = [times_with_oidn(precision) for precision in precisions]
-    content = {"rows": rows, "times": times, "times_with_oidn": with_oidn}
-    harness.publish(RESULT, content, digits=4, pages=PAGES, tables=tables)
+    harness.publish(RESULT, {"rows": rows, "times": times}, digits=4, pages=PAGES, tables=tables)
 
 
 def times_of(precision: str) -> dict:
@@ -103,27 +96,13 @@ def times_of(precision: str) -> dict:
     return {"precision": precision, **{name: timing.median_ms for name, timing in timings.items()}}
 
 
-def times_with_oidn(precision: str) -> dict:
-    """Likewise of steps that ask OIDN."""
-    frame = synthetic_frame(720, 1280)
-    steps = {REFERENCE: partial(Oidn().step, frame)}
-    for method in choose(WITH_OIDN):
-        step = method.step("cpu", precision)
-        history = step(frame, None)[1]
-        steps[method.name] = partial(step, frame, replace(history, recent=history.recent * RECENT))
-    timings = harness.measure(steps, calls=5, warmup=1)
-    return {"precision": precision, **{name: timing.median_ms for name, timing in timings.items()}}
-
-
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Sections `lookahead`, each method over OIDN; `lookahead-many`, by samples; `lookahead-times`, and those of steps
-    that ask OIDN."""
+    """Sections `lookahead`, each method over OIDN; `lookahead-many`, by samples; `lookahead-times`."""
     rows = {(r["set"], r["spp"], r["method"], r["sequence"], r["signal"]): r for r in document["rows"]}
-    times = {"lookahead-times": _times(document["times"]), "oidn-times": _with_oidn(document["times_with_oidn"])}
-    return {"lookahead": _methods(rows), "lookahead-many": _many(rows), **times}
+    return {"lookahead": _methods(rows), "lookahead-many": _many(rows), "lookahead-times": _times(document["times"])}
 
 
 def _pairs(rows: dict, where: str, spp: int, method: str, signal: str = "") -> list[tuple[dict, dict]]:
@@ -172,14 +151,6 @@ def _many(rows: dict) -> str:
                     leads = _leads(_pairs(rows, "standard720", spp, method, signal), region)
                     cells.append(f"{np.mean(leads):+.2f}, {min(leads):+.2f}")
             lines.append(f"| `{method}` | {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def _with_oidn(times: list[dict]) -> str:
-    lines = ["| | " + " | ".join(f"`{name}`" for name in WITH_OIDN) + " |", "|---" * (len(WITH_OIDN) + 1) + "|"]
-    for row in times:
-        cells = (f"{row[name] / row[REFERENCE]:.1f}×" for name in WITH_OIDN)
-        lines.append(f"| {row['precision']} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
