@@ -85,6 +85,15 @@ def test_phases_enlarge_and_join():
     assert (y - expected.clamp(0, 255)).abs().max() <= 0.5001
 
 
+def test_weights_need_not_lie_together():
+    x = torch.randint(0, 256, (1, 4, 6, 8), dtype=torch.uint8).contiguous(memory_format=torch.channels_last)
+    weight = packed([torch.randint(-9, 10, (6, 4, 3, 3), dtype=torch.int8)])[None]
+    apart = torch.stack([weight, weight], dim=-1)[..., 0]
+    factor, bias = torch.full((1, 1), 0.01).expand(1, 6), torch.zeros(1, 6)
+    expected = convolve_bytes(x, weight, factor.contiguous(), bias)
+    assert not apart.is_contiguous() and torch.equal(convolve_bytes(x, apart, factor, bias), expected)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -23,6 +23,7 @@ def convolve_bytes(
     B, C, H, W = x.shape
     _, quads, stored, _ = weight.shape
     O = factor.shape[1]
+    weight, factor, bias = weight.contiguous(), factor.contiguous(), bias.contiguous()
     out = torch.empty(B, O, H, W, dtype=dtype, device="cpu", memory_format=torch.channels_last)
     run = library("convolve_bytes", HALF=int(dtype == torch.bfloat16), MOST=MOST).convolve_bytes
     for b in range(B):
