@@ -5,7 +5,9 @@ import stability_cases
 import stability_ops
 import torch
 from stability_cases import CASES, MODES, Subject, modes_of
+from synthetic import make_frames
 
+from rtdenoise.exposure import exposure, noise_level
 from rtdenoise.models import available
 from rtdenoise.models.weights import read_config
 
@@ -70,3 +72,14 @@ def test_a_subject_counts_what_is_not_finite(denoisers):
     subject = Subject(Poisoned())
     subject.step(stability_cases.scene(1)[0])
     assert subject.non_finite > 0
+
+
+def test_light_below_the_limit_counts_as_black():
+    """As docs/reference/stability.md says: the exposure follows the light down to 10⁻⁸, noise down to 10⁻¹⁵."""
+    (frame,) = make_frames(1, H=96, W=128)
+    at_one, noise = exposure(frame.radiance), noise_level(frame.radiance, frame.depth)
+    torch.testing.assert_close(exposure(frame.radiance * 2e-8) * 2e-8, at_one)
+    for scale in (1e-9, 1e-16):
+        assert exposure(frame.radiance * scale).item() == pytest.approx(1e8)
+    torch.testing.assert_close(noise_level(frame.radiance * 1e-14, frame.depth), noise)
+    assert noise_level(frame.radiance * 1e-16, frame.depth) == 0
