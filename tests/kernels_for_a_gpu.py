@@ -119,16 +119,16 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     layers = dict(zip((name.upper() for name in LAYERS), (3, 6, 3, 3, 1, 2, 0), strict=False))
     limits = "darkest brightest least_albedo greatest_albedo least_normal greatest_normal far off_screen"
     build(_replace, dict(PIXELS=512, **layers, **count), N="i32", **dict.fromkeys(limits.split(), "fp32"))
-    weights, limits = dict(red="fp32", green="fp32", blue="fp32"), dict(tolerance="fp32", least="fp32", most="fp32")
+    limits = dict(tolerance="fp32", least="fp32", most="fp32")
     blocks, in_cells = dict(SIDE=3, BLOCK=128, **one), {n.lower(): 1 for n in one}
     cells = {n.lower(): "i32" for n in sizes}
     for blurred in (False, True):
         pictures = {} if one else dict(B=1)
         build(_compressed, dict(BLURRED=blurred, ROWS=8, BLOCK=128, **one, **pictures), B="i32", brightness="fp32",
-              **weights, **sizes)
+              **sizes)
         build(_counts, dict(BEFORE=blurred, CELL=16, BLOCK=32, **one, **in_cells), **sizes, **cells, **limits,
               **dict.fromkeys(("most_left", "sure", "apart"), "fp32"))
-    build(light_shift._blocks, blocks, tolerance="fp32", **weights, **sizes)
+    build(light_shift._blocks, blocks, tolerance="fp32", **sizes)
     build(light_shift._near, blocks, tolerance="fp32", **sizes)
     build(light_shift._beside, dict(AROUND=3, BLOCK=128, **in_cells), **cells)
     build(light_shift._shift, dict(CELL=32, **blocks), **limits, **sizes)

@@ -899,7 +899,7 @@ def declarations():
 def test_every_fused_op_has_the_name_of_its_plain_one():
     """Declared implementations exist; every file of a folder belongs to an op or is shared."""
     shared = {"__init__", "cache", "compiler", "logits"}
-    device = {"common", "pool", "targets", "alike", "path", "curve", "cells", "light", "luminance", "first_use"}
+    device = {"common", "pool", "targets", "alike", "path", "curve", "cells", "luminance", "first_use"}
     device |= {"keep", "unchanged"}  # parts of `recall`
     files = {"native": {*shared}, "triton": {"__init__", *device}}
     for module, fused in declarations():

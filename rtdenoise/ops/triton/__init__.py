@@ -1,7 +1,7 @@
 """Fused ops for CUDA, in Triton.
 
 An op has the same name here as in `rtdenoise.ops`, whose function checks the arguments and calls it through
-`ops.dispatch`. `common`, `pool`, `targets`, `alike` and `light` hold device functions that several share. Sums and
+`ops.dispatch`. `common`, `pool`, `targets`, `alike` and `luminance` hold device functions that several share. Sums and
 weights are float32 whatever the dtype of the logits.
 
 Most programs compute `common.BLOCK` neighbouring pixels of one row, all channels at once: tiles are [BLOCK] or [BLOCK,

@@ -6,7 +6,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from .light import luminance
+from .luminance import luminance
 
 COLUMNS, PIXELS = 128, 1024  # of a program, at least and about
 

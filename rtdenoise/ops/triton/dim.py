@@ -8,7 +8,7 @@ import triton.language as tl
 from torch import Tensor
 
 from .common import BLOCK, grid, place
-from .light import luminance
+from .luminance import luminance
 
 
 @triton.jit

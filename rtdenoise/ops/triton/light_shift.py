@@ -9,7 +9,6 @@ from torch import Tensor
 
 from ...constants import (
     DEPTH_TOLERANCE,
-    LUMINANCE_WEIGHTS,
     SHIFT_BESIDE,
     SHIFT_BLOCK,
     SHIFT_EVEN,
@@ -37,7 +36,7 @@ def _within(i, n):
 
 
 @triton.jit
-def _blocks(radiance, depth, blocks, H, W, tolerance, red, green, blue, SIDE: tl.constexpr, BLOCK: tl.constexpr):
+def _blocks(radiance, depth, blocks, H, W, tolerance, SIDE: tl.constexpr, BLOCK: tl.constexpr):
     """Whether light of a block is even, 1 or 0, its greatest depth, and the greatest of their opposites."""
     h, w = tl.cdiv(H, SIDE), tl.cdiv(W, SIDE)
     b, i, j, exists = place(h, w, BLOCK)
@@ -51,7 +50,7 @@ def _blocks(radiance, depth, blocks, H, W, tolerance, red, green, blue, SIDE: tl
     for k in tl.static_range(SIDE * SIDE):
         y, x = i * SIDE + k // SIDE, j * SIDE + k % SIDE
         inside = exists & (y < H) & (x < W)
-        light = luminance(radiance + y * W + x, plane, inside, red, green, blue)
+        light = luminance(radiance + y * W + x, plane, inside)
         far = tl.load(depth + y * W + x, mask=inside, other=0.0)
         total += light
         count += tl.where(inside, 1.0, 0.0)
@@ -147,7 +146,7 @@ def light_shift(noisy: Tensor, noisy_before: Tensor, motion: Tensor, depth: Tens
     blocks, near, beside = (noisy.new_empty(B, count, h, w) for count in (3, 2, 2))
     here, out = depth.new_empty(B, 1, H, W), depth.new_empty(B, 2, H, W)
     side = {"SIDE": SHIFT_BLOCK, "BLOCK": BLOCK}
-    _blocks[grid(B, h, w)](noisy, depth, blocks, H, W, SHIFT_EVEN, *LUMINANCE_WEIGHTS, **side)
+    _blocks[grid(B, h, w)](noisy, depth, blocks, H, W, SHIFT_EVEN, **side)
     _near[grid(B, h, w)](blocks, near, here, H, W, DEPTH_TOLERANCE, **side)
     _beside[grid(2 * B, h, w)](near, beside, h, w, AROUND=SHIFT_BESIDE, BLOCK=BLOCK)
     shift, _ = displacement(
