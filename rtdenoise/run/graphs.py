@@ -150,16 +150,23 @@ class RecordedStep:
     def play(self, given: dict[str, Tensor]) -> tuple[Tensor, History]:
         """Replay the step on the tensors `given`. Tensors that the step only passes on are returned as given, results
         as copies."""
-        torch._foreach_copy_(list(self.read.values()), [given[name] for name in self.read])  # in a launch or two
+        _copy(list(self.read.values()), [given[name] for name in self.read])
         self._replay()
         out = {id(tensor): given[name] for name, tensor in self.read.items()}
         image, history = self._written
         written = {id(tensor): tensor for tensor in (image, *history.layers().values()) if id(tensor) not in out}
         copies = [torch.empty_like(tensor) for tensor in written.values()]
-        if copies:
-            torch._foreach_copy_(copies, list(written.values()))
+        _copy(copies, list(written.values()))
         out |= zip(written, copies, strict=True)
         return out[id(image)], History.from_layers({n: out[id(t)] for n, t in history.layers().items()})
+
+
+def _copy(targets: list[Tensor], sources: list[Tensor]) -> None:
+    """All tensors of a dtype in a launch or two; torch copies lists of several dtypes one by one."""
+    pairs = list(zip(targets, sources, strict=True))
+    for dtype in {tensor.dtype for tensor in targets}:
+        alike = [pair for pair in pairs if pair[0].dtype == dtype]
+        torch._foreach_copy_(*(list(tensors) for tensors in zip(*alike, strict=True)))
 
 
 def _description(name: str, tensor: Tensor) -> Hashable:
