@@ -1,4 +1,4 @@
-"""The test for one surface, for `reproject`."""
+"""The test for one surface."""
 
 from __future__ import annotations
 

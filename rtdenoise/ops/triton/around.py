@@ -8,7 +8,7 @@ import triton.language as tl
 from torch import Tensor
 
 from ...constants import AROUND_CELL
-from .common import BLOCK, grid, place
+from .common import BLOCK, grid, of_images, place, row_of
 from .curve import expanded
 
 
@@ -16,7 +16,7 @@ from .curve import expanded
 def _bounds(first, other, least, most, H, W, CELL: tl.constexpr):
     """The least and the greatest value of both pictures in a cell, which a program reads."""
     h, w = tl.cdiv(H, CELL), tl.cdiv(W, CELL)
-    n, i = (tl.program_id(1) // h).to(tl.int64), tl.program_id(1) % h  # n: plane
+    n, i = row_of(h)  # n: plane
     y = i * CELL + tl.arange(0, CELL)[:, None]
     x = tl.program_id(0) * CELL + tl.arange(0, CELL)[None, :]
     inside, at = (y < H) & (x < W), n * H * W + y * W + x
@@ -49,10 +49,10 @@ def _within(compressed, scale, least, most, out, H, W, C, CELL: tl.constexpr, BL
 def expand_within(compressed: Tensor, scale: Tensor, first: Tensor, other: Tensor) -> Tensor:
     compressed, first, other = compressed.contiguous(), first.contiguous(), other.contiguous()
     B, C, H, W = compressed.shape
-    scale = scale.expand(B, 1, 1, 1).reshape(B).contiguous()
     h, w = triton.cdiv(H, AROUND_CELL), triton.cdiv(W, AROUND_CELL)
     least, most = first.new_empty(B, C, h, w), first.new_empty(B, C, h, w)
     out = torch.empty_like(compressed)
     _bounds[w, B * C * h](first, other, least, most, H, W, CELL=AROUND_CELL)
-    _within[grid(B * C, H, W)](compressed, scale, least, most, out, H, W, C, CELL=AROUND_CELL, BLOCK=BLOCK)
+    scale, constants = of_images(scale, B), {"CELL": AROUND_CELL, "BLOCK": BLOCK}
+    _within[grid(B * C, H, W)](compressed, scale, least, most, out, H, W, C, **constants)
     return out

@@ -11,8 +11,7 @@ from torch import Tensor
 
 from ..logits import strides
 from .apply_kernel import _offset
-from .common import BLOCK, grid, place
-from .pixels import lerp
+from .common import BLOCK, grid, lerp, place
 
 
 @triton.jit

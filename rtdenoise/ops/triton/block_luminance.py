@@ -6,6 +6,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from .common import row_of
 from .luminance import luminance
 
 COLUMNS, PIXELS = 128, 1024  # of a program, at least and about
@@ -15,7 +16,7 @@ COLUMNS, PIXELS = 128, 1024  # of a program, at least and about
 def _block_luminance(radiance, means, maxima, H, W, SIDE: tl.constexpr, ROWS: tl.constexpr, COUNT: tl.constexpr,
                      WIDE: tl.constexpr):  # fmt: skip
     rows, columns = tl.cdiv(H, SIDE), tl.cdiv(W, SIDE)
-    b, row = (tl.program_id(1) // rows).to(tl.int64), tl.program_id(1) % rows
+    b, row = row_of(rows)
     plane, column = tl.cast(H, tl.int64) * W, tl.program_id(0) * COUNT + tl.arange(0, COUNT)
     across = tl.arange(0, WIDE)[None, None, :]
     x = column[None, :, None] * SIDE + across

@@ -7,7 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from .common import BLOCK, grid, place
+from .common import BLOCK, grid, place, within
 from .pool import pooled
 
 
@@ -15,7 +15,7 @@ from .pool import pooled
 def _change(fine, coarse, alpha, y, x, exists, H, W, MAXIMUM: tl.constexpr):
     """alpha · (coarse - D fine) at the coarse pixel (y, x), clamped to the image."""
     h, w = (H + 1) // 2, (W + 1) // 2
-    y, x = tl.minimum(tl.maximum(y, 0), h - 1), tl.minimum(tl.maximum(x, 0), w - 1)
+    y, x = within(y, h), within(x, w)
     a = tl.load(alpha + y * w + x, mask=exists, other=0.0)
     return a * (tl.load(coarse + y * w + x, mask=exists, other=0.0) - pooled(fine, y, x, exists, H, W, MAXIMUM))
 

@@ -7,7 +7,7 @@ import triton.language as tl
 from torch import Tensor
 
 from ...constants import SHIFT_BRIGHTNESS
-from .common import BLOCK, grid, place
+from .common import BLOCK, grid, place, within
 from .luminance import luminance
 
 ROWS = 8  # of a program that blurs: the rows above and below are computed once more
@@ -17,11 +17,11 @@ ROWS = 8  # of a program that blurs: the rows above and below are computed once 
 def _row(picture, y, x, exists, H, W, scale, BLURRED: tl.constexpr):
     """log(1 + s x) in row y, or its sum over three columns. Borders are repeated."""
     plane = tl.cast(H, tl.int64) * W
-    line = picture + tl.minimum(tl.maximum(y, 0), H - 1) * W
+    line = picture + within(y, H) * W
     if BLURRED:
         total = tl.zeros(x.shape, tl.float32)
         for k in tl.static_range(3):
-            at = tl.minimum(tl.maximum(x + (k - 1), 0), W - 1)
+            at = within(x + (k - 1), W)
             total += tl.log(luminance(line + at, plane, exists) * scale + 1)
     else:
         total = tl.log(luminance(line + x, plane, exists) * scale + 1)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ...constants import DEPTH_TOLERANCE, SHIFT_AROUND, SHIFT_ROUNDS, SHIFT_STRIDE
 from .cells import between
-from .common import place
+from .common import place, row_of
 from .targets import clamped_target, on_screen
 
 CELLS = 32  # cells of a program that solves for their shifts: there are few
@@ -19,7 +19,8 @@ def _sums(now, before, motion, shift, here, depth, was, sums, H, W, tolerance, S
           CELL: tl.constexpr, STRIDE: tl.constexpr, SIDE: tl.constexpr):  # fmt: skip
     """The sums of one cell, of which SIDE × SIDE pixels or fewer are looked at."""
     h, w = tl.cdiv(H, CELL), tl.cdiv(W, CELL)
-    b, i, j = (tl.program_id(1) // h).to(tl.int64), tl.program_id(1) % h, tl.program_id(0)
+    b, i = row_of(h)
+    j = tl.program_id(0)
     plane, cells = tl.cast(H, tl.int64) * W, tl.cast(h, tl.int64) * w
     n = tl.arange(0, SIDE * SIDE)
     y, x = (tl.cdiv(i * CELL, STRIDE) + n // SIDE) * STRIDE, (tl.cdiv(j * CELL, STRIDE) + n % SIDE) * STRIDE
@@ -146,6 +147,7 @@ def displacement_sums(
 def displacement(
     now: Tensor, before: Tensor, motion: Tensor, *others: Tensor, cell: int, damping: float
 ) -> tuple[Tensor, Tensor]:
+    now, before, motion, *others = (t.contiguous() for t in (now, before, motion, *others))
     B, _, H, W = now.shape
     h, w = triton.cdiv(H, cell), triton.cdiv(W, cell)
     shift, first, left = (now.new_empty(B, count, h, w) for count in (2, 1, 1))

@@ -9,6 +9,7 @@ import triton.language as tl
 from torch import Tensor
 
 from ...constants import SKY_BLOCK, SKY_TOLERANCE
+from .common import row_of
 
 COUNT = 8  # blocks of a program
 
@@ -16,8 +17,7 @@ COUNT = 8  # blocks of a program
 @triton.jit
 def _tile(H, W, SIDE: tl.constexpr, COUNT: tl.constexpr):
     """Image, row and columns of the blocks of a program, rows and columns of their pixels."""
-    rows = tl.cdiv(H, SIDE)
-    b, row = (tl.program_id(1) // rows).to(tl.int64), tl.program_id(1) % rows
+    b, row = row_of(tl.cdiv(H, SIDE))
     column = tl.program_id(0) * COUNT + tl.arange(0, COUNT)
     y = row * SIDE + tl.arange(0, SIDE)[:, None, None]
     x = column[None, :, None] * SIDE + tl.arange(0, SIDE)[None, None, :]
@@ -82,9 +82,8 @@ def _even_sky(image, radiance, depth, lowest, highest, out, H, W, tolerance, SID
     even = even & _even(green, lowest + size, highest + size, row, column, rows, columns, tolerance, COUNT)
     even = even & _even(blue, lowest + 2 * size, highest + 2 * size, row, column, rows, columns, tolerance, COUNT)
     for c in tl.static_range(3):
-        light = red if c == 0 else green if c == 1 else blue
         filtered = tl.load(image + at + c * plane, mask=exists, other=0.0)
-        tl.store(out + at + c * plane, tl.where(even, light, filtered), mask=exists)
+        tl.store(out + at + c * plane, tl.where(even, (red, green, blue)[c], filtered), mask=exists)
 
 
 def even_sky(image: Tensor, radiance: Tensor, depth: Tensor) -> Tensor:

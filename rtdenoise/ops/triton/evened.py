@@ -9,8 +9,7 @@ import triton.language as tl
 from torch import Tensor
 
 from ...constants import AROUND_CELL, MIX_SEEN_ONCE
-from .common import BLOCK, grid, place
-from .pixels import lerp
+from .common import BLOCK, grid, lerp, place, row_of
 
 CELLS = 8  # of a program that looks for the greatest value of each
 
@@ -19,7 +18,7 @@ CELLS = 8  # of a program that looks for the greatest value of each
 def _greatest(x, most, H, W, CELL: tl.constexpr, CELLS: tl.constexpr):
     """The greatest value of each cell: [B, 1, H, W], of floats or bytes, to [B, 1, ⌈H/CELL⌉, ⌈W/CELL⌉]."""
     h, w = tl.cdiv(H, CELL), tl.cdiv(W, CELL)
-    b, i = (tl.program_id(1) // h).to(tl.int64), tl.program_id(1) % h
+    b, i = row_of(h)
     row = i * CELL + tl.arange(0, CELL)[:, None]
     column = tl.program_id(0) * CELLS * CELL + tl.arange(0, CELLS * CELL)[None, :]
     inside = (row < H) & (column < W)

@@ -10,8 +10,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from .common import flat_grid, of_images, place_flat
 from .curve import compressed
-from .pixels import grid, here
 
 PIXELS = 128  # of a program
 
@@ -21,7 +21,7 @@ def _features(images, scale, out, plane, unit, ENDS: tl.constexpr, FLAGS: tl.con
               ALL: tl.constexpr, CP: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     """The k-th image is channels ENDS[k] to ENDS[k + 1], of bytes where FLAGS[k]. Addresses are chosen first, so that
     one load reads all that are of floats, and one store writes a pixel. Channels beyond the last image are 0."""
-    b, at, exists = here(plane, BLOCK)
+    b, at, exists = place_flat(plane, BLOCK)
     c = tl.arange(0, CP)[None, :]
     number, source = c < 0, images[0] + 0 * c
     for k in tl.static_range(len(FLAGS)):
@@ -46,12 +46,13 @@ def features(
     several = (x.float() if x.dtype is torch.bool and x.shape[1] > 1 else x for x in guides)  # flags have one channel
     images = tuple(x.contiguous() for x in (*light, *several))
     B, _, H, W = images[0].shape
-    scale = scale.expand(B, 1, 1, 1).reshape(B).contiguous()
     ends = 0, *accumulate(x.shape[1] for x in images)
     channels = triton.cdiv(ends[-1], lanes) * lanes
     out = torch.empty(B, channels, H, W, dtype=dtype, device=images[0].device, memory_format=torch.channels_last)
     flags = tuple(x.dtype is torch.bool for x in images)
     images = tuple(x.view(torch.uint8) if flag else x for x, flag in zip(images, flags, strict=True))
     sizes = {"LIGHT": ends[len(light)], "ALL": channels, "CP": triton.next_power_of_2(channels), "BLOCK": PIXELS}
-    _features[grid(B, H * W, PIXELS)](images, scale, out, H * W, float(unit), ENDS=ends, FLAGS=flags, **sizes)
+    _features[flat_grid(B, H * W, PIXELS)](
+        images, of_images(scale, B), out, H * W, float(unit), ENDS=ends, FLAGS=flags, **sizes
+    )
     return out

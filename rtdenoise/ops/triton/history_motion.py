@@ -8,12 +8,7 @@ import triton.language as tl
 from torch import Tensor
 
 from .common import BLOCK, grid, place
-from .targets import clamped_target
-
-
-@triton.jit
-def _on_screen(u, v, H, W):
-    return (u >= -0.5) & (u <= W - 0.5) & (v >= -0.5) & (v <= H - 0.5)
+from .targets import clamped_target, on_screen
 
 
 @triton.jit
@@ -30,7 +25,7 @@ def _history_motion(motion, motion_next, shift, out, seen, uncovered, H, W, thre
         chosen_u += tl.load(shift + vectors + at, mask=exists, other=0.0)
         chosen_v += tl.load(shift + vectors + plane + at, mask=exists, other=0.0)
     if NEXT:
-        looks_inside = exists & _on_screen(u + x, v + y, H, W)
+        looks_inside = exists & on_screen(u + x, v + y, H, W)
         there = (clamped_target(v, y, H) + 0.5).to(tl.int32) * W + (clamped_target(u, x, W) + 0.5).to(tl.int32)
         dual_u = tl.where(looks_inside, -tl.load(motion_next + vectors + there, mask=looks_inside, other=0.0), u)
         dual_v = tl.where(
@@ -41,7 +36,7 @@ def _history_motion(motion, motion_next, shift, out, seen, uncovered, H, W, thre
     if NEXT or SHIFT:
         tl.store(out + vectors + at, chosen_u, mask=exists)
         tl.store(out + vectors + plane + at, chosen_v, mask=exists)
-    tl.store(seen + b * plane + at, _on_screen(chosen_u + x, chosen_v + y, H, W).to(tl.uint8), mask=exists)
+    tl.store(seen + b * plane + at, on_screen(chosen_u + x, chosen_v + y, H, W).to(tl.uint8), mask=exists)
     tl.store(uncovered + b * plane + at, apart.to(tl.uint8), mask=exists)
 
 

@@ -1,5 +1,5 @@
 """`light_shift`, with blocks of pixels in three passes, and `one_surface`. Depths of a block are the greatest and that
-of their opposites, as in the plain ops."""
+of their opposites, as in the plain ops; a greatest value stays the same where blocks at a border repeat."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ...constants import (
     SHIFT_LIGHT_DAMPING,
 )
 from .cells import between, store_block
-from .common import BLOCK, grid, place
+from .common import BLOCK, grid, place, within
 from .compressed import compressed
 from .displacement_sums import displacement
 from .luminance import luminance
@@ -27,12 +27,6 @@ from .luminance import luminance
 @triton.jit
 def _greater(a, b):
     return tl.maximum(a, b, propagate_nan=tl.PropagateNan.ALL)
-
-
-@triton.jit
-def _within(i, n):
-    """The nearest of n rows or columns: a greatest value stays the same where those at a border repeat."""
-    return tl.minimum(tl.maximum(i, 0), n - 1)
 
 
 @triton.jit
@@ -75,7 +69,7 @@ def _near(blocks, near, here, H, W, tolerance, SIDE: tl.constexpr, BLOCK: tl.con
     farthest = tl.full([BLOCK], -float("inf"), tl.float32)
     nearest = farthest
     for k in tl.static_range(9):
-        there = blocks + _within(i + k // 3 - 1, h) * w + _within(j + k % 3 - 1, w)
+        there = blocks + within(i + k // 3 - 1, h) * w + within(j + k % 3 - 1, w)
         even = tl.maximum(even, tl.load(there, mask=exists, other=0.0))
         farthest = _greater(farthest, tl.load(there + size, mask=exists, other=0.0))
         nearest = _greater(nearest, tl.load(there + 2 * size, mask=exists, other=0.0))
@@ -95,9 +89,9 @@ def _beside(near, beside, h, w, AROUND: tl.constexpr, BLOCK: tl.constexpr):
     near += n * h * w
     greatest = tl.full([BLOCK], -float("inf"), tl.float32)
     for k in range(2 * AROUND + 1):
-        row = near + _within(i + k - AROUND, h) * w
+        row = near + within(i + k - AROUND, h) * w
         for m in tl.static_range(2 * AROUND + 1):
-            greatest = _greater(greatest, tl.load(row + _within(j + m - AROUND, w), mask=exists, other=0.0))
+            greatest = _greater(greatest, tl.load(row + within(j + m - AROUND, w), mask=exists, other=0.0))
     tl.store(beside + n * h * w + i * w + j, greatest, mask=exists)
 
 
@@ -131,9 +125,9 @@ def _surfaces(depth, here, H, W, tolerance, SIDE: tl.constexpr, BLOCK: tl.conste
     farthest = tl.full([BLOCK], -float("inf"), tl.float32)
     nearest = farthest
     for k in range(3 * SIDE):
-        row = depth + _within((i - 1) * SIDE + k, H) * W
+        row = depth + within((i - 1) * SIDE + k, H) * W
         for m in tl.static_range(3 * SIDE):
-            far = tl.load(row + _within((j - 1) * SIDE + m, W), mask=exists, other=0.0)
+            far = tl.load(row + within((j - 1) * SIDE + m, W), mask=exists, other=0.0)
             farthest, nearest = _greater(farthest, far), _greater(nearest, -far)
     one = tl.where(farthest + nearest <= tolerance * farthest, 1.0, 0.0)
     store_block(here + b * tl.cast(H, tl.int64) * W, one, i, j, exists, H, W, SIDE)

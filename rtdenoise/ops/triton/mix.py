@@ -8,7 +8,7 @@ import triton.language as tl
 from torch import Tensor
 
 from ...constants import MIX_CELL, MIX_DARK, MIX_LARGEST, MIX_NOISE
-from .common import BLOCK, grid, place
+from .common import BLOCK, grid, lerp, of_images, place
 from .curve import compressed, expanded
 
 
@@ -95,7 +95,7 @@ def _mix(first, other, scale, trust, before, held, told, tells, out, H, W, usual
         here = (b * 3 + c) * plane + at
         p = compressed(s * tl.maximum(tl.load(first + here, mask=exists, other=0.0), 0.0))
         q = compressed(s * tl.maximum(tl.load(other + here, mask=exists, other=0.0), 0.0))
-        mixed = tl.where(share < 0.5, q + share * (p - q), p - (1 - share) * (p - q))
+        mixed = lerp(q, p, share)
         if BEFORE:
             weight = trusted * share_before * tl.load(held + b * plane + at, mask=exists, other=0.0)
             past = compressed(s * tl.maximum(tl.load(before + here, mask=exists, other=0.0), 0.0))
@@ -116,7 +116,7 @@ def mix(
 ) -> Tensor:
     first, other, trust = first.contiguous(), other.contiguous(), trust.contiguous()
     B, _, H, W = first.shape
-    scale = scale.expand(B, 1, 1, 1).reshape(B).contiguous()
+    scale = of_images(scale, B)
     before, held = (first, trust) if before is None else (before.contiguous(), held.contiguous())
     told = trust
     if noisy is not None:

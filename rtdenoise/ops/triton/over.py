@@ -84,8 +84,7 @@ def _over(seen, now_light, now_albedo, now_normal, motion, depth, recent, out, c
         back = tl.load(seen + k * plane + behind, mask=edge, other=0.0)
         of_now = now_light if k < 3 else now_albedo if k < 6 else now_normal
         found = tl.load(of_now + now + k % 3 * plane, mask=edge & now_front, other=0.0)
-        total = (s0 if k == 0 else s1 if k == 1 else s2 if k == 2 else s3 if k == 3 else s4 if k == 4 else s5
-                 if k == 5 else s6 if k == 6 else s7 if k == 7 else s8)  # fmt: skip
+        total = (s0, s1, s2, s3, s4, s5, s6, s7, s8)[k]
         total += tl.where(now_front, found, back) + tl.where(backs > 0, backs * back, 0.0)
         total = total / weights
         if k < 3:

@@ -12,6 +12,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from .common import within
+
 FRAMES = 8
 
 
@@ -107,7 +109,7 @@ def beside(y, x, k: tl.constexpr, H, W):
     """Pixel k of a pixel and the four beside it (`ops.recall.BESIDE`); borders are repeated."""
     v = y + (-1 if k == 1 else 1 if k == 4 else 0)
     u = x + (-1 if k == 2 else 1 if k == 3 else 0)
-    return tl.minimum(tl.maximum(v, 0), H - 1) * W + tl.minimum(tl.maximum(u, 0), W - 1)
+    return within(v, H) * W + within(u, W)
 
 
 @triton.jit

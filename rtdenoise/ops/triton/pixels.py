@@ -1,5 +1,4 @@
-"""Ops in which every pixel stands alone: one pass each. A program computes `PIXELS` neighbouring pixels of an image,
-across the ends of its rows."""
+"""Ops in which every pixel stands alone: one pass each."""
 
 from __future__ import annotations
 
@@ -11,53 +10,41 @@ import triton.language as tl
 from torch import Tensor
 
 from ...constants import GLOSS
-
-PIXELS = 512
-
-
-@triton.jit
-def here(plane, BLOCK: tl.constexpr):
-    """Image, the pixels of a program, numbered along rows, and which of them exist."""
-    at = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
-    return tl.program_id(1).to(tl.int64), at, at < plane
-
-
-@triton.jit
-def lerp(start, end, weight):
-    """As torch.lerp: exact at both ends."""
-    return tl.where(weight < 0.5, start + weight * (end - start), end - (1 - weight) * (end - start))
+from .common import FLAT, flat_grid, lerp, of_images, place_flat
 
 
 @triton.jit
 def _demodulate(radiance, albedo, depth, out, plane, gloss, C: tl.constexpr, BLOCK: tl.constexpr):
-    b, at, exists = here(plane, BLOCK)
+    b, at, exists = place_flat(plane, BLOCK)
     hit = tl.load(depth + b * plane + at, mask=exists, other=0.0) > 0
     at += b * C * plane
-    for c in tl.static_range(C):
-        a = tl.load(albedo + at + c * plane, mask=exists, other=0.0)
-        light = tl.load(radiance + at + c * plane, mask=exists, other=0.0)
-        tl.store(out + at + c * plane, light / tl.where(hit, a + gloss, 1.0), mask=exists)
+    for _ in tl.static_range(C):
+        a = tl.load(albedo + at, mask=exists, other=0.0)
+        light = tl.load(radiance + at, mask=exists, other=0.0)
+        tl.store(out + at, light / tl.where(hit, a + gloss, 1.0), mask=exists)
+        at += plane
 
 
 @triton.jit
 def _modulate(irradiance, albedo, mean_albedo, sharp, depth, out, plane, gloss, C: tl.constexpr, BLOCK: tl.constexpr):
-    b, at, exists = here(plane, BLOCK)
+    b, at, exists = place_flat(plane, BLOCK)
     hit = tl.load(depth + b * plane + at, mask=exists, other=0.0) > 0
     weight = tl.load(sharp + b * plane + at, mask=exists, other=0.0)
     at += b * C * plane
-    for c in tl.static_range(C):
-        light = tl.load(irradiance + at + c * plane, mask=exists, other=0.0)
-        a = tl.load(albedo + at + c * plane, mask=exists, other=0.0)
-        mean = tl.load(mean_albedo + at + c * plane, mask=exists, other=0.0)
+    for _ in tl.static_range(C):
+        light = tl.load(irradiance + at, mask=exists, other=0.0)
+        a = tl.load(albedo + at, mask=exists, other=0.0)
+        mean = tl.load(mean_albedo + at, mask=exists, other=0.0)
         divisor = tl.where(hit, lerp(mean, a, weight) + gloss, 1.0)
-        tl.store(out + at + c * plane, tl.where(light < 0, 0.0, light) * divisor, mask=exists)
+        tl.store(out + at, tl.where(light < 0, 0.0, light) * divisor, mask=exists)
+        at += plane
 
 
 @triton.jit
 def _accumulate(first, second, third, mean, length, reset, out, next_length, plane, most, M: tl.constexpr,
                 N: tl.constexpr, C: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     """M channels of `first`, then those of `second` up to the N-th, then those of `third`, C in all."""
-    b, at, exists = here(plane, BLOCK)
+    b, at, exists = place_flat(plane, BLOCK)
     weight = 1 / (1 + tl.load(length + b * plane + at, mask=exists, other=0.0))
     weight += tl.load(reset + b * plane + at, mask=exists, other=0.0) * (1 - weight)
     frames = 1 / weight
@@ -75,20 +62,21 @@ def _accumulate(first, second, third, mean, length, reset, out, next_length, pla
 
 @triton.jit
 def _joined(a, n, b, m, out, total, plane, C: tl.constexpr, BLOCK: tl.constexpr):
-    image, at, exists = here(plane, BLOCK)
+    image, at, exists = place_flat(plane, BLOCK)
     of_b = tl.load(m + image * plane + at, mask=exists, other=0.0)
     both = tl.load(n + image * plane + at, mask=exists, other=0.0) + of_b
     tl.store(total + image * plane + at, both, mask=exists)
     at += image * C * plane
-    for c in tl.static_range(C):
-        mean = tl.load(a + at + c * plane, mask=exists, other=0.0)
-        other = tl.load(b + at + c * plane, mask=exists, other=0.0)
-        tl.store(out + at + c * plane, lerp(mean, other, of_b / tl.maximum(both, 1e-6)), mask=exists)
+    for _ in tl.static_range(C):
+        mean = tl.load(a + at, mask=exists, other=0.0)
+        other = tl.load(b + at, mask=exists, other=0.0)
+        tl.store(out + at, lerp(mean, other, of_b / tl.maximum(both, 1e-6)), mask=exists)
+        at += plane
 
 
 @triton.jit
 def _nearness(depth, distance, out, plane, BLOCK: tl.constexpr):
-    b, at, exists = here(plane, BLOCK)
+    b, at, exists = place_flat(plane, BLOCK)
     d = tl.load(depth + b * plane + at, mask=exists, other=0.0)
     mean = tl.load(distance + b)
     tl.store(out + b * plane + at, tl.where(d > 0, mean / (mean + d), 0.0), mask=exists)
@@ -112,8 +100,8 @@ def accumulate(
     B, C, H, W = mean.shape
     M, N = new[0].shape[1], sum(t.shape[1] for t in new[:2])
     new += new[:1] * (3 - len(new))  # not read
-    sizes = {"M": M, "N": N, "C": C, "BLOCK": PIXELS}
-    _accumulate[grid(B, H * W)](*new, *inputs, out, next_length, H * W, float(max_length), **sizes)
+    sizes = {"M": M, "N": N, "C": C, "BLOCK": FLAT}
+    _accumulate[flat_grid(B, H * W)](*new, *inputs, out, next_length, H * W, float(max_length), **sizes)
     return out, next_length
 
 
@@ -121,26 +109,21 @@ def joined(a: Tensor, n: Tensor, b: Tensor, m: Tensor) -> tuple[Tensor, Tensor]:
     a, n, b, m = (t.contiguous() for t in (a, n, b, m))
     out, total = torch.empty_like(a), torch.empty_like(n)
     B, C, H, W = a.shape
-    _joined[grid(B, H * W)](a, n, b, m, out, total, H * W, C=C, BLOCK=PIXELS)
+    _joined[flat_grid(B, H * W)](a, n, b, m, out, total, H * W, C=C, BLOCK=FLAT)
     return out, total
 
 
 def nearness(depth: Tensor, distance: Tensor) -> Tensor:
     depth = depth.contiguous()
     B, C, H, W = depth.shape
-    out, distance = torch.empty_like(depth), distance.expand(B, 1, 1, 1).reshape(B).contiguous()
-    _nearness[grid(B, C * H * W)](depth, distance, out, C * H * W, BLOCK=PIXELS)
+    out = torch.empty_like(depth)
+    _nearness[flat_grid(B, C * H * W)](depth, of_images(distance, B), out, C * H * W, BLOCK=FLAT)
     return out
-
-
-def grid(images: int, plane: int, block: int = PIXELS) -> tuple[int, int]:
-    """The number of programs of `block` pixels for images of `plane` pixels (`here`)."""
-    return triton.cdiv(plane, block), images
 
 
 def _each_pixel(kernel, *inputs: Tensor) -> Tensor:
     inputs = [t.contiguous() for t in inputs]
     out = torch.empty_like(inputs[0])
     B, C, H, W = out.shape
-    kernel[grid(B, H * W)](*inputs, out, H * W, GLOSS, C=C, BLOCK=PIXELS)
+    kernel[flat_grid(B, H * W)](*inputs, out, H * W, GLOSS, C=C, BLOCK=FLAT)
     return out

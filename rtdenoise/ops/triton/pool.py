@@ -1,4 +1,4 @@
-"""D of eq. 4 at one pixel, for `downsample` and `compose`."""
+"""D of eq. 4 at one pixel."""
 
 from __future__ import annotations
 

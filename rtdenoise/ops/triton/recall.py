@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ...constants import DEPTH_TOLERANCE, FAR_AWAY, GLOSS, MIN_NORMAL_COSINE, RECALL_CELL, RECALL_EDGE_SPEED
 from .alike import alike, surface_at
-from .common import BLOCK, grid, place
+from .common import BLOCK, grid, of_images, place, row_of
 from .keep import keep as keep
 from .path import (
     beside,
@@ -43,8 +43,7 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
              CELL: tl.constexpr, COLUMNS: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
     """Sums over cells of the differences between each kept frame and this one, and of their squares."""
     plane, rows = tl.cast(H, tl.int64) * W, tl.cdiv(H, CELL)
-    b = (tl.program_id(1) // rows).to(tl.int64)
-    row = tl.program_id(1) % rows
+    b, row = row_of(rows)
     cell = tl.program_id(0) * (COLUMNS // CELL) + tl.arange(0, COLUMNS // CELL)
     y = row * CELL + tl.arange(0, CELL)[:, None, None]
     x = cell[None, :, None] * CELL + tl.arange(0, CELL)[None, None, :]
@@ -158,9 +157,7 @@ def _sum(depth, normal, motion, uncovered, misplaced, recent, stays, mean, count
         divisor = tl.maximum(edge_total, 1e-6)
         seen += b * 9 * plane + at
         for k in tl.static_range(9):
-            value = (s0 if k == 0 else s1 if k == 1 else s2 if k == 2 else s3 if k == 3 else s4 if k == 4 else s5
-                     if k == 5 else s6 if k == 6 else s7 if k == 7 else s8)  # fmt: skip
-            tl.store(seen + k * plane, value / divisor, mask=exists)
+            tl.store(seen + k * plane, (s0, s1, s2, s3, s4, s5, s6, s7, s8)[k] / divisor, mask=exists)
         tl.store(seen_count + b * plane + at, edge_total, mask=exists)
 
 
@@ -192,7 +189,7 @@ def recall(
     results = torch.empty_like(light), torch.empty_like(depth)
     masks = depth, depth  # not read
     if uncovered is not None:
-        less = depth if misplaced is None else misplaced.expand(B, 1, 1, 1).reshape(B).contiguous()
+        less = depth if misplaced is None else of_images(misplaced, B)
         masks = uncovered.contiguous().view(torch.uint8), less
         results += light.new_empty(B, 9, H, W), torch.empty_like(depth)
     _sum[grid(B, H, W)](

@@ -7,7 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from .common import BLOCK, grid, place
+from .common import BLOCK, grid, place, within
 from .pool import pooled
 
 
@@ -15,7 +15,7 @@ from .pool import pooled
 def _low(fine, y, x, exists, H, W):
     """D fine at the coarse pixel (y, x), clamped to the image."""
     h, w = (H + 1) // 2, (W + 1) // 2
-    y, x = tl.minimum(tl.maximum(y, 0), h - 1), tl.minimum(tl.maximum(x, 0), w - 1)
+    y, x = within(y, h), within(x, w)
     return pooled(fine, y, x, exists, H, W, False)
 
 

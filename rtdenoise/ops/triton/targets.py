@@ -1,4 +1,4 @@
-"""Targets of motion vectors, for `warp`, `fetch` and shifts."""
+"""Targets of motion vectors."""
 
 from __future__ import annotations
 

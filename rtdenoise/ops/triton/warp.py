@@ -7,7 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from .common import BLOCK, grid, place
+from .common import BLOCK, grid, place, within
 from .targets import clamped_target
 
 
@@ -47,9 +47,9 @@ def _warp(image, motion, seen, otherwise, out, H, W, C: tl.constexpr, CUBIC: tl.
             result = tl.zeros([BLOCK], tl.float32)
             for j in tl.static_range(4):
                 line = tl.zeros([BLOCK], tl.float32)
-                row = tl.minimum(tl.maximum(y0 + j - 1, 0), H - 1) * W
+                row = within(y0 + j - 1, H) * W
                 for i in tl.static_range(4):
-                    at = row + tl.minimum(tl.maximum(x0 + i - 1, 0), W - 1)
+                    at = row + within(x0 + i - 1, W)
                     tap = tl.load(source + at, mask=looked, other=0.0)
                     line += tap * _catmull_rom(f, i)
                     if (i % 3 != 0) and (j % 3 != 0):

@@ -7,6 +7,7 @@ import triton.language as tl
 from torch import Tensor
 
 from ...constants import NOISE_WINDOW, NOISE_WINDOWS
+from .common import row_of
 
 COUNT = 32  # windows of a program: few, as there are few of them, and each is much to wait for
 
@@ -14,7 +15,7 @@ COUNT = 32  # windows of a program: few, as there are few of them, and each is m
 @triton.jit
 def _window_noise(radiance, depth, out, H, W, SIDE: tl.constexpr, STEP: tl.constexpr, COUNT: tl.constexpr):
     rows, columns = (H - SIDE) // STEP + 1, (W - SIDE) // STEP + 1
-    b, row = (tl.program_id(1) // rows).to(tl.int64), tl.program_id(1) % rows
+    b, row = row_of(rows)
     plane, column = tl.cast(H, tl.int64) * W, tl.program_id(0) * COUNT + tl.arange(0, COUNT)
     exists, corner = column < columns, row * STEP * W + column * STEP
     total = tl.zeros([COUNT], tl.float32)
