@@ -1,4 +1,5 @@
-"""Shared by all tests: the same random numbers in every run, no silent skips, a GL context, pictures of failures."""
+"""Shared by all tests: the same random numbers in every run, no silent skips, a GL context, pictures of failures, ops
+in two implementations."""
 
 import contextlib
 import os
@@ -111,6 +112,38 @@ def assert_images_close(request):
             )
 
     return check
+
+
+@pytest.fixture
+def backend(request):
+    """A folder of fused ops, `native` unless the test names another, and the device of its tensors."""
+    folder = getattr(request, "param", "native")
+    return folder, "cuda" if folder == "triton" and torch.cuda.is_available() else "cpu"
+
+
+@pytest.fixture
+def both(backend, monkeypatch):
+    """`both(op, *arguments)`: the results of the plain op and of the fused one."""
+    from rtdenoise import ops
+    from rtdenoise.ops import dispatch
+
+    folder, device = backend
+    monkeypatch.setattr(dispatch, "backend", lambda _: (folder, None))
+
+    def run(op, *arguments):
+        with ops.use("plain"):
+            plain = op(*_map(torch.clone, arguments))
+        with ops.use("fused"):
+            fused = op(*_map(lambda t: t.detach().to(device), arguments))
+        return plain, _map(torch.Tensor.cpu, fused)
+
+    return run
+
+
+def _map(function, value):
+    if isinstance(value, tuple):
+        return tuple(_map(function, v) for v in value)
+    return function(value) if isinstance(value, torch.Tensor) else value
 
 
 def _leave(folder, images):
