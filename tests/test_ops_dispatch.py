@@ -115,7 +115,7 @@ def test_without_what_triton_needs_the_plain_ops_run_and_a_warning_says_so(monke
     def fails():
         raise subprocess.CalledProcessError(1, "gcc")
 
-    monkeypatch.setattr(importlib.import_module("rtdenoise.ops.triton.common"), "prepare", fails)
+    monkeypatch.setattr(importlib.import_module("rtdenoise.ops.triton.first_use"), "prepare", fails)
     with caplog.at_level(logging.WARNING):
         folder, why = dispatch.backend.__wrapped__("cuda")
     assert folder is None and "gcc" in why and "slower without fused ops on cuda" in caplog.text
