@@ -272,8 +272,9 @@ def test_shapes_are_checked():
     for words, dtype in ((5, torch.uint8), (5, torch.int64), (7, torch.int32), (9, torch.int32)):  # C would read beyond
         with pytest.raises(ValueError, match="expected kept frames of"):
             recall(noisy(), image(0.0, 0.0), WALL, [torch.zeros(1, words, *SIZE, dtype=dtype)])
-    with pytest.raises(ValueError, match="expected uncovered"):
-        recall(noisy(), image(0.0, 0.0), WALL, [], torch.zeros(1, 1, 4, 4, dtype=torch.bool))
+    for uncovered in (torch.zeros(1, 1, 4, 4, dtype=torch.bool), torch.zeros(1, 1, *SIZE)):
+        with pytest.raises(ValueError, match="expected uncovered"):
+            recall(noisy(), image(0.0, 0.0), WALL, [], uncovered)
 
 
 # The network
