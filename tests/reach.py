@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from rtdenoise.frame import Frame
 from rtdenoise.models.config import CELL
+from rtdenoise.models.unet import HeadsByCells
 
 
 def network_reach(denoiser) -> int:
@@ -31,7 +32,8 @@ def network_reach(denoiser) -> int:
             extents.append(int((lit - column).abs().max()) + width // output.shape[-1])
 
         hooks = [convolutions[0].register_forward_hook(light)]
-        hooks += [convolution.register_forward_hook(watch) for convolution in convolutions[1:]]
+        watched = [layer for layer in convolutions[1:] if not isinstance(layer, HeadsByCells)]  # of one pixel each
+        hooks += [convolution.register_forward_hook(watch) for convolution in watched]
         with torch.no_grad():
             for convolution in convolutions:
                 convolution.weight.fill_(1 / convolution.weight[0].numel())
