@@ -12,13 +12,7 @@ from torch.autograd.function import once_differentiable
 
 from ..logits import strides
 from .common import constants, grid, place
-
-
-@triton.jit
-def _offset(y, x, cell_row, row, cell, step):
-    """Offset of the logits of pixel (y, x), by the strides of `logits.strides`."""
-    y, x = y.to(tl.int64), x.to(tl.int64)
-    return y // 2 * cell_row + y % 2 * row + x // 2 * cell + x % 2 * step
+from .logits import greatest, offset
 
 
 @triton.jit
@@ -27,13 +21,8 @@ def _forward(image, logits, out, stats, H, W, batch, stride, cell_row, row, cell
     b, y, x, exists = place(H, W, BLOCK)
     plane, stride = tl.cast(H, tl.int64) * W, tl.cast(stride, tl.int64)
     c = tl.arange(0, CP)
-    here = logits + b * batch + _offset(y, x, cell_row, row, cell, step)
-    most = tl.full([BLOCK], -float("inf"), tl.float32)
-    for k in tl.static_range(K * K):
-        i, j = y + k // K - K // 2, x + k % K - K // 2
-        inside = exists & (i >= 0) & (i < H) & (j >= 0) & (j < W)
-        most = tl.maximum(most, tl.load(here + k * stride, mask=inside, other=-float("inf")).to(tl.float32))
-    most = tl.where(exists, most, 0.0)
+    here = logits + b * batch + offset(y, x, cell_row, row, cell, step)
+    most = greatest(here, y, x, exists, H, W, stride, K)
     total = tl.zeros([BLOCK], tl.float32)
     colour = tl.zeros([BLOCK, CP], tl.float32)
     for k in tl.static_range(K * K):
@@ -68,7 +57,7 @@ def _backward(image, logits, out, stats, grad, grad_image, grad_logits, H, W, ba
     most = tl.load(stats + b * 2 * plane + pixel, mask=exists, other=0.0)
     scale = tl.load(stats + (b * 2 + 1) * plane + pixel, mask=exists, other=0.0)
     colour = tl.zeros([BLOCK, CP], tl.float32)
-    here = logits + b * batch + _offset(y, x, cell_row, row, cell, step)
+    here = logits + b * batch + offset(y, x, cell_row, row, cell, step)
     for k in tl.static_range(K * K):
         i, j = y + k // K - K // 2, x + k % K - K // 2
         inside = exists & (i >= 0) & (i < H) & (j >= 0) & (j < W)
@@ -78,7 +67,7 @@ def _backward(image, logits, out, stats, grad, grad_image, grad_logits, H, W, ba
         dot = tl.sum(g * tl.load(image + channels + q[:, None], mask=tap, other=0.0), axis=1)
         at = grad_logits + (b * K * K + k) * plane + pixel
         tl.store(at, tl.exp(v - most) * scale * (dot - mean), mask=exists)
-        there = logits + b * batch + _offset(i, j, cell_row, row, cell, step) + (K * K - 1 - k) * stride
+        there = logits + b * batch + offset(i, j, cell_row, row, cell, step) + (K * K - 1 - k) * stride
         w = tl.exp(tl.load(there, mask=inside, other=-float("inf")).to(tl.float32)
                    - tl.load(stats + b * 2 * plane + q, mask=inside, other=0.0))  # fmt: skip
         w *= tl.load(stats + (b * 2 + 1) * plane + q, mask=inside, other=0.0)

@@ -10,8 +10,8 @@ import triton.language as tl
 from torch import Tensor
 
 from ..logits import strides
-from .apply_kernel import _offset
 from .common import BLOCK, grid, lerp, place
+from .logits import greatest, offset
 
 
 @triton.jit
@@ -21,16 +21,11 @@ def _blend_history(spatial, past, seen, logits, alpha, out, H, W, batch, stride,
     whose weights lie by pixels."""
     b, y, x, exists = place(H, W, BLOCK)
     plane, stride = tl.cast(H, tl.int64) * W, tl.cast(stride, tl.int64)
-    logits += b * batch + _offset(y, x, cell_row, row, cell, step)
+    logits += b * batch + offset(y, x, cell_row, row, cell, step)
     seen += b * plane
     alpha += b * plane
     here = y * W + x
-    most = tl.full([BLOCK], -float("inf"), tl.float32)
-    for k in tl.static_range(K * K):
-        i, j = y + k // K - K // 2, x + k % K - K // 2
-        inside = exists & (i >= 0) & (i < H) & (j >= 0) & (j < W)
-        most = tl.maximum(most, tl.load(logits + k * stride, mask=inside, other=-float("inf")).to(tl.float32))
-    most = tl.where(exists, most, 0.0)
+    most = greatest(logits, y, x, exists, H, W, stride, K)
     weight = tl.load(alpha + here, mask=exists, other=0.0)
     for c in tl.static_range(0, C, 3):
         first = b * C * plane + c * plane

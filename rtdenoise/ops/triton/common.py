@@ -42,6 +42,12 @@ def within(i, n):
 
 
 @triton.jit
+def greater(a, b):
+    """As torch.maximum, of numbers of any type: NaN if either is. Float32."""
+    return tl.maximum(a.to(tl.float32), b.to(tl.float32), propagate_nan=tl.PropagateNan.ALL)
+
+
+@triton.jit
 def lerp(start, end, weight):
     """As torch.lerp: exact at both ends."""
     return tl.where(weight < 0.5, start + weight * (end - start), end - (1 - weight) * (end - start))

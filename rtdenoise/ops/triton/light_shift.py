@@ -18,15 +18,10 @@ from ...constants import (
     SHIFT_LIGHT_DAMPING,
 )
 from .cells import between, store_block
-from .common import BLOCK, grid, place, within
+from .common import BLOCK, greater, grid, place, within
 from .compressed import compressed
 from .displacement_sums import displacement
 from .luminance import luminance
-
-
-@triton.jit
-def _greater(a, b):
-    return tl.maximum(a, b, propagate_nan=tl.PropagateNan.ALL)
 
 
 @triton.jit
@@ -48,9 +43,9 @@ def _blocks(radiance, depth, blocks, H, W, tolerance, SIDE: tl.constexpr, BLOCK:
         far = tl.load(depth + y * W + x, mask=inside, other=0.0)
         total += light
         count += tl.where(inside, 1.0, 0.0)
-        greatest = tl.where(inside, _greater(greatest, light), greatest)
-        farthest = tl.where(inside, _greater(farthest, far), farthest)
-        nearest = tl.where(inside, _greater(nearest, -far), nearest)
+        greatest = tl.where(inside, greater(greatest, light), greatest)
+        farthest = tl.where(inside, greater(farthest, far), farthest)
+        nearest = tl.where(inside, greater(nearest, -far), nearest)
     mean = total / tl.maximum(count, 1.0)
     blocks += b * 3 * size + i * w + j
     tl.store(blocks, tl.where((greatest <= (1 + tolerance) * mean) & (mean > 0), 1.0, 0.0), mask=exists)
@@ -71,8 +66,8 @@ def _near(blocks, near, here, H, W, tolerance, SIDE: tl.constexpr, BLOCK: tl.con
     for k in tl.static_range(9):
         there = blocks + within(i + k // 3 - 1, h) * w + within(j + k % 3 - 1, w)
         even = tl.maximum(even, tl.load(there, mask=exists, other=0.0))
-        farthest = _greater(farthest, tl.load(there + size, mask=exists, other=0.0))
-        nearest = _greater(nearest, tl.load(there + 2 * size, mask=exists, other=0.0))
+        farthest = greater(farthest, tl.load(there + size, mask=exists, other=0.0))
+        nearest = greater(nearest, tl.load(there + 2 * size, mask=exists, other=0.0))
     its = (even > 0) & (farthest + nearest <= tolerance * farthest)
     at = i * w + j
     near += b * 2 * size + at
@@ -91,7 +86,7 @@ def _beside(near, beside, h, w, AROUND: tl.constexpr, BLOCK: tl.constexpr):
     for k in range(2 * AROUND + 1):
         row = near + within(i + k - AROUND, h) * w
         for m in tl.static_range(2 * AROUND + 1):
-            greatest = _greater(greatest, tl.load(row + within(j + m - AROUND, w), mask=exists, other=0.0))
+            greatest = greater(greatest, tl.load(row + within(j + m - AROUND, w), mask=exists, other=0.0))
     tl.store(beside + n * h * w + i * w + j, greatest, mask=exists)
 
 
@@ -128,7 +123,7 @@ def _surfaces(depth, here, H, W, tolerance, SIDE: tl.constexpr, BLOCK: tl.conste
         row = depth + within((i - 1) * SIDE + k, H) * W
         for m in tl.static_range(3 * SIDE):
             far = tl.load(row + within((j - 1) * SIDE + m, W), mask=exists, other=0.0)
-            farthest, nearest = _greater(farthest, far), _greater(nearest, -far)
+            farthest, nearest = greater(farthest, far), greater(nearest, -far)
     one = tl.where(farthest + nearest <= tolerance * farthest, 1.0, 0.0)
     store_block(here + b * tl.cast(H, tl.int64) * W, one, i, j, exists, H, W, SIDE)
 

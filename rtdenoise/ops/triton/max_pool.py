@@ -7,12 +7,9 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from .common import greater
+
 RUN = 1024
-
-
-@triton.jit
-def _larger(a, b):
-    return tl.maximum(a.to(tl.float32), b.to(tl.float32), propagate_nan=tl.PropagateNan.ALL)
 
 
 @triton.jit
@@ -24,7 +21,7 @@ def _max_pool(x, out, w, C, RUN: tl.constexpr):
     p, q = tl.load(corner, mask=exists, other=0.0), tl.load(corner + C, mask=exists, other=0.0)
     corner += 2 * length
     r, s = tl.load(corner, mask=exists, other=0.0), tl.load(corner + C, mask=exists, other=0.0)
-    tl.store(out + row * length + at, _larger(_larger(p, q), _larger(r, s)), mask=exists)
+    tl.store(out + row * length + at, greater(greater(p, q), greater(r, s)), mask=exists)
 
 
 def max_pool(x: Tensor) -> Tensor:

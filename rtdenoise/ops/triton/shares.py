@@ -8,15 +8,15 @@ import triton.language as tl
 from torch import Tensor
 
 from ..logits import strides
-from .apply_kernel import _offset
 from .common import BLOCK, grid, place
+from .logits import offset
 
 
 @triton.jit
 def _shares(logits, out, H, W, batch, stride, cell_row, row, cell, step, N: tl.constexpr, BLOCK: tl.constexpr):
     b, y, x, exists = place(H, W, BLOCK)
     plane, stride = tl.cast(H, tl.int64) * W, tl.cast(stride, tl.int64)
-    logits += b * batch + _offset(y, x, cell_row, row, cell, step)
+    logits += b * batch + offset(y, x, cell_row, row, cell, step)
     out += b * N * plane + y * W + x
     for k in tl.static_range(N):
         value = tl.load(logits + k * stride, mask=exists, other=0.0).to(tl.float32)
