@@ -9,6 +9,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame
 from rtdenoise.glsl import Pipeline
 from rtdenoise.models import PRESETS, create, grow, read, save
+from rtdenoise.models.presets import with_settings
 from rtdenoise.run.tiles import Tiled
 
 FEATURES = PRESETS["fast"].features
@@ -161,10 +162,11 @@ def test_a_guided_network_has_no_shaders(tmp_path):
         replace(WIDE, widths=(20, 25, 40, 50, 70), guided=True)
 
 
-ONWARD = ("fast", "fast"), ("default", "default"), ("quality", "quality"), ("default", "quality")
+ONWARD = ("fast", ()), ("default", ()), ("default", ("widths=64,72,72,88,104",)), ("default", ("guided=true",))
 
 
-@pytest.mark.parametrize(("model", "wanted"), ONWARD)
-def test_training_goes_on_from_what_ships(model, wanted):
-    """As docs/use/training.md says: `train --model quality --init WEIGHTS_OF_DEFAULT`."""
-    assert grow(read(model), PRESETS[wanted]).config == PRESETS[wanted]
+@pytest.mark.parametrize(("model", "settings"), ONWARD)
+def test_training_goes_on_from_what_ships(model, settings):
+    """As docs/use/training.md says: `train --model default --set widths=64,72,72,88,104 --init default`."""
+    wanted = with_settings(PRESETS[model], settings)
+    assert grow(read(model), wanted).config == wanted

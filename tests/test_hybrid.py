@@ -224,7 +224,7 @@ def test_what_it_cannot_do_is_refused():
         replace(SMALL, up=(8, 8, 8))
     with pytest.raises(ValueError, match="down: expected 2 to 5 widths from 1 to 1024"):
         replace(SMALL, down=(8, 0, 4))
-    with pytest.raises(InputError, match="--lights: goes with --model default, many, fast or quality"):
+    with pytest.raises(InputError, match="--lights: goes with --model default, many or fast"):
         LightBackend(TorchBackend("hybrid", "cpu", "fp32", recent=0), None, each=True)
 
 

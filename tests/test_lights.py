@@ -226,7 +226,7 @@ def clear(planes):
     (without(), {"lights": True, "signal": "indirect"}, "goes with --signal color"),
     (without(), {"lights": True, "keep": ("all",)}, "goes without --keep"),
     (without(), {"lights": True, "offline": True}, "go without --offline"),
-    (without(), {"lights": True, "model": "paper"}, "go with --model default, many, fast or quality"),
+    (without(), {"lights": True, "model": "paper"}, "go with --model default, many or fast"),
     (without(), {"lights": True, "backend": "glsl"}, "goes with --backend torch"),
 ])  # fmt: skip
 def test_bad_input_is_one_sentence(tmp_path, change, options, words):

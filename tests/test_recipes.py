@@ -42,7 +42,7 @@ def parsed(words):
     return trained
 
 
-@pytest.mark.parametrize("model", ["default", "fast", "quality", "many", "combiner"])
+@pytest.mark.parametrize("model", ["default", "fast", "many", "combiner"])
 def test_the_recipe_is_that_of_the_weights(model):
     commands = printed(model, SCENES="scenes", ASSETS="library")
     shipped = [words[1:] for words in commands if words[1].endswith("ship_weights.py")]
@@ -110,7 +110,7 @@ def test_scene_files_are_used_only_where_a_folder_is_named():
 def test_a_model_without_a_recipe_is_refused():
     result = subprocess.run(["sh", RECIPE, "paper"], capture_output=True, text=True)
     assert result.returncode == 2
-    known = "default, fast, quality, many, hybrid, hybrid-fast, hybrid-many, combiner or settings"
+    known = "default, fast, many, hybrid, hybrid-fast, hybrid-many, combiner or settings"
     assert result.stderr == f"expected {known}, got 'paper'\n"
 
 

@@ -25,7 +25,6 @@ PRESETS: dict[str, Config] = {
     "paper": TemporalKPNConfig(),
     "fast": AccumulatedKPNConfig(widths=(16, 24, 32, 48, 64), kernel=3, edge_kernel=3),
     "default": AccumulatedKPNConfig(**DEFAULT),
-    "quality": AccumulatedKPNConfig(**DEFAULT | {"widths": (64, 72, 72, 88, 104)}),
     "hybrid": HybridConfig(**DEFAULT),
     "hybrid-fast": HybridConfig(**DEFAULT, down=(32,) * 5, up=(32, 64, 64, 64), out=(32, 32, 64, 64)),
     "mltd": MLTDConfig(),

@@ -137,9 +137,9 @@ class TorchBackend:
         averages = "mean" in self._denoiser.config.carries
         if lookahead and not averages:
             raise InputError(f"lookahead: model {model!r} does not average light over time; choose hybrid, default, "
-                             "many, fast or quality")  # fmt: skip
+                             "many or fast")  # fmt: skip
         if oidn and not averages:
-            raise InputError(f"oidn: model {model!r} does not average light; choose default, many, fast or quality")
+            raise InputError(f"oidn: model {model!r} does not average light; choose default, many or fast")
         self._correct, self._opinion = correct, Opinion(self._denoiser.config, prefilter) if oidn else None
         wanted = {} if recent is None else {"recent": recent}
         if averages:

@@ -83,7 +83,7 @@ class LightBackend:
 
         self.network = inner.network
         if type(self.network) is not AccumulatedKPN:  # `hybrid` writes pixels: not linear in the light
-            raise InputError(f"{told}: goes with --model default, many, fast or quality, which filter irradiance")
+            raise InputError(f"{told}: goes with --model default, many or fast, which filter irradiance")
         if self.network.config.recent:
             raise ValueError("light in parts needs a running mean: TorchBackend(..., recent=0)")
         self._inner, self._passes, self._each = inner, passes, each

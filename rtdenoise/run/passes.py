@@ -45,8 +45,8 @@ class Passes:
         self.has_oidn = installed()
         self.backend = TorchBackend(model, device, precision, footprint=self.has_oidn)
         if "mean" not in self.backend.config.carries:
-            raise InputError(f"--offline: model {model!r} does not average light over time; choose default, many, "
-                             "fast or quality")  # fmt: skip
+            raise InputError(f"--offline: model {model!r} does not average light over time; choose default, many "
+                             "or fast")  # fmt: skip
         self._oidn = Oidn(clean=True)
 
     @property
