@@ -1,6 +1,6 @@
 #!/bin/sh
 # Make the weights that ship, from the first clip on:
-#     sh tools/train_weights.sh default|fast|quality|many|hybrid|hybrid-fast|hybrid-many|combiner [cpu|cuda]
+#     sh tools/train_weights.sh default|fast|many|hybrid|hybrid-fast|hybrid-many|combiner [cpu|cuda]
 # `settings` instead of a model trains the paper's settings A, B and C, which docs/results/quality.md compares, into
 # runs/paper-A, -B and -C.
 #
@@ -21,10 +21,10 @@ cd "$(dirname "$0")/.."
 trap 'exit 143' TERM # after the running command has written its checkpoint
 model=${1:-} device=${2:-cpu}
 case $model in
-    default | fast | quality | many | hybrid | hybrid-fast | hybrid-many | combiner | settings) ;;
-    *) echo "expected default, fast, quality, many, hybrid, hybrid-fast, hybrid-many, combiner or settings, got '$model'" >&2; exit 2 ;;
+    default | fast | many | hybrid | hybrid-fast | hybrid-many | combiner | settings) ;;
+    *) echo "expected default, fast, many, hybrid, hybrid-fast, hybrid-many, combiner or settings, got '$model'" >&2; exit 2 ;;
 esac
-case $model in default | many | quality | combiner)
+case $model in default | many | combiner)
     [ -n "${ASSETS:-}" ] || { echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2; };;
 esac
 
@@ -98,10 +98,10 @@ if [ "$model" = many ]; then # small pictures, with shadows a pixel or two wide
     clips small16 --count 24 --spp 16 --seed 60016 --reference-error 0.005 $small_options
     clips samples16 --count 2 --spp 16 --frames 6 --seed 71016 --reference-error 0.02 --sun 0.6 --calm 0.4 $files
 fi
-case $model in default | quality)
+if [ "$model" = default ]; then
     clips one-sample-stills $stills --reference-error 0.5 --count 324 --seed 2 --most-spp 1
-    clips history --count 96 --frames 9 --seed 51000 $noisy --sun 0.4 --calm 0.2 $files;;
-esac
+    clips history --count 96 --frames 9 --seed 51000 $noisy --sun 0.4 --calm 0.2 $files
+fi
 levels() { # NAME OPTIONS...: the same clips at 1, 4 and 16 samples a pixel, with references of 64 and more
     name=$1; shift
     run python bench/combine_clips.py --out "data/$name" $files --size 128 --frames 5 --levels 1 4 16 64 --half 32 \
@@ -111,7 +111,7 @@ levels() { # NAME OPTIONS...: the same clips at 1, 4 and 16 samples a pixel, wit
         run rtdenoise clean "data/$name/spp$spp" --out "data/$name-clean/spp$spp"
     done
 }
-case $model in default | many | quality | combiner)
+case $model in default | many | combiner)
     levels levels --count 72 --seed 81
     levels levels720 --count 32 --seed 82 --assets "$ASSETS";;
 esac
@@ -126,12 +126,12 @@ if [ "$model" = combiner ]; then # it corrects raw references' noisy frames, as 
     run python tools/ship_weights.py combiner runs/combiner-last/weights.safetensors
     exit
 fi
-case $model in default | quality) # long histories
+if [ "$model" = default ]; then # long histories
     long="--frames 3 --lead-in 20 --sun 0.5 --calm 0.3"
     clips long --count 71 --seed 94000 --reference-error 0.01 $long
-    clips long-scenes --count 73 --seed 95000 --reference-error 0.02 $long $files;;
-esac
-case $model in default | quality) clips sharp-stills $stills --reference-error 0.01 --count 138 --seed 3 --most-spp 1;; esac
+    clips long-scenes --count 73 --seed 95000 --reference-error 0.02 $long $files
+    clips sharp-stills $stills --reference-error 0.01 --count 138 --seed 3 --most-spp 1
+fi
 
 # --- the weights ------------------------------------------------------------------------------------------------------
 
@@ -178,13 +178,6 @@ else # the first runs of `default`
     train clips $first $(after single) --steps 4800 --lr 4e-4 --cuts 0.5 --validate-every 400
     train sun $sunny $(after clips) --steps 6000 --lr 4e-4 --cuts 0.5 --validate-every 800
 fi
-if [ "$model" = quality ]; then # grows from default as it is after its run `sun`
-    start=$(after sun) network=quality fields="--set detail=false"
-    train relit $all $start --steps 3200 --lr 4e-4 --cuts 0.5 --relight 0.33 --validate-every 800
-    train less $all $(after relit) --steps 950 --lr 3e-4 --cuts 0.5 --relight 0.1 --validate-every 950
-    train little $all $(after less) --steps 900 --lr 3e-4 --cuts 0.5 --relight 0.05 --validate-every 900
-    train edges $all $(after little) --steps 1300 --lr 5e-4 --cuts 0.5 --relight 0.05 --validate-every 650
-fi
 # on clips with better references, of which some have long histories
 sharp="--data data/long-clean data/long-scenes-clean data/levels-clean/spp01 data/levels720-clean/spp01"
 sharp="$sharp --most-spp 1 --frames 3 --lead-in 20 --cuts 0.1 --shade 0.15 --loss-power 0.5 --lr 5e-4"
@@ -192,20 +185,6 @@ single="data/sharp-stills-clean data/levels-clean/spp01 data/levels720-clean/spp
 
 if [ "$model" = fast ]; then
     ship fast runs/fast-last/weights.safetensors
-    exit
-elif [ "$model" = quality ]; then
-    from=runs/quality-edges/weights.safetensors
-    new="--data data/history-clean --stills data/one-sample-stills-clean data/sharp-stills-clean --loss-power 0.5"
-    new="$new --frames 8 --steps 500 --lr 3e-4"
-    train_on runs/quality-again $from $new
-    train_on runs/quality-third $from $new --seed 1
-    mean=runs/quality-third/mean.safetensors
-    ship $mean $from=0.3 runs/quality-again/weights.safetensors=0.35 runs/quality-third/weights.safetensors=0.35
-    fields="--set detail=true" sharp="$sharp --stills $single --relight 0.1 --steps 3600"
-    train_on runs/quality-sharp $mean $sharp --seed 5
-    ship runs/quality-sharp/mean.safetensors $mean=0.35 runs/quality-sharp/weights.safetensors=0.65
-    train_on runs/quality-last runs/quality-sharp/mean.safetensors $sharp --seed 6
-    ship quality runs/quality-sharp/mean.safetensors=0.5 runs/quality-last/weights.safetensors=0.5 set:recent=8
     exit
 fi
 
