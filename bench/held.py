@@ -1,6 +1,6 @@
 """Weights against OIDN on scenes held out of training: single frames and later ones, at several sample counts.
 
-python bench/held.py HELD... --weights default quality runs/mine/weights.safetensors
+python bench/held.py HELD... --weights default many runs/mine/weights.safetensors
 
 HELD/spp01, HELD/spp04 ... hold clips or stills at several sample counts (`combine_clips.py --held-out`,
 `held_stills.py`), with references of independent samples in two halves. PSNR is corrected for the references' own
@@ -31,7 +31,7 @@ from rtdenoise.data.clips import ClipDataset
 from rtdenoise.evaluate.registry import methods
 from rtdenoise.evaluate.sequence import Step, outputs
 from rtdenoise.metrics.image import decibels, mse_corrected
-from rtdenoise.models import load
+from rtdenoise.models import available, load
 from rtdenoise.run.passes import InMemory, Passes
 
 RESULT, PAGES = RESULTS / "held.json", (DOCS / "results" / "held.md",)
@@ -48,7 +48,6 @@ def main(
     weights: tuple[str, ...] = (
         "fast",
         "default",
-        "quality",
         "many",
         "default+oidn",
         "many+oidn",
@@ -115,13 +114,13 @@ def opened(name: str) -> tuple[Step, int]:
 def tables(document: dict) -> dict[str, str]:
     """Sections `held` (leads over OIDN), `held-scenes` (at the fewest samples, scene by scene) and `held-exposures`."""
     sets = list(dict.fromkeys(row["set"] for row in document["rows"]))
-    levels = document["levels"]
-    lines = []
+    levels, lines = document["levels"], []
+    weights = [name for name in document["weights"] if "/" in name or name.partition("+")[0] in available()]
     for name in sets:
         columns = [(name, kind, spp) for kind in KINDS for spp in levels]
         columns = [c for c in columns if _leads(document, "oidn", *c, "indirect", 0)]
         lines += [f"`{name}`", "", *_head([*(f"{kind}, {spp} spp" for _, kind, spp in columns), "CPU time"])]
-        for method in document["weights"]:
+        for method in weights:
             slower = _seconds(document, method) / _seconds(document, "oidn")
             leads = (_lead(document, method, *c) for c in columns)
             lines.append(_line(_label(method), [*leads, f"{slower:.2f}×"]))
@@ -129,7 +128,7 @@ def tables(document: dict) -> dict[str, str]:
     exposures = _head(f"{kind}, ×{2.0**s:g}" for kind in KINDS for s in STOPS)
     places = list(dict.fromkeys((row["set"], row["place"]) for row in document["rows"]))
     scenes = _head(f"{place}<br>{name}" for name, place in places)
-    for method in document["weights"]:
+    for method in weights:
         label = _label(method)
         first = ((sets[0], kind, levels[0], stops) for kind in KINDS for stops in STOPS)
         exposures.append(_line(label, (_lead(document, method, *c) for c in first)))

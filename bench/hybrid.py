@@ -34,11 +34,9 @@ OUT = ROOT / "out" / "hybrid"
 SIGNALS = ("color", "indirect")
 METHODS = {
     "default-spatial": "`default`, single frames",
-    "quality-spatial": "`quality`, single frames",
     "hybrid-fast-spatial": "**`hybrid-fast`**, single frames",
     "hybrid-spatial": "**`hybrid`**, single frames",
     "default": "`default`",
-    "quality": "`quality`",
     "default-oidn": "`default` with `--oidn`",
     "hybrid-fast": "**`hybrid-fast`**",
     "hybrid": "**`hybrid`**",
@@ -75,7 +73,7 @@ def times_of(size: str, precision: str) -> dict:
     has this one with int8."""
     frame = synthetic_frame(*SIZES[size])
     steps = {"oidn": partial(Oidn().step, frame)}
-    for name in ("default", "quality", "hybrid-fast", "hybrid"):
+    for name in ("default", "hybrid-fast", "hybrid"):
         model = load(name, precision=precision)
         steps[name] = partial(model.step, frame, settled(model, frame))
     for name in IN_BYTES:

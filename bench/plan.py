@@ -173,14 +173,15 @@ def not_left_out(denoiser: nn.Module, frames: list[Frame]) -> dict[str, float]:
 
 def tables(document: dict) -> dict[str, str]:
     """Sections `plan` and `not left out`."""
-    models = "\n\n".join(f"Model `{name}`:\n\n{table(rows)}" for name, rows in document["models"].items())
+    ships = {name: rows for name, rows in document["models"].items() if name in available()}
+    models = "\n\n".join(f"Model `{name}`:\n\n{table(rows)}" for name, rows in ships.items())
     layers, direct = document["layers"]["ratio"], document["direct"]
     models += (
         f"\n\nReading one frame of a multi-part file without motion and motion_next takes {layers:.2f} of the time. "
         f"The sample with direct light that has no noise: {direct['indirect']} dB with its indirect light denoised and "
         f"the rest passed through, {direct['whole']} dB with the beauty denoised as a whole (`paper`)."
     )
-    reasons = document["not_left_out"].values()
+    reasons = [document["not_left_out"][name] for name in ships]
     channel, alpha = (max(r["multiplications_of_one_channel"] for r in reasons), min(r["least_alpha"] for r in reasons))
     zeros, count = (sum(r[key] for r in reasons) for key in ("zero_alphas", "alphas"))
     why = (

@@ -27,7 +27,6 @@ LABELS = {
     "paper": "rtdenoise `paper`",
     "fast": "rtdenoise `fast`",
     "default": "rtdenoise `default`",
-    "quality": "rtdenoise `quality`",
     "hybrid": "**rtdenoise `hybrid`**",
 }
 
@@ -38,7 +37,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             results[signal] = [
                 {"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)}
-                for r in demo(Path(folder), signal=signal, methods=(*METHODS, "fast", "quality", "oidn"))
+                for r in demo(Path(folder), signal=signal, methods=(*METHODS, "fast", "oidn"))
             ]
     harness.publish(RESULT, {"results": results}, pages=PAGES, tables=tables)
 

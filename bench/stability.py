@@ -74,7 +74,7 @@ def sample(signal: str) -> dict[str, float]:
 
 def tables(document: dict) -> dict[str, str]:
     """Sections `sample`, `denoiser` and `operations`."""
-    models = document["denoisers"][0]["models"]
+    models = [name for name in document["denoisers"][0]["models"] if name in available()]
     frames = document["frames"]
     length = f"Long sequences: {frames} frames in float32, {max(100, frames // 10)} in other precisions.\n\n"
     denoisers = length + "\n\n".join(f"Model `{name}`:\n\n{table(document, name)}" for name in models)

@@ -63,7 +63,7 @@ def tables(document: dict) -> dict[str, str]:
     """Section `activity`: share of active channels by level of the U-Net, finest first, averaged over its layers."""
     levels = max(level(layer) for row in document["rows"] for layer in row["layers"]) + 1
     lines = ["| | in | " + " | ".join(f"level {k + 1}" for k in range(levels)) + " |", "|---" * (levels + 2) + "|"]
-    for row in document["rows"]:
+    for row in (row for row in document["rows"] if row["model"] in available()):
         shares = [[v for layer, v in row["layers"].items() if level(layer) == k] for k in range(levels)]
         cells = [f"{sum(s) / len(s):.0%}" if s else "–" for s in shares]
         lines.append(f"| `{row['model']}` | {row['shown']} | " + " | ".join(cells) + " |")

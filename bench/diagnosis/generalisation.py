@@ -28,7 +28,7 @@ from rtdenoise.models import load
 
 RESULT, PAGES = RESULTS / "generalisation.json", (DOCS / "results" / "training.md",)
 COUNT = 20  # clips of each folder
-MODELS = ("default", "fast", "quality")
+MODELS = ("default", "fast")
 
 
 def main(folder: tyro.conf.Positional[Path], more: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:

@@ -31,7 +31,7 @@ from rtdenoise.metrics.image import decibels, mse_corrected
 from rtdenoise.models import load
 
 RESULT, PAGES = RESULTS / "where.json", (DOCS / "results" / "quality.md",)
-MODELS = ("default", "fast", "quality")
+MODELS = ("default", "fast")
 KINDS = ("edges", "textures", "elsewhere")
 MIN_DEPTH_STEP = 0.1  # of an edge, relative to the depth
 MIN_NORMAL_STEP = 0.5  # of an edge

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from rtdenoise.models import PRESETS
+
 from .stages import STAGES
 
 TOTAL = "total"
@@ -14,7 +16,7 @@ EMPTY = "–"
 
 def table(document: dict, size: str) -> str:
     """One size. On a shared CPU only the ratios mean anything."""
-    rows = [row for row in document["rows"] if row["size"] == size]
+    rows = [row for row in document["rows"] if row["size"] == size and row["method"].split()[0] in ("oidn", *PRESETS)]
     base = next((row[TOTAL]["median_ms"] for row in rows if row["method"] == BASE and TOTAL in row), None)
     W, H = rows[0]["pixels"]
     lines = [
