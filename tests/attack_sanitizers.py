@@ -133,14 +133,14 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
         yield "features", features([image], [normal, depth, seen], one, like.to(dtype))
     x = feature_bytes(image, other, normal, one)
     yield "feature_bytes", x
-    whole = torch.arange(9 * 4 * 32 * 4).to(torch.int8).view(1, 36, 32, 4)
+    whole = torch.arange(9 * 3 * 32 * 4).to(torch.int8).view(1, 27, 32, 4)
     for outputs in (32, 20):
         numbers = torch.full((1, outputs), 0.01), torch.zeros(1, outputs)
         for dtype in (torch.uint8, torch.bfloat16):
             yield "convolve_bytes", convolve_bytes(x, whole, *numbers, dtype=dtype)
     fine = feature_bytes(*(layer.repeat_interleave(2, 2).repeat_interleave(2, 3) for layer in (image, other, normal)),
                          one)  # fmt: skip
-    both = torch.cat([whole[:, :16], whole], dim=1).expand(4, -1, -1, -1).contiguous()
+    both = torch.cat([whole[:, :12], whole], dim=1).expand(4, -1, -1, -1).contiguous()
     yield "convolve_bytes", convolve_bytes(fine, both, torch.full((4, 20), 0.01), torch.zeros(4, 20), x)
     for channels, dtype in ((32, torch.float32), (48, torch.bfloat16), (32, torch.bfloat16)):
         x = image.repeat(1, 16, 1, 1)[:, :channels].to(dtype).contiguous(memory_format=torch.channels_last)

@@ -69,20 +69,25 @@ def test_the_recipe_is_that_of_the_weights(model):
 @pytest.mark.parametrize(("model", "quality"), [("hybrid", "balanced"), ("hybrid-fast", "fast")])
 def test_hybrid_is_put_together_and_not_trained(model, quality):
     """tests/test_hybrid.py compares the weights that ship."""
-    begin, ship, *renders, in_bytes = words = printed(model, SCENES="scenes")
-    assert [Path(words[1]).name for words in (begin, ship)] == ["begin_hybrid.py", "ship_weights.py"]
-    assert begin[3:] == [quality] and ship[2:] == [model, begin[2], "set:recent=8"]
+    begin, *renders, in_bytes = words = printed(model, SCENES="scenes")
+    assert begin[1:] == ["tools/begin_hybrid.py", f"rtdenoise/weights/{model}.safetensors", quality]
     assert len(renders) == 11 and all(words[:2] == ["rtdenoise", "render"] for words in renders)
     assert in_bytes[1:4] == ["tools/weights_in_bytes.py", model, f"rtdenoise/weights/{model}.int8"]
     parsed(words)
     assert len(printed(model)) == len(words) - 7  # without scene files
 
 
-def test_hybrid_many_is_joined(tmp_path):
+def test_hybrid_large_has_nothing_in_bytes():
+    (words,) = printed("hybrid-large")
+    assert words[1:] == ["tools/begin_hybrid.py", "rtdenoise/weights/hybrid-large.safetensors", "large"]
+
+
+@pytest.mark.parametrize("pixels", ["hybrid", "hybrid-large"])
+def test_hybrids_for_many_samples_are_joined(pixels, tmp_path):
     """To the file that ships."""
-    ((_, tool, out, *models),) = printed("hybrid-many")
+    ((_, tool, out, *models),) = printed(f"{pixels}-many")
     assert (Path(tool).name, out, models) == (
-        "join_hybrid.py", "rtdenoise/weights/hybrid-many.safetensors", ["many", "hybrid"]
+        "join_hybrid.py", f"rtdenoise/weights/{pixels}-many.safetensors", ["many", pixels]
     )  # fmt: skip
     subprocess.run([sys.executable, ROOT / "tools" / "join_hybrid.py", tmp_path / "w.safetensors", *models], check=True)
     made, ships = (safe_open(path, framework="numpy") for path in (tmp_path / "w.safetensors", ROOT / out))
@@ -110,8 +115,8 @@ def test_scene_files_are_used_only_where_a_folder_is_named():
 def test_a_model_without_a_recipe_is_refused():
     result = subprocess.run(["sh", RECIPE, "paper"], capture_output=True, text=True)
     assert result.returncode == 2
-    known = "default, fast, many, hybrid, hybrid-fast, hybrid-many, combiner or settings"
-    assert result.stderr == f"expected {known}, got 'paper'\n"
+    known = "default, fast, many, hybrid, hybrid-fast, hybrid-large, hybrid-many, hybrid-large-many, combiner"
+    assert result.stderr == f"expected {known} or settings, got 'paper'\n"
 
 
 def test_the_gpu_check_needs_a_gpu(tmp_path):

@@ -24,7 +24,7 @@ def main(out: str, kernels: str, pixels: str) -> None:
     config = HybridConfig(
         **asdict(of_kernels) | {"footprint": True, "recent": of_pixels.recent},
         many=not of_kernels.recent,
-        **{name: getattr(of_pixels, name) for name in ("down", "up", "out")},
+        **{name: getattr(of_pixels, name) for name in ("down", "up", "out", "twice", "clean")},
     )
     metadata = {
         "architecture": config.architecture,

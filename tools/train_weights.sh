@@ -1,6 +1,6 @@
 #!/bin/sh
 # Make the weights that ship, from the first clip on:
-#     sh tools/train_weights.sh default|fast|many|hybrid|hybrid-fast|hybrid-many|combiner [cpu|cuda]
+#     sh tools/train_weights.sh default|fast|many|hybrid|hybrid-fast|hybrid-large|hybrid-many|hybrid-large-many|combiner [cpu|cuda]
 # `settings` instead of a model trains the paper's settings A, B and C, which docs/results/quality.md compares, into
 # runs/paper-A, -B and -C.
 #
@@ -21,8 +21,8 @@ cd "$(dirname "$0")/.."
 trap 'exit 143' TERM # after the running command has written its checkpoint
 model=${1:-} device=${2:-cpu}
 case $model in
-    default | fast | many | hybrid | hybrid-fast | hybrid-many | combiner | settings) ;;
-    *) echo "expected default, fast, many, hybrid, hybrid-fast, hybrid-many, combiner or settings, got '$model'" >&2; exit 2 ;;
+    default | fast | many | hybrid | hybrid-fast | hybrid-large | hybrid-many | hybrid-large-many | combiner | settings) ;;
+    *) echo "expected default, fast, many, hybrid, hybrid-fast, hybrid-large, hybrid-many, hybrid-large-many, combiner or settings, got '$model'" >&2; exit 2 ;;
 esac
 case $model in default | many | combiner)
     [ -n "${ASSETS:-}" ] || { echo "expected ASSETS=FOLDER, a library of assets" >&2; exit 2; };;
@@ -61,16 +61,16 @@ in_bytes() { # what --precision int8 needs, found on frames such as the model wi
     done
     run python tools/weights_in_bytes.py "$model" "rtdenoise/weights/$model.int8" $seen/*
 }
-if [ "$model" = hybrid-many ]; then # names alone
-    run python tools/join_hybrid.py "rtdenoise/weights/$model.safetensors" many hybrid
-    exit
-fi
-case $model in hybrid*) # the kernels of `default` and a network of OIDN's, both as they are: nothing to train
-    quality=balanced
-    [ "$model" = hybrid ] || quality=fast
-    run python tools/begin_hybrid.py "runs/$model.safetensors" $quality
-    ship "$model" "runs/$model.safetensors" set:recent=8
-    exit;;
+case $model in # the kernels of a model and a network of OIDN's, both as they are: nothing to train
+    hybrid | hybrid-fast) quality=balanced
+        [ "$model" = hybrid ] || quality=fast
+        run python tools/begin_hybrid.py "rtdenoise/weights/$model.safetensors" $quality
+        in_bytes
+        exit;;
+    hybrid-large) run python tools/begin_hybrid.py "rtdenoise/weights/$model.safetensors" large; exit;;
+    hybrid*-many) # names alone
+        run python tools/join_hybrid.py "rtdenoise/weights/$model.safetensors" many "${model%-many}"
+        exit;;
 esac
 run rtdenoise clips --out data/val --generator 1 --count 24 --seed 1000000 --reference-spp 128
 if [ "$model" = settings ]; then

@@ -24,9 +24,10 @@ from rtdenoise.files import write_atomically
 from rtdenoise.models import Denoiser, read
 from rtdenoise.models.bytes_layout import INPUT, PIXELS, UNET, Picture, layout, made_for
 from rtdenoise.models.in_bytes import WHOLE, phases
+from rtdenoise.models.pixel_network import as_color
 from rtdenoise.models.weights import find
 from rtdenoise.ops.convolve_bytes import packed
-from rtdenoise.ops.feature_bytes import ALBEDO, CHANNELS, LIGHT, NORMAL, feature_bytes
+from rtdenoise.ops.feature_bytes import CHANNELS, LIGHT, SURFACE, feature_bytes
 
 FRAMES = 6  # of a sequence and signal
 SAMPLES = 6000  # windows of a frame and layer
@@ -98,7 +99,8 @@ class Seen:
         return torch.cat(parts, dim=1), self.modules[name].bias.double(), moments
 
     def _begin(self, _: Module, inputs: tuple[Tensor, ...]) -> None:
-        self.given = feature_bytes(*inputs).float()
+        radiance, albedo, normal, scale = inputs
+        self.given = feature_bytes(radiance, albedo, as_color(normal), scale).float()
 
     def _measure(self, name: str, x: Tensor) -> None:
         most = x[0].flatten(1).topk(1 + int(RARE * x.shape[2] * x.shape[3])).values[:, -1].clamp(min=1e-3)
@@ -134,8 +136,8 @@ class Seen:
 def of_bytes(weight: Tensor) -> Tensor:
     """Weights `[O, 9, 3, 3]` of light, albedo and normal to those of `feature_bytes`."""
     light, albedo, normal = weight.split(3, dim=1)
-    light, albedo, normal = light * PIXELS_UNIT / LIGHT, albedo / ALBEDO, normal / NORMAL
-    return torch.cat([light, light, albedo, normal, -normal, torch.zeros_like(light[:, :1])], dim=1)
+    light = light * PIXELS_UNIT / LIGHT
+    return torch.cat([light, light, albedo / SURFACE, normal / SURFACE], dim=1)
 
 
 def rounded_with_care(weight: Tensor, bias: Tensor, moments: Tensor) -> tuple[Tensor, Tensor, Tensor]:

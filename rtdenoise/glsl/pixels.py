@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..constants import AROUND_CELL, MIX_CELL, MIX_SHARES, MIX_SHARES_OF_MANY
+from ..constants import AROUND_CELL, MIX_CELL
 from ..models.hybrid_config import HybridConfig
 from .context import GpuArray
 from .dispatch import dispatch
@@ -24,7 +24,7 @@ class Pixels:
     def __init__(self, scratch: Scratch, config: HybridConfig, tensors: Mapping[str, np.ndarray]) -> None:
         self._scratch, self._many = scratch, config.many
         self._network = PixelNetwork(scratch, config, tensors)
-        self._shares = MIX_SHARES_OF_MANY if config.many else MIX_SHARES
+        self._shares = config.shares
 
     def mix(
         self,

@@ -15,9 +15,9 @@ from ..errors import InputError
 from ..ops.convolve_bytes import BLOCK, MOST, QUAD
 from ..ops.feature_bytes import CHANNELS
 from .config import AccumulatedKPNConfig
-from .hybrid_config import HybridConfig
+from .hybrid_config import HybridConfig, PixelShape
 from .presets import Config
-from .weights import PIXELS, bytes_of, parts_of, read_config
+from .weights import PIXELS, bytes_of, files_of, parts_of, read_config
 
 UNET = "unet"  # the networks, UNET and PIXELS, are the modules of these names
 INPUT = "input"  # of a network, as a layer
@@ -47,7 +47,7 @@ class Layer:
 
 
 def layout(config: Config) -> dict[str, Layer]:
-    """Name of each layer in bytes -> the layer.
+    """Name of each layer in bytes -> the layer. Networks that write pixels from clean albedo and normal have none.
 
     Raises InputError where networks of this architecture have none, or `convolve_bytes` does not take the widths.
     """
@@ -55,8 +55,8 @@ def layout(config: Config) -> dict[str, Layer]:
         raise InputError(f"precision int8: networks of the form {config.architecture} have no weights in bytes; take "
                          "auto")  # fmt: skip
     layers = _unet(config.widths)
-    if isinstance(config, HybridConfig):
-        layers |= _pixels(config)
+    if isinstance(config, HybridConfig) and not config.clean:
+        layers |= _pixels(config.pixels)
     for name, layer in layers.items():
         if any(picture.channels % QUAD or picture.channels > MOST for picture in layer.reads):
             raise InputError(f"precision int8: expected widths that are multiples of {QUAD} up to {MOST}; {name} reads "
@@ -80,16 +80,17 @@ def _unet(widths: tuple[int, ...]) -> dict[str, Layer]:
     return layers
 
 
-def _pixels(config: HybridConfig) -> dict[str, Layer]:
-    """That of `hybrid.PixelNetwork`."""
+def _pixels(shape: PixelShape) -> dict[str, Layer]:
+    """That of `pixel_network.PixelNetwork`."""
     maker, inputs, layers = f"{PIXELS}.{INPUT}", CHANNELS, {}
-    for i, (_, width) in enumerate(config.convolutions):
+    for i, (_, width) in enumerate(shape.convolutions):
         name = f"{PIXELS}.encoder.{i}"
         layers[name] = Layer((Picture(maker, inputs, 3),), width)
         maker, inputs = name, width
-    for i, (_, middle, skip, width) in reversed(list(enumerate(config.levels))):
+    for i, (_, middle, skip, width) in reversed(list(enumerate(shape.levels))):
         name = f"{PIXELS}.decoder.{i}"
-        beside = Picture(f"{PIXELS}.encoder.{i}", skip, 3) if i else Picture(f"{PIXELS}.{INPUT}", CHANNELS, 3)
+        pooled = f"{PIXELS}.encoder.{sum(shape.stages[:i]) - 1}"
+        beside = Picture(pooled, skip, 3) if i else Picture(f"{PIXELS}.{INPUT}", CHANNELS, 3)
         layers[f"{name}.0"] = Layer((Picture(maker, inputs, 2), beside), middle)
         layers[f"{name}.2"] = Layer((Picture(f"{name}.0", middle, 3),), width, numbers=i == 0)
         maker, inputs = f"{name}.2", width
@@ -111,17 +112,17 @@ def shapes(config: Config) -> dict[str, tuple[int, ...]]:
 
 
 def made_for(model: Path) -> dict[str, str]:
-    """What the file's metadata say of the model's own file, whose weights it goes with."""
-    return {"model": hashlib.sha256(model.read_bytes()).hexdigest()}
+    """What the file's metadata say of the model's files, whose weights it goes with."""
+    return {"model": hashlib.sha256(b"".join(path.read_bytes() for path in files_of(model))).hexdigest()}
 
 
 def read(model: Path, config: Config) -> dict[str, dict[str, Tensor]]:
-    """Layer -> its tensors (`shapes`), for the weights in the file `model`, which may be those of others
-    (`weights.parts_of`).
+    """Layer -> its tensors (`shapes`), for the weights in the file `model`: of the file in bytes beside it, or of those
+    of the models whose weights it takes (`weights.parts_of`).
 
     Raises InputError as `layout`, and where the file is missing, damaged, or was made for other weights.
     """
-    if parts := parts_of(model):
+    if not bytes_of(model).is_file() and (parts := parts_of(model)):
         found = {part: read(other, read_config(other)) for part, other in parts.items()}
         return {name: layer for part, of_part in found.items() for name, layer in of_part.items()
                 if name.startswith(f"{PIXELS}.") == (part == PIXELS)}  # fmt: skip

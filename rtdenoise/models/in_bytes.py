@@ -19,8 +19,8 @@ from ..ops.convolve_bytes import convolve_bytes, packed
 from ..ops.feature_bytes import feature_bytes
 from .bytes_layout import INPUT, PIXELS, UNET, Layer, layout
 from .config import AccumulatedKPNConfig
-from .hybrid import PixelNetwork
 from .inference import enlarging
+from .pixel_network import PixelNetwork, as_color
 from .unet import UNet
 
 WHOLE = 127  # the greatest weight
@@ -64,6 +64,7 @@ class PixelNetworkInBytes(PixelNetwork):
 
     def __init__(self, network: PixelNetwork, stored: Stored) -> None:
         nn.Module.__init__(self)
+        self.stages, self.surfaces = network.stages, network.surfaces
         self.encoder = nn.ModuleList(
             Convolution(**stored[f"{PIXELS}.encoder.{i}"]) for i in range(len(network.encoder))
         )
@@ -76,7 +77,7 @@ class PixelNetworkInBytes(PixelNetwork):
 
     def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
         """As that of `PixelNetwork`, in bytes."""
-        return feature_bytes(radiance, albedo, normal, scale)
+        return feature_bytes(radiance, albedo, as_color(normal), scale)
 
 
 class ToBytes(nn.Module):

@@ -47,7 +47,8 @@ def load(
     `model` is the name of a model that ships (`available()`) or the path of a .safetensors file that `rtdenoise train`
     wrote. `precision` is that of the network: 'fp32', 'bf16', 'int8', or 'auto' (`inference.resolve`, `takes_bytes`);
     the rest is float32. 'int8' is for an `AccumulatedKPN` or `Hybrid` on a CPU: its networks in bytes (`in_bytes`), and
-    what is left of them in bfloat16 or float32. 'auto' leaves the pixels of a `Hybrid` for many samples out.
+    what is left of them in bfloat16 or float32. 'auto' leaves the pixels of a `Hybrid` for many samples out, and both
+    those of clean albedo and normal.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
@@ -72,7 +73,8 @@ def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
         logging.getLogger("rtdenoise").warning("rtdenoise: slower, as not in bytes: %s", error)
         return
     network.unet = UNetInBytes(network.unet, stored, network.config)
-    if isinstance(network, Hybrid) and (must or not network.config.many):  # steps of light show where noise is little
+    has_pixels = isinstance(network, Hybrid) and not network.config.clean
+    if has_pixels and (must or not network.config.many):  # steps of light show where noise is little
         network.pixels = PixelNetworkInBytes(network.pixels, stored)
 
 

@@ -27,9 +27,12 @@ PRESETS: dict[str, Config] = {
     "default": AccumulatedKPNConfig(**DEFAULT),
     "hybrid": HybridConfig(**DEFAULT),
     "hybrid-fast": HybridConfig(**DEFAULT, down=(32,) * 5, up=(32, 64, 64, 64), out=(32, 32, 64, 64)),
+    "hybrid-large": HybridConfig(
+        **DEFAULT, down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), out=(64, 96, 128, 192), twice=True, clean=True,
+    ),
     "mltd": MLTDConfig(),
     "mltd-small": MLTDConfig(width=16, blocks=(1,) * 8, kernel=7),
-}
+}  # fmt: skip
 """Name of a denoiser -> its configuration, for training. Shipped weights hold their own."""
 
 STILLS: dict[str, GuidedAttentionConfig] = {

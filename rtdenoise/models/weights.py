@@ -1,7 +1,8 @@
 """Weights files: safetensors, with the model's configuration in their metadata. Never pickle, which can run code.
 
 They are read as numpy arrays, without torch; `loading` and `glsl` make denoisers of them. A hybrid's file may leave
-its weights to two models that ship, one for kernels, one for what writes pixels: `parts` in its metadata names them.
+weights to models that ship, to one those of kernels, to one those of what writes pixels: `parts` in its metadata names
+them. Weights may be whole numbers of eight bits; `NAME.unit` beside them says what 1 is worth for each output.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from .presets import COMBINERS, PRESETS, STILLS, Config, from_stored
 
 MAX_WEIGHT = 1e6  # trained weights stay below 100; far larger ones overflow in half precision or within a few layers
 KERNELS, PIXELS = "kernels", "pixels"  # parts of a `hybrid`; `PIXELS` is the module of that name
+UNIT = ".unit"  # ending of the name of what whole weights are worth
 _SHIPPED = resources.files("rtdenoise") / "weights"
 
 
@@ -85,8 +87,9 @@ def parts_of(path: Path) -> dict[str, Path]:
 
 
 def has_bytes(path: Path) -> bool:
-    """Whether there are weights in bytes for the weights file."""
-    return all(bytes_of(file).is_file() for file in parts_of(path).values() or [path])
+    """Whether there are weights in bytes for the weights file, beside it or beside those that it takes weights of."""
+    parts = parts_of(path).values()
+    return bytes_of(path).is_file() or (bool(parts) and all(map(has_bytes, parts)))
 
 
 def read_config(model: str | Path) -> Config:
@@ -131,19 +134,31 @@ def _opened(path: Path) -> Iterator[safe_open]:
 
 def _shapes(path: Path) -> dict[str, tuple]:
     with _opened(path) as file:
-        return {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118 (not a dict)
+        keys = [key for key in file.keys() if not key.endswith(UNIT)]  # noqa: SIM118 (not a dict)
+        return {key: tuple(file.get_slice(key).get_shape()) for key in keys}
 
 
 def _tensors(path: Path, keys: Collection[str]) -> dict[str, np.ndarray]:
     with _opened(path) as file:
-        return {key: file.get_tensor(key).astype(np.float32) for key in keys}
+        return {key: _numbers(file, key) for key in keys}
+
+
+def _numbers(file: safe_open, key: str) -> np.ndarray:
+    tensor = file.get_tensor(key)
+    if tensor.dtype != np.int8:
+        return tensor.astype(np.float32)
+    unit = file.get_tensor(key + UNIT).astype(np.float32)
+    try:
+        return tensor * unit.reshape(-1, *(tensor.ndim - 1) * [1])
+    except ValueError as error:
+        raise SafetensorError(f"{key + UNIT}: {error}") from None
 
 
 def _parts(path: Path, metadata: Mapping[str, str]) -> dict[str, Path]:
     try:
         names = json.loads(metadata.get("parts", "{}"))
-        if names != {} and not (names.keys() == {KERNELS, PIXELS} and set(names.values()) <= {*_shipped()}):
-            raise ValueError(f"expected names of models that ship for {KERNELS} and {PIXELS}, got {names}")
+        if not (names.keys() <= {KERNELS, PIXELS} and set(names.values()) <= {*_shipped()}):
+            raise ValueError(f"expected names of models that ship for {KERNELS} or {PIXELS}, got {names}")
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: the models whose weights it takes are none of this version: {error}") from None
     return {part: find(name) for part, name in names.items()}

@@ -9,15 +9,15 @@ from ..color import compress
 from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused("feature_bytes", native=Support(channels={"layers": (3, 3, 3)}))
-LIGHT, ALBEDO, NORMAL = 40.0, 255.0, 127.0  # bytes' steps in a unit of compressed light, of albedo, and of a normal
-CHANNELS = 16  # of the result
+LIGHT, SURFACE = 40.0, 255.0  # bytes' steps in a unit of compressed light, and of albedo and normal
+CHANNELS = 12  # of the result
 
 
 @falls_back
 def feature_bytes(
     radiance: Tensor,  # [B, 3, H, W] linear, ≥ 0
     albedo: Tensor,  # [B, 3, H, W] in [0, 1]
-    normal: Tensor,  # [B, 3, H, W] in [-1, 1]
+    normal: Tensor,  # [B, 3, H, W] in [0, 1]: half of it and 0.5
     scale: Tensor,  # [B, 1, 1, 1] exposure: radiance is multiplied by it
 ) -> Tensor:  # [B, CHANNELS, H, W] uint8, channels last
     """Whole steps of log(1 + scale · radiance), of albedo and of normal, by channels:
@@ -25,9 +25,7 @@ def feature_bytes(
         0-2    light, at most 255 steps
         3-5    the steps of light beyond
         6-8    albedo
-        9-11   normal where it is positive
-        12-14  what it is less than 0
-        15     0
+        9-11   normal
 
     Light of two bytes has steps of 2.5 % and ends at exp(2 · 255 / LIGHT) = 344 000 times the inverse of `scale`.
     """
@@ -35,6 +33,5 @@ def feature_bytes(
     if run := FUSED(layers=layers):
         return run(*layers, scale)
     light = (compress(radiance * scale) * LIGHT).round()
-    albedo, normal = (albedo * ALBEDO).round(), (normal * NORMAL).round()
-    parts = [light, light - 255, albedo, normal, -normal, torch.zeros_like(light[:, :1])]
-    return torch.cat(parts, dim=1).clamp(0, 255).to(torch.uint8, memory_format=torch.channels_last)
+    parts = torch.cat([light, light - 255, *((x * SURFACE).round() for x in (albedo, normal))], dim=1)
+    return parts.clamp(0, 255).to(torch.uint8, memory_format=torch.channels_last)

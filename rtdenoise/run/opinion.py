@@ -15,7 +15,7 @@ from dataclasses import replace
 from torch import Tensor
 
 from ..baselines.oidn import Oidn, installed
-from ..constants import MIX_SHARES, MIX_SHARES_OF_MANY, MIX_SHARES_PREFILTERED
+from ..constants import MIX_SHARES, MIX_SHARES_OF_CLEAN, MIX_SHARES_OF_MANY
 from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
@@ -44,7 +44,7 @@ class Opinion:
         self._oidn, self._motion = Oidn(prefilter=prefilter), config.motion
         self._few = config.recent > 0 and not getattr(config, "many", False)
         self._config = replace(config, footprint=True) if self._few else config
-        few = MIX_SHARES_PREFILTERED if prefilter else MIX_SHARES
+        few = MIX_SHARES_OF_CLEAN if prefilter else MIX_SHARES
         self.shares = few if self._few else MIX_SHARES_OF_MANY  # no recent frames of its own: it is `many`
 
     def step(

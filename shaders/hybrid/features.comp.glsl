@@ -1,6 +1,7 @@
 #version 430
-// The input of the network that writes pixels: footprints, 9 channels, with light compressed in OIDN's unit. Where one frame has
-// seen a pixel, and more have seen those around it, some of the kernels' picture stands in for light (EVEN, models.mixing.evened).
+// The input of the network that writes pixels: footprints, 9 channels, with light compressed in OIDN's unit and normals in
+// [0, 1]. Where one frame has seen a pixel, and more have seen those around it, some of the kernels' picture stands in for
+// light (EVEN, models.mixing.evened).
 // One invocation per pixel of the padded result, which is zero beyond the image.
 #pragma constants EVEN MIX_SEEN_ONCE PIXELS_CONTRAST PIXELS_UNIT
 #pragma parameters ivec2 image_size
@@ -26,7 +27,7 @@ void main() {
     }
     int i = at(pixel, image_size), plane = image_size.x * image_size.y;
     vec4 light = shown[i], albedo = shown[i + plane];
-    vec3 normal = shown[i + 2 * plane].xyz, rgb = light.rgb;
+    vec3 normal = 0.5 * shown[i + 2 * plane].xyz + 0.5, rgb = light.rgb;
     if (EVEN == 1) {
         float most = 0.0, once = 1.0 - clamp(light.w - 1.0, 0.0, 1.0);
         ivec2 extent = cells_of(image_size);

@@ -1,5 +1,5 @@
 // A picture's light and surfaces as bytes, channels last, in one pass over its planes. The specification is
-// ops/feature_bytes.py, which gives LIGHT, ALBEDO, NORMAL and CHANNELS.
+// ops/feature_bytes.py, which gives LIGHT, SURFACE and CHANNELS.
 #include "common.h"
 #include "log1p.h"
 
@@ -22,12 +22,11 @@ void feature_bytes(const float *const *planes, float scale, uint32_t *out, int64
             const float *radiance = planes[c] + from, *albedo = planes[3 + c] + from, *normal = planes[6 + c] + from;
 #pragma omp simd
             for (int x = 0; x < n; x++) {
-                float light = rintf(log1p_positive(radiance[x] * scale) * LIGHT), up = rintf(normal[x] * NORMAL);
+                float light = rintf(log1p_positive(radiance[x] * scale) * LIGHT);
                 steps[c][x] = light;
                 steps[3 + c][x] = light - 255;
-                steps[6 + c][x] = rintf(albedo[x] * ALBEDO);
-                steps[9 + c][x] = up;
-                steps[12 + c][x] = -up;
+                steps[6 + c][x] = rintf(albedo[x] * SURFACE);
+                steps[9 + c][x] = rintf(normal[x] * SURFACE);
             }
         }
         for (int w = 0; w < WORDS; w++)

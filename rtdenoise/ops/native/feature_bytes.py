@@ -7,7 +7,7 @@ from ctypes import c_float, c_int64
 import torch
 from torch import Tensor
 
-from ..feature_bytes import ALBEDO, CHANNELS, LIGHT, NORMAL
+from ..feature_bytes import CHANNELS, LIGHT, SURFACE
 from .compiler import library, planes, pointer
 
 
@@ -15,7 +15,7 @@ def feature_bytes(radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tenso
     layers = [layer.contiguous() for layer in (radiance, albedo, normal)]
     B, _, H, W = radiance.shape
     out = torch.empty(B, CHANNELS, H, W, dtype=torch.uint8, device="cpu", memory_format=torch.channels_last)
-    constants = {"LIGHT": LIGHT, "ALBEDO": ALBEDO, "NORMAL": NORMAL, "CHANNELS": CHANNELS}
+    constants = {"LIGHT": LIGHT, "SURFACE": SURFACE, "CHANNELS": CHANNELS}
     run = library("feature_bytes", **constants).feature_bytes
     for b in range(B):
         each = planes([layer[b : b + 1] for layer in layers])

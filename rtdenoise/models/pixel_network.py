@@ -1,0 +1,85 @@
+"""The network of `hybrid` that writes pixels, and those that filter albedo and normal before it.
+
+They are those of Open Image Denoise (Áfra 2019-2025, Apache License 2.0), with its weights.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ..color import srgb_decode, srgb_encode
+from ..constants import PIXELS_UNIT
+from ..ops.features import features
+from ..ops.max_pool import max_pool
+from ..ops.to_planes import to_planes
+from .hybrid_config import HybridConfig, PixelShape
+from .unet import ConvRelu, Up
+
+
+class PixelUNet(nn.Module):
+    """A U-Net from a picture to another of its size."""
+
+    def __init__(self, shape: PixelShape) -> None:
+        super().__init__()
+        self.stages = shape.stages
+        self.encoder = nn.ModuleList(ConvRelu(a, b, 3, padding=1) for a, b in shape.convolutions)
+        self.decoder = nn.ModuleList(Up(*level) for level in shape.levels)
+        self.last = nn.Conv2d(shape.out[0], 3, 3, padding=1)
+
+    def filter(self, x: Tensor) -> Tensor:
+        """`[B, inputs, H, W]`, as the first convolution reads it, to `[B, 3, H, W]` in float32."""
+        H, W = x.shape[2:]
+        cell = 2 ** len(self.decoder)
+        if H % cell or W % cell:  # by nothing, as OIDN does: the last row, repeated, would look like stripes of light
+            x = F.pad(x, (0, -W % cell, 0, -H % cell))
+        skips, layers = [], iter(self.encoder)
+        for level, count in enumerate(self.stages):
+            x = max_pool(x) if level else x
+            skips.append(x)
+            for convolve in islice(layers, count):
+                x = convolve(x)
+        for level in reversed(range(len(self.decoder))):
+            x = self.decoder[level](x, skips[level])
+        return to_planes(x, self.last.weight, self.last.bias)[..., :H, :W]
+
+    def given(self, x: Tensor) -> Tensor:
+        """A picture as the first convolution reads it."""
+        weight = self.last.weight
+        last = weight.is_contiguous(memory_format=torch.channels_last) and not weight.is_contiguous()
+        return x.to(weight.dtype, memory_format=torch.channels_last if last else torch.contiguous_format)
+
+
+class PixelNetwork(PixelUNet):
+    """From a picture's light and surfaces to its light without noise."""
+
+    def __init__(self, config: HybridConfig) -> None:
+        super().__init__(config.pixels)
+        self.surfaces = nn.ModuleDict({name: PixelUNet(shape) for name, shape in config.surfaces.items()})
+
+    def forward(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
+        """What each pixel showed, `[B, 3, H, W]` each, and its exposure `scale`, `[B, 1, 1, 1]`, to the picture's light
+        as `features` compress it, `[B, 3, H, W]` ≥ 0 in float32."""
+        if self.surfaces:
+            albedo, normal = self.clean(albedo, normal)
+        return F.relu(self.filter(self.input(radiance, albedo, normal, scale))) / PIXELS_UNIT
+
+    def clean(self, albedo: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+        """Both without noise, each filtered by itself."""
+        colours, directions = self.surfaces["albedo"], self.surfaces["normal"]
+        albedo = srgb_decode(colours.filter(colours.given(srgb_encode(albedo))).clamp(0, 1))
+        return albedo, 2 * directions.filter(directions.given(as_color(normal))).clamp(0, 1) - 1
+
+    @torch.no_grad()
+    def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
+        """`features`, `[B, 9, H, W]`, with light in OIDN's unit."""
+        lanes = self.encoder[0].lanes
+        return features((radiance,), (albedo, as_color(normal)), scale, self.last.weight, PIXELS_UNIT, lanes)
+
+
+def as_color(normal: Tensor) -> Tensor:
+    """Normals from [-1, 1] to [0, 1], as these networks know them: beyond the picture there is 0, not a normal's 0."""
+    return 0.5 * normal + 0.5
