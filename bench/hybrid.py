@@ -36,10 +36,13 @@ METHODS = {
     "default-spatial": "`default`, single frames",
     "hybrid-fast-spatial": "**`hybrid-fast`**, single frames",
     "hybrid-spatial": "**`hybrid`**, single frames",
+    "hybrid-large-spatial": "**`hybrid-large`**, single frames",
     "default": "`default`",
     "default-oidn": "`default` with `--oidn`",
     "hybrid-fast": "**`hybrid-fast`**",
     "hybrid": "**`hybrid`**",
+    "hybrid-large": "**`hybrid-large`**",
+    "hybrid-large-ahead2": "**`hybrid-large`** with `--lookahead 2`",
     "default int8": "`default`, int8",
     "hybrid-fast int8": "**`hybrid-fast`**, int8",
     "hybrid int8": "**`hybrid`**, int8",
@@ -73,7 +76,7 @@ def times_of(size: str, precision: str) -> dict:
     has this one with int8."""
     frame = synthetic_frame(*SIZES[size])
     steps = {"oidn": partial(Oidn().step, frame)}
-    for name in ("default", "hybrid-fast", "hybrid"):
+    for name in ("default", "hybrid-fast", "hybrid", "hybrid-large"):
         model = load(name, precision=precision)
         steps[name] = partial(model.step, frame, settled(model, frame))
     for name in IN_BYTES:

@@ -27,8 +27,8 @@ RESULT, PAGES = RESULTS / "large.json", (DOCS / "results" / "large.md",)
 OUT, PICTURES = ROOT / "out" / "large", DOCS / "images" / "large"
 SIGNALS = ("color", "indirect")
 SPP = (4, 8, 16, 64)  # beside 1
-OURS = ("default-spatial", "hybrid-fast-spatial", "hybrid-spatial", "default", "hybrid-fast", "hybrid", "default-oidn",
-        "offline")  # fmt: skip
+OURS = ("default-spatial", "hybrid-fast-spatial", "hybrid-spatial", "hybrid-large-spatial", "default", "hybrid-fast",
+        "hybrid", "hybrid-large", "hybrid-large-ahead2", "default-oidn", "offline")  # fmt: skip
 IN_BYTES = ("default", "hybrid-fast", "hybrid")  # measured in int8, too
 SHOWN_OURS = *OURS[:-1], *(f"{name} int8" for name in IN_BYTES), OURS[-1]
 MANY = ("many", "many-oidn", "oidn+combiner")
