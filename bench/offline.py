@@ -9,7 +9,7 @@ docs/images/offline/SEQ.webp, a strip of beauty. The aims: corrected PSNR
 over OIDN's by 2.5 dB on average and 1.5 dB on each, by 1 dB in uncovered regions of each, corrected tPSNR by 2.5 dB.
 
 `--fit` prints weights for `rtdenoise/run/combination.py`: those with the least squared error on the display transform,
-with the sum 1 and the same weight for both directions in time, with OIDN and without.
+with the sum 1 and the same weight for both directions in time.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from rtdenoise.sanitise import sanitise
 RESULT, PAGES = RESULTS / "offline.json", (DOCS / "results" / "offline.md",)
 OUT, PICTURES = ROOT / "out" / "offline", DOCS / "images" / "offline"
 SIGNALS = ("indirect", "color")
-METHODS = ("oidn", "default", "offline")
+OFFLINE, ALONE = "offline", "offline-without-oidn"
+METHODS = ("oidn", "default", ALONE, OFFLINE)
 SHOWN = {"OIDN": "oidn", "default": "default", "offline": "offline"}
 METRICS = ("psnr", "psnr_corrected", "mse_corrected", "flip", "tpsnr", "tpsnr_corrected")
 REGIONS = ("frame", "uncovered")
@@ -78,27 +79,27 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]] = (), fit: bool = Fals
             })  # fmt: skip
     for name, facts in documents["color"].sequences.items():
         strips.draw(OUT / "color", name, facts, SHOWN, PICTURES / f"{name}.webp")
-    weights = {"with OIDN": combination.WEIGHTS, "without": combination.WEIGHTS_WITHOUT_OIDN}
-    harness.publish(RESULT, {"weights": weights, "rows": rows}, digits=5, pages=PAGES, tables=tables)
+    harness.publish(RESULT, {"weights": combination.WEIGHTS, "rows": rows}, digits=5, pages=PAGES, tables=tables)
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Sections `offline-aims` and `offline`."""
-    return {"offline-aims": _aims(document), "offline": _all(document)}
+    """Sections `offline-aims`, `offline-aims-alone`, without OIDN, and `offline`."""
+    return {"offline-aims": _aims(document, OFFLINE), "offline-aims-alone": _aims(document, ALONE),
+            "offline": _all(document)}  # fmt: skip
 
 
-def _aims(document: dict) -> str:
+def _aims(document: dict, method: str) -> str:
     """A line for each aim."""
     lines = ["| gain over OIDN | average | aim | least | aim |", "|---" * 5 + "|"]
     names = {"psnr_corrected": "corrected PSNR", "tpsnr_corrected": "corrected tPSNR", "tpsnr": "tPSNR"}
     for (region, metric), (average, least) in AIMS.items():
-        gains = [gain for pair in _pairs(document) if (gain := _gain(*pair, region, metric)) is not None]
+        gains = [gain for pair in _pairs(document, method) if (gain := _gain(*pair, region, metric)) is not None]
         cells = [_judged(float(np.mean(gains)), average), _judged(min(gains), least)]
         lines.append(f"| {names[metric]}, {region} | {' | '.join(cells)} |")
-    times = [pair[0]["ms"] / pair[1]["ms"] for pair in _pairs(document)]
+    times = [pair[0]["ms"] / pair[1]["ms"] for pair in _pairs(document, method)]
     lines.append(f"| time as a multiple of OIDN's | {np.median(times):.1f}× | – | {min(times):.1f}× | – |")
     return "\n".join(lines)
 
@@ -115,8 +116,8 @@ def _all(document: dict) -> str:
         "| corrected tPSNR | gain |",
         "|---" * 10 + "|",
     ]
-    for ours, oidn in _pairs(document):
-        for row in (oidn, harness.beside(document, ours, "default"), ours):
+    for ours, oidn in _pairs(document, OFFLINE):
+        for row in (oidn, *(harness.beside(document, ours, name) for name in ("default", ALONE)), ours):
             gains = [_gain(row, oidn, region, metric) for region, metric in AIMS]
             shown = ["–" if row is oidn or gain is None else f"{gain:+.2f}" for gain in gains]
             frame, uncovered = row["frame"], row["uncovered"]
@@ -130,9 +131,9 @@ def _all(document: dict) -> str:
     return "\n".join(lines)
 
 
-def _pairs(document: dict) -> list[tuple[dict, dict]]:
-    """(offline, OIDN) of every sequence and signal."""
-    ours = [row for row in document["rows"] if row["method"] == "offline"]
+def _pairs(document: dict, method: str) -> list[tuple[dict, dict]]:
+    """(method, OIDN) of every sequence and signal."""
+    ours = [row for row in document["rows"] if row["method"] == method]
     return [(row, harness.beside(document, row, "oidn")) for row in ours]
 
 
@@ -163,8 +164,7 @@ def fit_weights(sequences: tuple[str, ...]) -> None:
             inputs, truth = np.concatenate(shown), _values([frame.reference for frame in frames], scale)
             weight = 1 / np.mean((inputs[:, names.index("opinion")] - truth) ** 2) / len(truth)
             gram, vector = gram + weight * inputs.T @ inputs, vector + weight * inputs.T @ truth
-    for kept in (names, list(combination.WEIGHTS_WITHOUT_OIDN)):
-        print(dict(zip(kept, (round(w, 2) for w in solve(gram, vector, names, kept)), strict=True)))
+    print(dict(zip(names, (round(w, 2) for w in solve(gram, vector, names, names)), strict=True)))
 
 
 def candidates(passes: Passes, frames: list[Frame]) -> list[combination.Candidates]:

@@ -28,6 +28,7 @@ from ..run.lookahead import Lookahead
 from ..run.opinion import RECENT, Opinion
 from ..run.options import check_lookahead
 from ..run.passes import InMemory, Passes
+from ..run.pixel_filter import MODEL
 from ..sanitise import sanitise
 from .corrected import Corrected
 from .sequence import Step
@@ -81,8 +82,9 @@ def methods() -> dict[str, Method]:
         *(Method(name, what, family, partial(_plain, start)) for name, (what, family, start) in plain.items()),
         *_oidn(),
         *(method for name in available() for method in _network(name)),
-        Method("offline", "denoise --offline: both directions in time, with OIDN", "network", _offline,
-               delay=InMemory.delay, weights=("default",)),
+        *(Method(name, f"denoise --offline: both directions in time, {how} OIDN", "network", partial(_offline, oidn),
+                 delay=InMemory.delay, weights=("default", MODEL))
+          for name, how, oidn in (("offline", "with", None), ("offline-without-oidn", "without", False))),
     ]  # fmt: skip
     for base in [method for method in found if method.name in CORRECTED]:
         found += [_corrected(base, combiner) for combiner in (SHRINKAGE, *available_combiners())]
@@ -249,8 +251,8 @@ def _start(
     return step if history else partial(_without_history, step)
 
 
-def _offline(device: str | torch.device, precision: str) -> Step:
-    return InMemory(Passes("default", str(device), precision)).step
+def _offline(oidn: bool | None, device: str | torch.device, precision: str) -> Step:
+    return InMemory(Passes("default", str(device), precision, oidn)).step
 
 
 def _noisy(frame: Frame, history: None) -> tuple[Tensor, None]:

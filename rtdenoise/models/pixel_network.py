@@ -65,6 +65,10 @@ class PixelNetwork(PixelUNet):
         as `features` compress it, `[B, 3, H, W]` ≥ 0 in float32."""
         if self.surfaces:
             albedo, normal = self.clean(albedo, normal)
+        return self.write(radiance, albedo, normal, scale)
+
+    def write(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
+        """As `forward`, of albedo and normal as its network of light expects them: clean, if others clean them."""
         return F.relu(self.filter(self.input(radiance, albedo, normal, scale))) / PIXELS_UNIT
 
     def clean(self, albedo: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,20 +1,18 @@
 """One picture of a frame on disk from what several denoisers made of it.
 
-A frame on disk has a future. The real-time network runs over it forward in time, backward, and alone; OIDN filters
-what both passes have seen in its pixels (`passes`). These candidates err in different places, so a weighted sum of them
-is closer to the truth than each:
+A frame on disk has a future. The real-time network runs over it forward in time, backward, and alone; OIDN, or a filter
+like it, filters what both passes have seen in its pixels (`passes`). These candidates err in different places, so a
+weighted sum of them is closer to the truth than each:
 
     image = c_0 + Σ_i w_i (c_i - c_0),    Σ_i w_i = 1,    in log(1 + exposure · light)
 
 The weight of the single frame is negative: forward and backward pass share the noise of the frame itself, and the
 single frame shows it. Where all candidates are equal the image equals them to the bit.
 
-With OIDN's picture a pass counts as far as the network trusts its history there: light that moves on a surface which
-stands still lags behind in it. All of its pictures together count as far as the noisy frame tells, too
-(`ops.mix.share_told`). OIDN's picture takes what is left. Without it the weights are near those that least
-squares find on other sequences than those that are measured, on the display transform
-(`python bench/offline.py --fit SEQ ...`). Weights by length of history, or from a network, gained nothing on other
-scenes (docs/notes/offline.md).
+A pass counts as far as the network trusts its history there: light that moves on a surface which stands still lags
+behind in it. All of its pictures together count as far as the noisy frame tells, too (`ops.mix.share_told`). The
+filter's picture takes what is left. Weights by length of history, or from a network, gained nothing on other scenes
+(docs/notes/offline.md).
 """
 
 from __future__ import annotations
@@ -29,7 +27,6 @@ from ..exposure import exposure
 from ..ops.mix import share_told
 
 WEIGHTS = {"forward": 0.2, "backward": 0.2, "single": -0.2, "opinion": 0.8}  # where history is trusted
-WEIGHTS_WITHOUT_OIDN = {"forward": 0.595, "backward": 0.595, "single": -0.19}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 
 
@@ -40,7 +37,7 @@ class Candidates:
     forward: Tensor  # the network with the frames before as history
     backward: Tensor  # the network with the frames after
     single: Tensor  # the network without history
-    opinion: Tensor | None = None  # OIDN's picture; None where it is not installed
+    opinion: Tensor  # the filter's picture
     trust_forward: Tensor | float = 1.0  # [1, 1, H, W] in [0, 1]: of each pass in its history
     trust_backward: Tensor | float = 1.0
 
@@ -56,10 +53,10 @@ class Combination:
 def combine(candidates: Candidates, noisy: Tensor | None = None) -> Combination:
     """The weighted sum of the candidates; the equation stands above. `noisy`: the frame, `[1, 3, H, W]`; without it
     weights are as they are where history is trusted."""
-    weights = WEIGHTS_WITHOUT_OIDN if candidates.opinion is None else _trusted(candidates)
+    weights = _trusted(candidates)
     scale, first = exposure(candidates.forward), candidates.forward
     light = {name: compress(scale * getattr(candidates, name)) for name in weights}
-    if noisy is not None and candidates.opinion is not None:
+    if noisy is not None:
         weights = _told(weights, light, candidates.opinion, noisy, scale)
     base = light["forward"]
     change = sum(weight * (light[name] - base) for name, weight in weights.items())

@@ -151,8 +151,7 @@ class _Run:
             history = None
         raw, frame = self.sequence.read(i), self._completed(i)
         backward, history = self.passes.step(reverse(frame), history)
-        device, footprints = self.passes.backend.device, self.passes.has_oidn
-        forward = read_estimate(self._path(i), device, self.sequence.size, footprints)
+        forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.size)
         combined = self.passes.combine(frame, forward, backward)
         extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
         nans = write_frame(

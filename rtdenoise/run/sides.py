@@ -27,10 +27,10 @@ class Estimate:
     mean: Tensor  # [1, 3, H, W] irradiance averaged over time
     length: Tensor  # [1, 1, H, W] frames in this mean
     first: bool  # whether the pass begins a shot here: the image is that of the frame alone
-    footprint: Tensor | None = None  # [1, 9, H, W] `covered.as_covered`, where OIDN is to filter it
-    footprint_count: Tensor | None = None  # [1, 1, H, W] frames in its radiance
-    surface_count: Tensor | None = None  # [1, 1, H, W] frames in its albedo and normal
-    trust: Tensor | None = None  # [1, 1, H, W] in [0, 1]: 1 - how far light gave way; beside footprints
+    footprint: Tensor  # [1, 9, H, W] `covered.as_covered`
+    footprint_count: Tensor  # [1, 1, H, W] frames in its radiance
+    surface_count: Tensor  # [1, 1, H, W] frames in its albedo and normal
+    trust: Tensor  # [1, 1, H, W] in [0, 1]: 1 - how far light gave way
 
 
 def seen_on_both_sides(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor, Tensor]:

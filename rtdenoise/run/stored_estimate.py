@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from .sides import Estimate
 
 LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
-STORED = {"radiance": "image", "mean": "mean", "length": "length"}  # in a file -> field
-FOOTPRINTS = {name: name for name in ("footprint", "footprint_count", "surface_count", "trust")}  # if there are any
+STORED = {"radiance": "image"}  # in a file -> field
+STORED |= {name: name for name in ("mean", "length", "footprint", "footprint_count", "surface_count", "trust")}
 LIGHT = ("radiance", "mean", "footprint")  # the first three channels of each
 
 
 def write_estimate(path: Path, estimate: Estimate) -> None:
     """Store an estimate in half precision. Raises InputError where it cannot be written."""
     arrays, scales = {}, {}
-    for name, field in (STORED | FOOTPRINTS if estimate.footprint is not None else STORED).items():
+    for name, field in STORED.items():
         array = getattr(estimate, field).cpu().numpy()
         if name in LIGHT:
             light, rest = np.split(array, [3], axis=1)
@@ -33,9 +33,9 @@ def write_estimate(path: Path, estimate: Estimate) -> None:
     write_history(path, arrays, {"scales": json.dumps(scales), "first": str(int(estimate.first))})
 
 
-def read_estimate(path: Path, device: str, size: tuple[int, int], footprints: bool) -> Estimate:
-    """The inverse of `write_estimate`, for a frame of this size (height, width), with or without footprints. Raises
-    InputError where the file cannot be read, or is not of this frame."""
+def read_estimate(path: Path, device: str, size: tuple[int, int]) -> Estimate:
+    """The inverse of `write_estimate`, for a frame of this size (height, width). Raises InputError where the file
+    cannot be read, or is not of this frame."""
     import torch
 
     from .sides import Estimate
@@ -46,7 +46,7 @@ def read_estimate(path: Path, device: str, size: tuple[int, int], footprints: bo
             raise ValueError(f"{found[0]}, expected {size[1]}×{size[0]} pixels")
         scales = {name: float(value) for name, value in json.loads(metadata["scales"]).items()}
         tensors = {}
-        for name, field in (STORED | FOOTPRINTS if footprints else STORED).items():
+        for name, field in STORED.items():
             tensors[field] = torch.from_numpy(arrays[name].astype(np.float32)).to(device)
             tensors[field][:, :3] *= scales.get(name, 1.0)
         return Estimate(**tensors, first=metadata["first"] == "1")

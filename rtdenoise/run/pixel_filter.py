@@ -1,0 +1,64 @@
+"""The networks of `hybrid-large` that write pixels, as a filter of single pictures, like `baselines.oidn`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..constants import PIXELS_CONTRAST
+from ..exposure import exposure
+from ..frame import Frame
+from ..models.config import CELL
+from ..models.loading import load
+from ..ops.around import expand_within
+
+MODEL = "hybrid-large"
+TILE = 1024  # pixels, a multiple of `CELL`: larger pictures are filtered in tiles, so that memory is bounded
+
+
+class PixelFilter:
+    """In float32: where little noise is left, steps of bfloat16 show."""
+
+    def __init__(self, device: str | torch.device = "cpu") -> None:
+        network = load(MODEL, device, "fp32")
+        self._network, self._reach = network.pixels, network.config.pixels.reach
+
+    @torch.no_grad()
+    def prefiltered(self, frame: Frame) -> Frame:
+        """The (sanitised) frame with its albedo and normal without noise, each filtered by itself."""
+        albedo, normal = in_tiles(self._network.clean, self._reach, frame.albedo, frame.normal)
+        return replace(frame, albedo=albedo, normal=normal)
+
+    @torch.no_grad()
+    def step(self, frame: Frame) -> tuple[Tensor, None]:
+        """The radiance of a (sanitised) frame with clean albedo and normal, `[1, 3, H, W]`, without noise and within the
+        light around each pixel; there is no history."""
+        scale = PIXELS_CONTRAST * exposure(frame.radiance)
+
+        def write(*layers: Tensor) -> tuple[Tensor]:
+            return (self._network.write(*layers, scale),)
+
+        (image,) = in_tiles(write, self._reach, frame.radiance, frame.albedo, frame.normal)
+        return expand_within(image, scale, frame.radiance, frame.radiance), None
+
+
+def in_tiles(run: Callable[..., tuple[Tensor, ...]], reach: int, *layers: Tensor) -> tuple[Tensor, ...]:
+    """`run(*layers)`, tile by tile; an output pixel depends on input within `reach` pixels."""
+    H, W = layers[0].shape[2:]
+    if max(H, W) <= TILE:
+        return run(*layers)
+    margin, outputs = -(-reach // CELL) * CELL, ()
+    for top in range(0, H, TILE):
+        for left in range(0, W, TILE):
+            y, x = max(0, top - margin), max(0, left - margin)
+            tile = np.s_[..., y : top + TILE + margin, x : left + TILE + margin]
+            parts = run(*(layer[tile] for layer in layers))
+            outputs = outputs or tuple(part.new_empty(*part.shape[:2], H, W) for part in parts)
+            for whole, part in zip(outputs, parts, strict=True):
+                core = part[..., top - y :, left - x :][..., :TILE, :TILE]
+                whole[..., top : top + TILE, left : left + TILE] = core
+    return outputs

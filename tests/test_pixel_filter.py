@@ -1,0 +1,63 @@
+"""The filter of single pictures by the networks of `hybrid-large` (`run.pixel_filter`)."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rtdenoise.baselines import Oidn
+from rtdenoise.color import compress
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.evaluate.demo import SAMPLE
+from rtdenoise.frame import Frame
+from rtdenoise.run import pixel_filter
+from rtdenoise.run.pixel_filter import PixelFilter, in_tiles
+from rtdenoise.sanitise import sanitise
+
+
+@pytest.fixture(scope="module")
+def own():
+    return PixelFilter()
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return sanitise(open_sequence(SAMPLE)[0])
+
+
+def test_it_is_nearly_oidn(own, frame):
+    """Albedo and normal as its balanced quality filters them, light as its high one does; weights are rounded."""
+    theirs, ours = Oidn("balanced").prefiltered(frame), own.prefiltered(frame)
+    for name in ("albedo", "normal"):
+        noisy, filtered = (getattr(x, name) for x in (frame, ours))
+        off = (filtered - getattr(theirs, name)).abs().mean()
+        assert off < 0.01 and off < 0.5 * (noisy - filtered).abs().mean(), name
+    light, expected = own.step(theirs)[0], Oidn(clean=True).step(theirs)[0]
+    brightness = expected.mean()
+    assert ((light - expected).abs() / (expected + brightness)).mean() < 0.015
+
+
+def test_it_scales_with_the_light(own, frame):
+    image = own.step(frame)[0]
+    scaled = own.step(replace(frame, radiance=1e4 * frame.radiance))[0]
+    torch.testing.assert_close(compress(scaled / 1e4), compress(image), rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("light", [0.0, 1e-6, 3e4])
+def test_even_light_stays_even(own, light):
+    layer = torch.full((1, 3, 20, 33), 0.5)
+    normal = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand_as(layer)
+    assert torch.equal(own.step(Frame(light * layer, layer, normal, layer[:, :1]))[0], light * layer)
+
+
+def test_tiles_are_the_whole(own, monkeypatch, frame):
+    wide = frame.map(lambda layer: layer.repeat(1, 1, 3, 4)[..., :330, :460])
+    whole = own.prefiltered(wide), own.step(wide)[0]
+    monkeypatch.setattr(pixel_filter, "TILE", 128)
+    tiled = own.prefiltered(wide), own.step(wide)[0]
+    for name in ("albedo", "normal"):
+        torch.testing.assert_close(getattr(tiled[0], name), getattr(whole[0], name), rtol=0, atol=1e-4)
+    torch.testing.assert_close(compress(tiled[1]), compress(whole[1]), rtol=1e-4, atol=1e-4)
+    seen = []
+    in_tiles(lambda x: (seen.append(x.shape) or x,), 40, torch.rand(1, 3, 300, 300))
+    assert len(seen) == 9 and max(max(shape[2:]) for shape in seen) <= 128 + 2 * 64
