@@ -28,10 +28,11 @@ OUT, PICTURES = ROOT / "out" / "large", DOCS / "images" / "large"
 SIGNALS = ("color", "indirect")
 SPP = (4, 8, 16, 64)  # beside 1
 OURS = ("default-spatial", "hybrid-fast-spatial", "hybrid-spatial", "hybrid-large-spatial", "default", "hybrid-fast",
-        "hybrid", "hybrid-large", "hybrid-large-ahead2", "default-oidn", "offline")  # fmt: skip
+        "hybrid", "hybrid-large", "hybrid-large-ahead2", "default-oidn",
+        "offline-without-oidn", "offline")  # fmt: skip
 IN_BYTES = ("default", "hybrid-fast", "hybrid")  # measured in int8, too
-SHOWN_OURS = *OURS[:-1], *(f"{name} int8" for name in IN_BYTES), OURS[-1]
-MANY = ("many", "many-oidn", "oidn+combiner")
+SHOWN_OURS = *OURS[:-2], *(f"{name} int8" for name in IN_BYTES), *OURS[-2:]
+MANY = ("many", "many-oidn", "hybrid-many", "hybrid-large-many", "oidn+combiner")
 METRICS = ("psnr_corrected", "ssim", "relmse", "flip", "tpsnr_corrected")
 SEEN = "fovvideovdp"  # over the frame at 1 sample; needs pyfvvdp
 FRAMES = (1, 4, 9, 15)  # numbers of frames that are shown by themselves
@@ -71,7 +72,7 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
 
 def tables(document: dict) -> dict[str, str]:
     """Sections `large`, every method at 1 sample over OIDN; `large-frames`, the lead by frame; `large-sequences`, by
-    sequence; `large-samples`, OIDN at more samples, and `many` over it."""
+    sequence; `large-samples`, OIDN at more samples, and ours over it."""
     at_1 = _by(document["rows"], 1)
     return {
         "large": _over_oidn(at_1), "large-frames": _by_frame(at_1), "large-sequences": _by_sequence(at_1),
