@@ -36,6 +36,7 @@ from rtdenoise.sanitise import sanitise
 WHOLE = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3, detail=True)  # every head there is
 HYBRID = HybridConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, down=(8, 12, 4), up=(12, 8), out=(8, 4))
 SMALL = {"paper": TINY, "default": WHOLE, "recent": replace(WHOLE, recent=2), "hybrid": HYBRID}
+NETWORKS = SMALL | {"clean": replace(HYBRID, twice=True, clean=True)}  # what history has no part in
 
 
 @pytest.fixture(autouse=True)
@@ -94,6 +95,14 @@ def test_twelve_frames_are_those_of_torch(weights, assert_images_close, model):
     assert_images_close(found, expected, "frame")
 
 
+@pytest.mark.parametrize("model", ["hybrid-large", "hybrid-large-many"])
+def test_albedo_and_normal_are_cleaned_as_in_torch(assert_images_close, model):
+    """By trained weights: a random network of this depth hardly tells one picture from another."""
+    frames = [replace(frame, albedo=1.2 * frame.albedo) for frame in make_frames(2, H=17, W=37)]
+    expected, found, _, _ = both(model, frames)
+    assert_images_close(found, expected, "frame")
+
+
 def test_weights_from_before_there_were_edge_and_pick_kernels(weights, assert_images_close, tmp_path):
     """Their configuration lacks these keys."""
     with safe_open(weights(replace(SMALL["default"], edge_kernel=1, pick_kernel=1)), framework="np") as file:
@@ -106,17 +115,17 @@ def test_weights_from_before_there_were_edge_and_pick_kernels(weights, assert_im
     assert_images_close(found, expected, "frame")
 
 
-@pytest.mark.parametrize("preset", SMALL)
+@pytest.mark.parametrize("preset", NETWORKS)
 def test_float16_activations_stay_close(weights, assert_images_close, preset):
-    expected, found, _, _ = both(weights(SMALL[preset]), make_frames(12, H=19, W=45), half=True)
+    expected, found, _, _ = both(weights(NETWORKS[preset]), make_frames(12, H=19, W=45), half=True)
     assert_images_close(found, expected, "frame, float16 activations")
     assert not np.allclose(found, expected, rtol=1e-6, atol=0)
 
 
-@pytest.mark.parametrize("preset", SMALL)
+@pytest.mark.parametrize("preset", NETWORKS)
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 5), (45, 81), (48, 64)])  # (H, W)
 def test_every_size(weights, assert_images_close, preset, size):
-    expected, found, _, _ = both(weights(SMALL[preset]), make_frames(3, *size))
+    expected, found, _, _ = both(weights(NETWORKS[preset]), make_frames(3, *size))
     assert_images_close(found, expected, "frame")
 
 
@@ -326,9 +335,9 @@ for model in sys.argv[1:]:
 
 def test_it_runs_on_opengl_43(weights):
     older = os.environ | {"MESA_GL_VERSION_OVERRIDE": "4.3", "MESA_GLSL_VERSION_OVERRIDE": "430"}
-    command = [sys.executable, "-c", OPENGL_43, *(weights(config) for config in SMALL.values())]
+    command = [sys.executable, "-c", OPENGL_43, *(weights(config) for config in NETWORKS.values())]
     run = subprocess.run(command, env=older, capture_output=True, text=True)
-    assert run.stdout == "430 True GL_NO_ERROR\n" * len(SMALL), run.stderr
+    assert run.stdout == "430 True GL_NO_ERROR\n" * len(NETWORKS), run.stderr
 
 
 def test_every_shader_expands():

@@ -1,14 +1,15 @@
-"""The network of `hybrid` that writes pixels, and the passes from footprints to one picture: `models.hybrid` and
-`models.mixing`."""
+"""The networks of `hybrid` that write pixels or filter albedo and normal before, and the passes from footprints to one
+picture: `models.pixel_network`, `models.hybrid` and `models.mixing`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import islice
 
 import numpy as np
 
 from ..constants import AROUND_CELL, MIX_CELL
-from ..models.hybrid_config import HybridConfig
+from ..models.hybrid_config import HybridConfig, PixelShape
 from .context import GpuArray
 from .dispatch import dispatch
 from .network import BLOCKS, CONCATENATED, NEAR, PackedLayer, conv_layer, convolve
@@ -23,7 +24,8 @@ class Pixels:
 
     def __init__(self, scratch: Scratch, config: HybridConfig, tensors: Mapping[str, np.ndarray]) -> None:
         self._scratch, self._many = scratch, config.many
-        self._network = PixelNetwork(scratch, config, tensors)
+        self._network = PixelNetwork(scratch, config.pixels, tensors, "pixels", "pixels")
+        self._surfaces = Surfaces(scratch, config, tensors) if config.clean else None
         self._shares = config.shares
 
     def mix(
@@ -45,6 +47,8 @@ class Pixels:
         pictures = {"light": inputs.light, "guide": inputs.guide, "denoised": denoised, "statistics": statistics}
 
         dispatch("hybrid/cells", size, {"seen": seen, "past": past, "cells": cells}, group=CELL_GROUP)
+        if self._surfaces:
+            shown = self._surfaces.clean(shown)
         features = self._network.input((H, W))
         padded = features.shape[2:0:-1]
         buffers = {"shown": shown, "denoised": denoised, "cells": cells, "statistics": statistics, "even": even}
@@ -60,50 +64,81 @@ class Pixels:
         dispatch("hybrid/mix", size, buffers, USUAL=usual, BEFORE=before, LEAST=least)
 
 
-class PixelNetwork:
-    """A U-Net from footprints to compressed light."""
+class Surfaces:
+    """The networks that filter albedo and normal, one each."""
 
     def __init__(self, scratch: Scratch, config: HybridConfig, tensors: Mapping[str, np.ndarray]) -> None:
-        """`tensors` is a state dict; only `pixels.*` is read."""
-        self._scratch, self._inputs = scratch, config.inputs
+        """`config` has both. They have one shape, so that what is between their layers shares memory."""
+        self._scratch = scratch
+        self._networks = {
+            name: PixelNetwork(scratch, shape, tensors, f"pixels.surfaces.{name}", "pixels.surfaces")
+            for name, shape in config.surfaces.items()
+        }
 
-        def layer(name: str, *sources: int) -> PackedLayer:
-            return conv_layer(scratch.ctx, tensors, f"pixels.{name}", sources, BLOCKS)
+    def clean(self, shown: GpuArray) -> GpuArray:
+        """`shown` as in `Pixels.mix`, with albedo and normal without noise."""
+        size, half = shown.shape[1:3], {"HALF": int(self._scratch.half)}
+        clean = self._scratch("pixels.clean", shown.shape)
+        given = {name: network.input(size) for name, network in self._networks.items()}
+        padded = given["albedo"].shape[2:0:-1]
+        dispatch("hybrid/surfaces", padded, {"shown": shown, **given}, {"image_size": size[::-1]}, **half)
+        found = {name: network(given[name]) for name, network in self._networks.items()}
+        buffers = {"shown": shown, **found, "result": clean}
+        dispatch("hybrid/clean", size[::-1], buffers, {"padded": padded}, **half)
+        return clean
 
-        self._encoder = [layer(f"encoder.{i}", n) for i, (n, _) in enumerate(config.convolutions)]
+
+class PixelNetwork:
+    """A U-Net from a picture to another: `models.pixel_network.PixelUNet`, with a ReLU after its last convolution."""
+
+    def __init__(
+        self,
+        scratch: Scratch,
+        shape: PixelShape,
+        tensors: Mapping[str, np.ndarray],  # a state dict; only `NAME.*` is read
+        name: str,  # also of its input and its output in `scratch`
+        between: str,  # name of what is between its layers; networks of one shape may share it
+    ) -> None:
+        self._scratch, self._inputs, self._name, self._between = scratch, shape.inputs, name, between
+
+        def layer(part: str, *sources: int) -> PackedLayer:
+            return conv_layer(scratch.ctx, tensors, f"{name}.{part}", sources, BLOCKS)
+
+        layers = iter([layer(f"encoder.{i}", n) for i, (n, _) in enumerate(shape.convolutions)])
+        self._encoder = [[*islice(layers, count)] for count in shape.stages]
         self._decoder = [
             (layer(f"decoder.{i}.0", below, skip), layer(f"decoder.{i}.2", first))
-            for i, (below, first, skip, _) in enumerate(config.levels)
+            for i, (below, first, skip, _) in enumerate(shape.levels)
         ]
-        self._last = layer("last", config.out[0])
+        self._last = layer("last", shape.out[0])
 
     def input(self, size: tuple[int, int]) -> GpuArray:
-        """Where the features of a picture of `size` (H, W) belong, [⌈inputs/4⌉, H', W', 4]: whole cells of the
+        """Where the input for a picture of `size` (H, W) belongs, [⌈inputs/4⌉, H', W', 4]: whole cells of the
         network."""
         cell = 2 ** len(self._decoder)
-        return self._scratch.activations("pixels.features", self._inputs, tuple(n + -n % cell for n in size))
+        return self._scratch.activations(f"{self._name}.input", self._inputs, tuple(n + -n % cell for n in size))
 
-    def __call__(self, features: GpuArray) -> GpuArray:
-        """Features, zero beyond the picture, to compressed light [1, H', W', 4]."""
-        first, second, *deeper, deepest = self._encoder
-        x, skips = self._convolve(second, "second.0", self._convolve(first, "first.0", features)), [features]
-        for level, layer in enumerate(deeper, 1):
-            x = self._pool(x, f"pooled.{level}")
+    def __call__(self, x: GpuArray) -> GpuArray:
+        """The input, zero beyond the picture, to the output [1, H', W', 4]."""
+        skips = []
+        for level, stage in enumerate(self._encoder):
+            x = self._pool(x, f"pooled.{level}") if level else x
             skips.append(x)
-            x = self._convolve(layer, f"first.{level}", x)
-        x = self._convolve(deepest, "deepest", x)
+            for layer, name in zip(stage, ("first", "second"), strict=False):
+                x = self._convolve(layer, f"{name}.{level}", x)
         for level in reversed(range(len(self._decoder))):
-            join, convolve = self._decoder[level]
-            x = self._convolve(join, f"joined.{level}", skips[level], far=x)
-            x = self._convolve(convolve, f"last.{level}", x)
-        return self._convolve(self._last, "output", x)
+            first, second = self._decoder[level]
+            x = self._convolve(first, f"joined.{level}", skips[level], far=x)
+            x = self._convolve(second, f"last.{level}", x)
+        return convolve(self._scratch, self._last, NEAR, f"{self._name}.output", x)
 
     def _convolve(self, layer: PackedLayer, name: str, near: GpuArray, far: GpuArray | None = None) -> GpuArray:
-        return convolve(self._scratch, layer, NEAR if far is None else CONCATENATED, f"pixels.{name}", near, far)
+        source = NEAR if far is None else CONCATENATED
+        return convolve(self._scratch, layer, source, f"{self._between}.{name}", near, far)
 
     def _pool(self, x: GpuArray, name: str) -> GpuArray:
         groups, H, W, _ = x.shape
-        result = self._scratch.activations(f"pixels.{name}", 4 * groups, (H // 2, W // 2))
+        result = self._scratch.activations(f"{self._between}.{name}", 4 * groups, (H // 2, W // 2))
         size = W // 2, H // 2
         dispatch("network/pool", (*size, groups), {"near": x, "result": result}, HALF=int(self._scratch.half))
         return result
