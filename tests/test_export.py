@@ -51,7 +51,8 @@ def test_the_player_needs_no_rtdenoise_and_finds_every_pass_the_same(exported):
 
 
 @pytest.mark.parametrize(
-    "model, half, recent", [("paper", False, None), ("fast", True, 2), ("hybrid-fast", False, 0)]
+    "model, half, recent",
+    [("paper", False, None), ("fast", True, 2), ("hybrid-fast", False, 0), ("hybrid-large", True, 1)],
 )
 def test_other_networks_and_float16(tmp_path, gl, player, model, half, recent):
     export(tmp_path, model, SIZE, half, recent)
