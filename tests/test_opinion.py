@@ -8,7 +8,7 @@ import torch
 from synthetic import assert_goes_on, make_frames, write_sequence
 
 from rtdenoise import Denoiser, models
-from rtdenoise.baselines import Oidn, oidn
+from rtdenoise.baselines import Oidn
 from rtdenoise.cli.main import main
 from rtdenoise.constants import MIX_SHARES, MIX_SHARES_OF_MANY
 from rtdenoise.errors import InputError
@@ -221,43 +221,13 @@ def test_what_does_not_go_together_is_refused(weights, tmp_path, capsys, monkeyp
     for option in ("--offline", "--correct", "--lights"):
         assert "--oidn: goes without --offline" in refused("--model", weights, option)
     assert "does not average light" in refused("--model", "paper")
-    with pytest.raises(SystemExit):
-        main(["denoise", shot, "--out", str(tmp_path / "out"), "--prefilter"])
-    assert "--prefilter: goes with --oidn" in capsys.readouterr().err
-    with pytest.raises(InputError, match="prefilter=True: goes with oidn=True"):
-        Denoiser(prefilter=True)
     assert "runs in PyTorch alone" in refused("--model", weights, "--backend", "glsl")
     monkeypatch.setattr(opinion, "installed", lambda: False)
     assert "pip install pyoidn" in refused("--model", weights)
 
 
-def test_albedo_and_normal_may_be_denoised_first(monkeypatch, tmp_path):
-    """OIDN filters each, then light with these, declared clean."""
-    asked = []
-
-    class Filter:
-        def __init__(self, images, quality, clean):
-            self.images, self.clean = images, clean
-
-        def __call__(self, images):
-            asked.append((tuple(images), self.clean))
-            return next(iter(images.values()))
-
-        def fits(self, images):
-            return True
-
-    monkeypatch.setattr(oidn, "OidnFilter", Filter)
-    weights, frame = kept_weights(tmp_path), make_frames(1, H=16, W=24)[0]
-    backend = TorchBackend(weights, "cpu", "fp32", oidn=True, prefilter=True)
-    backend.denoise(frame, None)
-    asks = backend._opinion
-    assert asked == [(("albedo",), False), (("normal",), False), (("color", "albedo", "normal"), True)]
-    assert asks.shares[0] < opinion.Opinion(asks._config).shares[0]  # the network counts for less
-
-
-@pytest.mark.parametrize("name", ["default-oidn", "default-oidn-prefiltered"])
-def test_it_is_a_method_of_evaluate(name):
-    (method,) = choose([name])
+def test_it_is_a_method_of_evaluate():
+    (method,) = choose(["default-oidn"])
     step, history = method.step("cpu", "fp32"), None
     for frame in make_frames(3):
         image, history = step(frame, history)

@@ -36,7 +36,7 @@ from .sequence import Step
 PRECISIONS = ("fp32", "bf16", INT8)
 DEFAULTS = ("noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "hybrid")  # measured if none is named
 ALL = "all"
-OIDN, PREFILTERED = "-oidn", "-oidn-prefiltered"  # endings of networks with OIDN's opinion
+OIDN = "-oidn"  # ending of networks with OIDN's opinion
 AHEAD = re.compile(r"(.+)-ahead(\d+)")  # METHOD-aheadN: denoise --lookahead N
 CORRECTED = ("oidn", "default")  # methods that 'all' also has with every combiner
 
@@ -172,28 +172,25 @@ def _with_oidn(name: str) -> list[Method]:
         return []
     reason = _missing_oidn()
 
-    def start(prefilter: bool, device: str | torch.device, precision: str) -> Step:
+    def start(device: str | torch.device, precision: str) -> Step:
         network = load(name, device, precision, recent=RECENT, footprint=True)
-        return partial(Opinion(read_config(name), prefilter).step, stepper(network))
+        return partial(Opinion(read_config(name)).step, stepper(network))
 
     return [
-        Method(f"{name}{ending}", f"denoise --oidn{option} with {name}", "network",
-               None if reason else partial(start, bool(option)), reason, _precisions(find(name)), (name,))
-        for ending, option in ((OIDN, ""), (PREFILTERED, " --prefilter"))
+        Method(f"{name}{OIDN}", f"denoise --oidn with {name}", "network", None if reason else start, reason,
+               _precisions(find(name)), (name,))
     ]  # fmt: skip
 
 
 def _ahead(base: Method, frames: int) -> Method:
     """A network that looks ahead. Raises InputError for other methods and numbers out of range."""
     check_lookahead(frames, f"{base.name}-ahead{frames}")
-    name = base.name.removesuffix(PREFILTERED).removesuffix(OIDN)
+    name = base.name.removesuffix(OIDN)
     if name not in available() or "mean" not in read_config(name).carries:
-        raise InputError(f"{base.name}-ahead{frames}: expected a network that averages light: NAME, NAME{OIDN} or "
-                         f"NAME{PREFILTERED}")  # fmt: skip
+        raise InputError(f"{base.name}-ahead{frames}: expected a network that averages light: NAME or NAME{OIDN}")
 
     def start(device: str | torch.device, precision: str) -> Step:
-        asks = {"oidn": name != base.name, "prefilter": base.name.endswith(PREFILTERED)}
-        backend = TorchBackend(name, str(device), precision, lookahead=frames, **asks)
+        backend = TorchBackend(name, str(device), precision, oidn=name != base.name, lookahead=frames)
         step = Lookahead(backend.denoise, frames).step
         return lambda frame, history: step(frame and backend.prepare(frame), history)
 

@@ -72,11 +72,10 @@ def open_backend(
     oidn: bool = False,
     recent: int | None = None,
     lookahead: int = 0,
-    prefilter: bool = False,
 ) -> Backend:
     """The backend `name` with a model in it; 'auto' is torch where it is installed. With `correct` its images are
-    corrected by the residuals of the frames before (`models.shrinkage.correct`). `oidn`, `recent`,
-    `lookahead` and `prefilter`: as for `TorchBackend`.
+    corrected by the residuals of the frames before (`models.shrinkage.correct`). `oidn`, `recent` and
+    `lookahead`: as for `TorchBackend`.
 
     Raises InputError for an unknown name, a device, precision or correction that the backend lacks, and as `load` for
     the model.
@@ -87,7 +86,7 @@ def open_backend(
     if name == "torch" and not has_torch:
         raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
     if name == "torch" or (name == "auto" and has_torch):
-        return TorchBackend(model, device, precision, correct, oidn, recent, lookahead=lookahead, prefilter=prefilter)
+        return TorchBackend(model, device, precision, correct, oidn, recent, lookahead=lookahead)
     for chosen, what in ((correct, "the correction"), (oidn, "oidn"), (lookahead, "lookahead")):
         if chosen:
             advice = "take the backend torch" if has_torch else INSTALL_TORCH
@@ -108,13 +107,11 @@ class TorchBackend:
         recent: int | None = None,
         footprint: bool = False,
         lookahead: int = 0,
-        prefilter: bool = False,
     ) -> None:
-        """`oidn` mixes OIDN's opinion into the images (`opinion`), with `prefilter` that of albedo and normal without
-        noise. `recent`: frames that a network which averages light keeps, in place of its configuration's; 0 is a
-        running mean, by the same weights. `footprint`: its histories have one, of `opinion.RECENT` frames; `oidn` needs
-        them, too. `lookahead`: frames that its steps will get `ahead`; networks that keep none then keep
-        `opinion.RECENT`. Raises InputError where one cannot."""
+        """`oidn` mixes OIDN's opinion into the images (`opinion`). `recent`: frames that a network which averages light
+        keeps, in place of its configuration's; 0 is a running mean, by the same weights. `footprint`: its histories
+        have one, of `opinion.RECENT` frames; `oidn` needs them, too. `lookahead`: frames that its steps will get
+        `ahead`; networks that keep none then keep `opinion.RECENT`. Raises InputError where one cannot."""
         import torch
 
         from ..models import load
@@ -140,7 +137,7 @@ class TorchBackend:
                              "many or fast")  # fmt: skip
         if oidn and not averages:
             raise InputError(f"oidn: model {model!r} does not average light; choose default, many or fast")
-        self._correct, self._opinion = correct, Opinion(self._denoiser.config, prefilter) if oidn else None
+        self._correct, self._opinion = correct, Opinion(self._denoiser.config) if oidn else None
         wanted = {} if recent is None else {"recent": recent}
         if averages:
             most = min(RECENT, math.ceil(self._denoiser.config.longest) - 1)  # below the longest history

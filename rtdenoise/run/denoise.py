@@ -71,7 +71,6 @@ def denoise(
         options.oidn,
         recent=0 if in_passes else None,
         lookahead=options.lookahead,
-        prefilter=options.prefilter,
     )
     if len(sequence) > 1 and backend.config.motion is not None:
         sequence.require("motion")
@@ -160,8 +159,6 @@ def _check(options: Options) -> None:
                          "frames")  # fmt: skip
     if options.oidn and (options.offline or options.correct or options.lights or options.also):
         raise InputError("--oidn: goes without --offline, which asks OIDN anyway, --correct, --lights and --also")
-    if options.prefilter and not options.oidn:
-        raise InputError("--prefilter: goes with --oidn")
     check_samples(options.samples)
     check_lookahead(options.lookahead)
     if options.lookahead and (options.offline or options.lights or options.also):

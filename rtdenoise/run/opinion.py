@@ -15,7 +15,7 @@ from dataclasses import replace
 from torch import Tensor
 
 from ..baselines.oidn import Oidn, installed
-from ..constants import MIX_SHARES, MIX_SHARES_OF_CLEAN, MIX_SHARES_OF_MANY
+from ..constants import MIX_SHARES, MIX_SHARES_OF_MANY
 from ..errors import InputError
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
@@ -36,16 +36,14 @@ RECENT = 8  # frames that the network keeps here, whatever its configuration say
 class Opinion:
     """OIDN, asked about the frames of one network."""
 
-    def __init__(self, config: Config, prefilter: bool = False) -> None:
-        """`config` of the network as it is stored. With `prefilter` OIDN denoises albedo and normal first, and takes
-        its network for such, which is larger. Raises InputError where `pyoidn` is not installed."""
+    def __init__(self, config: Config) -> None:
+        """`config` of the network as it is stored. Raises InputError where `pyoidn` is not installed."""
         if not installed():
             raise InputError("oidn: OIDN is not installed: pip install pyoidn")
-        self._oidn, self._motion = Oidn(prefilter=prefilter), config.motion
+        self._oidn, self._motion = Oidn(), config.motion
         self._few = config.recent > 0 and not getattr(config, "many", False)
         self._config = replace(config, footprint=True) if self._few else config
-        few = MIX_SHARES_OF_CLEAN if prefilter else MIX_SHARES
-        self.shares = few if self._few else MIX_SHARES_OF_MANY  # no recent frames of its own: it is `many`
+        self.shares = MIX_SHARES if self._few else MIX_SHARES_OF_MANY  # no recent frames of its own: it is `many`
 
     def step(
         self, step: Step, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN

@@ -62,9 +62,6 @@ class Options:
     oidn: bool = False
     """Mix in OIDN's picture of the light that the network has averaged: better, and several times the time. Needs
     pyoidn."""
-    prefilter: bool = False
-    """With --oidn: OIDN denoises albedo and normal first; 0.3 to 0.5 dB better, for seven times OIDN's time: for a
-    GPU."""
     lookahead: int = 0
     """Denoise each frame with so many of those after it: 2 gain 0.2 to 0.5 dB for little time."""
     correct: bool = False

@@ -68,7 +68,6 @@ class Denoiser:
         oidn: bool = False,
         samples: int = 0,
         lookahead: int = 0,
-        prefilter: bool = False,
     ) -> None:
         """`model` is the name of a model that ships ('hybrid', 'default', 'fast' ...) or a .safetensors file; 'auto'
         makes the best picture: 'hybrid', or from 4 `samples` a pixel on 'hybrid-many'; with glsl, `oidn` and `correct`
@@ -79,9 +78,8 @@ class Denoiser:
         (with glsl 'fp16') or 'auto'. `detect_cuts` starts history anew where most pixels find another surface than
         their motion promises. `correct` corrects each frame by the noisy ones before it, for 4 samples a pixel and
         more; `samples` says how many there are, so that edges are corrected, too. `oidn` mixes in OIDN's picture of the
-        averaged light, one picture at a time; it goes without `correct`. With `prefilter` it denoises albedo and normal
-        first: better, for a GPU. With `lookahead` each frame is denoised with
-        so many frames after it: a call returns the picture of the frame so many calls before, None at first, and
+        averaged light, one picture at a time; it goes without `correct`. With `lookahead` each frame is denoised
+        with so many frames after it: a call returns the picture of the frame so many calls before, None at first, and
         `flush` the last ones.
 
         Raises InputError for an unknown model, backend, device or precision, a correction without torch, `samples`
@@ -91,8 +89,6 @@ class Denoiser:
         check_samples(samples, "samples")
         if oidn and correct:
             raise InputError("oidn=True: goes without correct=True")
-        if prefilter and not oidn:
-            raise InputError("prefilter=True: goes with oidn=True")
         if samples and not correct and model != AUTO:
             raise InputError(f"samples={samples}: goes with model='auto' or correct=True")
         if model == AUTO:
@@ -102,9 +98,7 @@ class Denoiser:
         """Whether the last call started history anew."""
         self._detect_cuts = detect_cuts
         check_lookahead(lookahead, "lookahead")
-        self._backend = open_backend(
-            backend, str(model), device, precision, correct, oidn, lookahead=lookahead, prefilter=prefilter
-        )
+        self._backend = open_backend(backend, str(model), device, precision, correct, oidn, lookahead=lookahead)
         self._samples, self._history = samples if correct else 0, None
         self._delayed = None  # with `lookahead`; then the history is that of cuts alone
         if lookahead:
