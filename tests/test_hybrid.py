@@ -6,8 +6,10 @@ import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.numpy import save as serialise
 from synthetic import make_frames
 
@@ -19,11 +21,13 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.models import HybridConfig, create, grow, hybrid, load, mixing, read, save
 from rtdenoise.models.past import reprojected
+from rtdenoise.models.pixel_network import PixelNetwork
 from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes
 from rtdenoise.ops.around import expand_within
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.light import LightBackend
+from rtdenoise.sanitise import sanitise
 
 ROOT = Path(__file__).parent.parent
 SMALL = HybridConfig(
@@ -68,6 +72,28 @@ def play(model, frames):
 def test_any_size_goes_in_and_comes_out(model, size):
     images = play(model, make_frames(3, *size))
     assert all(image.shape == (1, 3, *size) and image.isfinite().all() and image.min() >= 0 for image in images)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (17, 5), (16, 32)])
+def test_with_clean_surfaces_any_size_comes_out(size):
+    torch.manual_seed(0)
+    images = play(create(CLEAN).eval().requires_grad_(False), make_frames(2, *size))
+    assert all(image.shape == (1, 3, *size) and image.isfinite().all() and image.min() >= 0 for image in images)
+
+
+def test_light_is_written_by_clean_surfaces(monkeypatch):
+    """The networks of albedo and normal see these alone, and the network of light sees what they made."""
+    shares(monkeypatch, 0.0)
+    model, frame = read("hybrid-large"), sanitise(open_sequence(SAMPLE)[0])
+    seen = []
+    monkeypatch.setattr(model.pixels, "input", lambda *layers: seen.append(layers) or PixelNetwork.input(
+        model.pixels, *layers))  # fmt: skip
+    model.step(frame)
+    (_, albedo, normal, _), (clean_albedo, clean_normal) = seen[0], model.pixels.clean(frame.albedo, frame.normal)
+    assert torch.equal(albedo, clean_albedo) and torch.equal(normal, clean_normal)
+    assert albedo.min() >= 0 and albedo.max() <= 1 and normal.abs().max() <= 1
+    bright = model.pixels.clean(frame.albedo, -frame.normal)
+    assert torch.equal(bright[0], albedo) and not torch.allclose(bright[1], normal, atol=0.1)
 
 
 def test_without_a_share_the_image_is_the_kernels(model, monkeypatch):
@@ -174,10 +200,14 @@ def test_its_pixels_are_those_of_oidns_network(model, monkeypatch):
     assert error["pixels"] < 0.015 and error["pixels"] < 0.3 * error["kernels"], error
 
 
-def test_hybrid_many_is_of_two_models():
-    many, pixels, both = (read(name).state_dict() for name in ("many", "hybrid", "hybrid-many"))
+@pytest.mark.parametrize("of_pixels", ["hybrid", "hybrid-large"])
+def test_hybrids_for_many_samples_are_of_two_models(of_pixels):
+    many, pixels, both = (read(name).state_dict() for name in ("many", of_pixels, f"{of_pixels}-many"))
     for name, tensor in both.items():
         assert torch.equal(tensor, (pixels if name.startswith("pixels.") else many)[name]), name
+
+
+def test_hybrid_many_in_bytes():
     shipped = files_of(find("hybrid-many"))
     assert [path.stem for path in shipped] == ["hybrid-many", "many", "hybrid"] and files_of(shipped[1]) == shipped[1:2]
     assert has_bytes(shipped[0]) and shipped[0].stat().st_size < 1000
@@ -185,6 +215,26 @@ def test_hybrid_many_is_of_two_models():
     assert [type(part).__name__ for part in (in_bytes.unet, in_bytes.pixels)] == ["UNetInBytes", "PixelNetworkInBytes"]
     for a, b in zip(play(in_bytes, make_frames(2)), play(model, make_frames(2)), strict=True):
         assert (compress(a) - compress(b)).abs().mean() < 0.01
+
+
+def test_pixels_of_clean_surfaces_are_not_in_bytes():
+    model = load("hybrid-large", precision="int8")
+    assert [type(part).__name__ for part in (model.unet, model.pixels)] == ["UNetInBytes", "PixelNetwork"]
+
+
+def test_whole_weights_have_their_unit(tmp_path):
+    """Weights of eight bits are multiples of it; without it, or with one of another length, the file is named."""
+    path, name = tmp_path / "w.safetensors", "pixels.encoder.5.weight"
+    with safe_open(find("hybrid-large"), framework="numpy") as file:
+        metadata, tensors = file.metadata(), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    whole, unit = tensors[name], tensors[f"{name}.unit"]
+    assert whole.dtype == np.int8 and np.abs(whole).max() == 127
+    np.testing.assert_array_equal(read("hybrid-large").state_dict()[name], whole * unit.reshape(-1, 1, 1, 1))
+    for changed, told in (({}, "unit"), ({f"{name}.unit": unit[:3]}, "unit"), ({f"{name}.unit": unit * np.nan}, name)):
+        there = {key: x for key, x in tensors.items() if key != f"{name}.unit"} | changed
+        path.write_bytes(serialise(there, metadata=metadata))
+        with pytest.raises(InputError, match=told):
+            read(path)
 
 
 def test_weights_of_unknown_models_are_refused(tmp_path):

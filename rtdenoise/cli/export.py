@@ -17,8 +17,8 @@ class Export:
     out: Path
     """New folder for export.json, glsl/, spirv/, weights.bin and sample/."""
     model: str = "default"
-    """The network: 'hybrid', 'hybrid-many', 'hybrid-fast', 'hybrid-large', 'hybrid-large-many', 'default', 'many', 'fast',
-    'paper', or a .safetensors file that `rtdenoise train` wrote."""
+    """The network: 'hybrid', 'hybrid-many', 'hybrid-fast', 'hybrid-large', 'hybrid-large-many', 'default', 'many',
+    'fast', 'paper', or a .safetensors file that `rtdenoise train` wrote."""
     size: str = "1280x720"
     """WIDTHxHEIGHT of the frames, in pixels."""
     precision: Literal["fp32", "fp16"] = "fp32"

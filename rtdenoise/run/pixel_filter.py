@@ -35,8 +35,8 @@ class PixelFilter:
 
     @torch.no_grad()
     def step(self, frame: Frame) -> tuple[Tensor, None]:
-        """The radiance of a (sanitised) frame with clean albedo and normal, `[1, 3, H, W]`, without noise and within the
-        light around each pixel; there is no history."""
+        """The radiance of a (sanitised) frame with clean albedo and normal, without noise and within the light around
+        each pixel, `[1, 3, H, W]`; there is no history."""
         scale = PIXELS_CONTRAST * exposure(frame.radiance)
 
         def write(*layers: Tensor) -> tuple[Tensor]:

@@ -30,7 +30,7 @@ class TrainConfig:
     init: Path | None = None
     """Weights to start from instead of random ones: a .safetensors file of the same network or a narrower one."""
     model: str = "default"
-    """Network to train: 'paper', 'fast', 'default', 'hybrid', 'hybrid-fast'; for single frames 'afgsa',
+    """Network to train: 'paper', 'fast', 'default', 'hybrid', 'hybrid-fast', 'hybrid-large'; for single frames 'afgsa',
     'afgsa-small'; for Metropolis renders 'mltd', 'mltd-small'; or 'combiner', 'combiner-causal', 'drc'."""
     set: UseAppendAction[tuple[str, ...]] = ()
     """Fields of the network's configuration to change, as NAME=VALUE: widths=32,48,64,80,96 or longest=24."""
