@@ -105,5 +105,5 @@ def test_denoise_from_the_command_line(tmp_path, capsys):
 
 def test_shipped_weights_are_small_and_have_a_card():
     for name in available():
-        assert (ROOT / "rtdenoise" / "weights" / f"{name}.safetensors").stat().st_size < 4e6
+        assert (ROOT / "rtdenoise" / "weights" / f"{name}.safetensors").stat().st_size < 7e6
         assert (ROOT / "docs" / "reference" / "models" / f"{name}.md").is_file()

@@ -12,7 +12,8 @@ from rtdenoise.models import available
 from rtdenoise.models.weights import read_config
 
 # Promises that a model breaks, and how far: docs/reference/models/hybrid-many.md says why.
-BROKEN = {("hybrid-many", "paper's failure case: fast object, dark to light"): 1.7}
+UNEVEN = "paper's failure case: fast object, dark to light"
+BROKEN = {("hybrid-many", UNEVEN): 1.7, ("hybrid-large-many", UNEVEN): 1.4}
 
 
 def models_in(mode: str) -> list[str]:
