@@ -9,7 +9,7 @@ from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from .options import AUTO, Options
 
-BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture (docs/notes/hybrid.md)
+BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
 KERNELS = "default", "many"  # kernels alone, for all that goes with these only
 LEAST = 4  # samples a pixel from which those for many are better (docs/results/held.md)
 LITTLE = 0.08  # `exposure.noise_level`: below, a frame of unknown samples has many (docs/notes/lookahead.md)

@@ -57,8 +57,8 @@ class Options:
     device: str = "auto"
     """Device of the torch backend: 'auto', 'cpu' or 'cuda'."""
     offline: bool = False
-    """The best picture for frames on disk: uses the frames after as well as those before, and OIDN where it is
-    installed. Takes several times as long."""
+    """The best picture for frames on disk: uses the frames after as well as those before, and OIDN or networks
+    like its own. Takes several times as long."""
     oidn: bool = False
     """Mix in OIDN's picture of the light that the network has averaged: better, and several times the time. Needs
     pyoidn."""
