@@ -164,7 +164,7 @@ def fit_weights(sequences: tuple[str, ...]) -> None:
             inputs, truth = np.concatenate(shown), _values([frame.reference for frame in frames], scale)
             weight = 1 / np.mean((inputs[:, names.index("opinion")] - truth) ** 2) / len(truth)
             gram, vector = gram + weight * inputs.T @ inputs, vector + weight * inputs.T @ truth
-    print(dict(zip(names, (round(w, 2) for w in solve(gram, vector, names, names)), strict=True)))
+    print(dict(zip(names, (round(w, 2) for w in solve(gram, vector, names)), strict=True)))
 
 
 def candidates(passes: Passes, frames: list[Frame]) -> list[combination.Candidates]:
@@ -182,17 +182,15 @@ def candidates(passes: Passes, frames: list[Frame]) -> list[combination.Candidat
     return found
 
 
-def solve(gram: np.ndarray, vector: np.ndarray, names: list[str], kept: list[str]) -> list[float]:
+def solve(gram: np.ndarray, vector: np.ndarray, names: list[str]) -> list[float]:
     """Least squares with the sum 1 and equal weights of forward and backward pass."""
-    free = [name for name in kept if name != "backward"]
+    free = [name for name in names if name != "backward"]
     spread = np.array([[float(name == f or (name, f) == ("backward", "forward")) for f in free] for name in names])
-    spread *= np.array([[float(name in kept)] for name in names])
     count, total = len(free), spread.sum(0)
     system = np.zeros((count + 1, count + 1))
     system[:count, :count], system[count, :count], system[:count, count] = spread.T @ gram @ spread, total, total
     found = np.linalg.solve(system, np.append(spread.T @ vector, 1))[:count]
-    weights = dict(zip(names, spread @ found, strict=True))
-    return [float(weights[name]) for name in kept]
+    return [float(weight) for weight in spread @ found]
 
 
 def _shown(found: combination.Candidates, names: list[str], scale: torch.Tensor) -> np.ndarray:

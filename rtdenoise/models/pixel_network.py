@@ -17,6 +17,7 @@ from ..ops.features import features
 from ..ops.max_pool import max_pool
 from ..ops.to_planes import to_planes
 from .hybrid_config import HybridConfig, PixelShape
+from .inference import as_weights
 from .unet import ConvRelu, Up
 
 
@@ -46,12 +47,6 @@ class PixelUNet(nn.Module):
             x = self.decoder[level](x, skips[level])
         return to_planes(x, self.last.weight, self.last.bias)[..., :H, :W]
 
-    def given(self, x: Tensor) -> Tensor:
-        """A picture as the first convolution reads it."""
-        weight = self.last.weight
-        last = weight.is_contiguous(memory_format=torch.channels_last) and not weight.is_contiguous()
-        return x.to(weight.dtype, memory_format=torch.channels_last if last else torch.contiguous_format)
-
 
 class PixelNetwork(PixelUNet):
     """From a picture's light and surfaces to its light without noise."""
@@ -74,8 +69,8 @@ class PixelNetwork(PixelUNet):
     def clean(self, albedo: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
         """Both without noise, each filtered by itself."""
         colours, directions = self.surfaces["albedo"], self.surfaces["normal"]
-        albedo = srgb_decode(colours.filter(colours.given(srgb_encode(albedo))).clamp(0, 1))
-        return albedo, 2 * directions.filter(directions.given(as_color(normal))).clamp(0, 1) - 1
+        albedo = srgb_decode(colours.filter(as_weights(srgb_encode(albedo), colours)).clamp(0, 1))
+        return albedo, 2 * directions.filter(as_weights(as_color(normal), directions)).clamp(0, 1) - 1
 
     @torch.no_grad()
     def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
