@@ -33,8 +33,7 @@ from rtdenoise.report import report
 OUT = ROOT / "out" / "standard"
 RESULT = RESULTS / "error_vs_time.json"
 AT_1_SPP = ("noisy", "accumulate", "accumulate-clamped", "svgf", "trmv", "oidn", "oidn-fast", "oidn-prefiltered",
-            "oidn-then-accumulated", "paper", "fast", "default", "default-oidn", "hybrid-fast", "hybrid",
-            "offline")  # fmt: skip
+            "oidn-then-accumulated", "paper", "fast", "default", "hybrid-fast", "hybrid", "offline")  # fmt: skip
 OVER_SPP = ("noisy", "accumulate", "oidn-fast", "oidn", "oidn-prefiltered", *available())
 
 

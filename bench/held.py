@@ -28,7 +28,6 @@ import tyro
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.evaluate.registry import methods
 from rtdenoise.evaluate.sequence import Step, outputs
 from rtdenoise.metrics.image import decibels, mse_corrected
 from rtdenoise.models import available, load
@@ -40,6 +39,7 @@ LEVELS = (1, 4, 8, 16, 64)
 KINDS = ("single", "later")
 STOPS = (0, 3, -3)  # exposures of the measure
 LATER = 3  # frames at the end of a clip that count as later ones
+OFFLINE = "+offline"  # ending of weights in the offline mode
 LEAST = 1e-7  # squared error that a logarithm is taken of
 
 
@@ -49,8 +49,6 @@ def main(
         "fast",
         "default",
         "many",
-        "default+oidn",
-        "many+oidn",
         "default+offline",
         "many+offline",
     ),
@@ -61,7 +59,7 @@ def main(
 
     Args:
         held: Folders with a folder of clips for each sample count.
-        weights: Names of shipped weights, NAME+oidn or NAME+offline for the modes of `denoise`, or files.
+        weights: Names of shipped weights, NAME+offline for `denoise --offline`, or files.
         levels: Sample counts; those that a folder lacks are left out.
         write: Write the JSON and the tables; off: only print them.
     """
@@ -102,20 +100,18 @@ def measured(folder: Path, level: int, methods: dict[str, tuple[Step, int]]) -> 
 
 
 def opened(name: str) -> tuple[Step, int]:
-    """The step of NAME, NAME+oidn or NAME+offline, and its delay."""
-    model, _, mode = name.partition("+")
-    if mode == "offline":
+    """The step of NAME or NAME+offline, and its delay."""
+    model = name.removesuffix(OFFLINE)
+    if model != name:
         return InMemory(Passes(model, "cpu", "fp32")).step, InMemory.delay
-    if mode == "oidn":
-        return methods()[f"{model}-oidn"].step("cpu", "fp32"), 0
-    return load(model, precision="fp32").step, 0
+    return load(name, precision="fp32").step, 0
 
 
 def tables(document: dict) -> dict[str, str]:
     """Sections `held` (leads over OIDN), `held-scenes` (at the fewest samples, scene by scene) and `held-exposures`."""
     sets = list(dict.fromkeys(row["set"] for row in document["rows"]))
     levels, lines = document["levels"], []
-    weights = [name for name in document["weights"] if "/" in name or name.partition("+")[0] in available()]
+    weights = [name for name in document["weights"] if "/" in name or name.removesuffix(OFFLINE) in available()]
     for name in sets:
         columns = [(name, kind, spp) for kind in KINDS for spp in levels]
         columns = [c for c in columns if _leads(document, "oidn", *c, "indirect", 0)]

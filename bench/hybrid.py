@@ -27,7 +27,6 @@ from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.models import load
 from rtdenoise.models.inference import resolve
 from rtdenoise.report.readings import label
-from rtdenoise.run.opinion import RECENT, Opinion
 
 RESULT, PAGES = RESULTS / "hybrid.json", (DOCS / "notes" / "hybrid.md",)
 OUT = ROOT / "out" / "hybrid"
@@ -38,7 +37,6 @@ METHODS = {
     "hybrid-spatial": "**`hybrid`**, single frames",
     "hybrid-large-spatial": "**`hybrid-large`**, single frames",
     "default": "`default`",
-    "default-oidn": "`default` with `--oidn`",
     "hybrid-fast": "**`hybrid-fast`**",
     "hybrid": "**`hybrid`**",
     "hybrid-large": "**`hybrid-large`**",
@@ -82,8 +80,6 @@ def times_of(size: str, precision: str) -> dict:
     for name in IN_BYTES:
         model = partly_in_bytes(name, precision)
         steps[f"{name} int8"] = partial(model.step, frame, settled(model, frame))
-    model = load("default", precision=precision, recent=RECENT, footprint=True)
-    steps["default-oidn"] = partial(Opinion(model.config).step, model.step, frame, settled(model, frame))
     timings = harness.measure(steps, calls=9, warmup=2)
     return {"size": size, "precision": precision, **{name: timing.median_ms for name, timing in timings.items()}}
 

@@ -28,11 +28,10 @@ OUT, PICTURES = ROOT / "out" / "large", DOCS / "images" / "large"
 SIGNALS = ("color", "indirect")
 SPP = (4, 8, 16, 64)  # beside 1
 OURS = ("default-spatial", "hybrid-fast-spatial", "hybrid-spatial", "hybrid-large-spatial", "default", "hybrid-fast",
-        "hybrid", "hybrid-large", "hybrid-large-ahead2", "default-oidn",
-        "offline-without-oidn", "offline")  # fmt: skip
+        "hybrid", "hybrid-large", "hybrid-large-ahead2", "offline-without-oidn", "offline")  # fmt: skip
 IN_BYTES = ("default", "hybrid-fast", "hybrid")  # measured in int8, too
 SHOWN_OURS = *OURS[:-2], *(f"{name} int8" for name in IN_BYTES), *OURS[-2:]
-MANY = ("many", "many-oidn", "hybrid-many", "hybrid-large-many", "oidn+combiner")
+MANY = ("many", "hybrid-many", "hybrid-large-many", "oidn+combiner")
 METRICS = ("psnr_corrected", "ssim", "relmse", "flip", "tpsnr_corrected")
 SEEN = "fovvideovdp"  # over the frame at 1 sample; needs pyfvvdp
 FRAMES = (1, 4, 9, 15)  # numbers of frames that are shown by themselves

@@ -36,9 +36,9 @@ OUT, PICTURES = ROOT / "out" / "lookahead", DOCS / "images" / "lookahead"
 SIGNALS = ("color", "indirect")
 REFERENCE = "oidn"
 METHODS = ("default", "default-ahead2", "hybrid-fast", "hybrid-fast-ahead2", "hybrid", "hybrid-ahead1", "hybrid-ahead2",
-           "hybrid-ahead4", "default-oidn-ahead2")  # fmt: skip
+           "hybrid-ahead4")  # fmt: skip
 IN_BYTES = ("hybrid-fast-ahead2", "hybrid-ahead2")
-MANY = ("many-oidn", "hybrid", "hybrid-many", "hybrid-many-ahead2")
+MANY = ("hybrid", "hybrid-many", "hybrid-many-ahead2")
 MANY_IN_BYTES = ("hybrid-many",)
 METRICS = ("psnr_corrected", "flip", "tpsnr_corrected")
 SHOWN = {"OIDN": "oidn", "hybrid": "hybrid", "two ahead": "hybrid-ahead2"}
@@ -137,7 +137,7 @@ def _methods(rows: dict) -> str:
 
 
 def _many(rows: dict) -> str:
-    counts = sorted({spp for _, spp, method, _, _ in rows if method == MANY[0]})
+    counts = sorted({spp for _, spp, *_ in rows} - {1})
     lines = [
         f"| | {' | '.join(f'{spp} spp' for spp in counts)} | {' | '.join(f'uncovered, {spp} spp' for spp in counts)} |",
         "|---" * (2 * len(counts) + 1) + "|",

@@ -47,7 +47,6 @@ LABELS = {
     "paper": "`paper`, as it ships",
     "fast": "`fast`",
     "default": "`default`",
-    "default-oidn": "`default` with `--oidn`",
     "hybrid": "**`hybrid`**",
     "hybrid-ahead2": "**`hybrid`** with `--lookahead 2`",
 }
@@ -133,7 +132,6 @@ def tables(document: dict) -> dict[str, str]:
         "against-ahead": _against(document, "hybrid-ahead2", "oidn"),
         "against-default": _against(document, "default", "oidn"),
         "against-fast": _against(document, "fast", "oidn"),
-        "against-opinion": _against(document, "default-oidn", "oidn"),
     }
     return {**ahead, "settings": _settings(document), "aims": _aims(document), "scenes": "\n\n".join(_scenes(document))}
 

@@ -14,6 +14,7 @@ MIN_HISTORY_WEIGHT = 1e-2
 FAR_AWAY = 1e6  # pixels: longer motion is off the screen anyway, and this still fits an integer
 
 # Recent frames whose light is looked up anew (`ops.recall`).
+RECALL_FRAMES = 8  # kept where footprints or frames ahead ask for any, whatever the configuration says
 RECALL_WORDS = 5  # channels of a kept frame, two bfloat16 in each
 RECALL_FOOTPRINT_WORDS = 8  # of one that keeps albedo and the motion of edges, too
 RECALL_EDGE_SPEED = 1.0  # pixels a frame against what is behind it, up to which an edge is followed

@@ -207,7 +207,7 @@ class Known:
     covered: bool = False  # no pixel was just uncovered: `motion.occlusion_mask` is empty
     on_surfaces: bool = False  # light moves with its surfaces: nothing is looked for (`shift`)
     sanitised: bool = False  # the frame has been through `sanitise`
-    part: bool = False  # the step is part of another, which makes the picture and follows its light (`shift`)
+    part: bool = False  # the frame is a window of another, whose light is followed as a whole (`shift`)
     exposure: Tensor | None = None  # [B, 1, 1, 1] of the whole picture, where the frame is a window of one
     distance: Tensor | None = None  # [B, 1, 1, 1] likewise: the mean distance of its surfaces (`Denoiser.statistics`)
     noise: Tensor | None = None  # [B, 1, 1, 1] likewise: `exposure.noise_level`

@@ -84,8 +84,7 @@ def test_noise_tells_where_nothing_else_does(shot):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"backend": "glsl"}, {"offline": True}, {"oidn": True}, {"correct": True}, {"lights": True}, {"also": ("x",)}],
+    "options", [{"backend": "glsl"}, {"offline": True}, {"correct": True}, {"lights": True}, {"also": ("x",)}]
 )
 def test_what_goes_with_kernels_alone_gets_kernels_alone(shot, options):
     for samples, model in ((1, "default"), (16, "many")):

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -11,23 +12,26 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.numpy import save as serialise
-from synthetic import make_frames
+from synthetic import assert_goes_on, make_frames, write_sequence
 
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import compress
-from rtdenoise.constants import MIX_SHARES_OF_MANY, PIXELS_CONTRAST
+from rtdenoise.constants import MIX_SHARES_OF_MANY
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.models import HybridConfig, create, grow, hybrid, load, mixing, read, save
-from rtdenoise.models.past import reprojected
+from rtdenoise.models.past import reprojected, seen
 from rtdenoise.models.pixel_network import PixelNetwork
 from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes
 from rtdenoise.ops.around import expand_within
+from rtdenoise.ops.recall import reset_of
 from rtdenoise.run.backends import TorchBackend
+from rtdenoise.run.denoise import Options
 from rtdenoise.run.light import LightBackend
 from rtdenoise.sanitise import sanitise
+from rtdenoise.splat import history_motion
 
 ROOT = Path(__file__).parent.parent
 SMALL = HybridConfig(
@@ -57,6 +61,14 @@ def trusting(model, reset=-100.0):
     model.full_head.weight[:, -2] = 0
     model.full_head.bias[-2] = reset
     return model
+
+
+@contextmanager
+def watched(model, shown):
+    """Collects the light that the network which writes pixels sees."""
+    hook = model.pixels.register_forward_pre_hook(lambda _, inputs: shown.append(inputs[0]))
+    yield
+    hook.remove()
 
 
 def play(model, frames):
@@ -139,13 +151,44 @@ def test_it_sees_the_light_that_the_kernels_have_averaged(model, monkeypatch):
         history = None
         for past in before:
             _, history = model.step(replace(past, radiance=past.radiance * scale), history)
-        seen = []
-        hook = model.pixels.register_forward_pre_hook(lambda _, inputs, seen=seen: seen.append(inputs[0]))
-        images.append(model.step(frame, history)[0])
-        hook.remove()
-        averaged, light = seen[0][:, :3], compress(PIXELS_CONTRAST * model.statistics(frame)[0] * frame.radiance)
-        assert not torch.allclose(averaged, light, rtol=0.05)
+        shown = []
+        with watched(model, shown):
+            images.append(model.step(frame, history)[0])
+        assert not torch.allclose(shown[0], frame.radiance, rtol=0.05)
     assert not torch.allclose(*images)
+
+
+def test_averaged_light_is_less_noisy(model):
+    """What the other network sees has little more than half of the frame's squared error."""
+    shown = []
+    with watched(model, shown):
+        play(model, frames := make_frames(4))
+    noise, averaged = (x - frames[-1].reference for x in (frames[-1].radiance, shown[-1]))
+    assert averaged.square().mean() < 0.6 * noise.square().mean()
+
+
+def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model):
+    """Not in the first frame, where all of it is as noisy; in the second, the right half has come much nearer. In the
+    third all has, and all of it is as noisy again."""
+    first, second, third = make_frames(3, H=24, W=32)
+    right = torch.arange(32) >= 16
+    second = replace(second, depth=torch.where(right, second.depth / 9, second.depth))
+    third = replace(third, depth=third.depth / 99)
+    shown = []
+    with watched(model, shown):
+        _, history = model.step(first)
+        _, onward = model.step(second, history)
+        _, last = model.step(third, onward)
+    assert torch.equal(shown[0], first.radiance) and (last.footprint_count == 1).all()
+    assert torch.equal(shown[2], seen(sanitise(third), onward, last)[:, :3])
+
+    count, light = onward.footprint_count, seen(sanitise(second), history, onward)[:, :3]
+    assert (count[..., 18:] == 1).all() and count[..., ~right].mean() > 1.2
+    _, on_screen, uncovered = history_motion(second, history, "dual")
+    trust = 1 - (on_screen & ~uncovered) * reset_of(onward.recent[0])
+    share = 0.4 * trust * (2 - count).clamp(0, 1) * (count.max() - 1).clamp(0, 1)  # of the image
+    kernels, _, _ = model.step_and_kernels(second, history)
+    torch.testing.assert_close(shown[1], light + share * (kernels - light), rtol=1e-4, atol=1e-5)
 
 
 def test_written_pixels_stay_within_the_light_around_them(model, monkeypatch):
@@ -283,3 +326,23 @@ def test_a_saved_network_comes_back(model, tmp_path):
     again = load(tmp_path / "w.safetensors", precision="fp32")
     for a, b in zip(play(model, make_frames(2)), play(again, make_frames(2)), strict=True):
         torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4)
+
+
+def test_an_interrupted_run_goes_on_to_the_bit(model, tmp_path):
+    save(model, tmp_path / "w.safetensors")
+    shot = write_sequence(tmp_path / "shot", make_frames(6))
+    assert_goes_on(shot, tmp_path, Options(model=str(tmp_path / "w.safetensors"), precision="fp32", float32=True), 3)
+
+
+def test_its_own_picture_as_history_neither_drifts_nor_glows():
+    """Over forty frames the error stays; when the light goes out, so does the picture."""
+    model, history, errors = load("hybrid", precision="fp32"), None, []
+    frames = make_frames(40, H=48, W=64)
+    with torch.inference_mode():
+        for frame in frames:
+            image, history = model.step(frame, history)
+            errors.append((image - frame.reference).square().mean().item())
+        assert np.mean(errors[-8:]) < 1.1 * np.mean(errors[8:16])
+        for frame in make_frames(46, H=48, W=64)[40:]:
+            image, history = model.step(replace(frame, radiance=torch.zeros_like(frame.radiance)), history)
+        assert image.max() < 1e-3 * frames[-1].reference.mean()

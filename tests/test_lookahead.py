@@ -259,4 +259,4 @@ def test_methods_that_cannot_look_ahead():
     for name in ("oidn-ahead1", "paper-ahead1", "default-ahead17", "offline-ahead2"):
         with pytest.raises(InputError):
             choose([name])
-    assert choose(["many-oidn-ahead3"])[0].delay == 3
+    assert choose(["many-ahead3"])[0].delay == 3

@@ -313,7 +313,7 @@ def test_samples_with_a_model_by_name_go_with_a_correction_and_are_a_number_of_s
     ("options", "name"),
     [({}, "hybrid"), ({"samples": 3}, "hybrid"), ({"samples": 4}, "hybrid-many"), ({"backend": "glsl"}, "default"),
      ({"backend": "glsl", "samples": 8}, "many"), ({"correct": True}, "default"),
-     ({"correct": True, "samples": 8}, "many"), ({"oidn": True}, "default"), ({"oidn": True, "samples": 8}, "many")],
+     ({"correct": True, "samples": 8}, "many")],
     ids=str,
 )  # fmt: skip
 def test_who_names_no_model_gets_the_best_picture(frames, options, name):

@@ -2,9 +2,8 @@
 
 python bench/diagnosis/trust.py SEQ ...    # sequences with references that no network was trained on
 
-In real time (`denoise --oidn`) and of frames on disk (`--offline`, every third frame): corrected PSNR over
-OIDN's with other shares, with and without trust, with the network's own history and with the picture as history.
-Writes bench/results/trust.json and the tables of docs/notes/trust.md.
+Of frames on disk (`--offline`, every third frame): corrected PSNR over OIDN's with other shares, with and without
+trust. Writes bench/results/trust.json and the table of docs/notes/trust.md.
 """
 
 from __future__ import annotations
@@ -29,23 +28,15 @@ from rtdenoise.evaluate.inputs import Source
 from rtdenoise.evaluate.sequence import uncovered
 from rtdenoise.frame import Frame
 from rtdenoise.metrics.image import decibels, mse_corrected
-from rtdenoise.models import load
-from rtdenoise.run import combination, opinion
+from rtdenoise.run import combination
 from rtdenoise.run.passes import Passes, completed, reverse
 from rtdenoise.run.sides import corrected
 from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "trust.json", (DOCS / "notes" / "trust.md",)
-FRAMES, EVERY = 16, 3  # of a sequence; of those on disk, which take long
+FRAMES, EVERY = 16, 3  # of a sequence; they take long
+KIND = "offline"  # of the rows; older ones are of a mode that is gone
 FEWEST = 500  # pixels uncovered in all frames together: fewer say nothing
-REAL_TIME = {  # the network's share, the previous picture's, whether trust counts, whether the picture is history
-    "half of each, the network's own history": (0.5, 0.0, False, False),
-    "the picture is history": (0.5, 0.0, False, True),
-    "and the network counts as far as it trusts its history": (0.5, 0.0, True, True),
-    "0.4 of it": (0.4, 0.0, True, True),
-    "**and a tenth of the previous picture**": (0.4, 0.1, True, True),
-    "instead a fifth": (0.4, 0.2, True, True),
-}
 OFFLINE = {  # the network's share, whether trust counts
     "0.32 of the network, 0.68 of OIDN": (0.32, False),
     "as far as each pass trusts its history": (0.32, True),
@@ -64,30 +55,10 @@ def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
             frames = source.frames(source.spp)
             if frames[0].reference_half is None:
                 continue
-            told = {"sequence": source.name, "signal": signal}
-            for kind, measured in (("real time", real_time), ("offline", offline)):
-                rows += [told | {"kind": kind} | row for row in measured(frames)]
-                print(rows[-1], flush=True)
+            told = {"sequence": source.name, "signal": signal, "kind": KIND}
+            rows += [told | row for row in offline(frames)]
+            print(rows[-1], flush=True)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
-
-
-@torch.inference_mode()
-def real_time(frames: list[Frame]) -> list[dict]:
-    """A row for each of `REAL_TIME`, and OIDN."""
-    network = load("default", precision="fp32", recent=opinion.RECENT, footprint=True)
-    alone = Oidn()
-    rows = [{"variant": "oidn"} | errors(frames, {i: alone.step(frame)[0] for i, frame in enumerate(frames)})]
-    trusted = opinion.reset_of
-    for name, (share, kept, trusts, fed) in REAL_TIME.items():
-        opinion.reset_of = trusted if trusts else lambda kept: torch.zeros_like(kept[:, :1], dtype=torch.float32)
-        asked, history, images = opinion.Opinion(network.config), None, {}
-        asked.shares = share, kept
-        for i, frame in enumerate(frames):
-            images[i], onward = asked.step(network.step, frame, history)
-            history = onward if fed else replace(onward, radiance=network.step(frame, history)[0])
-        rows.append({"variant": name} | errors(frames, images))
-    opinion.reset_of = trusted
-    return rows
 
 
 @torch.inference_mode()
@@ -136,18 +107,11 @@ def errors(frames: list[Frame], images: Pictures) -> dict[str, float | None]:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Sections `trust-real-time` and `trust-offline`: a line a variant, the mean and the least lead over OIDN."""
-    return {
-        "trust-real-time": _table(document, "real time", REAL_TIME),
-        "trust-offline": _table(document, "offline", OFFLINE),
-    }
-
-
-def _table(document: dict, kind: str, variants: dict[str, tuple]) -> str:
+    """Section `trust-offline`: a line a variant, the mean and the least lead over OIDN."""
     names = list(dict.fromkeys(row["sequence"] for row in document["rows"]))
     lines = [f"| | mean | least | uncovered | least | {' | '.join(names)} |", "|---" * (len(names) + 5) + "|"]
-    rows = {(r["sequence"], r["signal"], r["variant"]): r for r in document["rows"] if r["kind"] == kind}
-    for variant in variants:
+    rows = {(r["sequence"], r["signal"], r["variant"]): r for r in document["rows"] if r["kind"] == KIND}
+    for variant in OFFLINE:
         leads: dict[str, list[tuple[str, float]]] = {"frame": [], "uncovered": []}
         for (sequence, signal, name), row in rows.items():
             peer = rows[sequence, signal, "oidn"]
@@ -160,7 +124,7 @@ def _table(document: dict, kind: str, variants: dict[str, tuple]) -> str:
             cells += [f"{np.mean(values):+.2f}", f"{min(values):+.2f}"]
         cells += [", ".join(f"{lead:+.2f}" for sequence, lead in leads["frame"] if sequence == name) for name in names]
         lines.append(f"| {variant} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return {"trust-offline": "\n".join(lines)}
 
 
 if __name__ == "__main__":

@@ -25,7 +25,6 @@ from ..models.weights import find, has_bytes, read_config, read_model
 from ..run.backends import TorchBackend
 from ..run.graphs import stepper
 from ..run.lookahead import Lookahead
-from ..run.opinion import RECENT, Opinion
 from ..run.options import check_lookahead
 from ..run.passes import InMemory, Passes
 from ..run.pixel_filter import MODEL
@@ -36,7 +35,6 @@ from .sequence import Step
 PRECISIONS = ("fp32", "bf16", INT8)
 DEFAULTS = ("noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "hybrid")  # measured if none is named
 ALL = "all"
-OIDN = "-oidn"  # ending of networks with OIDN's opinion
 AHEAD = re.compile(r"(.+)-ahead(\d+)")  # METHOD-aheadN: denoise --lookahead N
 CORRECTED = ("oidn", "default")  # methods that 'all' also has with every combiner
 
@@ -123,11 +121,6 @@ def _plain(start: Callable[[], Step], device: str | torch.device, precision: str
     return start()
 
 
-def _missing_oidn() -> str:
-    """Why OIDN cannot run; empty if it can."""
-    return "" if installed() else "needs pyoidn: pip install 'rtdenoise[bench]'"
-
-
 def _oidn() -> list[Method]:
     kinds = {
         "oidn": ("OIDN, high quality", {}),
@@ -137,7 +130,7 @@ def _oidn() -> list[Method]:
         "oidn-on-accumulated": ("OIDN on the accumulated signal", {"accumulate": "input"}),
         "oidn-then-accumulated": ("OIDN, its output accumulated", {"accumulate": "output"}),
     }
-    reason = _missing_oidn()
+    reason = "" if installed() else "needs pyoidn: pip install 'rtdenoise[bench]'"
 
     def start(options: dict, device: str | torch.device, precision: str) -> Step:
         return Oidn(**options).step
@@ -160,42 +153,24 @@ def _network(name: str) -> list[Method]:
                partial(start, motion="traditional"), weights=(name,)),
         Method(f"{name}-corrected", f"denoise --correct with {name}", "network", partial(start, correct=True),
                precisions=precisions, weights=(name,)),
-        *_with_oidn(name),
         Method(f"{name}-spatial", f"{name} without history: spatial kernels only", "ablation",
                partial(start, history=False), weights=(name,)),
-    ]  # fmt: skip
-
-
-def _with_oidn(name: str) -> list[Method]:
-    """`denoise --oidn` with shipped weights, where these average light."""
-    if "mean" not in read_config(name).carries:
-        return []
-    reason = _missing_oidn()
-
-    def start(device: str | torch.device, precision: str) -> Step:
-        network = load(name, device, precision, recent=RECENT, footprint=True)
-        return partial(Opinion(read_config(name)).step, stepper(network))
-
-    return [
-        Method(f"{name}{OIDN}", f"denoise --oidn with {name}", "network", None if reason else start, reason,
-               _precisions(find(name)), (name,))
     ]  # fmt: skip
 
 
 def _ahead(base: Method, frames: int) -> Method:
     """A network that looks ahead. Raises InputError for other methods and numbers out of range."""
     check_lookahead(frames, f"{base.name}-ahead{frames}")
-    name = base.name.removesuffix(OIDN)
-    if name not in available() or "mean" not in read_config(name).carries:
-        raise InputError(f"{base.name}-ahead{frames}: expected a network that averages light: NAME or NAME{OIDN}")
+    if base.name not in available() or "mean" not in read_config(base.name).carries:
+        raise InputError(f"{base.name}-ahead{frames}: expected a network that averages light")
 
     def start(device: str | torch.device, precision: str) -> Step:
-        backend = TorchBackend(name, str(device), precision, oidn=name != base.name, lookahead=frames)
+        backend = TorchBackend(base.name, str(device), precision, lookahead=frames)
         step = Lookahead(backend.denoise, frames).step
         return lambda frame, history: step(frame and backend.prepare(frame), history)
 
-    return replace(base, name=f"{base.name}-ahead{frames}", what=f"{base.what}, {frames} frames ahead",
-                   start=start if base.start else None, delay=frames)  # fmt: skip
+    return replace(base, name=f"{base.name}-ahead{frames}", what=f"{base.what}, {frames} frames ahead", start=start,
+                   delay=frames)  # fmt: skip
 
 
 def _corrected(base: Method, combiner: str) -> Method:

@@ -19,12 +19,12 @@ def evened(
     light: Tensor,  # [B, 3, H, W] averaged light
     count: Tensor,  # [B, 1, H, W] the frames in it
     image: Tensor,  # [B, 3, H, W] denoised
-    trust: Tensor | float = 1.0,  # [B, 1, H, W] in [0, 1], in the image
+    trust: Tensor,  # [B, 1, H, W] in [0, 1], in the image
 ) -> Tensor:  # [B, 3, H, W]
     """Averaged light with some of the denoised image where one to two frames are in it and more in pixels around:
     networks that see a single picture take noise for texture where there is less of it nearby. As far as the image is
     trusted. To the bit the light where one frame is in all pixels around."""
-    if isinstance(trust, Tensor) and (run := EVENED(light=light, count=count, image=image, trust=trust)):
+    if (run := EVENED(light=light, count=count, image=image, trust=trust)):
         return run(light, count, image, trust)
     once = 1 - (count - 1).clamp(0, 1)
     return torch.lerp(image, light, 1 - (1 - MIX_SEEN_ONCE) * trust * once * (greatest_around(count) - 1).clamp(0, 1))

@@ -7,13 +7,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from ..constants import RECALL_RESET
+from ..constants import RECALL_FRAMES, RECALL_RESET
 from ..data.stored import of_resets, with_resets
 from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
@@ -69,13 +68,12 @@ def open_backend(
     device: str,
     precision: str,
     correct: bool = False,
-    oidn: bool = False,
     recent: int | None = None,
     lookahead: int = 0,
 ) -> Backend:
     """The backend `name` with a model in it; 'auto' is torch where it is installed. With `correct` its images are
-    corrected by the residuals of the frames before (`models.shrinkage.correct`). `oidn`, `recent` and
-    `lookahead`: as for `TorchBackend`.
+    corrected by the residuals of the frames before (`models.shrinkage.correct`). `recent` and `lookahead`: as for
+    `TorchBackend`.
 
     Raises InputError for an unknown name, a device, precision or correction that the backend lacks, and as `load` for
     the model.
@@ -86,8 +84,8 @@ def open_backend(
     if name == "torch" and not has_torch:
         raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
     if name == "torch" or (name == "auto" and has_torch):
-        return TorchBackend(model, device, precision, correct, oidn, recent, lookahead=lookahead)
-    for chosen, what in ((correct, "the correction"), (oidn, "oidn"), (lookahead, "lookahead")):
+        return TorchBackend(model, device, precision, correct, recent, lookahead=lookahead)
+    for chosen, what in ((correct, "the correction"), (lookahead, "lookahead")):
         if chosen:
             advice = "take the backend torch" if has_torch else INSTALL_TORCH
             raise InputError(f"{what} runs in PyTorch alone; {advice}, or leave it out")
@@ -103,22 +101,20 @@ class TorchBackend:
         device: str,
         precision: str,
         correct: bool = False,
-        oidn: bool = False,
         recent: int | None = None,
         footprint: bool = False,
         lookahead: int = 0,
     ) -> None:
-        """`oidn` mixes OIDN's opinion into the images (`opinion`). `recent`: frames that a network which averages light
-        keeps, in place of its configuration's; 0 is a running mean, by the same weights. `footprint`: its histories
-        have one, of `opinion.RECENT` frames; `oidn` needs them, too. `lookahead`: frames that its steps will get
-        `ahead`; networks that keep none then keep `opinion.RECENT`. Raises InputError where one cannot."""
+        """`recent`: frames that a network which averages light keeps, in place of its configuration's; 0 is a running
+        mean, by the same weights. `footprint`: its histories have one, of `RECALL_FRAMES` frames. `lookahead`: frames
+        that its steps will get `ahead`; networks that keep none then keep `RECALL_FRAMES`. Raises InputError where one
+        cannot."""
         import torch
 
         from ..models import load
         from ..models.inference import INT8, choose_device, resolve
         from ..models.weights import read_config
         from .graphs import stepper
-        from .opinion import RECENT, Opinion
 
         self.device = choose_device(device)
         # Steps found on recent frames do not hold a mean that is 10⁵ times as bright as a frame whose light is out.
@@ -135,13 +131,11 @@ class TorchBackend:
         if lookahead and not averages:
             raise InputError(f"lookahead: model {model!r} does not average light over time; choose hybrid, default, "
                              "many or fast")  # fmt: skip
-        if oidn and not averages:
-            raise InputError(f"oidn: model {model!r} does not average light; choose default, many or fast")
-        self._correct, self._opinion = correct, Opinion(self._denoiser.config) if oidn else None
+        self._correct = correct
         wanted = {} if recent is None else {"recent": recent}
         if averages:
-            most = min(RECENT, math.ceil(self._denoiser.config.longest) - 1)  # below the longest history
-            if oidn or footprint:
+            most = min(RECALL_FRAMES, math.ceil(self._denoiser.config.longest) - 1)  # below the longest history
+            if footprint:
                 wanted = {"recent": most, "footprint": True}
             elif lookahead and not self._denoiser.config.recent:
                 wanted = {"recent": most}
@@ -186,7 +180,6 @@ class TorchBackend:
 
         step = self._step if len(frame.radiance) == 1 else self._whole  # the plan is for single pictures
         step = corrected(step) if self._correct else step
-        step = partial(self._opinion.step, step) if self._opinion else step
         with self._inference(frame):
             return step(frame, history, Known(sanitised=True, ahead=ahead))
 

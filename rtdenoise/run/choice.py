@@ -32,7 +32,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     samples = known_samples(sequence, options.samples)
     if "samples" not in layers:
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
-    kernels_alone = options.offline or options.oidn or options.correct or options.lights or bool(options.also)
+    kernels_alone = options.offline or options.correct or options.lights or bool(options.also)
     few, many = candidates(options.backend, kernels_alone)
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise; --samples 1 says otherwise"

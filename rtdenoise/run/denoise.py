@@ -68,7 +68,6 @@ def denoise(
         options.device,
         options.precision,
         options.correct,
-        options.oidn,
         recent=0 if in_passes else None,
         lookahead=options.lookahead,
     )
@@ -157,8 +156,6 @@ def _check(options: Options) -> None:
     if options.correct and (options.offline or options.lights or options.also):
         raise InputError("--correct: goes without --offline, --lights and --also; `rtdenoise combine` corrects their "
                          "frames")  # fmt: skip
-    if options.oidn and (options.offline or options.correct or options.lights or options.also):
-        raise InputError("--oidn: goes without --offline, which asks OIDN anyway, --correct, --lights and --also")
     check_samples(options.samples)
     check_lookahead(options.lookahead)
     if options.lookahead and (options.offline or options.lights or options.also):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 INDECISIVE = ("backend", "device")  # options that leave the files as they are
 YOUNG = {  # options that older runs did not have, as these ran
     "offline": False, "confidence": False, "correct": False, "second": "", "samples": 0, "lights": False, "also": (),
-    "oidn": False, "lookahead": 0,
+    "lookahead": 0,
 }  # fmt: skip
 
 

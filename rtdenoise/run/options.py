@@ -27,8 +27,8 @@ class Options:
     model: str = AUTO
     """The network: 'hybrid', 'hybrid-many', 'hybrid-fast', 'hybrid-large', 'hybrid-large-many', 'default', 'many',
     'fast', 'paper', or a .safetensors file that `rtdenoise train` wrote. 'auto': 'hybrid', and from 4 samples a pixel
-    on, where their number is known or noise is little, 'hybrid-many'. With glsl, --offline, --oidn, --correct, --lights
-    and --also 'default' and 'many', which take less than half of the time."""
+    on, where their number is known or noise is little, 'hybrid-many'. With glsl, --offline, --correct, --lights and
+    --also 'default' and 'many', which take less than half of the time."""
     preset: str = "auto"
     """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
     file."""
@@ -59,9 +59,6 @@ class Options:
     offline: bool = False
     """The best picture for frames on disk: uses the frames after as well as those before, and OIDN or networks
     like its own. Takes several times as long."""
-    oidn: bool = False
-    """Mix in OIDN's picture of the light that the network has averaged: better, and several times the time. Needs
-    pyoidn."""
     lookahead: int = 0
     """Denoise each frame with so many of those after it: 2 gain 0.2 to 0.5 dB for little time."""
     correct: bool = False

@@ -65,40 +65,36 @@ class Denoiser:
         precision: str = "auto",
         detect_cuts: bool = True,
         correct: bool = False,
-        oidn: bool = False,
         samples: int = 0,
         lookahead: int = 0,
     ) -> None:
         """`model` is the name of a model that ships ('hybrid', 'default', 'fast' ...) or a .safetensors file; 'auto'
-        makes the best picture: 'hybrid', or from 4 `samples` a pixel on 'hybrid-many'; with glsl, `oidn` and `correct`
+        makes the best picture: 'hybrid', or from 4 `samples` a pixel on 'hybrid-many'; with glsl and `correct`
         'default' and 'many', which take less than half of the time.
 
         `backend` is 'torch', 'glsl' (OpenGL shaders, without PyTorch; one picture at a time), or 'auto': torch where it
         is installed. `device` is torch's, 'cpu', 'cuda' or 'auto', and the network's `precision` 'fp32', 'bf16', 'int8'
         (with glsl 'fp16') or 'auto'. `detect_cuts` starts history anew where most pixels find another surface than
         their motion promises. `correct` corrects each frame by the noisy ones before it, for 4 samples a pixel and
-        more; `samples` says how many there are, so that edges are corrected, too. `oidn` mixes in OIDN's picture of the
-        averaged light, one picture at a time; it goes without `correct`. With `lookahead` each frame is denoised
-        with so many frames after it: a call returns the picture of the frame so many calls before, None at first, and
-        `flush` the last ones.
+        more; `samples` says how many there are, so that edges are corrected, too. With `lookahead` each frame is
+        denoised with so many frames after it: a call returns the picture of the frame so many calls before, None at
+        first, and `flush` the last ones.
 
         Raises InputError for an unknown model, backend, device or precision, a correction without torch, `samples`
         beyond all sense or that nothing goes by, and a `lookahead` out of range or with a model that averages no light.
         """
         set_defaults()
         check_samples(samples, "samples")
-        if oidn and correct:
-            raise InputError("oidn=True: goes without correct=True")
         if samples and not correct and model != AUTO:
             raise InputError(f"samples={samples}: goes with model='auto' or correct=True")
         if model == AUTO:
-            few, many = candidates(backend, oidn or correct)
+            few, many = candidates(backend, correct)
             model = few if samples < LEAST else many
         self.started = True
         """Whether the last call started history anew."""
         self._detect_cuts = detect_cuts
         check_lookahead(lookahead, "lookahead")
-        self._backend = open_backend(backend, str(model), device, precision, correct, oidn, lookahead=lookahead)
+        self._backend = open_backend(backend, str(model), device, precision, correct, lookahead=lookahead)
         self._samples, self._history = samples if correct else 0, None
         self._delayed = None  # with `lookahead`; then the history is that of cuts alone
         if lookahead:

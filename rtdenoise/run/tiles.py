@@ -89,7 +89,7 @@ def step_in_windows(
             _paste(after[name], tensor, core, window, frame.size)
     after |= {name: tensor for name in GEOMETRY if (tensor := getattr(frame, name)) is not None}
     after = History.from_layers(after)
-    if after.noisy is not None and not known.part:  # a network that follows light
+    if after.noisy is not None:  # a network that follows light
         after = followed(frame, history, after, denoiser.config.recent + 1)
     return image, after
 
