@@ -73,7 +73,7 @@ MIX_SHARES_OF_CLEAN = (0.3, 0.1, 0.3)  # beside pixels of albedo and normal with
 MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history
 
 # The input of a network that writes pixels (`models.hybrid`).
-PIXELS_CONTRAST = 53.4  # light of a frame's brightness becomes log(1 + PIXELS_CONTRAST): dark parts matter, too
+PIXELS_CONTRAST = 80.0  # light of a frame's brightness becomes log(1 + PIXELS_CONTRAST): dark parts matter, too
 PIXELS_UNIT = 0.06145  # of compressed light, as OIDN has it
 
 AROUND_CELL = 16  # side in pixels of the cells in which what is around a pixel lies (`ops.around`)

@@ -93,6 +93,18 @@ def test_with_clean_surfaces_any_size_comes_out(size):
     assert all(image.shape == (1, 3, *size) and image.isfinite().all() and image.min() >= 0 for image in images)
 
 
+@pytest.mark.parametrize("name, precision", [("hybrid", "fp32"), ("hybrid", "int8"), ("hybrid-large", "fp32")])
+def test_no_surface_is_brighter_than_white(name, precision):
+    """Mirrors of Cycles have an albedo of 2, and the networks know none beyond 1."""
+    pixels = load(name, precision=precision).pixels
+    torch.manual_seed(0)
+    light, albedo, normal = (torch.rand(1, 3, 16, 32) for _ in range(3))
+    albedo[..., 16:], normal[..., 16:] = 1, torch.tensor([0.0, -1.0, 1.0])[:, None, None]
+    beyond = [torch.cat([x[..., :16], 2 * x[..., 16:]], dim=-1) for x in (albedo, normal)]
+    scale = torch.ones(1, 1, 1, 1)
+    assert torch.equal(pixels(light, *beyond, scale), pixels(light, albedo, normal, scale))
+
+
 def test_light_is_written_by_clean_surfaces(monkeypatch):
     """The networks of albedo and normal see these alone, and the network of light sees what they made."""
     shares(monkeypatch, 0.0)
@@ -229,8 +241,9 @@ def test_the_shipped_weights_are_those_of_default_and_of_oidns_network(model, ne
 
 @pytest.mark.parametrize("model", NETWORKS)
 def test_its_pixels_are_those_of_oidns_network(model, monkeypatch):
-    """OIDN's weights in our network give its picture."""
+    """OIDN's weights in our network give its picture, at the contrast of its auto-exposure."""
     shares(monkeypatch, 0.0)
+    monkeypatch.setattr("rtdenoise.models.hybrid.PIXELS_CONTRAST", 53.4)
     hybrid, kernels = read(model), read("default")
     frame = open_sequence(SAMPLE)[0]
     large = {"quality": "high", "prefilter": True}

@@ -69,16 +69,17 @@ class PixelNetwork(PixelUNet):
     def clean(self, albedo: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
         """Both without noise, each filtered by itself."""
         colours, directions = self.surfaces["albedo"], self.surfaces["normal"]
-        albedo = srgb_decode(colours.filter(as_weights(srgb_encode(albedo), colours)).clamp(0, 1))
+        albedo = srgb_encode(albedo.clamp(0, 1))
+        albedo = srgb_decode(colours.filter(as_weights(albedo, colours)).clamp(0, 1))
         return albedo, 2 * directions.filter(as_weights(as_color(normal), directions)).clamp(0, 1) - 1
 
     @torch.no_grad()
     def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
-        """`features`, `[B, 9, H, W]`, with light in OIDN's unit."""
-        lanes = self.encoder[0].lanes
-        return features((radiance,), (albedo, as_color(normal)), scale, self.last.weight, PIXELS_UNIT, lanes)
+        """`features`, `[B, 9, H, W]`, with light in OIDN's unit, and albedo and normal in [0, 1]."""
+        guides, lanes = (albedo.clamp(0, 1), as_color(normal)), self.encoder[0].lanes
+        return features((radiance,), guides, scale, self.last.weight, PIXELS_UNIT, lanes)
 
 
 def as_color(normal: Tensor) -> Tensor:
     """Normals from [-1, 1] to [0, 1], as these networks know them: beyond the picture there is 0, not a normal's 0."""
-    return 0.5 * normal + 0.5
+    return (0.5 * normal + 0.5).clamp(0, 1)

@@ -1,6 +1,6 @@
 #version 430
-// The input of the network that writes pixels: footprints, 9 channels, with light compressed in OIDN's unit and normals in
-// [0, 1]. Where one frame has seen a pixel, and more have seen those around it, some of the kernels' picture stands in for
+// The input of the network that writes pixels: footprints, 9 channels, with light compressed in OIDN's unit, albedo and normal
+// in [0, 1]. Where one frame has seen a pixel, and more have seen those around it, some of the kernels' picture stands in for
 // light (EVEN, models.mixing.evened).
 // One invocation per pixel of the padded result, which is zero beyond the image.
 #pragma constants EVEN MIX_SEEN_ONCE PIXELS_CONTRAST PIXELS_UNIT
@@ -27,7 +27,7 @@ void main() {
     }
     int i = at(pixel, image_size), plane = image_size.x * image_size.y;
     vec4 light = shown[i], albedo = shown[i + plane];
-    vec3 normal = 0.5 * shown[i + 2 * plane].xyz + 0.5, rgb = light.rgb;
+    vec3 colour = min(albedo.rgb, 1.0), normal = clamp(0.5 * shown[i + 2 * plane].xyz + 0.5, 0.0, 1.0), rgb = light.rgb;
     if (EVEN == 1) {
         float most = 0.0, once = 1.0 - clamp(light.w - 1.0, 0.0, 1.0);
         ivec2 extent = cells_of(image_size);
@@ -39,7 +39,7 @@ void main() {
         rgb = mix(denoised[i].rgb, rgb, share);
     }
     even[i] = vec4(rgb, 1.0);
-    result[o] = packed_four(vec4(PIXELS_UNIT * compressed(PIXELS_CONTRAST * statistics[0] * rgb), albedo.r));
-    result[o + area] = packed_four(vec4(albedo.gb, normal.xy));
+    result[o] = packed_four(vec4(PIXELS_UNIT * compressed(PIXELS_CONTRAST * statistics[0] * rgb), colour.r));
+    result[o + area] = packed_four(vec4(colour.gb, normal.xy));
     result[o + 2 * area] = packed_four(vec4(normal.z, 0.0, 0.0, 0.0));
 }

@@ -16,8 +16,8 @@ void main() {
     vec3 colour = vec3(0.0), direction = vec3(0.0);
     if (inside(pixel, image_size)) {
         int i = at(pixel, image_size), plane = image_size.x * image_size.y;
-        colour = srgb_encoded(shown[i + plane].rgb);
-        direction = 0.5 * shown[i + 2 * plane].xyz + 0.5;
+        colour = srgb_encoded(min(shown[i + plane].rgb, 1.0));
+        direction = clamp(0.5 * shown[i + 2 * plane].xyz + 0.5, 0.0, 1.0);
     }
     int o = at(pixel, size);
     albedo[o] = packed_four(vec4(colour, 0.0));
