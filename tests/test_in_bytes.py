@@ -1,7 +1,8 @@
 """Networks in bytes (`models.in_bytes`, `tools/weights_in_bytes.py`)."""
 
+import json
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -20,8 +21,8 @@ from rtdenoise.metrics import psnr
 from rtdenoise.models import AccumulatedKPNConfig, HybridConfig, create, load, read, save
 from rtdenoise.models.bytes_layout import made_for, shapes
 from rtdenoise.models.in_bytes import PixelNetworkInBytes, ToBytes, UNetInBytes, phases, rounded
-from rtdenoise.models.pixel_network import as_color
-from rtdenoise.models.weights import bytes_of
+from rtdenoise.models.pixel_network import PixelNetwork, as_color
+from rtdenoise.models.weights import bytes_of, find
 from rtdenoise.ops.convolve_bytes import convolve_bytes, multiplies_bytes, packed, unpacked
 from rtdenoise.ops.feature_bytes import CHANNELS, feature_bytes
 from rtdenoise.run.backends import TorchBackend
@@ -233,6 +234,28 @@ def test_models_without_such_weights_are_named(tmp_path):
         load("paper", precision="int8")
     path = tmp_path / "mine.safetensors"
     save(read("hybrid-fast"), path)
+    with pytest.raises(InputError, match="there is no mine"):
+        load(path, precision="int8")
+
+
+def test_a_copy_without_the_bytes_of_its_pixels_has_its_kernels_in_bytes(monkeypatch, tmp_path):
+    """Its part `default` has some; those of the pixels stayed behind."""
+    monkeypatch.setattr("rtdenoise.models.loading.takes_bytes", lambda precision, _: precision in ("auto", "int8"))
+    path = shutil.copy(find("hybrid"), tmp_path / "mine.safetensors")
+    for precision in ("auto", "int8"):
+        model = load(path, precision=precision)
+        assert isinstance(model.unet, UNetInBytes) and type(model.pixels) is PixelNetwork
+    shutil.copy(bytes_of(find("hybrid")), bytes_of(path))
+    assert isinstance(load(path).pixels, PixelNetworkInBytes)
+
+
+def test_kernels_of_ones_own_with_the_pixels_of_a_model_that_ships_have_no_bytes(monkeypatch, tmp_path):
+    monkeypatch.setattr("rtdenoise.models.loading.takes_bytes", lambda precision, _: precision in ("auto", "int8"))
+    hybrid, path = read("hybrid"), tmp_path / "mine.safetensors"
+    kernels = {name: x.contiguous() for name, x in hybrid.state_dict().items() if not name.startswith("pixels.")}
+    described = {"config": json.dumps(asdict(hybrid.config)), "parts": '{"pixels": "hybrid"}'}
+    save_file(kernels, path, {"architecture": "hybrid"} | described)
+    assert not isinstance(load(path).unet, UNetInBytes)
     with pytest.raises(InputError, match="there is no mine"):
         load(path, precision="int8")
 

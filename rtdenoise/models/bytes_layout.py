@@ -17,7 +17,7 @@ from ..ops.feature_bytes import CHANNELS
 from .config import AccumulatedKPNConfig
 from .hybrid_config import HybridConfig, PixelShape
 from .presets import Config
-from .weights import PIXELS, bytes_of, files_of, parts_of, read_config
+from .weights import KERNELS, PIXELS, bytes_of, files_of, parts_of, read_config
 
 UNET = "unet"  # the networks, UNET and PIXELS, are the modules of these names
 INPUT = "input"  # of a network, as a layer
@@ -118,11 +118,11 @@ def made_for(model: Path) -> dict[str, str]:
 
 def read(model: Path, config: Config) -> dict[str, dict[str, Tensor]]:
     """Layer -> its tensors (`shapes`), for the weights in the file `model`: of the file in bytes beside it, or of those
-    of the models whose weights it takes (`weights.parts_of`).
+    of the models whose weights it takes (`weights.parts_of`). These need have none of `PIXELS`.
 
     Raises InputError as `layout`, and where the file is missing, damaged, or was made for other weights.
     """
-    if not bytes_of(model).is_file() and (parts := parts_of(model)):
+    if not bytes_of(model).is_file() and KERNELS in (parts := parts_of(model)):
         found = {part: read(other, read_config(other)) for part, other in parts.items()}
         return {name: layer for part, of_part in found.items() for name, layer in of_part.items()
                 if name.startswith(f"{PIXELS}.") == (part == PIXELS)}  # fmt: skip

@@ -87,9 +87,9 @@ def parts_of(path: Path) -> dict[str, Path]:
 
 
 def has_bytes(path: Path) -> bool:
-    """Whether there are weights in bytes for the weights file, beside it or beside those that it takes weights of."""
-    parts = parts_of(path).values()
-    return bytes_of(path).is_file() or (bool(parts) and all(map(has_bytes, parts)))
+    """Whether there are kernels in bytes for the weights file, beside it or beside the one that it takes them of."""
+    kernels = parts_of(path).get(KERNELS)
+    return bytes_of(path).is_file() or (kernels is not None and has_bytes(kernels))
 
 
 def read_config(model: str | Path) -> Config:
