@@ -20,7 +20,7 @@ from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.metrics import psnr
 from rtdenoise.models import AccumulatedKPNConfig, HybridConfig, create, load, read, save
 from rtdenoise.models.bytes_layout import made_for, shapes
-from rtdenoise.models.in_bytes import PixelNetworkInBytes, ToBytes, UNetInBytes, phases, rounded
+from rtdenoise.models.in_bytes import Convolution, PixelNetworkInBytes, ToBytes, UNetInBytes, phases, rounded
 from rtdenoise.models.pixel_network import PixelNetwork, as_color
 from rtdenoise.models.weights import bytes_of, find
 from rtdenoise.ops.convolve_bytes import convolve_bytes, multiplies_bytes, packed, unpacked
@@ -303,6 +303,19 @@ def test_files_made_for_other_weights_are_named(small, tmp_path, monkeypatch, ca
     monkeypatch.setattr("rtdenoise.models.loading.takes_bytes", lambda *_: True)
     assert not isinstance(load(path).unet, UNetInBytes) and told in caplog.text
     assert isinstance(load(small).unet, UNetInBytes)
+
+
+def test_another_device_has_all_tensors_of_the_same_type(small):
+    """`prepare` changes those of the rest, in type and layout."""
+    network = load(small, precision="int8")
+    layers = [module for module in network.modules() if isinstance(module, Convolution)]
+    for change in ({"dtype": torch.float64}, {"memory_format": torch.channels_last}, {"device": "meta"}):
+        network.to(**change)
+        for layer in layers:
+            assert (layer.weight.dtype, layer.factor.dtype) == (torch.int8, torch.float32)
+            assert layer.weight.is_contiguous()
+    held = [x for module in network.modules() for x in vars(module).values() if isinstance(x, torch.Tensor)]
+    assert layers and not held and all(tensor.is_meta for tensor in (*network.parameters(), *network.buffers()))
 
 
 def test_gpus_have_none():

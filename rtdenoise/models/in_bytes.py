@@ -10,7 +10,7 @@ up for the errors of those before, for what a layer sees in some frames (Frantar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -50,13 +50,14 @@ class UNetInBytes(UNet):
         self.decoder = nn.ModuleList(
             Up(made[f"{UNET}.decoder.{i}.0"], made[f"{UNET}.decoder.{i}.2"]) for i in range(len(network.decoder))
         )
-        self.steps = [stored[f"{UNET}.decoder.{i}.2"]["step"].view(-1, 1, 1) for i in range(len(network.decoder))]
+        for i in range(1, len(network.decoder)):
+            self.register_buffer(f"step{i}", stored[f"{UNET}.decoder.{i}.2"]["step"].view(-1, 1, 1), persistent=False)
 
     def forward(self, x: Tensor, scales: int) -> list[Tensor]:
         """As `UNet.forward`."""
         finest, *coarser = super().forward(x, scales)
-        steps = (step.to(x.dtype) for step in self.steps[1:])
-        return [finest.to(x.dtype), *(y.to(x.dtype) * step for y, step in zip(coarser, steps, strict=False))]
+        numbers = (y.to(x.dtype) * self.get_buffer(f"step{i}").to(x.dtype) for i, y in enumerate(coarser, start=1))
+        return [finest.to(x.dtype), *numbers]
 
 
 class PixelNetworkInBytes(PixelNetwork):
@@ -85,7 +86,7 @@ class ToBytes(nn.Module):
 
     def __init__(self, step: Tensor) -> None:
         super().__init__()
-        self.scale = 1 / step.view(-1, 1, 1)
+        self.register_buffer("scale", 1 / step.view(-1, 1, 1), persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
         # What is below the point is cut off. A whole number and a half is none in bfloat16 from 128 on: rounded to the
@@ -99,8 +100,17 @@ class Convolution(nn.Module):
 
     def __init__(self, weight: Tensor, factor: Tensor, bias: Tensor, numbers: bool = False) -> None:
         super().__init__()
-        self.weight, self.factor, self.bias = weight, factor, bias
+        for name, tensor in {"weight": weight, "factor": factor, "bias": bias}.items():
+            self.register_buffer(name, tensor, persistent=False)
         self.dtype = torch.bfloat16 if numbers else torch.uint8
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Convolution:
+        """Of what `to` does: another device alone. Weights keep their type and layout."""
+        kept = dict(self.named_buffers())
+        super()._apply(fn, recurse)
+        for name, tensor in kept.items():
+            setattr(self, name, tensor.to(getattr(self, name).device))
+        return self
 
     def forward(self, x: Tensor, below: Tensor | None = None) -> Tensor:
         x = x.contiguous(memory_format=torch.channels_last)
