@@ -365,6 +365,17 @@ def test_without_a_compiler_no_cpu_multiplies_bytes(monkeypatch):
     assert not multiplies_bytes()
 
 
+@pytest.mark.parametrize("precision", ["bf16", "int8"])
+def test_networks_without_their_weights_are_not_saved(small, tmp_path, precision):
+    path = tmp_path / "mine.safetensors"
+    with pytest.raises(InputError, match=r"take it from models\.read") as error:
+        save(load(small, precision=precision), path)
+    assert not path.exists() and "\n" not in str(error.value)
+    save(load(small, precision="fp32"), path)
+    for name, tensor in read(small).state_dict().items():
+        assert torch.equal(read(path).state_dict()[name], tensor), name
+
+
 def test_it_has_no_gradients(small):
     model = load(small, precision="int8")
     assert isinstance(model.pixels, PixelNetworkInBytes) and isinstance(model.unet, UNetInBytes)

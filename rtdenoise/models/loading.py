@@ -110,7 +110,11 @@ def _built(file: StoredModel) -> Denoiser | Combiner:
 
 
 def save(denoiser: Denoiser | Combiner, path: str | Path, **metadata: str) -> None:
-    """Write weights and configuration, whole or not at all. Raises InputError where they cannot be written."""
+    """Write weights and configuration, whole or not at all. Raises InputError where they cannot be written, and for a
+    network that `load` made ready in bfloat16 or bytes: its weights are rounded, or gone."""
     tensors = {k: v.detach().cpu().contiguous() for k, v in denoiser.state_dict().items()}
+    if tensors.keys() != denoiser.config.shapes.keys() or any(v.dtype == torch.bfloat16 for v in tensors.values()):
+        raise InputError(f"{path}: expected a network with all of its weights, in float32; take it from models.read, "
+                         "or from models.load with precision='fp32'")  # fmt: skip
     described = {"architecture": denoiser.config.architecture, "config": json.dumps(asdict(denoiser.config))}
     write_atomically(Path(path), in_order(serialise(tensors, metadata=described | metadata)))
