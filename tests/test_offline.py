@@ -264,7 +264,9 @@ def test_what_does_not_go_together_is_refused(shot, tmp_path, model, capsys):
     assert "--confidence: goes with --offline" in refused(capsys, *common, "--confidence")
     assert "goes with --backend torch" in refused(capsys, *common, "--offline", "--backend", "glsl")
     assert "--layout plain" in refused(capsys, *common, "--offline", "--confidence", "--layout", "source")
-    assert "does not average light" in refused(capsys, *common[:4], "--model", "paper", "--offline")
+    for other in ("paper", "hybrid"):
+        told = refused(capsys, *common[:4], "--model", other, "--offline")
+        assert "does not average light" in told and "choose default, many or fast" in told
     main([str(word) for word in common])
     assert "offline False, now True" in refused(capsys, *common, "--offline")
 

@@ -26,6 +26,7 @@ from torch import Tensor
 from ..baselines.oidn import Oidn, installed
 from ..errors import InputError
 from ..frame import Frame, History, reverse
+from ..models.accumulated_kpn import AccumulatedKPN
 from ..ops.even_sky import even_sky
 from ..ops.recall import FOOTPRINT, reset_of
 from ..sanitise import sanitise
@@ -46,12 +47,12 @@ class Passes:
         self, model: str = "default", device: str = "auto", precision: str = "auto", oidn: bool | None = None
     ) -> None:
         """`oidn`: whether that filters; None: where it is installed. Raises InputError for a model that keeps no
-        running mean, and what loading it raises."""
+        running mean or writes pixels, and what loading it raises."""
         self.has_oidn = installed() if oidn is None else oidn
         self.backend = TorchBackend(model, device, precision, footprint=True)
-        if "mean" not in self.backend.config.carries:
-            raise InputError(f"--offline: model {model!r} does not average light over time; choose default, many "
-                             "or fast")  # fmt: skip
+        if type(self.backend.network) is not AccumulatedKPN:  # a hybrid's picture holds an opinion already
+            raise InputError(f"--offline: model {model!r} does not average light over time, or writes pixels of its "
+                             "own; choose default, many or fast")  # fmt: skip
         self._filter = Oidn(clean=True) if self.has_oidn else PixelFilter(self.backend.device)
 
     @property
