@@ -89,6 +89,29 @@ def test_a_picture_that_fails_leaves_no_trace(frames, lookahead):
     assert not denoiser._forms
 
 
+@pytest.mark.parametrize("failing", ["mismatch", "denoise", "arguments"])
+def test_the_frame_after_a_call_that_fails_starts_anew(frames, monkeypatch, failing):
+    """Its motion leads to the frame that failed, not to the one before."""
+
+    def dies(*_):
+        raise InputError("no")
+
+    denoiser = rtdenoise.Denoiser("fast")
+    for frame in frames[:2]:
+        denoiser(frame.radiance, **batches(frame)[1])
+    assert not denoiser.started
+    color, features = batches(frames[2])
+    with monkeypatch.context() as patch, pytest.raises(InputError):
+        if failing == "arguments":
+            features["depth"] = features["depth"][..., 1:]
+        else:
+            patch.setattr(denoiser._backend, failing, dies)
+        denoiser(color, **features)
+    color, features = batches(frames[3])
+    image = denoiser(color, **features)
+    assert denoiser.started and torch.equal(image, rtdenoise.Denoiser("fast")(color, **features))
+
+
 def test_tensors_and_batches_come_back_as_they_are(frames, expected, assert_images_close):
     for image, wanted in zip(play(frames, batches), expected, strict=True):
         assert isinstance(image, torch.Tensor) and not image.is_inference() and image.device.type == "cpu"

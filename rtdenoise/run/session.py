@@ -51,9 +51,9 @@ class Denoiser:
     | motion_next | 2 | (x, y) in pixels, next minus current: where it will be                                    |
 
     Only `color` is required; a warning names the cost of a missing layer once. `rtdenoise.screen_motion` computes
-    motion from positions and cameras. History starts anew after `reset()`, after a cut (`detect_cuts`), where a frame
-    has another size than the one before, and where it has no motion, for all pictures of a batch together. Arguments
-    are copied, results are yours to change.
+    motion from positions and cameras. History starts anew after `reset()`, after a call that raised an error, after a
+    cut (`detect_cuts`), where a frame has another size than the one before, and where it has no motion, for all
+    pictures of a batch together. Arguments are copied, results are yours to change.
     """
 
     def __init__(
@@ -121,13 +121,14 @@ class Denoiser:
 
         Raises InputError, in one line, for arrays of other shapes, integers, and layers of another size than `color`.
         """
+        before, self._history = self._history, None  # should this frame fail, the next one begins a shot
         given = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion, "motion_next": motion_next}
         radiance, form = to_planes("color", color, CHANNELS["radiance"])
         layers = {name: to_planes(name, x, CHANNELS[name])[0] for name, x in given.items() if x is not None}
         for name, planes in layers.items():
             _expect_size(name, tuple(planes.shape), tuple(radiance.shape))
         frame = self._completed(radiance, layers)
-        history = self._kept(frame)
+        history = self._kept(frame, before)
         prepared = self._backend.prepare(frame)
         if self._detect_cuts and history is not None and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             history = None
@@ -137,7 +138,6 @@ class Denoiser:
             return from_planes(image, form)
         if history is None:
             self._delayed.end_shot()
-        self._history = None  # should this frame fail, the next one begins a shot
         image = self._delayed.add(prepared)
         self._history = geometry(prepared)
         self._forms.append(form)
@@ -167,14 +167,14 @@ class Denoiser:
         frame = Frame(radiance, **layers, number=self._count, name=f"frame {self._count}")
         return frame.with_samples(self._samples)
 
-    def _kept(self, frame: Frame) -> Any:
-        """The history that this frame may use; None where it starts anew."""
+    def _kept(self, frame: Frame, before: Any) -> Any:
+        """What this frame may use of the history of the frame before; None where it starts anew."""
         shape = tuple(frame.radiance.shape)
         if self._shape != shape:
             if self._delayed:
                 self._delayed.end_shot()  # by the plan of its size
             self._backend.plan(frame.size, 2, [], {})
-        if self._history is None:
+        if before is None:
             return None
         if self._shape != shape:
             self._say(
@@ -185,7 +185,7 @@ class Denoiser:
             self._say("motion", f"no motion: {COSTS['motion']}; rtdenoise.screen_motion computes it, "
                       "zeros say that nothing moves")  # fmt: skip
             return None
-        return self._history
+        return before
 
     def _say(self, about: str, message: str) -> None:
         """Warn once about one thing."""
