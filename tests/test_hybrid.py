@@ -217,15 +217,20 @@ def test_written_pixels_stay_within_the_light_around_them(model, monkeypatch):
     assert (most[..., 16:, 48:] == 9).all() and most[..., :16, :].max() < 1 and most[..., :48].max() < 1
 
 
-def test_training_leaves_the_kernels_alone():
+@pytest.mark.parametrize("config", [SMALL, CLEAN], ids=["small", "clean"])
+def test_training_leaves_the_kernels_and_the_filters_of_surfaces_alone(config, monkeypatch):
     torch.manual_seed(0)
-    model, history = create(SMALL), None
+    model, history = create(config), None
+    real, needs = PixelNetwork.clean, []
+    monkeypatch.setattr(PixelNetwork, "clean", lambda *a: needs.append(found := real(*a)) or found)
     for frame in make_frames(2):
         image, history = model.step(frame, history)
     image.square().mean().backward()
     trained = {name for name, weight in model.named_parameters() if weight.grad is not None}
-    assert trained == {name for name, _ in model.named_parameters() if name.startswith("pixels.")}
-    assert all(weight.grad.isfinite().all() for weight in model.pixels.parameters())
+    learns = {name for name, _ in model.named_parameters() if name.startswith("pixels.") and "surfaces" not in name}
+    assert trained == learns and len(needs) == (2 if config.clean else 0)
+    assert not any(x.requires_grad for pair in needs for x in pair)
+    assert all(weight.grad is None or weight.grad.isfinite().all() for weight in model.parameters())
 
 
 @pytest.mark.parametrize(("model", "network"), NETWORKS.items())

@@ -37,7 +37,8 @@ class Hybrid(AccumulatedKPN):
     def step(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
-        """As `Denoiser.step`. Training leaves the kernels as they are: no gradient reaches them."""
+        """As `Denoiser.step`. Training leaves the kernels, and what filters albedo and normal, as they are: no gradient
+        reaches them."""
         frame = admit(frame, history and history.radiance, known)
         if known.exposure is None:
             exposure, distance = self.statistics(frame)

@@ -49,7 +49,8 @@ class PixelUNet(nn.Module):
 
 
 class PixelNetwork(PixelUNet):
-    """From a picture's light and surfaces to its light without noise."""
+    """From a picture's light and surfaces to its light without noise. The networks that filter albedo and normal before
+    it get no gradient: training leaves them as they are."""
 
     def __init__(self, config: HybridConfig) -> None:
         super().__init__(config.pixels)
@@ -66,8 +67,9 @@ class PixelNetwork(PixelUNet):
         """As `forward`, of albedo and normal as its network of light expects them: clean, if others clean them."""
         return F.relu(self.filter(self.input(radiance, albedo, normal, scale))) / PIXELS_UNIT
 
+    @torch.no_grad()
     def clean(self, albedo: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
-        """Both without noise, each filtered by itself."""
+        """Both without noise, each filtered by itself; no gradients."""
         colours, directions = self.surfaces["albedo"], self.surfaces["normal"]
         albedo = srgb_encode(albedo.clamp(0, 1))
         albedo = srgb_decode(colours.filter(as_weights(albedo, colours)).clamp(0, 1))
