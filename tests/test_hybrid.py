@@ -335,6 +335,12 @@ def test_what_it_cannot_do_is_refused():
         replace(SMALL, up=(8, 8, 8))
     with pytest.raises(ValueError, match="down: expected 2 to 5 widths from 1 to 1024"):
         replace(SMALL, down=(8, 0, 4))
+    for name in ("widths", "down", "up", "out"):
+        for wrong in (8.0, True, "8"):
+            with pytest.raises(ValueError, match=f"{name}: expected whole numbers, got "):
+                replace(SMALL, **{name: (wrong, *getattr(SMALL, name)[1:])})
+    with pytest.raises(InputError, match="not an override of model 'hybrid': down: expected whole numbers"):
+        load("hybrid", down=(32.0, 48, 64, 80, 96))
     with pytest.raises(InputError, match="--lights: goes with --model default, many or fast"):
         LightBackend(TorchBackend("hybrid", "cpu", "fp32", recent=0), None, each=True)
 

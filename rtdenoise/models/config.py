@@ -48,17 +48,16 @@ class NetworkConfig:
     def check_widths(self, name: str) -> None:
         """The part of `check` that concerns one list of channels."""
         widths = getattr(self, name)
+        if any(type(width) is not int for width in widths):
+            raise ValueError(f"{name}: expected whole numbers, got {widths}")
         if not 2 <= len(widths) <= self.max_levels or not all(1 <= width <= MAX_WIDTH for width in widths):
             raise ValueError(f"{name}: expected 2 to {self.max_levels} widths from 1 to {MAX_WIDTH}, got {widths}")
 
     def check_kernels(self, *kernels: str) -> None:
         """The part of `check` that serves networks of any form."""
-        integers = [*self.widths, *(getattr(self, name) for name in kernels)]
-        if any(not isinstance(value, int) or isinstance(value, bool) for value in integers):
-            raise ValueError(f"expected whole numbers for widths and kernels, got {integers}")
         for name in kernels:
             size = getattr(self, name)
-            if size % 2 == 0 or not 1 <= size <= MAX_KERNEL:
+            if type(size) is not int or size % 2 == 0 or not 1 <= size <= MAX_KERNEL:
                 raise ValueError(f"{name}: expected an odd size up to {MAX_KERNEL}, got {size}")
         if getattr(self, "motion", "dual") not in ("dual", "traditional"):
             raise ValueError(f"expected motion 'dual' or 'traditional', got {self.motion!r}")
