@@ -291,11 +291,24 @@ def test_whole_weights_have_their_unit(tmp_path):
     whole, unit = tensors[name], tensors[f"{name}.unit"]
     assert whole.dtype == np.int8 and np.abs(whole).max() == 127
     np.testing.assert_array_equal(read("hybrid-large").state_dict()[name], whole * unit.reshape(-1, 1, 1, 1))
-    for changed, told in (({}, "unit"), ({f"{name}.unit": unit[:3]}, "unit"), ({f"{name}.unit": unit * np.nan}, name)):
+    for changed, told in (
+        ({}, "unit"), ({f"{name}.unit": unit[:3]}, "unit"), ({f"{name}.unit": unit[:1]}, "unit"),
+        ({f"{name}.unit": unit, "other.unit": unit}, "other.unit"), ({f"{name}.unit": unit * np.nan}, name),
+    ):  # fmt: skip
         there = {key: x for key, x in tensors.items() if key != f"{name}.unit"} | changed
         path.write_bytes(serialise(there, metadata=metadata))
         with pytest.raises(InputError, match=told):
             read(path)
+
+
+def test_weights_are_not_there_twice(tmp_path):
+    """Not both in the file and in a model that it takes them of."""
+    with safe_open(find("hybrid"), framework="numpy") as file:
+        metadata, tensors = file.metadata(), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    own = read("default").state_dict()["stem.bias"].numpy()
+    (tmp_path / "w.safetensors").write_bytes(serialise(tensors | {"stem.bias": own}, metadata=metadata))
+    with pytest.raises(InputError, match=r"holds stem\.bias, which it takes of the model default"):
+        read(tmp_path / "w.safetensors")
 
 
 def test_weights_of_unknown_models_are_refused(tmp_path):

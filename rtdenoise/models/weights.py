@@ -103,16 +103,19 @@ def read_model(model: str | Path, **overrides: object) -> StoredModel:
     """Read a model that ships, or the weights file at a path. `overrides` replace fields of its configuration.
 
     Raises InputError where there is no such file, its configuration is none of this version, an override is no field,
-    or the tensors are not finite or do not fit the configuration.
+    or the tensors are not finite, do not fit the configuration, or are there twice.
     """
     path = find(model)
     with _opened(path) as file:
         config = _overridden(_config(path, file.metadata() or {}), str(model), overrides)
         parts = _parts(path, file.metadata() or {})
-    sources = [(path, _shapes(path))]
+    own = _shapes(path)
+    sources = [(path, own)]
     for part, other in parts.items():
-        taken = _shapes(other).items()
-        sources.append((other, {k: v for k, v in taken if k.startswith(f"{PIXELS}.") == (part == PIXELS)}))
+        taken = {k: v for k, v in _shapes(other).items() if k.startswith(f"{PIXELS}.") == (part == PIXELS)}
+        if twice := sorted(own.keys() & taken.keys()):
+            raise InputError(f"{path}: holds {twice[0]}, which it takes of the model {other.stem}; leave either out")
+        sources.append((other, taken))
     _expect(path, {key: shape for _, shapes in sources for key, shape in shapes.items()}, config, overrides)
     tensors = {key: tensor for source, keys in sources for key, tensor in _tensors(source, keys).items()}
     for name, tensor in tensors.items():
@@ -133,9 +136,14 @@ def _opened(path: Path) -> Iterator[safe_open]:
 
 
 def _shapes(path: Path) -> dict[str, tuple]:
+    """Name -> shape of each tensor but units. Raises InputError for a unit of no tensor, or of another length."""
     with _opened(path) as file:
-        keys = [key for key in file.keys() if not key.endswith(UNIT)]  # noqa: SIM118 (not a dict)
-        return {key: tuple(file.get_slice(key).get_shape()) for key in keys}
+        shapes = {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118 (not a dict)
+    for key in [key for key in shapes if key.endswith(UNIT)]:
+        found, owner = shapes.pop(key), shapes.get(key.removesuffix(UNIT), "missing")
+        if found != owner[:1]:
+            raise InputError(f"{path}: {key} is {found}, expected one for each output; its tensor is {owner}")
+    return shapes
 
 
 def _tensors(path: Path, keys: Collection[str]) -> dict[str, np.ndarray]:
@@ -147,11 +155,7 @@ def _numbers(file: safe_open, key: str) -> np.ndarray:
     tensor = file.get_tensor(key)
     if tensor.dtype != np.int8:
         return tensor.astype(np.float32)
-    unit = file.get_tensor(key + UNIT).astype(np.float32)
-    try:
-        return tensor * unit.reshape(-1, *(tensor.ndim - 1) * [1])
-    except ValueError as error:
-        raise SafetensorError(f"{key + UNIT}: {error}") from None
+    return tensor * file.get_tensor(key + UNIT).astype(np.float32).reshape(-1, *(tensor.ndim - 1) * [1])
 
 
 def _parts(path: Path, metadata: Mapping[str, str]) -> dict[str, Path]:
