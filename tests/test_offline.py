@@ -1,6 +1,7 @@
 """`rtdenoise denoise --offline`: both passes, interrupted in each, cuts, gaps, what is told and refused."""
 
 import gc
+import shutil
 import weakref
 from dataclasses import replace
 
@@ -19,7 +20,8 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, outputs
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import Frame
-from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, save
+from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, read, save
+from rtdenoise.models.weights import find
 from rtdenoise.run.combination import WEIGHTS, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.offline import BYTES_PER_PIXEL, ESTIMATES
@@ -247,6 +249,19 @@ def test_frames_with_and_without_oidn_are_not_mixed(shot, tmp_path, options, mon
     with pytest.raises(Stop):
         denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(6))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyoidn" else True)
+    with pytest.raises(rtdenoise.InputError, match="another input, layout or weights"):
+        denoise(str(shot), tmp_path / "out", options)
+
+
+def test_frames_of_other_weights_of_the_filter_are_not_mixed(shot, tmp_path, options, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyoidn" else True)
+    path = shutil.copy(find("hybrid-large"), tmp_path / "mine.safetensors")
+    monkeypatch.setattr("rtdenoise.run.pixel_filter.MODEL", path)
+    with pytest.raises(Stop):
+        denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(6))
+    network = read(path)
+    network.pixels.last.bias += 0.1
+    save(network, path)
     with pytest.raises(rtdenoise.InputError, match="another input, layout or weights"):
         denoise(str(shot), tmp_path / "out", options)
 

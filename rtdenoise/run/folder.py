@@ -54,9 +54,9 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     if options.model != SHRINKAGE:
         files = files_of(find(options.model))
-        parts["weights"] = _digest_of(files)
+        parts["weights"] = digest_of(files)
         if options.precision in ("auto", "int8") and (in_bytes := [f for f in map(bytes_of, files) if f.is_file()]):
-            parts["bytes"] = _digest_of(in_bytes)
+            parts["bytes"] = digest_of(in_bytes)
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
     cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
@@ -70,7 +70,7 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     return found
 
 
-def _digest_of(files: list[Path]) -> str:
+def digest_of(files: list[Path]) -> str:
     """SHA-256 of their contents, one after the other."""
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 

@@ -25,9 +25,10 @@ from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH, Frame
+from ..models.weights import files_of, find
 from ..sanitise import faults
 from .choice import open_chosen
-from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
+from .folder import Written, are_finished, digest, digest_of, prepare, refuse_foreign, refuse_other, write_summary
 from .options import EXAMINED, SUMMARY, Options, Summary
 from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
@@ -85,7 +86,10 @@ class _Run:
     on_frame: Callable[[int, int], None]
 
     def run(self, overwrite: bool) -> Summary:
-        opinions = "with OIDN" if self.passes.has_oidn else "without OIDN"  # frames of both must not be mixed
+        from .pixel_filter import MODEL
+
+        has_oidn = self.passes.has_oidn  # frames of both must not be mixed
+        opinions = "with OIDN" if has_oidn else f"without OIDN, by {digest_of(files_of(find(MODEL)))}"
         # likewise estimates of another version
         self.fingerprint = f"{digest(self.sequence, self.options)[-1]} {opinions}, {BYTES_PER_PIXEL} bytes"
         self.names = output_names(self.sequence, self.options.layout, self.options.recombine)[::-1]  # as they appear
