@@ -62,8 +62,7 @@ class Passes:
 
     def step(self, frame: Frame, history: History | None) -> tuple[Estimate, Any]:
         """One step of a pass over prepared frames."""
-        image, after = self.backend.step(frame, history)
-        image = torch.from_numpy(image).to(frame.radiance.device)
+        image, after = self.backend.denoise(frame, history)
         footprint, surface_count = as_covered(frame, history, after)
         seen = footprint, after.footprint_count, surface_count, 1 - reset_of(after.recent[0])
         return Estimate(image, after.mean, after.length, history is None, *seen), after
@@ -97,7 +96,7 @@ class Passes:
         for estimate in (forward, backward):
             if estimate.first:
                 return estimate.image
-        return torch.from_numpy(self.backend.step(frame, None)[0]).to(frame.radiance.device)
+        return self.backend.denoise(frame, None)[0]
 
 
 class InMemory:
