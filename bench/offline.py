@@ -30,10 +30,11 @@ import tyro
 from rtdenoise.color import display, display_exposure
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.evaluate.run import EvaluateOptions, run
-from rtdenoise.frame import Frame
+from rtdenoise.frame import Frame, reverse
 from rtdenoise.run import combination
-from rtdenoise.run.passes import Passes, completed, reverse
+from rtdenoise.run.passes import Passes
 from rtdenoise.sanitise import sanitise
+from rtdenoise.splat import completed
 
 RESULT, PAGES = RESULTS / "offline.json", (DOCS / "results" / "offline.md",)
 OUT, PICTURES = ROOT / "out" / "offline", DOCS / "images" / "offline"

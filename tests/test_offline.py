@@ -19,15 +19,16 @@ from rtdenoise.data.stored import read_history, write_history
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, outputs
 from rtdenoise.evaluate.registry import choose
-from rtdenoise.frame import Frame
+from rtdenoise.frame import Frame, reverse
 from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, read, save
 from rtdenoise.models.weights import find
 from rtdenoise.run.combination import WEIGHTS, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.offline import BYTES_PER_PIXEL, ESTIMATES
-from rtdenoise.run.passes import InMemory, Passes, completed, reverse
+from rtdenoise.run.passes import InMemory, Passes
 from rtdenoise.run.sides import Estimate, corrected, seen_on_both_sides
 from rtdenoise.run.stored_estimate import read_estimate, write_estimate
+from rtdenoise.splat import completed
 
 TINY = AccumulatedKPNConfig(widths=(4, 4, 4), scales=2, kernel=3, recent=2)
 NAMES = [f"frame.{i:04d}.exr" for i in range(4)]

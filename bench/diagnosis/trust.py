@@ -26,12 +26,13 @@ from rtdenoise.baselines import Oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.evaluate.inputs import Source
 from rtdenoise.evaluate.sequence import uncovered
-from rtdenoise.frame import Frame
+from rtdenoise.frame import Frame, reverse
 from rtdenoise.metrics.image import decibels, mse_corrected
 from rtdenoise.run import combination
-from rtdenoise.run.passes import Passes, completed, reverse
+from rtdenoise.run.passes import Passes
 from rtdenoise.run.sides import corrected
 from rtdenoise.sanitise import sanitise
+from rtdenoise.splat import completed
 
 RESULT, PAGES = RESULTS / "trust.json", (DOCS / "notes" / "trust.md",)
 FRAMES, EVERY = 16, 3  # of a sequence; they take long

@@ -24,7 +24,7 @@ from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from ..frame import MAX_CUT_MISMATCH, Frame
+from ..frame import MAX_CUT_MISMATCH, Frame, reverse
 from ..models.weights import files_of, find
 from ..sanitise import faults
 from .choice import open_chosen
@@ -149,8 +149,6 @@ class _Run:
 
     def _backward(self, i: int, history: Any) -> Any:
         """Estimate frame i from the frames after, combine, and write the frame."""
-        from .passes import reverse
-
         if history is not None and not self._linked(i + 1):
             history = None
         raw, frame = self.sequence.read(i), self._completed(i)
@@ -168,8 +166,6 @@ class _Run:
 
     def _recent(self, done: int) -> list[Frame]:
         """The last frames of the shot that the pass at work has finished, as it saw them, the newest first."""
-        from .passes import reverse
-
         count, most = len(self.sequence), self.passes.backend.config.recent + 1
         if done < count:
             return [self._prepared(i) for i in last_of_shot(self.sequence, done, self.summary.cuts, most)]
@@ -183,7 +179,7 @@ class _Run:
 
     def _completed(self, i: int) -> Frame:
         """Frame i, prepared; where the files lack `motion_next`, with that of the next frame of the shot."""
-        from .passes import completed
+        from ..splat import completed
 
         frame = self._prepared(i)
         if frame.motion_next is not None or i + 1 == len(self.sequence) or not self._linked(i + 1):
