@@ -20,12 +20,13 @@ from rtdenoise.constants import MIX_SHARES_OF_MANY
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
-from rtdenoise.models import HybridConfig, create, grow, hybrid, load, mixing, read, save
+from rtdenoise.models import HybridConfig, create, grow, hybrid, load, read, save
 from rtdenoise.models.past import reprojected, seen
 from rtdenoise.models.pixel_network import PixelNetwork
 from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes
 from rtdenoise.ops.around import expand_within
+from rtdenoise.ops.mix import mix
 from rtdenoise.ops.recall import reset_of
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options
@@ -50,10 +51,10 @@ def model():
 def shares(monkeypatch, kernels, before=0.0):
     """Set the shares of the kernels' image and of the previous picture, whatever the noisy frame tells."""
 
-    def mix(*arguments, noisy, **_):
-        return mixing.mix(*arguments, shares=(kernels, before, kernels))
+    def shared(first, other, scale, trust, _, past, held, *__):
+        return mix(first, other, scale, trust, (kernels, before, kernels), past, held)
 
-    monkeypatch.setattr(hybrid, "mix", mix)
+    monkeypatch.setattr(hybrid, "mix", shared)
 
 
 def trusting(model, reset=-100.0):
@@ -333,12 +334,12 @@ def test_for_many_samples_light_is_filtered_as_it_is(model, monkeypatch):
     for name in ("seen", "evened"):
         monkeypatch.setattr(hybrid, name, lambda *_, name=name: pytest.fail(name))
     told = []
-    monkeypatch.setattr(hybrid, "mix", lambda *a, **b: told.append((a[4], b["shares"])) or mixing.mix(*a, **b))
+    monkeypatch.setattr(hybrid, "mix", lambda *a: told.append(a[4:6]) or mix(*a))
     many = create(replace(SMALL, many=True)).eval()
     many.load_state_dict(model.state_dict())
     with torch.no_grad():
         play(many, make_frames(3))
-    assert told == 3 * [(None, MIX_SHARES_OF_MANY)]
+    assert told == 3 * [(MIX_SHARES_OF_MANY, None)]
 
 
 def test_what_it_cannot_do_is_refused():

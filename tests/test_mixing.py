@@ -1,16 +1,18 @@
-"""How the pictures of a kernel network and of one that writes pixels become one (`models.mixing`, `ops.mix`)."""
+"""How the pictures of a kernel network and of one that writes pixels become one (`ops.mix`)."""
 
 import torch
 
 from rtdenoise.constants import MIX_SHARES
-from rtdenoise.models import mixing
+from rtdenoise.ops.evened import held_and_tells
+from rtdenoise.ops.mix import mix as mixture
 from rtdenoise.ops.mix import share_told
 
 
 def mix(image, picture, scale, trust=1.0, before=None, held=1.0, shares=MIX_SHARES, noisy=None):
-    """`mixing.mix` with one number, or a picture of them, for trust and held."""
+    """`ops.mix` with one number, or a picture of them, for trust and held."""
     trust, held = (torch.as_tensor(x).expand_as(image[:, :1]) for x in (trust, held))
-    return mixing.mix(image, picture, scale, trust, before, held, shares, noisy)
+    held, tells = held_and_tells(held, image.dtype)
+    return mixture(image, picture, scale, trust, shares, before, held, noisy, None if noisy is None else tells)
 
 
 def test_it_is_between_all_pictures():

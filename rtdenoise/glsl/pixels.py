@@ -1,5 +1,5 @@
 """The networks of `hybrid` that write pixels or filter albedo and normal before, and the passes from footprints to one
-picture: `models.pixel_network`, `models.hybrid` and `models.mixing`."""
+picture: `models.pixel_network`, `models.hybrid` and `ops.mix`."""
 
 from __future__ import annotations
 

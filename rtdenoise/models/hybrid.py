@@ -1,7 +1,7 @@
 """Kernel prediction, and a network that writes pixels, mixed: the best picture in real time.
 
 A kernel mixes the light that is there; a network that writes pixels also knows pictures, and errs elsewhere. So what
-recent frames have seen in each pixel goes through a U-Net that writes pixels, and `mixing` makes one picture of these,
+recent frames have seen in each pixel goes through a U-Net that writes pixels, and `ops.mix` makes one picture of these,
 the kernels' image and the previous picture. The kernels take it as their own history.
 """
 
@@ -17,12 +17,12 @@ from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.around import expand_within
 from ..ops.even_sky import even_sky
-from ..ops.evened import evened
+from ..ops.evened import evened, held_and_tells
+from ..ops.mix import mix
 from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
-from .mixing import mix
 from .past import followed, seen
 from .pixel_network import PixelNetwork
 
@@ -58,10 +58,11 @@ class Hybrid(AccumulatedKPN):
             if not self.config.many:
                 radiance = evened(radiance, after.footprint_count, image, trust)
             scale = PIXELS_CONTRAST * known.exposure
+            held, tells = held_and_tells(held, image.dtype)
         pixels = expand_within(self.pixels(radiance, *guides, scale), scale, radiance, image)
 
         before, shares = None if self.config.many else past.output, self.config.shares
-        shown = mix(image, pixels, known.exposure, trust, before, held, shares=shares, noisy=frame.radiance)
+        shown = mix(image, pixels, known.exposure, trust, shares, before, held, frame.radiance, tells)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())
         return shown, after if known.part else followed(frame, history, after, self.config.recent + 1)

@@ -8,6 +8,9 @@ With f(x) = log(1 + x), exposure s, the previous picture where each pixel was (`
 with the shares a and b, and h = 1 where there is such a previous picture, else 0 (`held`). Where the noisy frame is
 known, a is what it tells (`share_told`): the more samples a pixel, the more that is. Where it tells of other pixels, a
 is that, but not more than usual and not less than the last share.
+
+In `hybrid` the first is the kernels' picture, which lags behind where light has changed: there the written one shows
+alone. The kernels average the mixture as their own history (docs/notes/trust.md).
 """
 
 from __future__ import annotations
