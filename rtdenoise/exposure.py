@@ -12,7 +12,7 @@ from .ops.ranks import exposure_of, kth_greatest, median
 from .ops.window_noise import window_noise
 
 
-def exposure(radiance: Tensor, block: int = BRIGHTNESS_BLOCK) -> Tensor:
+def exposure(radiance: Tensor) -> Tensor:
     """One over the brightness of a frame, `[B, 3, H, W] -> [B, 1, 1, 1]`, by a statistic that single pixels cannot
     move.
 
@@ -20,7 +20,7 @@ def exposure(radiance: Tensor, block: int = BRIGHTNESS_BLOCK) -> Tensor:
     indirect light are black and a percentile of pixels says little; the cut, because a firefly then moves one block
     only. Frames darker than `MIN_BRIGHTNESS` count as black and get its exposure.
     """
-    means, _ = block_luminance(radiance, block)
+    means, _ = block_luminance(radiance, BRIGHTNESS_BLOCK)
     return exposure_of(means)
 
 
@@ -35,19 +35,20 @@ def noise_level(radiance: Tensor, depth: Tensor) -> Tensor:
     return median(window_noise(radiance, depth))
 
 
-def limit_fireflies(radiance: Tensor, limit: float = FIREFLY_LIMIT, block: int = BRIGHTNESS_BLOCK) -> Tensor:
+def limit_fireflies(radiance: Tensor) -> Tensor:
     """Dim single pixels that are far brighter than their neighbours and the rest of the frame, `[B, 3, H, W]`; the hue
     stays.
 
         bound = limit · max(brightest of the 8 neighbours, k-th brightest block maximum),    k = 2 + ⌊blocks / 50⌋
 
-    in luminance. Several adjacent bright pixels are a light: kept. Bright pixels all over the frame are the noise of a
-    heavy-tailed estimator and carry the picture's energy: kept, dimming them would darken it. With fewer than `k`
-    blocks that are not black the usual brightness is unknown: kept. Scales with the radiance.
+    in luminance, with the limit `FIREFLY_LIMIT`. Several adjacent bright pixels are a light: kept. Bright pixels all
+    over the frame are the noise of a heavy-tailed estimator and carry the picture's energy: kept, dimming them would
+    darken it. With fewer than `k` blocks that are not black the usual brightness is unknown: kept. Scales with the
+    radiance.
     """
-    _, maxima = block_luminance(radiance, block)
+    _, maxima = block_luminance(radiance, BRIGHTNESS_BLOCK)
     count = min(2 + maxima.shape[1] // 50, maxima.shape[1])
     usual = kth_greatest(maxima, count)
-    if radiance.device.type == "cpu" and bool((maxima <= limit * usual).all()):
+    if radiance.device.type == "cpu" and bool((maxima <= FIREFLY_LIMIT * usual).all()):
         return radiance  # no pixel is that bright; on a GPU, looking would mean waiting
-    return dim(radiance, usual, limit)
+    return dim(radiance, usual, FIREFLY_LIMIT)

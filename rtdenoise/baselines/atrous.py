@@ -89,11 +89,10 @@ def atrous(
 def spatial_variance(
     moments: Tensor,  # [B, 2, H, W] of luminance: mean, mean square
     surface: Surface,
-    radius: int = 3,
 ) -> Tensor:  # [B, 1, H, W]
     """Variance of one sample from a 7×7 neighbourhood on the same surface (SVGF, where history is too short)."""
     total, mean = torch.zeros_like(surface.depth), torch.zeros_like(moments)
-    for (_, _, w), (_, _, q) in zip(surface.weights(radius, 1), taps(moments, radius, 1), strict=True):
+    for (_, _, w), (_, _, q) in zip(surface.weights(3, 1), taps(moments, 3, 1), strict=True):
         total += w
         mean += w * q
     first, second = (mean / total).split(1, dim=1)

@@ -30,10 +30,10 @@ def strips(picture: Tensor, halo: int = 1) -> Iterator[tuple[slice, slice, slice
         yield slice(first, min(bottom + halo, H)), slice(top, bottom), slice(top - first, bottom - first)
 
 
-def in_strips(function: Callable[[Tensor], Tensor], picture: Tensor, halo: int = 1) -> Tensor:
-    """`function(picture)`, strip by strip: a function of a picture that reads `halo` rows beyond each row."""
+def in_strips(function: Callable[[Tensor], Tensor], picture: Tensor) -> Tensor:
+    """`function(picture)`, strip by strip: a function of a picture that reads one row beyond each."""
     out = None
-    for window, core, inner in strips(picture, halo):
+    for window, core, inner in strips(picture):
         if core == slice(0, picture.shape[2]):
             return function(picture)
         part = function(picture[:, :, window])[:, :, inner]

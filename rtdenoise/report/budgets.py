@@ -68,14 +68,12 @@ class Curve:
         return np.array(self.spp) * sample + np.array(self.ms)
 
 
-def curve(
-    rows: Sequence[dict], name: str, metric: str, methods: dict[str, dict], region: str = "frame"
-) -> Curve | None:
+def curve(rows: Sequence[dict], name: str, metric: str, methods: dict[str, dict]) -> Curve | None:
     """The method with this `label` in the rows of one sequence on one device; None if it has no such errors."""
     found = sorted(
         (row["spp"], c, denoising_ms(row, methods))
         for row in rows
-        if label(row) == name and (c := cost(metric, row["errors"][region].get(metric))) is not None
+        if label(row) == name and (c := cost(metric, row["errors"]["frame"].get(metric))) is not None
     )
     return Curve(*zip(*found, strict=True)) if found else None
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .motion_statistics import MotionStatistics
 
 HAS_TORCH = find_spec("torch") is not None
+PAIRS = 6  # of consecutive frames whose pixels are examined
 
 
 @dataclass(frozen=True)
@@ -71,14 +72,13 @@ def inspect(
     signal: str = "color",
     preset: str = "auto",
     allow_gaps: bool = False,
-    pairs: int = 6,  # pairs of consecutive frames whose pixels are examined, evenly spread
 ) -> Inspection:
     """Examine a sequence. All headers are read, and the pixels of a few frames.
 
     Raises `InputError` as `open_sequence` does.
     """
     sequence = open_sequence(source, signal=signal, preset=preset, layers=("reference",), allow_gaps=allow_gaps)
-    chosen = _choose_pairs(sequence.numbers, pairs)
+    chosen = _choose_pairs(sequence.numbers)
     frames = {i: sequence.read(i) for i in sorted({i for pair in chosen for i in pair} or {0})}
     moving = [(frames[a], frames[b]) for a, b in chosen if frames[b].motion is not None]
     counts: dict[str, int] = {}
@@ -126,12 +126,12 @@ def _examine(pairs: list[tuple[Frame, Frame]]) -> tuple[MotionStatistics, Verdic
     return motion_statistics(tensors), check_motion(tensors)
 
 
-def _choose_pairs(numbers: tuple[int, ...], count: int) -> list[tuple[int, int]]:
-    """Indices of consecutive frames, evenly spread over the sequence."""
+def _choose_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Indices of `PAIRS` pairs of consecutive frames at most, evenly spread over the sequence."""
     consecutive = [(i - 1, i) for i in range(1, len(numbers)) if numbers[i] == numbers[i - 1] + 1]
-    if len(consecutive) <= count:
+    if len(consecutive) <= PAIRS:
         return consecutive
-    return [consecutive[round(k * (len(consecutive) - 1) / max(count - 1, 1))] for k in range(count)]
+    return [consecutive[round(k * (len(consecutive) - 1) / (PAIRS - 1))] for k in range(PAIRS)]
 
 
 def _layers(sequence: Sequence) -> tuple[FoundLayer, ...]:

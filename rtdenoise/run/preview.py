@@ -22,12 +22,11 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 FRAMES_PER_SECOND = 12
+MOST_FRAMES = 120
 WIDEST = 1920  # pixels of an animation, which bounds its memory too
 
 
-def preview(
-    sequence: Sequence, out: Path, layout: str = "plain", recombine: bool = False, most_frames: int = 120
-) -> list[Path]:
+def preview(sequence: Sequence, out: Path, layout: str = "plain", recombine: bool = False) -> list[Path]:
     """Show the first frames of `sequence` beside their denoised files in `out`: `preview.png` (the last of
     these frames) and `preview.mp4`, or `preview.gif` where there is no ffmpeg, `WIDEST` pixels wide at most. Returns
     the files.
@@ -36,7 +35,7 @@ def preview(
     With `recombine` every panel shows the beauty: its signal with the same noisy rest of the light.
     """
     scale, strips = None, []
-    for i in reversed(range(min(len(sequence), most_frames))):
+    for i in reversed(range(min(len(sequence), MOST_FRAMES))):
         frame, image = sequence.read(i), read_result(out, sequence, i, layout, recombine)
         frame = replace(frame, radiance=valid("radiance", frame.radiance))
         shown = {"noisy": frame.radiance} | ({} if frame.reference is None else {"reference": frame.reference})

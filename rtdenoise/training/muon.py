@@ -13,6 +13,7 @@ from torch.nn import Parameter
 # al.); closer to 1 gains nothing.
 A, B, C = 3.4445, -4.7750, 2.0315
 ITERATIONS = 5
+MOMENTUM = 0.95  # μ
 # Norm of the momentum below which steps fade out. Otherwise a dead layer (its ReLUs are zero everywhere) would take
 # steps of full length from the remains of its momentum.
 MIN_MOMENTUM = 1e-7
@@ -28,8 +29,8 @@ class Muon(torch.optim.Optimizer):
     more; use Adam for the others.
     """
 
-    def __init__(self, parameters: Iterable[Parameter], lr: float, momentum: float = 0.95) -> None:
-        super().__init__(parameters, {"lr": lr, "momentum": momentum})
+    def __init__(self, parameters: Iterable[Parameter], lr: float) -> None:
+        super().__init__(parameters, {"lr": lr})
 
     @torch.no_grad()
     def step(self) -> None:
@@ -41,8 +42,8 @@ class Muon(torch.optim.Optimizer):
                 state = self.state[p]
                 if not state:
                     state["momentum"] = torch.zeros_like(p)
-                state["momentum"].mul_(group["momentum"]).add_(p.grad)
-                update = orthogonal(p.grad.add(state["momentum"], alpha=group["momentum"]).flatten(1))
+                state["momentum"].mul_(MOMENTUM).add_(p.grad)
+                update = orthogonal(p.grad.add(state["momentum"], alpha=MOMENTUM).flatten(1))
                 p.sub_(update.view(p.shape), alpha=group["lr"] * math.sqrt(max(update.shape)))
 
 
