@@ -1,7 +1,7 @@
 #version 430
 // The input of the network that writes pixels: footprints, 9 channels, with light compressed in OIDN's unit, albedo and normal
 // in [0, 1]. Where one frame has seen a pixel, and more have seen those around it, some of the kernels' picture stands in for
-// light (EVEN, models.mixing.evened).
+// light (EVEN, ops.evened).
 // One invocation per pixel of the padded result, which is zero beyond the image.
 #pragma constants EVEN MIX_SEEN_ONCE PIXELS_CONTRAST PIXELS_UNIT
 #pragma parameters ivec2 image_size

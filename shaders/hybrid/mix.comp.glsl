@@ -1,5 +1,5 @@
 #version 430
-// The kernels' picture, the written one and the previous one as one picture (ops.mix, models.mixing).
+// The kernels' picture, the written one and the previous one as one picture (ops.mix).
 #pragma constants USUAL BEFORE LEAST MIX_CELL MIX_NOISE
 #include "around.glsl"
 #include "curve.glsl"
