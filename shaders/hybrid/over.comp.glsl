@@ -64,7 +64,12 @@ void main() {
             vec3 rgb = there.light * divisor(vec4(albedo, there.surface.w));
             total += weight * mat3(rgb, albedo, there.surface.xyz);
             onward = there.motion;
-        } else total += weight * back;
+        } else {
+            total += weight * back;
+            // Behind it the front goes on as it did, but no path leads beyond a frame without motion: an export has empty
+            // frames there, or another shot's.
+            if (there.motion.x > 0.5 * FAR_AWAY) onward = there.motion;
+        }
         come = vec4(motion + onward, come.z * (1.0 - there.reset), come.w + weight);
     } else come.xy = vec2(FAR_AWAY);
 
