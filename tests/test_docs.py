@@ -3,11 +3,16 @@
 import importlib
 import json
 import re
+import shlex
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from rtdenoise.cli.commands import parse
+from rtdenoise.errors import InputError
+from rtdenoise.run.denoise import denoise
 
 ROOT = Path(__file__).parent.parent
 BENCH, DOCS, NOTES = ROOT / "bench", ROOT / "docs", ROOT / "docs" / "notes"
@@ -105,6 +110,27 @@ def test_links_and_commands_of_the_documents_lead_somewhere():
             assert not anchor or anchor in anchors(target), f"{page.relative_to(ROOT)}: {link}#{anchor}"
         for script in re.findall(r"(?:python|sh) ((?:bench|tools)/[\w/]+\.(?:py|sh))", text):
             assert (ROOT / script).is_file(), f"{page.relative_to(ROOT)}: {script}"
+
+
+def documented(page, command):
+    """The command lines on a page that begin like this: the words of each, without its comment."""
+    text = page.read_text().replace("\\\n", " ")
+    lines = re.findall(rf"^ *({command} .*)$", text, re.M) + re.findall(rf"`({command}[^`\n]*)`", text)
+    return [shlex.split(line, comments=True) for line in lines]
+
+
+def test_documented_options_of_denoise_go_together(tmp_path):
+    """Each command is refused for its input alone, which is not there, or for weights that are the reader's own."""
+    pages = [ROOT / "README.md", *(DOCS / "use").glob("*.md"), *(DOCS / "reference").rglob("*.md")]
+    lines = [(page.name, words) for page in pages for words in documented(page, "rtdenoise denoise")]
+    assert len(lines) > 30
+    expected = rf"{re.escape(str(tmp_path))}/missing: does not exist|no model 'runs/|my\.toml: cannot be read"
+    for page, words in lines:
+        needed = [] if "--out" in words else ["shot/", "--out", "clean/"]  # where the text names options alone
+        options = parse([*words[1:2], *needed, *words[2:]]).settings
+        with pytest.raises(InputError) as refused:
+            denoise(str(tmp_path / "missing"), tmp_path / "out", options)
+        assert re.match(expected, str(refused.value)), f"{page}: {shlex.join(words)}: {refused.value}"
 
 
 def resolves(name):
