@@ -7,7 +7,7 @@ Frames in memory, numpy or torch, one call each:
 
 Files, with the state in your own hands:
 
-    denoiser, history = rtdenoise.load(), None
+    denoiser, history = rtdenoise.load("hybrid"), None
     for frame in rtdenoise.open_sequence("shot/", signal="indirect"):
         image, history = denoiser.step(frame, history)                                   # [1, 3, H, W]
 """

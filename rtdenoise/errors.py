@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-INSTALL_TORCH = "type: pip install 'rtdenoise[torch]'"
+INSTALL_TORCH = "type: pip install 'rtdenoise[torch]'"  # where rtdenoise is installed no index needs to have it
 MAX_MESSAGE = 2000  # characters
 
 
