@@ -20,7 +20,7 @@ from bench import harness
 MODULES = (
     "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "combine_papers", "cycles",
     "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis", "missing_layers", "mltd",
-    "mltd_memory", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
+    "mltd_memory", "modes", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
     "diagnosis.activity", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor",
     "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.trust",
     "diagnosis.where",
