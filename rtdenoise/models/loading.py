@@ -45,10 +45,11 @@ def load(
     `step(frame, history)` takes and returns tensors `[B, C, H, W]` on `device`.
 
     `model` is the name of a model that ships (`available()`) or the path of a .safetensors file that `rtdenoise train`
-    wrote; without one it is `default`, kernels alone, where `rtdenoise.Denoiser` takes `hybrid`. `precision` is that of the network: 'fp32', 'bf16', 'int8', or 'auto' (`inference.resolve`, `takes_bytes`);
-    the rest is float32. 'int8' is for an `AccumulatedKPN` or `Hybrid` on a CPU: its networks in bytes (`in_bytes`), and
-    what is left of them in bfloat16 or float32. 'auto' leaves the pixels of a `Hybrid` for many samples out, and both
-    those of clean albedo and normal, and those of a file with no bytes of them beside it.
+    wrote; without one it is `default`, kernels alone, where `rtdenoise.Denoiser` takes `hybrid`. `precision` is that of
+    the network: 'fp32', 'bf16', 'int8', or 'auto' (`inference.resolve`, `takes_bytes`); the rest is float32. 'int8' is
+    for an `AccumulatedKPN` or `Hybrid` on a CPU: its networks in bytes (`in_bytes`), and what is left of them in
+    bfloat16 or float32. 'auto' leaves the pixels of a `Hybrid` for many samples out, and both those of clean albedo and
+    normal, and those of a file with no bytes of them beside it.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
