@@ -73,8 +73,13 @@ MIX_SHARES_OF_CLEAN = (0.3, 0.1, 0.3)  # beside pixels of albedo and normal with
 MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history
 
 # The input of a network that writes pixels (`models.hybrid`).
-PIXELS_CONTRAST = 80.0  # light of a frame's brightness becomes log(1 + PIXELS_CONTRAST): dark parts matter, too
+PIXELS_LIGHT = 0.4  # what light of a frame's brightness becomes (OIDN's auto-exposure: about a third)
 PIXELS_UNIT = 0.06145  # of compressed light, as OIDN has it
+# OIDN's curve for light y (`ops.lift`), PU(y): A y up to Y0, B yᶜ + D up to Y1, E log(y + F) + G beyond.
+PU_A, PU_B, PU_C, PU_D = 1412.83765, 1.64593172, 0.431384981, -0.00294139609
+PU_E, PU_F, PU_G = 0.192653254, 0.00626026094, 0.998620152
+PU_Y0, PU_Y1 = 1.57945760e-6, 0.0322087631
+PU_X0, PU_X1 = 0.00223151711, 0.370974749  # the curve's values there
 
 AROUND_CELL = 16  # side in pixels of the cells in which what is around a pixel lies (`ops.around`)
 

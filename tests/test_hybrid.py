@@ -16,7 +16,7 @@ from synthetic import assert_goes_on, make_frames, write_sequence
 
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import compress
-from rtdenoise.constants import MIX_SHARES_OF_MANY
+from rtdenoise.constants import MIX_SHARES_OF_MANY, PIXELS_LIGHT
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
@@ -26,6 +26,7 @@ from rtdenoise.models.pixel_network import PixelNetwork
 from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes
 from rtdenoise.ops.around import expand_within
+from rtdenoise.ops.lift import lower
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.recall import reset_of
 from rtdenoise.run.backends import TorchBackend
@@ -66,10 +67,15 @@ def trusting(model, reset=-100.0):
 
 @contextmanager
 def watched(model, shown):
-    """Collects the light that the network which writes pixels sees."""
-    hook = model.pixels.register_forward_pre_hook(lambda _, inputs: shown.append(inputs[0]))
+    """Collects the light that the network which writes pixels sees, at the exposure that it has there."""
+    hook = model.pixels.register_forward_pre_hook(lambda _, inputs: shown.append(lower(inputs[0])))
     yield
     hook.remove()
+
+
+def scale_of(model, frame):
+    """That exposure."""
+    return PIXELS_LIGHT * model.statistics(sanitise(frame))[0]
 
 
 def play(model, frames):
@@ -128,7 +134,7 @@ def test_without_a_share_the_image_is_the_kernels(model, monkeypatch):
         image, after = trusting(model).step(frame, history)
         kernels, alone, _ = model.step_and_kernels(frame, alone)
         torch.testing.assert_close(image, kernels, rtol=1e-4, atol=1e-5)
-        for name, layer in alone.layers().items():
+        for name, layer in replace(alone, footprint=None, footprint_count=None).layers().items():
             torch.testing.assert_close(after.layers()[name], layer, rtol=1e-4, atol=1e-5)
         shares(monkeypatch, 0.5)
         assert not torch.allclose(model.step(frame, history)[0], image, rtol=1e-2)
@@ -167,7 +173,7 @@ def test_it_sees_the_light_that_the_kernels_have_averaged(model, monkeypatch):
         shown = []
         with watched(model, shown):
             images.append(model.step(frame, history)[0])
-        assert not torch.allclose(shown[0], frame.radiance, rtol=0.05)
+        assert not torch.allclose(shown[0], scale_of(model, frame) * frame.radiance, rtol=0.05)
     assert not torch.allclose(*images)
 
 
@@ -176,7 +182,8 @@ def test_averaged_light_is_less_noisy(model):
     shown = []
     with watched(model, shown):
         play(model, frames := make_frames(4))
-    noise, averaged = (x - frames[-1].reference for x in (frames[-1].radiance, shown[-1]))
+    scale = scale_of(model, frames[-1])
+    noise, averaged = (x - frames[-1].reference for x in (frames[-1].radiance, shown[-1] / scale))
     assert averaged.square().mean() < 0.6 * noise.square().mean()
 
 
@@ -191,17 +198,21 @@ def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model):
     with watched(model, shown):
         _, history = model.step(first)
         _, onward = model.step(second, history)
-        _, last = model.step(third, onward)
-    assert torch.equal(shown[0], first.radiance) and (last.footprint_count == 1).all()
-    assert torch.equal(shown[2], seen(sanitise(third), onward, last)[:, :3])
+        model.step(third, onward)
+    _, last, _ = model.step_and_kernels(third, onward)
+    kernels, onward, _ = model.step_and_kernels(second, history)
+    light = [x / scale_of(model, frame) for x, frame in zip(shown, (first, second, third), strict=True)]
+    torch.testing.assert_close(light[0], first.radiance, rtol=1e-5, atol=0)
+    assert (last.footprint_count == 1).all()
+    torch.testing.assert_close(light[2], seen(sanitise(third), onward, last)[:, :3], rtol=1e-5, atol=1e-7)
 
+    evened = light[1]
     count, light = onward.footprint_count, seen(sanitise(second), history, onward)[:, :3]
     assert (count[..., 18:] == 1).all() and count[..., ~right].mean() > 1.2
     _, on_screen, uncovered = history_motion(second, history, "dual")
     trust = 1 - (on_screen & ~uncovered) * reset_of(onward.recent[0])
     share = 0.4 * trust * (2 - count).clamp(0, 1) * (count.max() - 1).clamp(0, 1)  # of the image
-    kernels, _, _ = model.step_and_kernels(second, history)
-    torch.testing.assert_close(shown[1], light + share * (kernels - light), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(evened, light + share * (kernels - light), rtol=1e-4, atol=1e-5)
 
 
 def test_written_pixels_stay_within_the_light_around_them(model, monkeypatch):
@@ -247,9 +258,9 @@ def test_the_shipped_weights_are_those_of_default_and_of_oidns_network(model, ne
 
 @pytest.mark.parametrize("model", NETWORKS)
 def test_its_pixels_are_those_of_oidns_network(model, monkeypatch):
-    """OIDN's weights in our network give its picture, at the contrast of its auto-exposure."""
+    """OIDN's weights in our network give its picture, at its auto-exposure."""
     shares(monkeypatch, 0.0)
-    monkeypatch.setattr("rtdenoise.models.hybrid.PIXELS_CONTRAST", 53.4)
+    monkeypatch.setattr("rtdenoise.models.hybrid.PIXELS_LIGHT", 0.334)
     hybrid, kernels = read(model), read("default")
     frame = open_sequence(SAMPLE)[0]
     large = {"quality": "high", "prefilter": True}

@@ -12,12 +12,13 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..constants import PIXELS_CONTRAST
+from ..constants import PIXELS_LIGHT
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.around import expand_within
 from ..ops.even_sky import even_sky
 from ..ops.evened import evened, held_and_tells
+from ..ops.lift import lift, lower
 from ..ops.mix import mix
 from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
@@ -57,12 +58,14 @@ class Hybrid(AccumulatedKPN):
             radiance, *guides = shown.split(FOOTPRINT, dim=1)
             if not self.config.many:
                 radiance = evened(radiance, after.footprint_count, image, trust)
-            scale = PIXELS_CONTRAST * known.exposure
+            scale, one = PIXELS_LIGHT * known.exposure, torch.ones_like(known.exposure)
+            lit = lift(scale * radiance)
             held, tells = held_and_tells(held, image.dtype)
-        pixels = expand_within(self.pixels(radiance, *guides, scale), scale, radiance, image)
+        pixels = expand_within(self.pixels(lit, *guides, one), one, lit, lift(scale * image))
+        pixels = lower(pixels) / scale
 
         before, shares = None if self.config.many else past.output, self.config.shares
         shown = mix(image, pixels, known.exposure, trust, shares, before, held, frame.radiance, tells)
         shown = even_sky(shown, frame.radiance, frame.depth)
-        after = replace(after, radiance=shown.detach())
+        after = replace(after, radiance=shown.detach(), footprint=None, footprint_count=None)  # of this frame alone
         return shown, after if known.part else followed(frame, history, after, self.config.recent + 1)

@@ -9,12 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..constants import PIXELS_CONTRAST
+from ..constants import PIXELS_LIGHT
 from ..exposure import exposure
 from ..frame import Frame
 from ..models.config import CELL
 from ..models.loading import load
 from ..ops.around import expand_within
+from ..ops.lift import lift, lower
 
 MODEL = "hybrid-large"
 TILE = 1024  # pixels, a multiple of `CELL`: larger pictures are filtered in tiles, so that memory is bounded
@@ -37,13 +38,14 @@ class PixelFilter:
     def step(self, frame: Frame) -> tuple[Tensor, None]:
         """The radiance of a (sanitised) frame with clean albedo and normal, without noise and within the light around
         each pixel, `[1, 3, H, W]`; there is no history."""
-        scale = PIXELS_CONTRAST * exposure(frame.radiance)
+        scale = PIXELS_LIGHT * exposure(frame.radiance)
+        lit, one = lift(scale * frame.radiance), torch.ones_like(scale)
 
         def write(*layers: Tensor) -> tuple[Tensor]:
-            return (self._network.write(*layers, scale),)
+            return (self._network.write(*layers, one),)
 
-        (image,) = in_tiles(write, self._reach, frame.radiance, frame.albedo, frame.normal)
-        return expand_within(image, scale, frame.radiance, frame.radiance), None
+        (image,) = in_tiles(write, self._reach, lit, frame.albedo, frame.normal)
+        return lower(expand_within(image, one, lit, lit)) / scale, None
 
 
 def in_tiles(run: Callable[..., tuple[Tensor, ...]], reach: int, *layers: Tensor) -> tuple[Tensor, ...]:

@@ -3,11 +3,11 @@
 // in [0, 1]. Where one frame has seen a pixel, and more have seen those around it, some of the kernels' picture stands in for
 // light (EVEN, ops.evened).
 // One invocation per pixel of the padded result, which is zero beyond the image.
-#pragma constants EVEN MIX_SEEN_ONCE PIXELS_CONTRAST PIXELS_UNIT
+#pragma constants EVEN MIX_SEEN_ONCE PIXELS_LIGHT PIXELS_UNIT
 #pragma parameters ivec2 image_size
 #include "around.glsl"
 #include "activations.glsl"
-#include "curve.glsl"
+#include "lift.glsl"
 
 #pragma reads vec4 shown           // [3, image_size] rgb, frames · albedo, trust · normal
 #pragma reads vec4 denoised        // [image_size] the kernels' picture
@@ -39,7 +39,7 @@ void main() {
         rgb = mix(denoised[i].rgb, rgb, share);
     }
     even[i] = vec4(rgb, 1.0);
-    result[o] = packed_four(vec4(PIXELS_UNIT * compressed(PIXELS_CONTRAST * statistics[0] * rgb), colour.r));
+    result[o] = packed_four(vec4(PIXELS_UNIT * compressed(lifted(PIXELS_LIGHT * statistics[0] * rgb)), colour.r));
     result[o + area] = packed_four(vec4(colour.gb, normal.xy));
     result[o + 2 * area] = packed_four(vec4(normal.z, 0.0, 0.0, 0.0));
 }

@@ -2,12 +2,12 @@
 // The light that the network wrote, between the least and the greatest around each pixel (ops.around.expand_within); and what
 // the noisy frame tells of it and of the kernels' picture (ops.mix.share_told): means over cells of MIX_CELL² pixels. A work
 // group is a row of whole cells.
-#pragma constants USUAL PIXELS_CONTRAST PIXELS_UNIT MIX_CELL MIX_DARK MIX_LARGEST
+#pragma constants USUAL PIXELS_LIGHT PIXELS_UNIT MIX_CELL MIX_DARK MIX_LARGEST
 #pragma parameters ivec2 padded
 #include "around.glsl"
 #include "activations.glsl"
 #include "albedo.glsl"
-#include "curve.glsl"
+#include "lift.glsl"
 
 #pragma reads FOUR compressed_light    // [1, padded] what the network wrote
 #pragma reads vec4 bounds              // of `hybrid/bounds`
@@ -37,7 +37,8 @@ void main() {
     if (inside(pixel, size)) {
         int i = at(pixel, size);
         vec3 wrote = unpacked(compressed_light[in_group(0, pixel, padded)]).rgb;
-        vec3 p = denoised[i].rgb, q = within(pixel, expanded(wrote / PIXELS_UNIT) / (PIXELS_CONTRAST * statistics[0]));
+        vec3 p = denoised[i].rgb, lit = lowered(expanded(wrote / PIXELS_UNIT)) / (PIXELS_LIGHT * statistics[0]);
+        vec3 q = within(pixel, lit);
         vec3 y = light[i].rgb * divisor(guide[i]), m = mix(q, p, USUAL);
         float relative = statistics[0] / (statistics[0] * (m.r + m.g + m.b) / 3.0 + MIX_DARK);
         vec3 apart = relative * (p - q), left = min(relative * (y - q), MIX_LARGEST);
