@@ -19,6 +19,7 @@ from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.evened import evened, held_and_tells
 from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
+from rtdenoise.ops.lift import lift, lower
 from rtdenoise.ops.max_pool import max_pool
 from rtdenoise.ops.mean_distance import mean_distance
 from rtdenoise.ops.mix import mix
@@ -189,6 +190,14 @@ def test_light_is_expanded_within_what_is_around_alike(both, assert_images_close
     compressed, scale = torch.rand(2, 3, *size) * 9, torch.tensor([0.01, 300.0]).view(2, 1, 1, 1)
     plain, fused = both(expand_within, compressed, scale, first, other)
     assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("backend, size", CASES[:-1], indirect=["backend"], ids=str)
+def test_dark_light_is_lifted_alike(both, size):
+    light = 10 ** (10 * torch.rand(2, 3, *size) - 7)
+    for op in (lift, lower):
+        plain, fused = both(op, light)
+        torch.testing.assert_close(fused, plain, rtol=5e-6, atol=0)
 
 
 @pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)

@@ -10,8 +10,8 @@ from torch import Tensor
 from ..constants import PU_A, PU_B, PU_C, PU_D, PU_E, PU_F, PU_G, PU_X0, PU_X1, PU_Y0, PU_Y1
 from .dispatch import Fused, Support, falls_back
 
-LIFT = Fused("lift.lift", native=Support())
-LOWER = Fused("lift.lower", native=Support())
+LIFT = Fused("lift.lift", native=Support(), triton=Support())
+LOWER = Fused("lift.lower", native=Support(), triton=Support())
 SLOPE = math.exp(PU_G / PU_E)  # of bright light
 
 
