@@ -80,7 +80,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
         for shift in (False, True):
             build(_history_motion, dict(NEXT=first, SHIFT=shift, BLOCK=128, **one), **masks, **sizes)
         build(_mix, dict(BEFORE=first, TOLD=first, CELL=4, BLOCK=128, **one),
-              **dict.fromkeys(["usual", "share_before", "lowest", "smallest"], "fp32"), **sizes)
+              **dict.fromkeys(["usual", "share_before", "lowest", "smallest", "far"], "fp32"), **sizes)
     build(_bounds, dict(CELL=16, **one), **sizes)
     half = dict.fromkeys(("x", "weight", "bias"), "*bf16")
     steps = dict.fromkeys(["C", "of_output", "of_input", "of_row", "of_column"], "i32")

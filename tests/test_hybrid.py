@@ -144,6 +144,8 @@ def test_without_a_share_the_image_is_the_kernels(model, monkeypatch):
 def test_the_picture_is_history_and_is_kept(model, monkeypatch):
     """All of it, with such a share, where motion leads to it and nothing was just uncovered; not where the kernels give
     their history up."""
+    for place in ("ops.mix", "ops.native.mix", "ops.triton.mix"):
+        monkeypatch.setattr(f"rtdenoise.{place}.MIX_FAR", 9.0)
     shares(monkeypatch, 0.5, before=1.0)
     history = None
     for frame in make_frames(3):

@@ -29,6 +29,15 @@ def test_it_is_between_all_pictures():
     assert torch.allclose(mix(image, picture, one, 1.0, before, held=0.0), found, rtol=1e-5)
 
 
+def test_a_previous_picture_far_from_the_mixture_counts_as_a_nearer_one():
+    """What an edge has left in it makes no outline."""
+    one = torch.ones(1, 1, 1, 1)
+    image, near, far, beyond = (torch.full((1, 3, 8, 8), x) for x in (1.0, 1.2, 4.0, 400.0))
+    found = [mix(image, image, one, before=before) for before in (near, far, beyond, 1e-3 * near)]
+    assert (image < found[0]).all() and (found[0] < found[1]).all() and torch.equal(found[1], found[2])
+    torch.testing.assert_close(found[1].log1p() - image.log1p(), image.log1p() - found[3].log1p(), rtol=1e-3, atol=1e-6)
+
+
 def told(noisy, first, other, usual=0.4):
     return share_told(noisy, first, other, torch.ones(1, 1, 1, 1), usual)
 

@@ -3,11 +3,14 @@
 With f(x) = log(1 + x), exposure s, the previous picture where each pixel was (`before`) and the trust t in history,
 
     mixed = t a · f(s · first) + (1 - t a) · f(s · other)
-    image = f⁻¹(t h b · f(s · before) + (1 - t h b) · mixed) / s
+    image = f⁻¹(mixed + t h b · clamp(f(s · before) - mixed, -FAR, FAR)) / s
 
 with the shares a and b, and h = 1 where there is such a previous picture, else 0 (`held`). Where the noisy frame is
 known, a is what it tells (`share_told`): the more samples a pixel, the more that is. Where it tells of other pixels, a
 is that, but not more than usual and not less than the last share.
+
+FAR (`constants.MIX_FAR`) bounds what the previous picture may add: a pixel that an edge partly covered then would leave
+its light on what is there now, as a faint outline behind what moves.
 
 In `hybrid` the first is the kernels' picture, which lags behind where light has changed: there the written one shows
 alone. The kernels average the mixture as their own history (docs/notes/trust.md).
@@ -20,7 +23,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..color import compress, expand
-from ..constants import MIX_CELL, MIX_DARK, MIX_LARGEST, MIX_NOISE
+from ..constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
 from .dispatch import Fused, Support, falls_back
 
 IMAGES = dict.fromkeys(("first", "other", "before", "noisy"), (3,)) | dict.fromkeys(("trust", "held", "tells"), (1,))
@@ -53,7 +56,7 @@ def mix(
         share = torch.lerp(told.clamp(shares[2], share), told, tells)
     mixed = torch.lerp(shown(other), shown(first), trust * share)
     if before is not None:
-        mixed = torch.lerp(mixed, shown(before), trust * shares[1] * held)
+        mixed = mixed + trust * shares[1] * held * (shown(before) - mixed).clamp(-MIX_FAR, MIX_FAR)
     return expand(mixed) / scale
 
 

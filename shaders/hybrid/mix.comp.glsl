@@ -1,6 +1,6 @@
 #version 430
 // The kernels' picture, the written one and the previous one as one picture (ops.mix).
-#pragma constants USUAL BEFORE LEAST MIX_CELL MIX_NOISE
+#pragma constants USUAL BEFORE LEAST MIX_CELL MIX_FAR MIX_NOISE
 #include "around.glsl"
 #include "curve.glsl"
 #include "past.glsl"
@@ -51,7 +51,7 @@ void main() {
     float told_share = clamp((USUAL * noise + sums.x) / (noise + sums.y), 0.0, 1.0);
     float share = mix(clamp(told_share, LEAST, USUAL), told_share, tells(pixel, held)), scale = statistics[0];
     vec3 mixed = mix(compressed(scale * written[i].rgb), compressed(scale * max(denoised[i].rgb, 0.0)), trust * share);
-    mixed = mix(mixed, compressed(scale * past[i].rgb), trust * BEFORE * held);
+    mixed += trust * BEFORE * held * clamp(compressed(scale * past[i].rgb) - mixed, -MIX_FAR, MIX_FAR);
     vec3 rgb = expanded(mixed) / scale;
     denoised[i] = vec4(rgb, 1.0);
     for (int c = 0; c < 3; ++c) result[c * plane + i] = rgb[c];

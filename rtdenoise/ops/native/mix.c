@@ -1,4 +1,4 @@
-// One picture of two, and of the previous one. The specification is ops/mix.py; CELL, DARK, LARGEST and NOISE are those of
+// One picture of two, and of the previous one. The specification is ops/mix.py; CELL, DARK, FAR, LARGEST and NOISE are those of
 // constants.py.
 #include "common.h"
 #include "expm1.h"
@@ -91,7 +91,10 @@ static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int
     for (int x = 0; x < j.W; x++) {
         float p = log1p_positive(scale * MAX(first[x], 0)), q = log1p_positive(scale * MAX(other[x], 0));
         float mixed = lerp(q, p, trust[x] * share[x]);
-        if (has_before) mixed = lerp(mixed, log1p_positive(scale * MAX(before[x], 0)), trust[x] * part * held[x]);
+        if (has_before) {
+            float apart = log1p_positive(scale * MAX(before[x], 0)) - mixed;
+            mixed += trust[x] * part * held[x] * MIN(MAX(apart, -(float)FAR), (float)FAR);
+        }
         out[x] = expm1_positive(mixed) / scale;
     }
 }

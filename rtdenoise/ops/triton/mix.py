@@ -7,7 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import MIX_CELL, MIX_DARK, MIX_LARGEST, MIX_NOISE
+from ...constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
 from .common import BLOCK, grid, lerp, of_images, place
 from .curve import compressed, expanded
 
@@ -71,7 +71,7 @@ def _between_cells(told, i, j, low_i, low_j, f, g, h, w, exists):
 
 @triton.jit
 def _mix(first, other, scale, trust, before, held, told, tells, out, H, W, usual, share_before, lowest, smallest,
-         BEFORE: tl.constexpr, TOLD: tl.constexpr, CELL: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
+         far, BEFORE: tl.constexpr, TOLD: tl.constexpr, CELL: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
     at, s = y * W + x, tl.load(scale + b)
@@ -99,7 +99,7 @@ def _mix(first, other, scale, trust, before, held, told, tells, out, H, W, usual
         if BEFORE:
             weight = trusted * share_before * tl.load(held + b * plane + at, mask=exists, other=0.0)
             past = compressed(s * tl.maximum(tl.load(before + here, mask=exists, other=0.0), 0.0))
-            mixed += weight * (past - mixed)
+            mixed += weight * tl.minimum(tl.maximum(past - mixed, -far), far)
         tl.store(out + here, expanded(mixed) / s, mask=exists)
 
 
@@ -128,6 +128,6 @@ def mix(
     constants = {"BEFORE": before is not first, "TOLD": noisy is not None, "CELL": MIX_CELL, "BLOCK": BLOCK}
     _mix[grid(B, H, W)](
         first, other, scale, trust, before, held, told, trust if tells is None else tells, out, H, W, *shares,
-        MIX_NOISE, **constants,
+        MIX_NOISE, MIX_FAR, **constants,
     )  # fmt: skip
     return out
