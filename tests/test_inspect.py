@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,10 +15,12 @@ from synthetic import make_frames, write_sequence
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import write_layers
 from rtdenoise.data.layout import OWN
+from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.ops import warp
 from rtdenoise.run.conventions import READINGS, Reading
 from rtdenoise.run.inspect import inspect, next_step, render_text
+from rtdenoise.run.unmoved import Watch
 
 H, W, FRAMES = 72, 110, 4
 
@@ -264,6 +267,28 @@ def test_wrong_motion_comes_first(tmp_path):
     frames = [replace(frame, motion=-frame.motion) for frame in make_frames(4, H=64, W=64, noise=0)]
     found = inspect(write_sequence(tmp_path / "shot", frames))
     assert found.convention.status == "wrong" and next_step(found).startswith("mend the motion vectors")
+
+
+@pytest.mark.parametrize("name", [None, "negated", "y up", "UV"])
+def test_denoise_tells_of_wrong_motion(tmp_path, capsys, name):
+    change = WRONG[name][0] if name else lambda layers: {}
+    (tmp_path / "shot").mkdir()
+    shot = write(tmp_path / "shot", frames(), lambda layers: {**layers, **change(layers)})
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast"])
+    told = [line for line in capsys.readouterr().out.splitlines() if "history comes from wrong places" in line]
+    assert len(told) == (name is not None) and all(WRONG[name][2] in line for line in told)
+
+
+@pytest.mark.parametrize("source", ["samples/mural", "samples/mural-window", "tests/data/cycles"])
+def test_right_motion_is_not_called_wrong(source):
+    signal = "color" if source.endswith("mural") else "indirect"
+    notes, sequence = [], open_sequence(Path(__file__).parents[1] / source, signal=signal)
+    read = [sequence.read(i) for i in range(len(sequence))]
+    for start in range(len(read) - 2):
+        watch = Watch(notes)
+        for i, frame in enumerate(read[start : start + 3]):
+            watch.see(frame, i > 0)
+    assert notes == []
 
 
 @pytest.mark.parametrize(("moves", "options"), [

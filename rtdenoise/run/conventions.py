@@ -112,30 +112,31 @@ class _Samples:
     motions: Tensor  # [R + 1, N, 2] pixels
 
 
-def check_motion(pairs: Iterable[tuple[Frame, Frame]]) -> Verdict:
+def check_motion(pairs: Iterable[tuple[Frame, Frame]], most: int = MAX_SAMPLES) -> Verdict:
     """Judge whether `motion` of the second frame of each pair (previous, current) follows the convention of `frame.py`.
 
     Compares albedo; where that does not settle it, the reference; then the noisy radiance. Frames must have `motion`.
+    `most`: pixels that are examined in each pair.
     """
     pairs = list(pairs)
     verdicts = []
     for feature in ("albedo", "reference", "radiance"):
-        if samples := _collect(pairs, feature):
+        if samples := _collect(pairs, feature, most):
             verdicts.append(_judge(samples, feature))
             if verdicts[-1].status != "ambiguous":
                 return verdicts[-1]
     return verdicts[0] if verdicts else Verdict("ambiguous", "there are no two consecutive frames to compare")
 
 
-def _collect(pairs: list[tuple[Frame, Frame]], feature: str) -> _Samples | None:
-    """Errors of all readings on up to `MAX_SAMPLES` pixels of each pair; None where a frame lacks the feature."""
+def _collect(pairs: list[tuple[Frame, Frame]], feature: str, most: int) -> _Samples | None:
+    """Errors of all readings on up to `most` pixels of each pair; None where a frame lacks the feature."""
     readings = [r for r in READINGS if all(getattr(current, r.source) is not None for _, current in pairs)]
     errors, groups, motions = [], [], []
     for index, (previous, current) in enumerate(pairs):
         here, before = _feature(current, feature), _feature(previous, feature)
         if here is None or before is None:
             return None
-        y, x = _choose_pixels(here, current)
+        y, x = _choose_pixels(here, current, most)
         names = {r.source for r in readings}
         sources = {name: getattr(current, name)[0, :, y, x].T.nan_to_num(0, 0, 0) for name in names}
         fields = torch.stack([r.apply(sources[r.source], current.size) for r in readings] + [torch.zeros(len(x), 2)])
@@ -165,7 +166,7 @@ def _feature(frame: Frame, name: str) -> Tensor | None:
     return image
 
 
-def _choose_pixels(image: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
+def _choose_pixels(image: Tensor, frame: Frame, most: int) -> tuple[Tensor, Tensor]:
     """(y, x) of pixels with texture that move, the same for every reading."""
     texture = torch.zeros(frame.size)
     texture[:, 1:-1] += (image[0, :, :, 2:] - image[0, :, :, :-2]).abs().amax(0) / 2
@@ -177,7 +178,7 @@ def _choose_pixels(image: Tensor, frame: Frame) -> tuple[Tensor, Tensor]:
     if moving.sum() < 0.05 * (textured & (length > 0)).sum():  # the unit may not be pixels
         moving = textured & (length * max(frame.size) > MIN_MOTION)
     y, x = moving.nonzero(as_tuple=True)
-    order = torch.randperm(len(x), generator=torch.Generator().manual_seed(0))[:MAX_SAMPLES]
+    order = torch.randperm(len(x), generator=torch.Generator().manual_seed(0))[:most]
     return y[order], x[order]
 
 

@@ -1,13 +1,19 @@
-"""Motion that is zero everywhere though the picture changes, as Blender 4 writes it with motion blur. No torch."""
+"""Motion that is zero everywhere though the picture changes, as Blender 4 writes it with motion blur, and motion of
+another convention. Needs no torch, but for the second."""
 
 from __future__ import annotations
 
 import math
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..frame import Frame
 from ..sanitise import FAR
+
+if TYPE_CHECKING:
+    from .conventions import Verdict
 
 # A pixel has changed where its value lies outside those around it in the frame before by more than a share of the value
 # (depth), or by an amount (albedo). Such pixels of Cycles at 1 sample: up to 0.1 % of a still scene with depth of
@@ -18,6 +24,8 @@ UNMOVED = (
     "motion is zero everywhere though the picture changes ({}), so what moves leaves trails: was motion blur on? "
     "render without it"
 )
+PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors are judged, and pixels of each
+WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"
 
 
 def is_unmoved(before: Frame, now: Frame) -> bool:
@@ -33,19 +41,37 @@ def is_unmoved(before: Frame, now: Frame) -> bool:
 
 
 class Watch:
-    """Notes it once in a run."""
+    """Notes each once in a run."""
 
     def __init__(self, notes: list[str]) -> None:
         self._notes, self._before, self._told = notes, None, False
+        self._verdicts: list[Verdict] = []  # of the first pairs that move
 
     def see(self, frame: Frame, goes_on: bool) -> None:
         """The next frame as it was read; `goes_on`: with the shot of the last one."""
-        if self._told or frame.motion is None:
+        judges = len(self._verdicts) < PAIRS and find_spec("torch") is not None
+        if frame.motion is None or (self._told and not judges):
             return
-        if goes_on and self._before is not None and is_unmoved(self._before, frame):
-            self._notes.append(UNMOVED.format(f"frame {frame.number}"))
-            self._told, frame = True, None
+        if self._before is not None:
+            if goes_on and not self._told and is_unmoved(self._before, frame):
+                self._notes.append(UNMOVED.format(f"frame {frame.number}"))
+                self._told = True
+            # Wrong motion may look like a cut.
+            if judges and frame.number == self._before.number + 1 and np.asarray(frame.motion).any():
+                self._judge(frame)
         self._before = frame
+
+    def _judge(self, frame: Frame) -> None:
+        """Note it where all pairs say that the motion is wrong, and in the same way."""
+        import torch
+
+        from .conventions import check_motion
+
+        first, second = (x.map(torch.as_tensor) for x in (self._before, frame))
+        self._verdicts.append(check_motion([(first, second)], PIXELS))
+        wrong = [verdict.best for verdict in self._verdicts if verdict.status == "wrong"]
+        if len(wrong) == PAIRS and len(set(wrong)) == 1:
+            self._notes.append(WRONG.format(wrong[0]))
 
 
 def _changed(before: np.ndarray, now: np.ndarray, relative: float, absolute: float) -> float:
