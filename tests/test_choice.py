@@ -87,13 +87,17 @@ def test_noise_tells_where_nothing_else_does(shot):
     "options", [{"backend": "glsl"}, {"offline": True}, {"correct": True}, {"lights": True}, {"also": ("x",)}]
 )
 def test_what_goes_with_kernels_alone_gets_kernels_alone(shot, options):
-    for samples, model in ((1, "default"), (16, "many")):
-        assert chosen(shot, Options(samples=samples, **options))[0].model == model
+    (option,) = options
+    because = "because of " + ("--backend glsl" if option == "backend" else f"--{option}")
+    for samples, told in ((1, "model: default, "), (16, "model: many, for 16 samples a pixel, ")):
+        found, notes = chosen(shot, Options(samples=samples, **options))
+        assert (found.model in told, notes) == (True, [told + because])
 
 
 def test_without_torch_there_are_kernels(shot, monkeypatch):
     monkeypatch.setattr("rtdenoise.run.choice.find_spec", lambda name: None)
-    assert chosen(shot, Options())[0].model == "default"
+    options, notes = chosen(shot, Options())
+    assert options.model == "default" and "PyTorch is not installed" in notes[0]
 
 
 def test_a_layer_of_samples_counts_most(shot):
@@ -110,6 +114,8 @@ def test_a_run_with_many_samples_is_that_of_its_network(shot, tmp_path, capsys):
     for file in (tmp_path / "named").glob("*.exr"):
         for name, plane in read_channels(file, ["R", "G", "B"]).items():
             assert np.array_equal(read_channels(tmp_path / "auto" / file.name, [name])[name], plane)
-    assert json.loads((tmp_path / "auto" / "denoise.json").read_text())["options"]["model"] == "hybrid-many"
+    document = json.loads((tmp_path / "auto" / "denoise.json").read_text())
+    assert document["options"]["model"] == "hybrid-many" and document["ran"]["device"] in ("cpu", "cuda")
+    assert document["ran"]["backend"] == "torch" and document["ran"]["precision"] in ("fp32", "bf16", "int8")
     with pytest.raises(InputError, match="goes with --correct, or without --model"):
         denoise(str(shot), tmp_path / "no", Options(model="fast", samples=16))

@@ -35,6 +35,10 @@ class Backend(Protocol):
     def config(self) -> Config:
         """The configuration of its network."""
 
+    @property
+    def ran(self) -> dict[str, str]:
+        """Its name, device and precision."""
+
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         """Follow the plan (`plan.make_plan`) from now on; `left_out` counts the frames that leave work out."""
 
@@ -149,6 +153,12 @@ class TorchBackend:
         return self._denoiser.config
 
     @property
+    def ran(self) -> dict[str, str]:
+        from ..models.inference import precision_of
+
+        return {"backend": "torch", "device": self.device, "precision": precision_of(self._denoiser)}
+
+    @property
     def network(self) -> Denoiser:
         """Its network, a torch module."""
         return self._denoiser
@@ -250,11 +260,16 @@ class GlslBackend:
         if precision not in ("auto", "fp32", "fp16"):
             raise InputError(f"precision {precision!r}: the backend glsl has 'fp32' and 'fp16' ('auto' is fp32)")
         self._pipeline = Pipeline.load(model, half=precision == "fp16")
+        self._precision = "fp16" if precision == "fp16" else "fp32"
         self._left_out: dict[str, int] | None = None  # None: nothing is left out
 
     @property
     def config(self) -> Config:
         return self._pipeline.config
+
+    @property
+    def ran(self) -> dict[str, str]:
+        return {"backend": "glsl", "device": self._pipeline.ctx.info["GL_RENDERER"], "precision": self._precision}
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out

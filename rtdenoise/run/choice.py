@@ -34,12 +34,21 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
     kernels_alone = options.offline or options.correct or options.lights or bool(options.also)
     few, many = candidates(options.backend, kernels_alone)
+    because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
-        told = f"model: {many}, for frames of little noise; --samples 1 says otherwise"
+        told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
         return sequence, replace(options, model=many), [told]
     if samples < LEAST:
-        return sequence, replace(options, model=few), []
-    return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel"]
+        return sequence, replace(options, model=few), [f"model: {few}{because}"] if because else []
+    return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel{because}"]
+
+
+def _reason(options: Options) -> str:
+    """What keeps the networks that write pixels from being chosen."""
+    for name in ("offline", "correct", "lights", "also"):
+        if getattr(options, name):
+            return f"--{name}"
+    return "--backend glsl" if options.backend == "glsl" else "the backend glsl: PyTorch is not installed"
 
 
 def candidates(backend: str, kernels_alone: bool) -> tuple[str, str]:

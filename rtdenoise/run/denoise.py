@@ -107,7 +107,7 @@ def _run(
     )
     if not done:  # so that the next run knows the first frame for its own
         save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
-    summary.skipped, summary.gaps = done, list(sequence.gaps)
+    summary.skipped, summary.gaps, summary.ran = done, list(sequence.gaps), backend.ran
     if len(sequence) > 1 and backend.config.motion is None:
         summary.notes.append(f"{options.model} denoises each frame alone: nothing is carried from frame to frame")
     if len(sequence) == 1 and options.correct:

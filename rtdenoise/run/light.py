@@ -96,6 +96,11 @@ class LightBackend:
         """As the inner backend's."""
         return self._inner.config
 
+    @property
+    def ran(self) -> dict[str, str]:
+        """As the inner backend's."""
+        return self._inner.ran
+
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out
         return make_plan(size, frames, self.network.config.motion, first, windows=False)

@@ -97,7 +97,7 @@ class _Run:
         done, history, summary = (0, None, Summary()) if overwrite else self._resume()
         self.summary, self.written = summary, Written(self.out, self.names[: max(0, done - count)])
         summary.skipped, summary.gaps, summary.notes = max(0, done - count), list(self.sequence.gaps), self._notes()
-        self.watch = Watch(summary.notes)
+        summary.ran, self.watch = self.passes.backend.ran, Watch(summary.notes)
         if self.estimates.is_symlink() or not (self.estimates.is_dir() or not self.estimates.exists()):
             raise InputError(f"{self.estimates}: not a folder of this program; remove it or choose another --out")
         if not done:

@@ -87,6 +87,7 @@ class Summary:
     gaps: list[tuple[int, int]] = field(default_factory=list)  # (first, last) missing frame number of each gap
     left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
     notes: list[str] = field(default_factory=list)  # what else the user should know
+    ran: dict[str, str] = field(default_factory=dict)  # backend, device and precision: what 'auto' became
     plan: Plan | None = None
 
 
