@@ -109,6 +109,8 @@ WRONG = {  # how the file is wrong -> (what is written as motion, the reading th
     "UV": (lambda f: scaled(f["motion"], 1 / W, 1 / H), Reading(unit="UV"), "UV units: multiply by (W, H)"),
     "UV, negated": (lambda f: scaled(f["motion"], -1 / W, -1 / H), Reading(unit="UV", signs=(-1, -1)), "(-W·X, -H·Y)"),
     "NDC, y up": (lambda f: scaled(f["motion"], 2 / W, -2 / H), Reading(unit="NDC", signs=(1, -1)), "(W/2·X, -H/2·Y)"),
+    "of twice the size": (lambda f: scaled(f["motion"], 2, 2), Reading(unit="double"), "multiply by ½ [motion = (½·X"),
+    "of half the size": (lambda f: scaled(f["motion"], 0.5, 0.5), Reading(unit="half"), "half as large: multiply by 2"),
     "layers swapped": (
         lambda f: {"motion": f["motion_next"], "motion_next": f["motion"]},
         Reading(source="motion_next"),
@@ -155,6 +157,7 @@ def test_nothing_has_texture(tmp_path):
 def test_motion_that_explains_nothing(tmp_path):
     verdict = verdict_on(tmp_path, lambda f: {"motion": f["motion"] + 2.5}, kind="static")
     assert verdict.status == "ambiguous"
+    assert next_step(inspect(tmp_path)).startswith("look at the motion vectors first")
     assert verdict.message == "no reading of the motion explains how albedo changes any better than no motion at all"
 
 
@@ -204,7 +207,7 @@ def test_readings_undo_what_they_name():
 
         stored = torch.from_numpy(np.ascontiguousarray(fields[reading.source]))
         np.testing.assert_allclose(reading.apply(stored, (H, W)), right, atol=1e-6, err_msg=name)
-    assert len({reading.formula for reading in READINGS}) == len(READINGS) == 48
+    assert len({reading.formula for reading in READINGS}) == len(READINGS) == 56
 
 
 # --- facts ------------------------------------------------------------------------------------------------------------

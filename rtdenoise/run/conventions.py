@@ -28,7 +28,13 @@ MIN_PIXELS = 200  # textured, moving pixels that a verdict needs
 MAX_SAMPLES = 20_000  # pixels that are examined in each pair of frames
 TILES = 8  # along each side of the picture; errors inside one tile count as dependent
 STANDARD_ERRORS, MARGIN = 3.0, 0.02  # least lead of a better reading: in standard errors, and as a share of the error
-UNITS = {"pixels": (1.0, "", ""), "UV": (1.0, "W·", "H·"), "NDC": (0.5, "W/2·", "H/2·")}
+SIZED = {"UV": (1.0, "W·", "H·"), "NDC": (0.5, "W/2·", "H/2·")}  # units that go by the size of the picture
+UNITS = {"pixels": (1.0, "", ""), **SIZED, "double": (0.5, "½·", "½·"), "half": (2.0, "2·", "2·")}
+REMEDIES = {
+    "pixels": "", "UV": "UV units: multiply by (W, H)", "NDC": "NDC units: multiply by (W/2, H/2)",
+    "double": "pixels of a picture twice as large: multiply by ½",
+    "half": "pixels of a picture half as large: multiply by 2",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,7 @@ class Reading:
     source: str = "motion"  # or "motion_next": the two fields are swapped
     swapped: bool = False  # (y, x) instead of (x, y)
     signs: tuple[int, int] = (1, 1)  # of x and y
-    unit: str = "pixels"  # "UV": fractions of the picture's size; "NDC": of half its size
+    unit: str = "pixels"  # "UV": fractions of the picture's size; "NDC": of half its size; or as in REMEDIES
 
     def apply(
         self,
@@ -48,7 +54,7 @@ class Reading:
         """Motion in this project's convention."""
         H, W = size
         factor = UNITS[self.unit][0]
-        scale = (1, 1) if self.unit == "pixels" else (W * factor, H * factor)
+        scale = (W * factor, H * factor) if self.unit in SIZED else (factor, factor)
         return (field.flip(-1) if self.swapped else field) * torch.tensor(self.signs) * torch.tensor(scale)
 
     @property
@@ -75,8 +81,7 @@ class Reading:
         parts = [
             "the content of motion_next: read that layer" if self.source != "motion" else "",
             "(row, column): swap the components" if self.swapped else "",
-            f"{self.unit} units: multiply by {'(W, H)' if self.unit == 'UV' else '(W/2, H/2)'}"
-            * (self.unit != "pixels"),
+            REMEDIES[self.unit],
             signs.get(self.signs, ""),
         ]
         return f"{'; '.join(p for p in parts if p) or 'previous - current, pixels, y down'} [{self.formula}]"
@@ -87,7 +92,9 @@ READINGS = tuple(
     for source, swapped, signs, unit in product(
         ("motion", "motion_next"), (False, True), ((1, 1), (-1, -1), (1, -1), (-1, 1)), UNITS
     )
+    if unit in ("pixels", *SIZED) or (source, swapped) == ("motion", False)
 )
+_DOUBLE, _HALF = Reading(unit="double"), Reading(unit="half")
 
 
 @dataclass(frozen=True)
@@ -215,8 +222,10 @@ def _judge(samples: _Samples, feature: str) -> Verdict:
             f"looks like {readings[nearest]}; error {values['best']:.4f}, as declared {values['declared']:.4f}{same}"
         )
         return Verdict("wrong", message, readings[nearest], tied, **shared)
-    # -motion_next differs from motion only by acceleration: a tie with it leaves no doubt about the convention.
-    rivals = [i for i in others if readings[i].source == "motion" and _compare(samples, 0, i) != "same"]
+    # -motion_next differs from motion only by acceleration, and motion of a pixel from its half by as little: a tie
+    # with them leaves no doubt about the convention.
+    alike = [i for i in others if readings[i].source != "motion" or readings[i] in (_DOUBLE, _HALF)]
+    rivals = [i for i in others if i not in alike and _compare(samples, 0, i) != "same"]
     if rivals:
         message = f"as declared fits, but as well does: {' | '.join(str(readings[i]) for i in rivals)}"
         return Verdict("ambiguous", message, readings[0], tied, **shared)

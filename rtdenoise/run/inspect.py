@@ -173,7 +173,10 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     words = ["rtdenoise", "denoise", found.source, "--out", "clean/"]
     for name, value in options.items():
         words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
-    return shlex.join(words)
+    command = shlex.join(words)
+    if found.convention and found.convention.status == "ambiguous" and found.convention.errors:
+        return f"look at the motion vectors first, nothing confirms them; then {command}"
+    return command
 
 
 def render_text(found: Inspection, width: int = 120, verbose: bool = False) -> str:
