@@ -191,4 +191,9 @@ def told(summary: Summary, stage: str = "denoiser") -> list[str]:
     lines += [f"left out: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
     if summary.cuts:
         lines.append(f"cuts: history starts anew at frame {', '.join(map(str, summary.cuts))}")
+    if summary.gaps:
+        from ..data.files import describe_gap
+
+        missing = ", ".join(map(describe_gap, summary.gaps))
+        lines.append(f"gaps: history starts anew after each; missing: {missing}")
     return lines
