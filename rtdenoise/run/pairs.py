@@ -105,7 +105,8 @@ def check_pairs(source: Sequence, denoised: Sequence, count: int, kind: str = "d
     path, brightest = denoised.paths[0], block_luminance(noisy, 8)[0].max().item()
     if clean.max() <= WHITE and clean.max() > 0.9 and brightest > BRIGHT:
         raise InputError(f"{path}: the {kind} light ends at {clean.max():.2f}, the noisy light reaches "
-                         f"{brightest:.1f} over 8×8 pixels: it looks tone-mapped; save it as linear light")  # fmt: skip
+                         f"{brightest:.1f} over 8×8 pixels: it looks tone-mapped, or is another "
+                         "signal; save the same one as linear light")  # fmt: skip
     ratio = (luminance(clean).mean().item() + 1e-12) / (luminance(noisy).mean().item() + 1e-12)
     if not 1 / MAX_RATIO <= ratio <= MAX_RATIO:
         raise InputError(f"{path}: the {kind} frames are {ratio:.3g} times as bright as the noisy ones; both need "
