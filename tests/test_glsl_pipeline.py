@@ -387,6 +387,7 @@ def test_a_planned_run_is_that_of_torch(weights, tmp_path, assert_images_close, 
     counts = {}
     for name, changed in {"torch": {"backend": "torch"}, "glsl": {}, "all": {"plan": False}}.items():
         summary = denoise(str(shot), tmp_path / name, replace(options, **({"backend": "glsl"} | changed)))
+        assert any("run on the CPU" in note for note in summary.notes) == ("llvmpipe" in summary.ran["device"])
         counts[name] = {what: n for what, n in summary.left_out.items() if n}
     means = {} if preset == "paper" else {"running means": 1}
     assert counts == {"torch": counts["glsl"], "glsl": means | {"warp of history": 2, "dual motion": 2}, "all": {}}

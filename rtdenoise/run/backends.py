@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..models import Denoiser
 
 BACKENDS = ("auto", "torch", "glsl")
+SOFTWARE = "llvmpipe"  # in the name of Mesa's renderer for machines without a GPU
 
 
 class Backend(Protocol):

@@ -16,7 +16,7 @@ from ..files import lock, remove_unfinished
 from ..frame import Frame
 from ..models.weights import read_config
 from ..sanitise import faults
-from .backends import Backend, open_backend
+from .backends import SOFTWARE, Backend, open_backend
 from .choice import open_chosen
 from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
@@ -108,6 +108,9 @@ def _run(
     if not done:  # so that the next run knows the first frame for its own
         save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps, summary.ran = done, list(sequence.gaps), backend.ran
+    if SOFTWARE in summary.ran["device"]:
+        summary.notes.append(f"the shaders run on the CPU, by {summary.ran['device']}: PyTorch (--backend torch) is "
+                             "about 20 times as fast")  # fmt: skip
     if len(sequence) > 1 and backend.config.motion is None:
         summary.notes.append(f"{options.model} denoises each frame alone: nothing is carried from frame to frame")
     if len(sequence) == 1 and options.correct:
