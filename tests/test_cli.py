@@ -130,7 +130,7 @@ def test_no_bar_before_an_error(tmp_path, capsys):
 def test_the_summary_counts_the_frames_of_all_runs():
     left_out = {"warp of history": 1, "tiles": 0}
     lines = told(Summary(written=0, skipped=3, left_out=left_out, cuts=[7], gaps=[(4, 4), (8, 9)]))
-    assert lines == ["0 frames written, 3 were there", "left out: warp of history in 1 of 3 frames",
+    assert lines == ["0 frames written, 3 were there", "work saved: warp of history in 1 of 3 frames",
                      "cuts: history starts anew at frame 7",
                      "gaps: history starts anew after each; missing: 4, 8 to 9"]  # fmt: skip
 

@@ -188,7 +188,7 @@ def told(summary: Summary, stage: str = "denoiser") -> list[str]:
     lines += [
         f"passed on as in the input: NaN in {count} pixels of {name}" for name, count in summary.passed_on.items()
     ]
-    lines += [f"left out: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
+    lines += [f"work saved: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
     if summary.cuts:
         lines.append(f"cuts: history starts anew at frame {', '.join(map(str, summary.cuts))}")
     if summary.gaps:
