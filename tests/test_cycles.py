@@ -156,6 +156,14 @@ def test_recombined_exactly(tmp_path, model):
         assert np.array_equal(np.stack(list(read_channels(plain / path.name, "RGB").values())), expected)
 
 
+@pytest.mark.parametrize(("options", "says"), [
+    ((), True), (("--recombine",), False), (("--layout", "source"), False), (("--signal", "color"), False),
+])  # fmt: skip
+def test_light_without_colour_is_told(tmp_path, model, capsys, options, says):
+    denoise(tmp_path, model, *(() if "--signal" in options else ("--signal", "indirect")), *options)
+    assert ("light without the surface's colour" in capsys.readouterr().out) == says
+
+
 def test_color_goes_to_combined(tmp_path, model):
     out = denoise(tmp_path, model, "--layout", "source", "--preview")
     (noisy,), (clean,) = (passes(folder / "frame.0005.exr", "Combined") for folder in (SHOT, out))

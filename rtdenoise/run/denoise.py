@@ -19,7 +19,7 @@ from ..sanitise import faults
 from .backends import SOFTWARE, Backend, open_backend
 from .choice import open_chosen
 from .coming import Reader
-from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, write_summary
+from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
 from .light import in_parts
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, check_lookahead, check_samples
 from .state import STATE, last_of_shot, read_state, save_state
@@ -85,7 +85,7 @@ def denoise(
     with lock(out):
         remove_unfinished(out)
         summary = _run(sequence, out, options, backend, read, write, overwrite, on_frame)
-    summary.notes[:0] = notes
+    summary.notes[:0] = [*notes, *told_of_output(sequence, options)]
     return summary
 
 

@@ -123,6 +123,14 @@ def are_finished(out: Path, frames: list[list[str]], size: tuple[int, int], writ
     return True
 
 
+def told_of_output(sequence: Sequence, options: Options) -> list[str]:
+    """What the user should know of the files."""
+    if sequence.demodulated and options.layout == "plain" and not options.recombine:
+        return ["R,G,B is light without the surface's colour, as in the input: --recombine makes the beauty of it, "
+                "--layout source puts it in its layer"]  # fmt: skip
+    return []
+
+
 def write_summary(path: Path, sequence: Sequence, options: Options, summary: Summary) -> None:
     """Write what a run did as JSON."""
     plan = summary.plan and summary.plan.to_json()

@@ -28,7 +28,17 @@ from ..frame import MAX_CUT_MISMATCH, Frame, reverse
 from ..models.weights import files_of, find
 from ..sanitise import faults
 from .choice import open_chosen
-from .folder import Written, are_finished, digest, digest_of, prepare, refuse_foreign, refuse_other, write_summary
+from .folder import (
+    Written,
+    are_finished,
+    digest,
+    digest_of,
+    prepare,
+    refuse_foreign,
+    refuse_other,
+    told_of_output,
+    write_summary,
+)
 from .options import EXAMINED, SUMMARY, Options, Summary
 from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
@@ -71,7 +81,7 @@ def denoise_offline(
     with lock(out):
         remove_unfinished(out)
         summary = _Run(sequence, out, options, passes, on_frame).run(overwrite)
-    summary.notes[:0] = notes
+    summary.notes[:0] = [*notes, *told_of_output(sequence, options)]
     return summary
 
 
