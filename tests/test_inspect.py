@@ -309,6 +309,15 @@ def test_motion_of_zeros_in_a_picture_that_changes_is_told_once(tmp_path, capsys
     assert capsys.readouterr().out.count(words) == moves
 
 
+@pytest.mark.parametrize("constant", [True, False])
+def test_an_albedo_that_tells_nothing_is_told(tmp_path, capsys, constant):
+    """In the first two frames, or in all."""
+    made = [replace(frame, albedo=torch.full_like(frame.albedo, 0.5)) for frame in make_frames(3)]
+    shot = write_sequence(tmp_path / "shot", made if constant else [*made[:2], make_frames(3)[2]])
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast"])
+    assert ("albedo is the same in all pixels" in capsys.readouterr().out) == constant
+
+
 def test_a_cut_between_still_shots_is_no_motion(tmp_path, capsys):
     first, last = make_frames(1)[0], make_frames(1)[0]
     last = replace(last, depth=last.depth * 3)

@@ -151,6 +151,7 @@ def _run(
         save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options, written.digest)
         summary.written += 1
         on_frame(i + 1, len(sequence))
+    watch.end()
     write_summary(out / SUMMARY, sequence, options, summary)
     return summary
 

@@ -1,5 +1,5 @@
-"""Motion that is zero everywhere though the picture changes, as Blender 4 writes it with motion blur, and motion of
-another convention. Needs no torch, but for the second."""
+"""Motion that is zero everywhere though the picture changes, as Blender 4 writes it with motion blur, motion of another
+convention, and albedo that tells nothing. Needs no torch, but for the convention."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ UNMOVED = (
 )
 PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors are judged, and pixels of each
 WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"
+FLAT = "albedo is the same in all pixels of all frames, so textures blur: was its pass forgotten?"
 
 
 def is_unmoved(before: Frame, now: Frame) -> bool:
@@ -46,9 +47,15 @@ class Watch:
     def __init__(self, notes: list[str]) -> None:
         self._notes, self._before, self._told = notes, None, False
         self._verdicts: list[Verdict] = []  # of the first pairs that move
+        self._albedo: np.ndarray | None = None  # of all pixels of all frames so far
+        self._flat = True
 
     def see(self, frame: Frame, goes_on: bool) -> None:
         """The next frame as it was read; `goes_on`: with the shot of the last one."""
+        if self._flat and frame.albedo is not None:
+            albedo = np.asarray(frame.albedo)
+            self._albedo = albedo[..., :1, :1] if self._albedo is None else self._albedo
+            self._flat = bool((albedo == self._albedo).all())
         judges = len(self._verdicts) < PAIRS and find_spec("torch") is not None
         if frame.motion is None or (self._told and not judges):
             return
@@ -60,6 +67,11 @@ class Watch:
             if judges and frame.number == self._before.number + 1 and np.asarray(frame.motion).any():
                 self._judge(frame)
         self._before = frame
+
+    def end(self) -> None:
+        """After the last frame."""
+        if self._flat and self._albedo is not None:
+            self._notes.append(FLAT)
 
     def _judge(self, frame: Frame) -> None:
         """Note it where all pairs say that the motion is wrong, and in the same way."""
