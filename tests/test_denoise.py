@@ -168,10 +168,11 @@ def test_bad_pixels_are_replaced_and_counted(tmp_path, model, capsys):
         assert np.isfinite(pixels(tmp_path / "out" / f"frame.{i:04d}.exr")).all()
 
 
-def test_preview_is_written(shot, tmp_path, model):
+def test_preview_is_written(shot, tmp_path, model, capsys):
     main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", model, "--preview"])
     written = {path.suffix for path in (tmp_path / "out").glob("preview.*")}
     assert ".png" in written and written & {".gif", ".mp4"}
+    assert ("preview.gif has 256 colours" in capsys.readouterr().out) == (".gif" in written)
 
 
 def test_the_input_is_not_touched(shot, tmp_path, model):

@@ -144,7 +144,10 @@ def denoise_shot(
     keep_freed()
     lines = told(denoise(source, out, command.settings, command.overwrite, on_frame))
     if command.preview:
-        lines.append(f"preview: {', '.join(map(str, _preview(command.settings, source, out)))}")
+        files = _preview(command.settings, source, out)
+        lines.append(f"preview: {', '.join(map(str, files))}")
+        if files[-1].suffix == ".gif":
+            lines.append("preview.gif has 256 colours; install ffmpeg for preview.mp4")
     return lines
 
 
