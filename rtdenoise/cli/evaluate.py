@@ -54,7 +54,7 @@ class Evaluate:
         from rich.progress import TextColumn
 
         from ..evaluate.run import EvaluateOptions, run
-        from ..models.inference import choose_device
+        from ..models.inference import automatic, choose_device
 
         options = EvaluateOptions(
             split_names(self.methods), split_names(self.precision), split_names(self.metrics), self.spp, signal,
@@ -70,4 +70,8 @@ class Evaluate:
                 bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
             document = run(self.sources, out, options, say, on_step)
+        own, networks = automatic(options.device), [m for m in document.methods.values() if m["family"] == "network"]
+        if networks and own not in options.precisions:
+            print(f"the networks ran in {', '.join(options.precisions)}; `denoise` runs most in {own} here, which is "
+                  f"faster: --precision {own} measures that")  # fmt: skip
         print(f"{out}: {len(document.results)} results; `rtdenoise report {out}` draws them")

@@ -57,6 +57,13 @@ def takes_bytes(precision: str, device: str | torch.device) -> bool:
     return torch.device(device).type == "cpu" and not _has("amx_tile") and multiplies_bytes()
 
 
+def automatic(device: str | torch.device) -> str:
+    """The one of PRECISIONS that 'auto' means on a device, for a network that has weights in bytes."""
+    if takes_bytes("auto", device):
+        return INT8
+    return "bf16" if resolve("auto", device) is torch.bfloat16 else "fp32"
+
+
 def precision_of(network: nn.Module) -> str:
     """The one of PRECISIONS that most of a network computes in."""
     if any(type(module).__name__.endswith("InBytes") for module in network.modules()):
