@@ -352,6 +352,13 @@ def test_frames_that_do_not_belong_together_are_refused(shot, clean, tmp_path, m
     assert not list((tmp_path / "out").glob("*.exr"))
 
 
+def test_progress_in_lines_and_a_preview(shot, clean, tmp_path, capsys):
+    out = tmp_path / "out"
+    more = ["--model", "shrinkage", "--progress", "lines", "--preview"]
+    main(["combine", str(shot), str(clean), "--out", str(out), *more])
+    assert "6/6\n" in capsys.readouterr().out and (out / "preview.png").exists()
+
+
 @pytest.mark.parametrize("samples", [-1, 1_000_001, 10**30])
 def test_samples_beyond_all_sense_are_one_line(shot, clean, tmp_path, samples, capsys):
     command = ("combine", shot, clean, "--out", tmp_path / "out", "--samples", samples)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from ..run.options import CombineOptions
-from .denoise import told
-from .progress import progress_bar
+from .denoise import told, write_preview
+from .progress import frame_progress
 
 
 @dataclass(frozen=True)
@@ -26,17 +26,18 @@ class Combine:
     settings: OmitArgPrefixes[CombineOptions] = field(default_factory=CombineOptions)
     overwrite: bool = False
     """Correct all frames again, whatever --out holds."""
+    preview: bool = False
+    """Also write preview.png and an animation: noisy | denoised | reference."""
+    progress: Literal["bar", "lines"] = "bar"
+    """How far it is: a bar, or a line such as 3/24 after each frame, for programs that show it themselves."""
 
     def run(self) -> None:
         from ..run.combine import combine
         from ..run.memory import keep_freed
 
         keep_freed()
-        with progress_bar("combining") as bar:
-            task = bar.add_task("combine", total=None)
-            summary = combine(
-                self.noisy, self.denoised, self.out, self.settings, self.overwrite,
-                lambda done, total: bar.update(task, completed=done, total=total),
-            )  # fmt: skip
-        written, *more = told(summary, "combiner")
+        with frame_progress(self.progress, "combining") as on_frame:
+            summary = combine(self.noisy, self.denoised, self.out, self.settings, self.overwrite, on_frame)
+            written, *more = told(summary, "combiner")
+            more += write_preview(self.settings, self.noisy, self.out) if self.preview else []
         print("\n".join([f"{self.out}: {written}", *more]))

@@ -15,10 +15,10 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from ..errors import InputError
 from ..run.farm import Farm
-from ..run.options import Options, Summary
+from ..run.options import CombineOptions, Options, Summary
 from ..run.processes import Place, Processes
 from ..run.threads import cpu_limit
-from .progress import progress_bar
+from .progress import frame_progress, progress_bar
 
 CORES = 4  # for a shot
 KILLED = "a process was killed (out of memory?); run the same command again with fewer --workers"
@@ -59,14 +59,8 @@ class Denoise:
             self._denoise_many(shots)
 
     def _denoise_one(self, source: str) -> None:
-        if self.progress == "lines":
-            lines = denoise_shot(self, source, self.out, lambda done, total: print(f"{done}/{total}", flush=True))
-        else:
-            with progress_bar("denoising") as bar:
-                task = bar.add_task("denoise", total=None)
-                lines = denoise_shot(
-                    self, source, self.out, lambda done, total: bar.update(task, completed=done, total=total)
-                )
+        with frame_progress(self.progress, "denoising") as on_frame:
+            lines = denoise_shot(self, source, self.out, on_frame)
         print(f"{self.out}: " + "\n".join(lines))
 
     def _denoise_many(self, shots: dict[str, str]) -> None:
@@ -143,22 +137,20 @@ def denoise_shot(
 
     keep_freed()
     lines = told(denoise(source, out, command.settings, command.overwrite, on_frame))
-    if command.preview:
-        files = _preview(command.settings, source, out)
-        lines.append(f"preview: {', '.join(map(str, files))}")
-        if files[-1].suffix == ".gif":
-            lines.append("preview.gif has 256 colours; install ffmpeg for preview.mp4")
-    return lines
+    return lines + (write_preview(command.settings, source, out) if command.preview else [])
 
 
-def _preview(options: Options, source: str, out: Path) -> list[Path]:
+def write_preview(options: Options | CombineOptions, source: str, out: Path) -> list[str]:
+    """Write the preview of a finished run. Returns what there is to say about it."""
     from ..data.sequences import open_sequence
     from ..run.preview import preview
 
     sequence = open_sequence(
         source, signal=options.signal, preset=options.preset, layers=("reference",), allow_gaps=options.allow_gaps
     )
-    return preview(sequence, out, options.layout, options.recombine)
+    files = preview(sequence, out, options.layout, options.recombine)
+    lines = [f"preview: {', '.join(map(str, files))}"]
+    return lines + ["preview.gif has 256 colours; install ffmpeg for preview.mp4"] * (files[-1].suffix == ".gif")
 
 
 def _try(command: Denoise, source: str, out: Path) -> list[str] | InputError:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 
@@ -23,3 +26,14 @@ class Bar(Progress):
 def progress_bar(label: str, *more: ProgressColumn) -> Bar:
     """A bar that says `label`; `more` columns follow after the remaining time."""
     return Bar(TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), *more)
+
+
+@contextmanager
+def frame_progress(kind: str, label: str) -> Iterator[Callable[[int, int], None]]:
+    """What takes (frames done, total): a bar that says `label`, or with the kind 'lines' a line a frame."""
+    if kind == "lines":
+        yield lambda done, total: print(f"{done}/{total}", flush=True)
+        return
+    with progress_bar(label) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
