@@ -7,6 +7,11 @@ import random
 import re
 from pathlib import Path
 
+# Each worker of pytest-xdist has one thread: pictures here are tiny, and threads that outnumber the processors wait ten
+# times as long for each other as they work. Torch reads it when it is imported; programs that tests start inherit it.
+if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1)) > 1:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 import torch
@@ -122,8 +127,17 @@ def backend(request):
 
 
 @pytest.fixture
-def both(backend, monkeypatch):
-    """`both(op, *arguments)`: the results of the plain op and of the fused one."""
+def two_threads():
+    """For kernels that share their work out: two threads, however many processors there are."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def both(backend, two_threads, monkeypatch):
+    """`both(op, *arguments)`: the results of the plain op and of the fused one, on two threads."""
     from rtdenoise import ops
     from rtdenoise.ops import dispatch
 
