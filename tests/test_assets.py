@@ -16,6 +16,7 @@ from rtdenoise.data.clips import ClipDataset, clip_path, read_facts, read_layers
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.render.clips import refuse_other_options, render_clips
+from rtdenoise.render.draw import VIEWS, draw_takes
 from rtdenoise.render.frames import features, radiance
 from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scene_clips import draw_samples
@@ -36,6 +37,8 @@ CATEGORIES = {  # category -> width, height, depth in metres
     "kitchen": (0.1, 0.15, 0.1), "vehicle": (1.8, 1.4, 4.2), "statue": (0.4, 0.8, 0.4),
 }  # fmt: skip
 
+TINY = ClipOptions(2, (32, 32), seed=1, reference_error=1, reference_range=(2, 2), workers=1)
+
 
 def write_box(folder, width, height, depth, **part) -> None:
     """A model of one part: a box on the ground."""
@@ -55,8 +58,12 @@ def write_box(folder, width, height, depth, **part) -> None:
 
 @pytest.fixture
 def folder(tmp_path):
+    """A library that a test may change."""
+    return write_library(tmp_path / "library")
+
+
+def write_library(library):
     """A library with one model of each category, one environment map and two pictures."""
-    library = tmp_path / "library"
     models = []
     for category, (w, h, d) in CATEGORIES.items():
         write_box(library / "models" / category, w, h, d)
@@ -351,14 +358,15 @@ def test_a_lens_blurs_what_is_not_in_focus():
 
 
 def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
+    """With a lead-in all its clips are as short as this."""
     (folder / "models" / "kitchen" / "0.ply").write_bytes(b"ply\nnonsense")
-    options = ClipOptions(2, (32, 32), seed=1, reference_error=1, reference_range=(2, 2), workers=1, assets=str(folder))
+    options = replace(TINY, frames=2, lead_in=1, assets=str(folder))
     card = render_clips(tmp_path / "out", options, lambda *_: None)
     assert card["clips"] == 2 and card["sources"] == {"composition of assets": 2}
     facts = [read_facts(clip_path(tmp_path / "out", i)) for i in range(2)]
     for f in facts:
-        assert f["window"][2:] in ([720, 1280], [810, 1440], [900, 1600], [1080, 1920])
-        assert f["samples"] == f["spp"] and f["frames"] >= 8
+        assert tuple(f["window"][2:]) in VIEWS
+        assert f["samples"] == f["spp"] and f["frames"] == 2 and f["lead_in"] == 1
     text = (tmp_path / "out" / "DATA.md").read_text()
     assert "### Assets: CC BY 4.0" in text and "**Ada**" in text
     if any(f["skipped"] for f in facts):
@@ -369,6 +377,12 @@ def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
     render_clips(tmp_path / "out", options, lambda *_: None)
     for a, b in zip(before, ClipDataset(tmp_path / "out").load(1), strict=True):
         assert all(tensor.equal(getattr(b, name)) for name, tensor in a.layers())
+
+
+def test_takes_of_assets_have_lengths_of_their_own(folder):
+    options = replace(TINY, frames=2, seed=9, assets=str(folder))
+    ((number, take),) = draw_takes(0, options, {0})
+    assert number == 0 and len(take.found.motion) == take.frames >= 8 and take.view in VIEWS
 
 
 def test_sets_of_other_samples_or_lengths_are_not_mixed(tmp_path):
@@ -417,11 +431,18 @@ def test_a_library_without_meshes_is_refused(folder, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_stills_of_assets_are_single_frames(folder, tmp_path):
-    options = ClipOptions(2, (32, 32), 1, seed=1, reference_error=1, reference_range=(2, 2), workers=1,
-                          assets=str(folder))  # fmt: skip
-    render_clips(tmp_path, options, lambda *_: None)
-    clips = ClipDataset(tmp_path)
+@pytest.fixture(scope="module")
+def stills(tmp_path_factory):
+    """Two stills of a library, and their options."""
+    library = write_library(tmp_path_factory.mktemp("assets") / "library")
+    options = replace(TINY, frames=1, reference_range=(16, 16), assets=str(library))
+    render_clips(library.parent / "stills", options, lambda *_: None)
+    return library.parent / "stills", options
+
+
+def test_stills_of_assets_are_single_frames(stills):
+    path, options = stills
+    clips = ClipDataset(path)
     assert [len(clips.load(i)) for i in range(len(clips))] == [1, 1]
     assert options.clips_per_scene > ClipOptions(assets="x").clips_per_scene
 
@@ -434,20 +455,18 @@ def test_a_set_of_assets_has_no_more_samples_than_allowed():
     assert draws == {None: {4, 8, 16, 32, 64, 128, 256}, 16: {4, 8, 16}, 7: {4}, 4: {4}}
 
 
-def test_repeats_of_a_still_differ_in_noise_alone(folder, tmp_path):
-    options = ClipOptions(1, (32, 32), 1, seed=1, reference_error=1, reference_range=(16, 16), workers=1,
-                          assets=str(folder))  # fmt: skip
-    for name, repeats in (("once", 1), ("thrice", 3)):
-        render_clips(tmp_path / name, replace(options, repeats=repeats), lambda *_: None)
-    (once,), thrice = (ClipDataset(tmp_path / name).load(0) for name in ("once", "thrice"))
+def test_repeats_of_a_still_differ_in_noise_alone(stills, tmp_path):
+    path, options = stills
+    render_clips(tmp_path, replace(options, count=1, repeats=3), lambda *_: None)
+    (once,), thrice = ClipDataset(path).load(0), ClipDataset(tmp_path).load(0)
     assert len(thrice) == 3
     for frame in thrice:
         assert frame.reference.equal(once.reference) and frame.reference_half.equal(once.reference_half)
         assert not frame.motion.any() and not frame.motion_next.any()
     assert thrice[0].radiance.equal(once.radiance) and not thrice[1].radiance.equal(thrice[2].radiance)
-    assert {"albedo_reference", "normal_reference"} <= read_layers(clip_path(tmp_path / "once", 0)).keys()
+    assert {"albedo_reference", "normal_reference"} <= read_layers(clip_path(path, 0)).keys()
     with pytest.raises(InputError, match="was rendered with frames = 3, not 1"):
-        render_clips(tmp_path / "thrice", options, lambda *_: None)
+        render_clips(tmp_path, options, lambda *_: None)
 
 
 @pytest.mark.parametrize(
