@@ -8,6 +8,7 @@ counts other values.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -34,12 +35,15 @@ AT = (12, 15)  # the pixel that is broken: row, column
 
 class Subject:
     """A denoiser whose steps are watched. Mode "training" also takes the loss and its gradients, in bfloat16 as
-    training does. `of` gives the denoiser that goes with a mode."""
+    training does. `of` gives the denoiser that goes with a mode. It remembers what it has seen: cases share many runs
+    and beginnings of runs, of which each is played once."""
 
     def __init__(self, denoiser: torch.nn.Module, mode: str = "float32", frames: int = 100) -> None:
         self.denoiser, self.mode = denoiser, mode
         self.frames = 6 if mode == "training" else frames  # of the cases that take long sequences
         self.non_finite = 0  # values so far, over outputs, histories, losses and gradients
+        self.played: dict[bytes, tuple[Tensor, int]] = {}  # frames from a first one on -> image and non-finite values
+        self.left: dict[bytes, History] = {}  # frames of whole runs -> the history after them
 
     @classmethod
     def of(cls, model: str, mode: str, frames: int = 100) -> Subject:
@@ -63,16 +67,35 @@ class Subject:
         self.count(image, *tensors.values())
         return image.detach(), History.from_layers(tensors)
 
-    def play(self, frames: list[Frame], history: History | None = None) -> list[Tensor]:
-        """The outputs of consecutive frames."""
-        images = []
-        for frame in frames:
-            image, history = self.step(frame, history)
-            images.append(image)
-        return images
+    def play(self, frames: list[Frame]) -> list[Tensor]:
+        """The outputs of consecutive frames, without a history before the first."""
+        keys = _keys(frames)
+        if any(key not in self.played for key in keys):
+            known = max((i for i, key in enumerate(keys, start=1) if key in self.left), default=0)
+            history = self.left[keys[known - 1]] if known else None
+            before = self.non_finite
+            for key, frame in zip(keys[known:], frames[known:], strict=True):
+                self.non_finite = 0
+                image, history = self.step(frame, history)
+                self.played[key] = image, self.non_finite
+            self.left[keys[-1]], self.non_finite = history, before
+        self.non_finite += sum(self.played[key][1] for key in keys)
+        return [self.played[key][0] for key in keys]
 
     def count(self, *tensors: Tensor) -> None:
         self.non_finite += sum(int((~tensor.isfinite()).sum()) for tensor in tensors)
+
+
+def _keys(frames: list[Frame]) -> list[bytes]:
+    """What tells runs apart, after each frame."""
+    keys, run = [], hashlib.sha256()
+    for frame in frames:
+        run.update(repr([(name, tensor.dtype, tensor.shape) for name, tensor in frame.layers()]).encode())
+        run.update(repr((frame.number, frame.name)).encode())
+        for _, tensor in frame.layers():
+            run.update(tensor.contiguous().numpy().tobytes())
+        keys.append(run.digest())
+    return keys
 
 
 def modes_of(model: str) -> tuple[str, ...]:
@@ -277,9 +300,8 @@ for value in (math.nan, math.inf, 1e6, 3 * 32.0, OFF_SCREEN):
     @case(f"motion {value:g} everywhere", "no trace of history: as a first frame", "greatest difference", 0.0)
     def _(subject: Subject, value: float = value) -> float:
         before, now = scene(2)
-        _, history = subject.step(before)
         now = filled(now, "motion", value)
-        return greatest([subject.step(now, history)[0]], [subject.step(now)[0]])
+        return greatest(subject.play([before, now])[1:], subject.play([now]))
 
 
 for value, label in ((0.5, "half a pixel"), (-0.5, "minus half a pixel"), (31.5, "to the very border")):
@@ -303,7 +325,7 @@ def _(subject: Subject) -> float:
 @case("every other frame dropped", "no worse than without history", "error / error of single frames", 1.1, 1.2)
 def _(subject: Subject) -> float:
     frames = scene(8)[::2]
-    alone = [subject.step(frame)[0] for frame in frames]
+    alone = [subject.play([frame])[0] for frame in frames]
     errors = [_error(images[1:], frames[1:]) for images in (subject.play(frames), alone)]
     return errors[0] / errors[1]
 
@@ -318,11 +340,8 @@ def _error(images: list[Tensor], frames: list[Frame]) -> float:
 @case("static clean input, many frames", "a fixed point: no drift in the second half", "relative change",
       1e-3, 0.05, 0.1)  # fmt: skip
 def _(subject: Subject) -> float:
-    settled = history = None
-    for i, frame in enumerate(still(subject.frames, 0.0)):
-        image, history = subject.step(frame, history)
-        settled = image if i == subject.frames // 2 else settled
-    return relative(image, settled)
+    images = subject.play(still(subject.frames, 0.0))
+    return relative(images[-1], images[subject.frames // 2])
 
 
 @case("static clean input, many frames: error", "the fixed point is the input", "relative RMS", 0.5)
@@ -379,7 +398,7 @@ def _(subject: Subject) -> float:
         f.motion[:, 0], f.motion_next[:, 0] = speed, -speed
         frames.append(f)
     entering = (slice(None), slice(None), slice(None), slice(32 - speed, 32))
-    runs = subject.play(frames)[1:], [subject.step(f)[0] for f in frames[1:]]
+    runs = subject.play(frames)[1:], [subject.play([f])[0] for f in frames[1:]]
     errors = [sum((i - f.reference)[entering].square().mean().item() for i, f in zip(run, frames[1:], strict=True))
               for run in runs]  # fmt: skip
     return errors[0] / errors[1]
@@ -389,7 +408,7 @@ def _(subject: Subject) -> float:
       "error there / of single frames", 1.0)  # fmt: skip
 def _(subject: Subject) -> float:
     frames = _dark_object(8, speed=3)
-    runs = subject.play(frames)[2:], [subject.step(f)[0] for f in frames[2:]]
+    runs = subject.play(frames)[2:], [subject.play([f])[0] for f in frames[2:]]
     errors = []
     for run in runs:
         inside = [
