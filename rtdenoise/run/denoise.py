@@ -110,7 +110,7 @@ def _run(
     summary.skipped, summary.gaps, summary.ran = done, list(sequence.gaps), backend.ran
     if SOFTWARE in summary.ran["device"]:
         summary.notes.append(f"the shaders run on the CPU, by {summary.ran['device']}: PyTorch (--backend torch) is "
-                             "about 20 times as fast")  # fmt: skip
+                             "many times as fast")  # fmt: skip
     if len(sequence) > 1 and backend.config.motion is None:
         summary.notes.append(f"{options.model} denoises each frame alone: nothing is carried from frame to frame")
     if len(sequence) == 1 and options.correct:
