@@ -262,7 +262,7 @@ def test_the_shipped_weights_are_those_of_default_and_of_oidns_network(model, ne
 def test_its_pixels_are_those_of_oidns_network(model, monkeypatch):
     """OIDN's weights in our network give its picture, at its auto-exposure."""
     shares(monkeypatch, 0.0)
-    monkeypatch.setattr("rtdenoise.models.hybrid.PIXELS_LIGHT", 0.334)
+    monkeypatch.setattr("rtdenoise.models.pixel_network.PIXELS_LIGHT", 0.334)
     hybrid, kernels = read(model), read("default")
     frame = open_sequence(SAMPLE)[0]
     large = {"quality": "high", "prefilter": True}

@@ -12,20 +12,17 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..constants import PIXELS_LIGHT
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
-from ..ops.around import expand_within
 from ..ops.even_sky import even_sky
 from ..ops.evened import evened, held_and_tells
-from ..ops.lift import lift, lower
 from ..ops.mix import mix
 from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN
 from .hybrid_config import HybridConfig
 from .past import followed, seen
-from .pixel_network import PixelNetwork
+from .pixel_network import PixelNetwork, written
 
 
 class Hybrid(AccumulatedKPN):
@@ -58,11 +55,8 @@ class Hybrid(AccumulatedKPN):
             radiance, *guides = shown.split(FOOTPRINT, dim=1)
             if not self.config.many:
                 radiance = evened(radiance, after.footprint_count, image, trust)
-            scale, one = PIXELS_LIGHT * known.exposure, torch.ones_like(known.exposure)
-            lit = lift(scale * radiance)
             held, tells = held_and_tells(held, image.dtype)
-        pixels = expand_within(self.pixels(lit, *guides, one), one, lit, lift(scale * image))
-        pixels = lower(pixels) / scale
+        pixels = written(lambda lit, scale: self.pixels(lit, *guides, scale), radiance, image, known.exposure)
 
         before, shares = None if self.config.many else past.output, self.config.shares
         shown = mix(image, pixels, known.exposure, trust, shares, before, held, frame.radiance, tells)

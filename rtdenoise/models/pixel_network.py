@@ -5,6 +5,7 @@ They are those of Open Image Denoise (Áfra 2019-2025, Apache License 2.0), with
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import islice
 
 import torch
@@ -12,8 +13,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..color import srgb_decode, srgb_encode
-from ..constants import PIXELS_UNIT
+from ..constants import PIXELS_LIGHT, PIXELS_UNIT
+from ..ops.around import expand_within
 from ..ops.features import features
+from ..ops.lift import lift, lower
 from ..ops.max_pool import max_pool
 from ..ops.to_planes import to_planes
 from .hybrid_config import HybridConfig, PixelShape
@@ -57,8 +60,8 @@ class PixelNetwork(PixelUNet):
         self.surfaces = nn.ModuleDict({name: PixelUNet(shape) for name, shape in config.surfaces.items()})
 
     def forward(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
-        """What each pixel showed, `[B, 3, H, W]` each, and its exposure `scale`, `[B, 1, 1, 1]`, to the picture's light
-        as `features` compress it, `[B, 3, H, W]` ≥ 0 in float32."""
+        """What each pixel showed, `[B, 3, H, W]` each, its light lifted (`written`), and the `scale` of that light,
+        `[B, 1, 1, 1]`, to the picture's light as `features` compress it, `[B, 3, H, W]` ≥ 0 in float32."""
         if self.surfaces:
             albedo, normal = self.clean(albedo, normal)
         return self.write(radiance, albedo, normal, scale)
@@ -80,6 +83,16 @@ class PixelNetwork(PixelUNet):
         """`features`, `[B, 9, H, W]`, with light in OIDN's unit, and albedo and normal in [0, 1]."""
         guides, lanes = (albedo.clamp(0, 1), as_color(normal)), self.encoder[0].lanes
         return features((radiance,), guides, scale, self.last.weight, PIXELS_UNIT, lanes)
+
+
+def written(write: Callable[[Tensor, Tensor], Tensor], radiance: Tensor, other: Tensor, exposure: Tensor) -> Tensor:
+    """The light that a network makes of `radiance`, `[B, 3, H, W]`, between the least and the greatest of it and of
+    the picture `other` around each pixel. `write` takes that light on OIDN's curve (`ops.lift`) and its scale there,
+    `[B, 1, 1, 1]`, and returns what `PixelNetwork` does."""
+    scale, one = PIXELS_LIGHT * exposure, torch.ones_like(exposure)
+    lit = lift(scale * radiance)
+    around = lit if other is radiance else lift(scale * other)
+    return lower(expand_within(write(lit, one), one, lit, around)) / scale
 
 
 def as_color(normal: Tensor) -> Tensor:

@@ -9,13 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..constants import PIXELS_LIGHT
 from ..exposure import exposure
 from ..frame import Frame
 from ..models.config import CELL
 from ..models.loading import load
-from ..ops.around import expand_within
-from ..ops.lift import lift, lower
+from ..models.pixel_network import written
 
 MODEL = "hybrid-large"
 TILE = 1024  # pixels, a multiple of `CELL`: larger pictures are filtered in tiles, so that memory is bounded
@@ -38,14 +36,14 @@ class PixelFilter:
     def step(self, frame: Frame) -> tuple[Tensor, None]:
         """The radiance of a (sanitised) frame with clean albedo and normal, without noise and within the light around
         each pixel, `[1, 3, H, W]`; there is no history."""
-        scale = PIXELS_LIGHT * exposure(frame.radiance)
-        lit, one = lift(scale * frame.radiance), torch.ones_like(scale)
 
-        def write(*layers: Tensor) -> tuple[Tensor]:
-            return (self._network.write(*layers, one),)
+        def write(lit: Tensor, scale: Tensor) -> Tensor:
+            def of_tile(*layers: Tensor) -> tuple[Tensor]:
+                return (self._network.write(*layers, scale),)
 
-        (image,) = in_tiles(write, self._reach, lit, frame.albedo, frame.normal)
-        return lower(expand_within(image, one, lit, lit)) / scale, None
+            return in_tiles(of_tile, self._reach, lit, frame.albedo, frame.normal)[0]
+
+        return written(write, frame.radiance, frame.radiance, exposure(frame.radiance)), None
 
 
 def in_tiles(run: Callable[..., tuple[Tensor, ...]], reach: int, *layers: Tensor) -> tuple[Tensor, ...]:
