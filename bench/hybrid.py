@@ -24,6 +24,7 @@ import tyro
 from bench.latency.methods import partly_in_bytes, settled, synthetic_frame
 from rtdenoise.baselines import Oidn
 from rtdenoise.evaluate.run import EvaluateOptions, run
+from rtdenoise.frame import Known
 from rtdenoise.models import load
 from rtdenoise.models.inference import resolve
 from rtdenoise.report.readings import label
@@ -44,8 +45,11 @@ METHODS = {
     "default int8": "`default`, int8",
     "hybrid-fast int8": "**`hybrid-fast`**, int8",
     "hybrid int8": "**`hybrid`**, int8",
+    "hybrid-ahead2 int8": "**`hybrid`** with `--lookahead 2`, int8",
 }
-IN_BYTES = ("default", "hybrid-fast", "hybrid")
+IN_BYTES = tuple(method.removesuffix(" int8") for method in METHODS if method.endswith(" int8"))
+ALONE = "-spatial"  # ends the names of single frames, which are not timed
+AHEAD = "-ahead2"  # ends those of what sees two frames ahead
 SIZES = {"720p": (720, 1280), "144p": (144, 256)}  # that steps are timed at
 METRICS = ("psnr", "psnr_corrected", "flip", "tpsnr")
 
@@ -74,12 +78,12 @@ def times_of(size: str, precision: str) -> dict:
     has this one with int8."""
     frame = synthetic_frame(*SIZES[size])
     steps = {"oidn": partial(Oidn().step, frame)}
-    for name in ("default", "hybrid-fast", "hybrid", "hybrid-large"):
-        model = load(name, precision=precision)
-        steps[name] = partial(model.step, frame, settled(model, frame))
-    for name in IN_BYTES:
-        model = partly_in_bytes(name, precision)
-        steps[f"{name} int8"] = partial(model.step, frame, settled(model, frame))
+    for method in (method for method in METHODS if not method.endswith(ALONE)):
+        shown = method.removesuffix(" int8")
+        name = shown.removesuffix(AHEAD)
+        model = load(name, precision=precision) if shown == method else partly_in_bytes(name, precision)
+        known = Known(ahead=() if name == shown else (frame, frame))
+        steps[method] = partial(model.step, frame, settled(model, frame), known)
     timings = harness.measure(steps, calls=9, warmup=2)
     return {"size": size, "precision": precision, **{name: timing.median_ms for name, timing in timings.items()}}
 
@@ -92,6 +96,8 @@ def tables(document: dict) -> dict[str, str]:
     ]
     for method, shown in METHODS.items():
         pairs = [(row, harness.beside(document, row, "oidn")) for row in document["rows"] if row["method"] == method]
+        if not pairs:
+            continue
         each = [_lead(pairs, "frame", signal) for signal in SIGNALS]
         frame, uncovered = [_lead(pairs, region) for region in ("frame", "uncovered")]
         flip = np.mean([row["frame"]["flip"] / oidn["frame"]["flip"] for row, oidn in pairs])

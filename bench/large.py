@@ -29,7 +29,7 @@ SIGNALS = ("color", "indirect")
 SPP = (4, 8, 16, 64)  # beside 1
 OURS = ("default-spatial", "hybrid-fast-spatial", "hybrid-spatial", "hybrid-large-spatial", "default", "hybrid-fast",
         "hybrid", "hybrid-large", "hybrid-large-ahead2", "offline-without-oidn", "offline")  # fmt: skip
-IN_BYTES = ("default", "hybrid-fast", "hybrid")  # measured in int8, too
+IN_BYTES = ("default", "hybrid-fast", "hybrid", "hybrid-ahead2")  # measured in int8, too
 SHOWN_OURS = *OURS[:-2], *(f"{name} int8" for name in IN_BYTES), *OURS[-2:]
 MANY = ("many", "hybrid-many", "hybrid-large-many", "oidn+combiner")
 METRICS = ("psnr_corrected", "ssim", "relmse", "flip", "tpsnr_corrected")
@@ -79,6 +79,10 @@ def tables(document: dict) -> dict[str, str]:
     }  # fmt: skip
 
 
+def _shown(at_1: dict) -> list[str]:
+    return [method for method in ("oidn-prefiltered", *SHOWN_OURS) if method in at_1]
+
+
 def _by(rows: list[dict], spp: int) -> dict[str, dict[tuple[str, str], dict]]:
     """Method -> (sequence, signal) -> row."""
     found = {}
@@ -106,7 +110,7 @@ def _over_oidn(at_1: dict) -> str:
         "|---" * 11 + "|",
     ]
     base = at_1[REFERENCE]
-    for method in ("oidn-prefiltered", *SHOWN_OURS):
+    for method in _shown(at_1):
         rows = at_1[method]
         each = [np.mean(_leads(rows, base, signal=signal)) for signal in SIGNALS]
         uncovered = _leads(rows, base, region="uncovered")
@@ -124,7 +128,7 @@ def _over_oidn(at_1: dict) -> str:
 
 def _by_frame(at_1: dict) -> str:
     lines = [f"| | {' | '.join(f'frame {number}' for number in FRAMES)} |", "|---" * (len(FRAMES) + 1) + "|"]
-    for method in SHOWN_OURS:
+    for method in _shown(at_1)[1:]:
         cells = []
         for number in map(str, FRAMES):
             pairs = [
@@ -138,7 +142,7 @@ def _by_frame(at_1: dict) -> str:
 def _by_sequence(at_1: dict) -> str:
     keys = list(at_1[REFERENCE])
     lines = [f"| | {' | '.join(f'{name}, {signal}' for name, signal in keys)} |", "|---" * (len(keys) + 1) + "|"]
-    for method in ("oidn-prefiltered", *SHOWN_OURS):
+    for method in _shown(at_1):
         pairs = [(at_1[method][key], at_1[REFERENCE][key]) for key in keys]
         cells = [f"{a['frame']['psnr_corrected'] - b['frame']['psnr_corrected']:+.2f}" for a, b in pairs]
         lines.append(f"| `{method}` | {' | '.join(cells)} |")
