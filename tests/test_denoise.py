@@ -8,13 +8,14 @@ import shutil
 import signal
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from synthetic import TINY, Stop, make_frames, stop_after, with_bad_pixels, write_sequence
+from synthetic import TINY, Stop, assert_goes_on, make_frames, stop_after, with_bad_pixels, write_sequence
 
 import rtdenoise
 from rtdenoise.cli.main import main
@@ -25,6 +26,7 @@ from rtdenoise.models import TemporalKPN, save
 from rtdenoise.models.shrinkage import corrected
 from rtdenoise.run.backends import open_backend
 from rtdenoise.run.denoise import STATE, Options, denoise
+from rtdenoise.run.stand_ins import COSTS, STAND_INS
 
 
 @pytest.fixture(scope="module")
@@ -181,14 +183,35 @@ def test_the_input_is_not_touched(shot, tmp_path, model):
     assert {path: path.read_bytes() for path in shot.iterdir()} == before
 
 
-def test_missing_layer(tmp_path, model, capsys):
-    write_sequence(tmp_path / "shot", make_frames(), without=("albedo",))
-    assert "albedo" in refused(capsys, "denoise", tmp_path / "shot", "--out", tmp_path / "out", "--model", model)
+@pytest.mark.parametrize("missing", [("albedo",), ("normal", "depth"), ("motion",), (*STAND_INS, "motion")])
+def test_a_missing_layer_is_done_without_as_from_python(tmp_path, model, missing, capsys):
+    frames = make_frames()
+    shot = write_sequence(tmp_path / "shot", frames, without=missing)
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", model, "--float32"])
+    told = capsys.readouterr().out.splitlines()
+    for layer in (*STAND_INS, "motion"):
+        lines = [line for line in told if line.startswith(f"no {layer}: {COSTS[layer]}; write it as {layer}.")]
+        assert len(lines) == (layer in missing)
+    denoiser = rtdenoise.Denoiser(model)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for i, frame in enumerate(rtdenoise.open_sequence(shot)):
+            found = denoiser(frame.radiance, **{name: getattr(frame, name) for name in COSTS})
+            assert np.array_equal(pixels(tmp_path / "out" / f"frame.{i:04d}.exr"), found[0].numpy())
 
 
-def test_missing_motion(tmp_path, model, capsys):
-    write_sequence(tmp_path / "shot", make_frames(), without=("motion",))
-    assert "motion" in refused(capsys, "denoise", tmp_path / "shot", "--out", tmp_path / "out", "--model", model)
+@pytest.mark.parametrize("missing", ["depth", "motion"])
+def test_an_interrupted_run_without_a_layer_goes_on(tmp_path, missing):
+    shot = write_sequence(tmp_path / "shot", make_frames(5), without=(missing,))
+    assert_goes_on(shot, tmp_path, Options(model="fast"), 2)
+
+
+def test_offline_needs_motion_and_does_without_the_rest(tmp_path, capsys):
+    shot = write_sequence(tmp_path / "shot", make_frames(3), without=STAND_INS)
+    notes = denoise(str(shot), tmp_path / "out", Options(model="fast", offline=True)).notes
+    assert [note.partition(":")[0] for note in notes if note.startswith("no ")] == [f"no {x}" for x in STAND_INS]
+    shot = write_sequence(tmp_path / "still", make_frames(3), without=("motion",))
+    assert "no layer 'motion'" in refused(capsys, "denoise", shot, "--out", tmp_path / "other", "--offline")
 
 
 def test_missing_frame(shot, tmp_path, model, capsys):

@@ -246,7 +246,7 @@ def test_the_facts(tmp_path):
         and "write it as normal.X" in text
     )
     assert "OK: previous - current, pixels, y down" in text and "albedo.R, albedo.G" in text
-    assert next_step(found).startswith("add normal, which denoising needs: write it as normal.X, normal.Y, normal.Z")
+    assert next_step(found).startswith("add normal: write it as normal.X, normal.Y, normal.Z")
 
 
 def test_what_nothing_spares_is_told_when_asked(tmp_path):

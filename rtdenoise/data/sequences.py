@@ -105,8 +105,7 @@ class Sequence:
 
         Raises `InputError` naming the file, the first missing layer, the channels there are, and the remedy.
         """
-        missing = [layer for layer in layers if layer not in self.available and not self._derivable(layer)]
-        if missing:
+        if missing := [layer for layer in layers if not self.has(layer)]:
             raise InputError(_missing(self.header, self.layout, self.signal, missing[0]))
         return self
 
@@ -118,9 +117,10 @@ class Sequence:
                 raise InputError(f"{header.path}: lacks channel {missing[0]}, which {self.paths[0].name} has and "
                                  f"{what} needs; the file has {header.summary}")  # fmt: skip
 
-    def _derivable(self, layer: str) -> bool:
-        if not self.scene or "position" not in self.available:
-            return False
+    def has(self, layer: str) -> bool:
+        """Whether its frames have a layer of `Frame`: the files have it, or what it is computed from."""
+        if layer in self.available or not self.scene or "position" not in self.available:
+            return layer in self.available
         return layer in ("depth", "motion", "motion_next") and ("id" in self.available or not self.scene["objects"])
 
 

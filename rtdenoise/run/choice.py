@@ -6,7 +6,6 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 from ..data.sequences import Sequence, open_sequence
-from ..errors import InputError
 from .options import AUTO, Options
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
@@ -60,11 +59,7 @@ def candidates(backend: str, kernels_alone: bool) -> tuple[str, str]:
 
 def _has_little_noise(sequence: Sequence) -> bool:
     """Whether the first frame does. False without torch, and where depth is missing."""
-    try:
-        sequence.require("depth")
-    except InputError:
-        return False
-    if find_spec("torch") is None:
+    if not sequence.has("depth") or find_spec("torch") is None:
         return False
     import torch
 

@@ -91,15 +91,15 @@ def unread_options(options: CombineOptions, combiner: Combiner | Shrinkage) -> l
 
 def missing_layers(source: Sequence, options: CombineOptions, combiner: Combiner | Shrinkage) -> list[str]:
     """What the noisy files lack and what that costs, a line each."""
-    lacking = [layer for layer in FEATURES if not _has(source, layer)]
+    lacking = [layer for layer in FEATURES if not source.has(layer)]
     lines = [f"the noisy files have no {', '.join(lacking)}: corrected without"] if lacking else []
-    alone = "there is one frame" if len(source) == 1 else "" if _has(source, "motion") else "the files have no motion"
+    alone = "there is one frame" if len(source) == 1 else "" if source.has("motion") else "the files have no motion"
     if alone and _by_evidence(combiner) and not options.second:
         return [*lines, f"{alone}: nothing is corrected; a second render (--second) would be needed"]
-    if len(source) > 1 and not _has(source, "motion"):
+    if len(source) > 1 and not source.has("motion"):
         return [*lines, "the noisy files have no motion: every frame is corrected by itself alone"]
-    if len(source) > 1 and not _has(source, "motion_next"):
-        instead = "it is approximated from motion and depth" if _has(source, "depth") else "frames after are not used"
+    if len(source) > 1 and not source.has("motion_next"):
+        instead = "it is approximated from motion and depth" if source.has("depth") else "frames after are not used"
         lines.append(f"the noisy files have no motion_next: {instead}")
     return lines
 
@@ -108,11 +108,3 @@ def _by_evidence(combiner: Combiner | Shrinkage) -> bool:
     """Whether it corrects what independent noisy frames agree on, and nothing else."""
     config = getattr(combiner, "config", None)
     return config is None or config.evidence
-
-
-def _has(source: Sequence, layer: str) -> bool:
-    try:
-        source.require(layer)
-    except InputError:
-        return False
-    return True

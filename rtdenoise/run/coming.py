@@ -9,6 +9,7 @@ from typing import Any
 
 from ..frame import MAX_CUT_MISMATCH, Frame, geometry
 from .backends import Backend
+from .stand_ins import with_stand_ins
 
 
 @dataclass(frozen=True)
@@ -46,10 +47,11 @@ class Reader:
         """Read frame i."""
         raw = self._read(i)
         started = time.perf_counter()
-        prepared, last = self._backend.prepare(raw), self._waiting[-1] if self._waiting else None
+        prepared, last = self._backend.prepare(with_stand_ins(raw)), self._waiting[-1] if self._waiting else None
         if last is not None:
             history = geometry(last.prepared)
-        goes_on = history is not None and i > 0 and raw.number == self._numbers[i - 1] + 1
+        follows = i > 0 and raw.number == self._numbers[i - 1] + 1
+        goes_on = follows and history is not None and raw.motion is not None
         cut = goes_on and self._detect_cuts and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH
         if last is not None and goes_on and not cut:
             from ..splat import completed

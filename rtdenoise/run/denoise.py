@@ -22,6 +22,7 @@ from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
 from .light import in_parts
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, check_lookahead, check_samples
+from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, read_state, save_state
 from .unmoved import Watch
 
@@ -59,7 +60,7 @@ def denoise(
     reads = () if options.model == AUTO else read_config(options.model).reads
     layers = (*reads, *(["samples"] if options.correct else []))
     sequence, options, notes = open_chosen(source, options, layers)
-    sequence.require("albedo", "normal", "depth", *reads)
+    sequence.require(*reads)
     check_output(sequence, options.layout, options.recombine, options.keep)
     in_passes = bool(options.lights or options.also)
     backend = open_backend(
@@ -71,8 +72,7 @@ def denoise(
         recent=0 if in_passes else None,
         lookahead=options.lookahead,
     )
-    if len(sequence) > 1 and backend.config.motion is not None:
-        sequence.require("motion")
+    notes += told_of_missing(sequence, backend.config.motion is not None)
     write = partial(write_frame, layout=options.layout, recombine=options.recombine, keep=options.keep,
                     float32=options.float32)  # fmt: skip
     read = Sequence.read
@@ -122,7 +122,7 @@ def _run(
         summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
     if history is not None:
         recent = last_of_shot(sequence, done, summary.cuts, backend.config.recent + 1)
-        history = backend.remember(history, [backend.prepare(read(sequence, i)) for i in recent])
+        history = backend.remember(history, [backend.prepare(with_stand_ins(read(sequence, i))) for i in recent])
     if summary.plan:
         sequence = sequence.only({*summary.plan.layers, *(("samples",) if options.correct else ())})
 

@@ -20,6 +20,7 @@ from ..errors import INSTALL_TORCH
 from ..frame import Frame
 from ..sanitise import faults
 from .plan import Plan, make_plan
+from .stand_ins import COSTS, STAND_INS
 from .unmoved import UNMOVED, is_unmoved
 
 if TYPE_CHECKING:
@@ -163,9 +164,6 @@ def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
 def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProxyType({})) -> str:
     """The next thing to do: a layer to add, motion to mend, or the command that denoises the sequence. `options` are
     those of `inspect` that were not the defaults."""
-    needed = ("albedo", "normal", "depth", *(("motion",) if found.files > 1 else ()))
-    if absent := [layer for layer in needed if layer in found.missing]:
-        return f"add {absent[0]}, which denoising needs: {found.missing[absent[0]]}"
     if found.convention and found.convention.status == "wrong":
         return "mend the motion vectors as said above: with these, history comes from wrong places"
     if 2 * len(found.unmoved) >= len(found.examined):  # not the cuts between still shots
@@ -174,6 +172,9 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     for name, value in options.items():
         words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
     command = shlex.join(words)
+    wanted = (*STAND_INS, *(("motion",) if found.files > 1 else ()))
+    if absent := [layer for layer in wanted if layer in found.missing]:
+        return f"add {absent[0]}: {found.missing[absent[0]]} (without it {COSTS[absent[0]]}); then {command}"
     if found.convention and found.convention.status == "ambiguous" and found.convention.errors:
         return f"look at the motion vectors first, nothing confirms them; then {command}"
     return command

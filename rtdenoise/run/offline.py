@@ -40,6 +40,7 @@ from .folder import (
     write_summary,
 )
 from .options import EXAMINED, SUMMARY, Options, Summary
+from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
 from .unmoved import Watch
@@ -70,7 +71,9 @@ def denoise_offline(
     if find_spec("torch") is None:
         raise InputError("--offline needs PyTorch, which is not installed; leave it out")
     sequence, options, notes = open_chosen(source, options)
-    sequence.require("albedo", "normal", "depth", *(("motion",) if len(sequence) > 1 else ()))
+    if len(sequence) > 1:
+        sequence.require("motion")  # without it no other frame counts
+    notes += told_of_missing(sequence, motion=False)
     check_output(sequence, options.layout, options.recombine, options.keep)
     if options.confidence and options.layout != "plain":
         raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
@@ -146,7 +149,7 @@ class _Run:
         backend, frame = self.passes.backend, self.sequence.read(i)
         for what, count in faults(frame).items():
             self.summary.replaced[what] = self.summary.replaced.get(what, 0) + count
-        prepared = backend.prepare(frame)
+        prepared = backend.prepare(with_stand_ins(frame))
         if i and frame.number != self.sequence.numbers[i - 1] + 1:
             history = None
         cut = self.options.detect_cuts and history is not None
@@ -186,7 +189,7 @@ class _Run:
         return [reverse(self._completed(i)) for i in range(first, end)]
 
     def _prepared(self, i: int) -> Frame:
-        return self.passes.backend.prepare(self.sequence.read(i))
+        return self.passes.backend.prepare(with_stand_ins(self.sequence.read(i)))
 
     def _completed(self, i: int) -> Frame:
         """Frame i, prepared; where the files lack `motion_next`, with that of the next frame of the shot."""

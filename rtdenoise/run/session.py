@@ -15,21 +15,11 @@ from .arrays import Form, from_planes, to_planes
 from .backends import open_backend
 from .choice import LEAST, candidates
 from .options import AUTO, check_lookahead, check_samples
+from .stand_ins import COSTS, STAND_INS, with_stand_ins
 from .threads import set_defaults
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-# Values that replace a missing layer, the same in every pixel.
-STAND_INS = {"albedo": (1.0, 1.0, 1.0), "normal": (0.0, 0.0, 1.0), "depth": (1.0,)}
-# Cost of a missing layer on the bundled sequence (python bench/missing_layers.py).
-COSTS = {
-    "albedo": "textures blur, by about 4 dB of PSNR on the bundled sequence",
-    "normal": "edges between surfaces blur, by up to 0.2 dB of PSNR on the bundled sequence",
-    "depth": "outlines blur and cuts are not seen, by 0.1 dB of PSNR on the bundled sequence",
-    "motion": "each frame is denoised alone and flickers, by about 1.2 dB of PSNR on the bundled sequence",
-    "motion_next": "it is approximated from motion and depth, which costs next to nothing on the bundled sequence",
-}
 
 
 class Denoiser:
@@ -156,16 +146,13 @@ class Denoiser:
 
     def _completed(self, radiance: np.ndarray | Tensor, layers: dict[str, np.ndarray | Tensor]) -> Frame:
         """The frame, with each missing layer that the networks read replaced by a constant."""
-        B, _, H, W = radiance.shape
-        for name, value in STAND_INS.items():
+        for name in STAND_INS:
             if name not in layers:
                 self._say(name, f"no {name}: {COSTS[name]}")
-                constant = np.array(value, np.float32).reshape(1, -1, 1, 1)
-                layers[name] = np.ascontiguousarray(np.broadcast_to(constant, (B, len(value), H, W)))
         if "motion_next" not in layers and "motion" in layers:
             self._say("motion_next", f"no motion_next: {COSTS['motion_next']}")
         frame = Frame(radiance, **layers, number=self._count, name=f"frame {self._count}")
-        return frame.with_samples(self._samples)
+        return with_stand_ins(frame.with_samples(self._samples))
 
     def _kept(self, frame: Frame, before: Any) -> Any:
         """What this frame may use of the history of the frame before; None where it starts anew."""
