@@ -7,14 +7,17 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
+from PIL import Image
 from synthetic import TINY, make_frames, write_sequence
 
+from rtdenoise.cli.denoise import write_preview
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.output import recombined
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.models import TemporalKPN, save
+from rtdenoise.run import preview
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options, denoise
 
@@ -75,6 +78,31 @@ def test_recombining_the_beauty_changes_nothing(tmp_path, model):
     for name, recombine in (("a", False), ("b", True)):
         denoise(str(shot), tmp_path / name, Options(model=model, recombine=recombine))
     assert np.array_equal(rgb(tmp_path / "a" / "frame.0003.exr"), rgb(tmp_path / "b" / "frame.0003.exr"))
+
+
+@pytest.mark.parametrize("references", [True, False])
+def test_the_preview_of_the_beauty_shows_the_beautys_reference(tmp_path, model, references, monkeypatch):
+    (tmp_path / "shot").mkdir()
+    for frame in make_frames(2):
+        layers = {layer: tensor[0].permute(1, 2, 0).numpy() for layer, tensor in frame.layers()}
+        layers["color"], layers["indirect"] = layers["radiance"] * 3, layers.pop("radiance")
+        layers["indirect_reference"] = layers.pop("reference")
+        if references:
+            layers["reference"] = layers["albedo"] * 7
+        write_layers(tmp_path / "shot" / f"{frame.number}.exr", layers, dtypes={"reference": "float"})
+    shown = []
+    monkeypatch.setattr(preview, "strip", lambda panels, scale: shown.append(panels) or Image.new("RGB", (8, 8)))
+    options = Options("indirect", model, recombine=True)
+    denoise(str(tmp_path / "shot"), tmp_path / "out", options)
+    write_preview(options, str(tmp_path / "shot"), tmp_path / "out")
+    assert len(shown) == 2
+    for panels, number in zip(shown, (1, 0), strict=True):
+        assert list(panels) == ["noisy", "denoised", *(["reference"] if references else [])]
+        noisy = rgb(tmp_path / "shot" / f"{number}.exr")
+        np.testing.assert_allclose(panels["noisy"][0], noisy, rtol=1e-5)
+        if references:
+            expected = read_channels(tmp_path / "shot" / f"{number}.exr", [f"reference.{c}" for c in "RGB"])
+            assert np.array_equal(panels["reference"][0], np.stack(list(expected.values())))
 
 
 def test_source_layout_of_native_files(tmp_path, model):

@@ -14,8 +14,9 @@ from PIL import Image, ImageDraw
 
 from ..color import display, display_exposure
 from ..data.output import read_result, recombined
-from ..data.sequences import Sequence
+from ..data.sequences import Sequence, convert
 from ..files import replacing
+from ..frame import Frame
 from ..sanitise import valid
 
 if TYPE_CHECKING:
@@ -32,16 +33,15 @@ def preview(sequence: Sequence, out: Path, layout: str = "plain", recombine: boo
     the files.
 
     The exposure is that of the last frame shown, for all of them, so that the preview adds no flicker.
-    With `recombine` every panel shows the beauty: its signal with the same noisy rest of the light.
+    With `recombine` every panel shows the beauty: a noisy signal, too, with the rest of the light.
     """
     scale, strips = None, []
     for i in reversed(range(min(len(sequence), MOST_FRAMES))):
         frame, image = sequence.read(i), read_result(out, sequence, i, layout, recombine)
         frame = replace(frame, radiance=valid("radiance", frame.radiance))
-        shown = {"noisy": frame.radiance} | ({} if frame.reference is None else {"reference": frame.reference})
-        if recombine:
-            shown = {label: recombined(sequence, i, frame, signal) for label, signal in shown.items()}
-        panels = {"noisy": shown.pop("noisy"), "denoised": image, **shown}
+        noisy = recombined(sequence, i, frame, frame.radiance) if recombine else frame.radiance
+        reference = _reference(sequence, i, frame, recombine)
+        panels = {"noisy": noisy, "denoised": image} | ({} if reference is None else {"reference": reference})
         if scale is None:
             scale = display_exposure(panels.get("reference", image))
         picture = strip(panels, scale)
@@ -51,6 +51,17 @@ def preview(sequence: Sequence, out: Path, layout: str = "plain", recombine: boo
         picture.thumbnail((WIDEST, WIDEST))
         strips.insert(0, picture)
     return [out / "preview.png", *([animate(strips, out / "preview")] if len(strips) > 1 else [])]
+
+
+def _reference(sequence: Sequence, i: int, frame: Frame, recombine: bool) -> np.ndarray | None:
+    """The converged picture of a frame `[1, 3, H, W]`, with `recombine` that of the beauty; None where the files lack
+    it."""
+    if recombine and sequence.signal != "color":
+        rule = sequence.layout.resolve(sequence.header, "color").get("reference")
+        return rule and convert(rule, sequence.files[i].read(rule.channels), "reference")
+    if recombine and frame.reference is not None:
+        return recombined(sequence, i, frame, frame.reference)
+    return frame.reference
 
 
 def animate(pictures: list[Image.Image], path: Path) -> Path:
