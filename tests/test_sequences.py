@@ -435,6 +435,24 @@ def test_control_characters_in_names_are_escaped(tmp_path):
     assert "s\\n\\x1b[31m/frame.0001.exr: the next frame is 3" in message(open_sequence, folder)
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["shot.{:04d}_v02.exr", "beauty.{:04d}.denoise.exr", "frame_{:04d}_v003.exr", "f{}v2.exr", "v1_{:02d}.V12.exr"],
+)
+def test_a_version_is_no_frame_number(tmp_path, name):
+    folder = write_native(tmp_path / "s", [9, 10, 12], name=name)
+    assert "the next frame is 12, missing: 11" in message(open_sequence, folder)
+    found = open_sequence(folder, allow_gaps=True)
+    assert (found.numbers, found.gaps) == ((9, 10, 12), ((11, 11),))
+    assert found.names == tuple(name.format(number) for number in found.numbers)
+
+
+def test_versions_of_one_frame_and_versions_alone(tmp_path):
+    folder = write_native(tmp_path / "s", [2, 3], name="shot.0001_v{:02d}.exr")
+    assert "frame number 1 is there twice" in message(open_sequence, folder)
+    assert open_sequence(write_native(tmp_path / "versions", [2, 3], name="look_v{:02d}.exr")).numbers == (2, 3)
+
+
 def test_numbers_before_zero(tmp_path):
     shot = write_native(tmp_path / "shot", [1, 2, 3, 4], name="v2.{}.exr")
     for old, new in (("v2.1", "v2.-2"), ("v2.2", "v2.-1"), ("v2.3", "v2.0"), ("v2.4", "v2.1")):

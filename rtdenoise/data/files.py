@@ -22,6 +22,7 @@ from .exr import read_channels, read_header
 from .exr_format import ExrHeader
 
 NUMBER = r"(?:(?<=[._ ])-)?\d+"  # a sign stands behind a separator, where it is none itself
+VERSION = r"(?<![A-Za-z])(v|V)\d+"
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def find_frames(
     buffers: Mapping[str, tuple[str, ...]],  # buffer -> patterns, the first that fits any file counts; {}: one file all
     allow_gaps: bool = False,
 ) -> tuple[FrameFiles, ...]:
-    """The frames in order of their numbers: the last run of digits in a file's name, or `{frame}` of the pattern.
+    """The frames in order of their numbers: `number_files`, or `{frame}` of the pattern.
 
     With `buffers`, a glob picks frames by any of their files; the others are found beside. Raises `InputError` where
     there is no file, and for missing or repeated numbers.
@@ -140,8 +141,10 @@ def fits(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]
 
 def number_files(files: list[Path]) -> list[tuple[int, Path]]:
     """Files with their frame numbers, ascending: the last run of digits in a name, negative in `shot.-0001.exr`, not in
-    `shot-0001.exr`. Raises `InputError` for a name without digits, and for repeated numbers."""
-    runs = {file: re.findall(NUMBER, file.stem) for file in files}
+    `shot-0001.exr`; a version such as `_v02` only where there is no other. Raises `InputError` for a name without
+    digits, and for repeated numbers."""
+    runs = {file: re.findall(NUMBER, re.sub(VERSION, r"\1", file.stem)) for file in files}
+    runs = {file: found or re.findall(NUMBER, file.stem) for file, found in runs.items()}
     unnumbered = [file for file in sorted(files) if not runs[file]]
     if unnumbered and len(files) > 1:
         raise InputError(f"{unnumbered[0]}: no frame number in the name; expected digits, as in frame.0001.exr")
