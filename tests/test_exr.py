@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rtdenoise.data.exr import read_channels, read_header, write_layers
+from rtdenoise.data.exr import read_attributes, read_channels, read_header, write_layers
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 
@@ -170,6 +170,25 @@ def test_tiled_parts(tmp_path):
     np.testing.assert_array_equal(read_channels(tmp_path / "m.exr", ["L.P1.X"])["L.P1.X"], planes[1])
     OpenEXR.File(header, {"X": planes[0]}).write(str(tmp_path / "s.exr"))
     np.testing.assert_array_equal(read_channels(tmp_path / "s.exr", ["X"])["X"], planes[0])
+    assert all(read_attributes(tmp_path / name)["screenWindowWidth"] == 1 for name in ("m.exr", "s.exr"))
+
+
+@pytest.mark.parametrize(("stored", "value"), [
+    ("stringvector", b""), ("string", b"\xff"), ("mine", b"abc"), ("rational", struct.pack("<iI", 24, 0)),
+])  # fmt: skip
+def test_attributes_that_openexr_cannot_pass_on_do_no_harm(tmp_path, stored, value):
+    write_layers(tmp_path / "a.exr", {"V": noise(4, 4)}, attributes={"odd": "x"})
+    header, data = read_header(tmp_path / "a.exr"), (tmp_path / "a.exr").read_bytes()
+    old = b"odd\0string\0" + struct.pack("<i", 1) + b"x"
+    new = b"odd\0" + stored.encode() + b"\0" + struct.pack("<i", len(value)) + value
+    end = 8 + len(header.parts[0].attributes) + 1
+    offsets = header.parts[0].offsets + np.uint64(len(new) - len(old))
+    (tmp_path / "a.exr").write_bytes(data[:end].replace(old, new) + offsets.tobytes() + data[end + offsets.nbytes :])
+    write_layers(tmp_path / "b.exr", {"V": noise(4, 4)}, attributes=read_attributes(tmp_path / "a.exr"))
+    if stored == "rational":
+        assert "a.exr: damaged: the pixels cannot be decoded" in message(read_all, tmp_path / "a.exr")
+    else:
+        np.testing.assert_array_equal(read_all(tmp_path / "b.exr")["V"], read_all(tmp_path / "a.exr")["V"])
 
 
 def test_only_the_wanted_parts_are_decoded(tmp_path):

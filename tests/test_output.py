@@ -2,6 +2,7 @@
 
 import json
 import math
+from fractions import Fraction
 
 import numpy as np
 import OpenEXR
@@ -174,9 +175,49 @@ def test_the_picture_stays_where_it_was(placed, tmp_path, model, layout):
         assert np.allclose(header[name], value), name
 
 
+@pytest.mark.parametrize("layout", ["plain", "source"])
+def test_what_the_header_says_of_the_picture_lives_on(placed, tmp_path, model, layout):
+    """That of each frame: time and camera differ."""
+
+    def attributes(number):
+        time = OpenEXR.TimeCode(1, 2, 3, number, *[0] * 14)
+        return {
+            "colorInteropID": "lin_rec709_scene", "whiteLuminance": 100.0, "framesPerSecond": Fraction(24000, 1001),
+            "timeCode": time, "comments": f"take {number}", "worldToCamera": np.eye(4, dtype=np.float32) * number,
+            "isoSpeed": 400.0, "screenWindowCenter": np.float32([0.25, 0]), "arnold/names": ["a", "b"],
+        }  # fmt: skip
+
+    more = {"cryptomatte/1/name": "of channels that are not there", "compression": OpenEXR.PIZ_COMPRESSION}
+    denoise(placed(*(attributes(i) | more for i in range(2))), tmp_path / "out", Options(model=model, layout=layout))
+    for number in range(2):
+        header = OpenEXR.File(str(tmp_path / "out" / f"f.{number}.exr")).header()
+        for name, value in attributes(number).items():
+            assert str(header[name]) == str(value) or np.allclose(header[name], value), name
+        assert ("cryptomatte/1/name" in header) == (layout == "source")
+        assert header["compression"] == OpenEXR.ZIP_COMPRESSION
+
+
+@pytest.mark.parametrize(("options", "kept"), [
+    ({}, True), ({"signal": "indirect"}, False), ({"signal": "indirect", "recombine": True}, True),
+])  # fmt: skip
+def test_the_alpha_of_the_beauty_lives_on(tmp_path, model, options, kept):
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    alpha = np.random.default_rng(0).random((24, 32)).astype(np.float16)
+    for path in shot.iterdir():
+        channels = read_header(path).channels
+        layers = read_channels(path, list(channels), as_stored=True) | {"A": alpha}
+        write_layers(path, layers, dtypes=channels | {"A": "half"})
+    denoise(str(shot), tmp_path / "out", Options(model=model, float32=True, **options))
+    header = read_header(tmp_path / "out" / "frame.0001.exr")
+    assert header.channels == {**({"A": "half"} if kept else {}), **dict.fromkeys("BGR", "float")}
+    if kept:
+        assert np.array_equal(read_channels(header.path, ["A"])["A"], alpha.astype(np.float32))
+
+
 @pytest.mark.parametrize(
     "odd",
-    [{"pixelAspectRatio": 1e-6}, {"displayWindow": ((-(1 << 29), 0), (1 << 29, 7))}, {"chromaticities": (1e30,) * 8}],
+    [{"pixelAspectRatio": 1e-6}, {"displayWindow": ((-(1 << 29), 0), (1 << 29, 7))}, {"chromaticities": (1e30,) * 8},
+     {"whiteLuminance": float("nan")}, {"comments": ""}],
     ids=lambda attributes: next(iter(attributes)),
 )
 def test_odd_attributes_do_no_harm(placed, tmp_path, model, odd):

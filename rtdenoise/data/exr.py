@@ -25,7 +25,7 @@ import OpenEXR
 from ..constants import MAX_HALF
 from ..errors import InputError
 from ..files import open_regular, read_bytes, write_atomically
-from .exr_chunks import single_part
+from .exr_chunks import single_part, single_start
 from .exr_format import ExrHeader, Part
 from .exr_header import parse_file
 from .layers import LAYERS
@@ -36,6 +36,10 @@ DECODER_NEEDS = 3  # times the decoded pixels: the file, OpenEXR's buffers, the 
 
 GEOMETRY = {name: layer.components for name, layer in LAYERS.items() if layer.components != "RGB"}
 STRUCTURE = {"channels", "chunkCount", "name", "tiles", "type", "version"}  # attributes that the encoder makes itself
+OF_THE_FILE = STRUCTURE | {  # and those that say nothing of a picture made from it, or are in `ExrHeader.placing`
+    "compression", "dwaCompressionLevel", "lineOrder", "multiView", "preview", "view",
+    "chromaticities", "dataWindow", "displayWindow", "pixelAspectRatio",
+}  # fmt: skip
 
 
 def read_header(path: str | os.PathLike) -> ExrHeader:
@@ -82,6 +86,22 @@ def read_channels(path: str | os.PathLike, names: Sequence[str], as_stored: bool
                                  f"expected ({header.height}, {header.width})")  # fmt: skip
             pixels[full] = decoded[stored] if as_stored else decoded[stored].astype(np.float32)
     return {name: pixels[name] for name in names}
+
+
+def read_attributes(path: str | os.PathLike) -> dict[str, object]:
+    """What the first part's header says of the picture besides `ExrHeader.placing`, for `write_layers`: colour space,
+    time, camera, comments. Without what belongs to other channels (Cryptomatte). Empty where OpenEXR cannot read it.
+
+    Raises `InputError` as `read_header` does."""
+    start = io.BytesIO(single_start(read_header(path), 0))
+    try:
+        found = OpenEXR.File(start, header_only=True).header()
+    except (RuntimeError, ValueError, ArithmeticError):  # ArithmeticError: a rational over 0
+        return {}
+    return {
+        name: value for name, value in found.items()
+        if name not in OF_THE_FILE and not name.startswith("cryptomatte/") and (not isinstance(value, list) or value)
+    }  # fmt: skip
 
 
 def write_layers(
@@ -210,7 +230,7 @@ def _open(path: Path, header: ExrHeader, index: int) -> OpenEXR.File:
     try:
         decoded = OpenEXR.File(io.BytesIO(data), separate_channels=True)
         decoded.channels()
-    except (RuntimeError, ValueError, OSError, MemoryError):
+    except (RuntimeError, ValueError, ArithmeticError, OSError, MemoryError):
         # OpenEXR drops a part that it cannot decode, then complains that there is no part: not worth passing on.
         _refuse_without_memory(path, header.parts[index])
         raise InputError(f"{path}: damaged: the pixels cannot be decoded") from None

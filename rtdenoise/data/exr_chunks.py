@@ -71,11 +71,17 @@ def single_part(header: ExrHeader, index: int) -> bytes:
                 raise InputError(f"{header.path}: damaged: the chunks of part '{part.name}' hold more bytes than the "
                                  "file")  # fmt: skip
             chunks.append(leader[4:] + file.read(length))
-    version = 2 | (header.flags & LONG_NAMES) | (TILED if part.tiled else 0)
-    start = MAGIC + struct.pack("<I", version) + part.attributes + b"\0"
+    start = single_start(header, index)
     first = len(start) + 8 * len(chunks)
     lengths = np.array([0] + [len(chunk) for chunk in chunks[:-1]])
     return start + (first + np.cumsum(lengths)).astype("<u8").tobytes() + b"".join(chunks)
+
+
+def single_start(header: ExrHeader, index: int) -> bytes:
+    """The start of `single_part`, to the end of its header."""
+    part = header.parts[index]
+    version = 2 | (header.flags & LONG_NAMES) | (TILED if part.tiled else 0)
+    return MAGIC + struct.pack("<I", version) + part.attributes + b"\0"
 
 
 def _of(part: Part) -> str:

@@ -72,6 +72,12 @@ class Layout:
         matches = (rule.match(header.channels) for rule in self.beauty or self.layers.get("color", ()))
         return next((match for match in matches if match), None)
 
+    def alpha(self, header: ExrHeader) -> str:
+        """The channel of the finished picture's alpha; "" where the file has none."""
+        beauty = self.beauty_rule(header)
+        name = beauty.channels[0].removesuffix("R") + "A" if beauty else ""
+        return name if name in header.channels else ""
+
     def hint(self, layer: str, signal: str) -> str:
         """How to get a layer of `Frame` that is missing."""
         if layer == "components":

@@ -65,14 +65,13 @@ def find_light(sequence: Sequence, lights: bool, also: tuple[str, ...]) -> Light
     layers = {name: _layer(sequence, prefix, name) for name in also}
     if beauty and (whole := [name for name, rule in layers.items() if rule.channels == beauty.channels]):
         raise InputError(f"--also {whole[0]}: is the picture itself, which is denoised anyway: leave it out")
-    alpha = beauty.channels[0].removesuffix("R") + "A" if beauty else ""
     return LightPasses(
         lights={k: v for k, v in found.items() if k.endswith("irect") and k not in VOLUMES},  # Direct, Indirect
         volumes={k: v for k, v in found.items() if k in VOLUMES},
         colors={k.removesuffix(" Color"): v for k, v in found.items() if k.endswith(" Color")},
         passed={k: v for k, v in found.items() if k in OTHERS},
         also=layers,
-        alpha=alpha if alpha in sequence.header.channels else "",
+        alpha=sequence.layout.alpha(sequence.header),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError
 from .exr import write_layers, write_like
 from .light import LightPasses
-from .output import PLAIN, beyond_half
+from .output import PLAIN, attributes_of, beyond_half
 from .sequences import Sequence
 
 LEAST_COLOR = 0.01  # of a pixel with light: gloss may have spread to a pixel whose own glossy colour is 0
@@ -49,7 +49,7 @@ def write_light(
     if passes.alpha:
         layers["A"] = sequence.files[index].read([passes.alpha])[passes.alpha]
     dtypes = dict.fromkeys(layers, "float" if float32 else "half")
-    write_layers(out / sequence.names[index], layers, dtypes=dtypes, attributes=sequence.header.placing)
+    write_layers(out / sequence.names[index], layers, dtypes=dtypes, attributes=attributes_of(sequence, index))
     return {}
 
 

@@ -26,7 +26,7 @@ from ..constants import MAX_HALF
 from ..errors import InputError
 from ..frame import Frame
 from ..sanitise import valid
-from .exr import read_channels, write_layers, write_like
+from .exr import read_attributes, read_channels, write_layers, write_like
 from .layout import Rule
 from .sequences import Sequence, convert
 
@@ -148,7 +148,8 @@ def write_frame(
     """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in each
     channel that is passed on unchanged and has some.
 
-    plain    the signal in `R,G,B`, with `recombine` the beauty instead, and the channels of `keep`
+    plain    the signal in `R,G,B`, with `recombine` the beauty instead; the beauty's alpha as rendered in `A`; the
+             channels of `keep`; of the attributes those that say something of the picture
     source   every channel of the input under its name and in its part; the denoised signal replaces the noisy one,
              with `recombine` also the new beauty the renderer's. Where buffers are files of their own, only changed
              files are written.
@@ -164,7 +165,8 @@ def write_frame(
     float32 = float32 or any(beyond_half(result) for result in (image, beauty) if result is not None)
     if layout == "plain":
         result = image if beauty is None else beauty
-        return _write_plain(out / sequence.names[index], sequence, index, result, keep, float32, extra)
+        alpha = beauty is not None or sequence.signal == "color"
+        return _write_plain(out / sequence.names[index], sequence, index, result, alpha, keep, float32, extra)
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
         planes |= _planes(rule, beauty)
@@ -173,6 +175,12 @@ def write_frame(
         changed = {stored: planes[full] for stored, full in names.items()}
         nans |= write_like(out / _name(file, path), file, changed, dtype="float" if float32 else None)
     return nans
+
+
+def attributes_of(sequence: Sequence, index: int) -> dict[str, object]:
+    """The header attributes of a file that is made from a frame's, for `write_layers`."""
+    path = sequence.paths[index]
+    return (read_attributes(path) if path.suffix.lower() == ".exr" else {}) | sequence.header.placing
 
 
 def beyond_half(result: np.ndarray) -> bool:
@@ -201,17 +209,21 @@ def _write_plain(
     sequence: Sequence,
     index: int,
     image: np.ndarray,
+    alpha: bool,  # whether it is the beauty, which may have one
     keep: tuple[str, ...],
     float32: bool,
     extra: Mapping[str, np.ndarray],
 ) -> dict[str, int]:
     layers = {name: np.moveaxis(array[0], 0, 2) for name, array in {"color": image, **extra}.items()}
     dtypes = {"color": "float" if float32 else "half"}
+    stored = sequence.layout.alpha(sequence.header) if alpha else ""
+    if stored and (kind := sequence.files[index].header().channels.get(stored)):
+        layers["A"], dtypes["A"] = sequence.files[index].read([stored], as_stored=True)[stored], kind
     if keep:
         names, types = _kept(sequence, keep), sequence.header.channels
         layers |= sequence.files[index].read(names, as_stored=True)
         dtypes |= {name: types[name] for name in names}
-    write_layers(path, layers, dtypes=dtypes, attributes=sequence.header.placing)
+    write_layers(path, layers, dtypes=dtypes, attributes=attributes_of(sequence, index))
     return {
         name: bad
         for name, plane in layers.items()
