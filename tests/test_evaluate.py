@@ -10,6 +10,7 @@ from unittest.mock import Mock
 
 import pytest
 import torch
+from matplotlib.figure import Figure
 from synthetic import make_frames, write_sequence
 
 from rtdenoise import metrics
@@ -25,6 +26,7 @@ from rtdenoise.files import lock
 from rtdenoise.models import CombinerConfig, available, create, find, load, save
 from rtdenoise.models.weights import bytes_of
 from rtdenoise.report import report
+from rtdenoise.report.chart import chart, tick_values
 
 PLAIN = ("noisy", "accumulate")
 
@@ -378,6 +380,40 @@ def test_names_of_folders_mean_nothing_to_the_report(tmp_path):
     assert "<script>" not in text and "&lt;script&gt;" in text and r"\$x\$" in text and r"\|" in text
     assert "alert(1)" not in (tmp_path / "out" / "report.html").read_text().replace("&lt;script&gt;alert(1)", "")
     assert (tmp_path / "out" / "report.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (4, 1200, [10, 30, 100, 300, 1000]),
+        (0.018, 0.9, [0.02, 0.05, 0.1, 0.2, 0.5]),
+        (0.08, 0.34, [0.1, 0.15, 0.2, 0.25, 0.3]),
+        (0.02706, 0.02794, [0.0272, 0.0274, 0.0276, 0.0278]),
+        (1e-9, 1e9, [1e-9, 1e-6, 1e-3, 1, 1e3, 1e6, 1e9]),
+    ],
+)
+def test_ticks_of_a_logarithmic_axis_are_few_round_numbers(low, high, expected):
+    assert tick_values(low, high) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("milliseconds", [(41,), (7, 40, 950)])
+def test_the_chart_has_plain_numbers_on_its_axes(milliseconds, monkeypatch):
+    rows = [
+        {
+            "sequence": "s", "spp": 1, "label": f"{ms}", "method": "ours", "device": "cpu", "ms": {"median": ms},
+            "errors": {"frame": {"psnr": 20.0, "relmse": 2 / ms, "flip": 0.2}}, "front": {"frame": []},
+        } for ms in milliseconds
+    ]  # fmt: skip
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, file, format: drawn.append(figure))
+    chart({"rows": rows, "methods": {"ours": {"family": "network"}}, "ours": "ours"})
+    for axes in drawn[0].axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = axis.get_view_interval()
+            ticks = axis.get_majorticklocs()
+            texts = axis.get_major_formatter().format_ticks(ticks)
+            assert sum(low <= tick <= high for tick in ticks) >= 2 and not len(axis.get_minorticklocs())
+            assert [float(text) for text in texts] == pytest.approx(ticks)
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import io
+import math
 from itertools import cycle
 
+import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from .readings import METRICS, POOL
 
@@ -14,6 +19,7 @@ PANELS = ("psnr", "relmse", "flip")
 COLOURS = {  # one a family
     "network": "#e8590c", "ablation": "#c9a08b", "oidn": "#1c7ed6", "filter": "#2f9e44", "accumulation": "#b8960c",
 }  # fmt: skip
+MOST_TICKS = 7
 MARKERS = "os^Dvp*XP<>h"  # one a method of it
 
 
@@ -29,7 +35,7 @@ def chart(data: dict) -> bytes:
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for axis, metric in zip(axes, panels, strict=True):
         _panel(axis, metric, rows, looks, data["ours"])
-    handles = [axes[0].plot([], [], linestyle="", label=label, **look)[0] for label, look in looks.items()]
+    handles = [Line2D([], [], linestyle="", label=label, **look) for label, look in looks.items()]
     figure.legend(handles=handles, loc="outside right center", fontsize=8, frameon=False)
     figure.suptitle(title, fontsize=10, color="#555", parse_math=False)  # folders may have a $ in their names
     encoded = io.BytesIO()
@@ -71,8 +77,31 @@ def _panel(axis: Axes, metric: str, rows: list[dict], looks: dict[str, dict], ou
     unit = f", {info.unit}" if info.unit else ""
     axis.set_title(f"{info.label}{unit}, better {'↑' if info.higher else '↓'}", fontsize=10)
     axis.set_xlabel("ms a frame", fontsize=9)
-    axis.tick_params(labelsize=8, which="both")
-    axis.grid(True, which="both", color="#eee")
+    axis.tick_params(labelsize=8)
+    axis.grid(True, color="#eee")
     axis.set_axisbelow(True)
     axis.margins(0.1)
+    _plain_ticks(axis.xaxis, axis.get_xlim())
+    if not info.higher:
+        _plain_ticks(axis.yaxis, axis.get_ylim())
     axis.spines[["top", "right"]].set_visible(False)
+
+
+def _plain_ticks(axis: Axis, limits: tuple[float, float]) -> None:
+    """Ticks of a logarithmic axis as plain numbers, without minor ones."""
+    ticks = tick_values(*limits)
+    axis.set_ticks(ticks, [np.format_float_positional(tick, trim="-") for tick in ticks])
+    axis.set_minor_locator(NullLocator())
+
+
+def tick_values(low: float, high: float) -> list[float]:
+    """Round numbers between two positive ones, at most MOST_TICKS, for a logarithmic axis."""
+    if high < 5 * low:  # about as on a linear one
+        found = MaxNLocator(MOST_TICKS - 1, steps=[1, 2, 5, 10]).tick_values(low, high)
+        return [float(f"{v:.6g}") for v in found if low <= v <= high]
+    decades = range(math.floor(math.log10(low)), math.floor(math.log10(high)) + 1)
+    for every, factors in ((1, (1, 2, 5)), (1, (1, 3)), *((n, (1,)) for n in range(1, len(decades) + 1))):
+        found = [float(f"{k}e{d}") for d in decades if d % every == 0 for k in factors]
+        if len(found := [v for v in found if low <= v <= high]) <= MOST_TICKS:
+            break
+    return found
