@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from synthetic import make_frames, write_sequence
 
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers
@@ -105,6 +106,21 @@ def test_a_layer_of_samples_counts_most(shot):
         header = read_header(file)
         write_again(file, {"samples.V": np.full((header.height, header.width), 32, np.float32)})
     assert chosen(shot, Options(samples=1))[1] == ["model: hybrid-many, for 32 samples a pixel"]
+
+
+@pytest.mark.parametrize("command", ["denoise", "denoise --offline", "combine"])
+def test_samples_that_contradict_the_headers_are_told(tmp_path, command, capsys):
+    shot = write_sequence(tmp_path / "shot", make_frames(2))
+    for file in shot.glob("*.exr"):
+        write_again(file, {}, **{"cycles.ViewLayer.samples": "8"})
+    clean = [str(tmp_path / "clean")] if command == "combine" else []
+    if clean:
+        denoise(str(shot), clean[0], Options(model="fast"))
+    verb, *options = command.split()
+    for given, says in (((), False), (("--samples", "8"), False), (("--samples", "64"), True)):
+        out = ("--out", str(tmp_path / f"out{len(list(tmp_path.iterdir()))}"))
+        main([verb, str(shot), *clean, *out, *options, *given, *(["--model", "shrinkage"] if clean else [])])
+        assert ("--samples 64: counts, though the files say 8;" in capsys.readouterr().out) == says
 
 
 def test_a_run_with_many_samples_is_that_of_its_network(shot, tmp_path, capsys):

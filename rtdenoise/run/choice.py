@@ -75,3 +75,11 @@ def known_samples(sequence: Sequence, given: int) -> float:
     if "samples" not in sequence.rules:
         return given or sequence.header.samples
     return float(sequence.only({"radiance", "samples"}).read(0).samples.mean())
+
+
+def told_of_samples(sequence: Sequence, given: int) -> list[str]:
+    """A line where the user's samples a pixel are not those that the headers note."""
+    noted = sequence.header.samples
+    if not (given and noted and given != noted):
+        return []
+    return [f"--samples {given}: counts, though the files say {noted}; leave it out if they are right"]

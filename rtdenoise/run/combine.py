@@ -16,6 +16,7 @@ from ..data.output import check_output, protect_input
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
+from .choice import told_of_samples
 from .folder import prepare
 from .options import EXAMINED, CombineOptions, Summary, check_samples
 
@@ -75,6 +76,7 @@ def combine(
         remove_unfinished(out)
         run = Run(source, estimates, second, out, options, combiner, device, on_frame)
         notes += unread_options(options, combiner) + missing_layers(source, options, combiner)
+        notes += told_of_samples(source, options.samples) if _by_evidence(combiner) else []
         return run.run(overwrite, notes)
 
 

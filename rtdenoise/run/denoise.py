@@ -17,7 +17,7 @@ from ..frame import Frame
 from ..models.weights import read_config
 from ..sanitise import faults
 from .backends import SOFTWARE, Backend, open_backend
-from .choice import open_chosen
+from .choice import open_chosen, told_of_samples
 from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
 from .light import in_parts
@@ -72,6 +72,7 @@ def denoise(
         recent=0 if in_passes else None,
         lookahead=options.lookahead,
     )
+    notes += told_of_samples(sequence, options.samples)
     notes += told_of_missing(sequence, backend.config.motion is not None)
     write = partial(write_frame, layout=options.layout, recombine=options.recombine, keep=options.keep,
                     float32=options.float32)  # fmt: skip

@@ -27,7 +27,7 @@ from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH, Frame, reverse
 from ..models.weights import files_of, find
 from ..sanitise import faults
-from .choice import open_chosen
+from .choice import open_chosen, told_of_samples
 from .folder import (
     Written,
     are_finished,
@@ -73,7 +73,7 @@ def denoise_offline(
     sequence, options, notes = open_chosen(source, options)
     if len(sequence) > 1:
         sequence.require("motion")  # without it no other frame counts
-    notes += told_of_missing(sequence, motion=False)
+    notes += told_of_samples(sequence, options.samples) + told_of_missing(sequence, motion=False)
     check_output(sequence, options.layout, options.recombine, options.keep)
     if options.confidence and options.layout != "plain":
         raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
