@@ -315,7 +315,9 @@ def test_an_albedo_that_tells_nothing_is_told(tmp_path, capsys, constant):
     made = [replace(frame, albedo=torch.full_like(frame.albedo, 0.5)) for frame in make_frames(3)]
     shot = write_sequence(tmp_path / "shot", made if constant else [*made[:2], make_frames(3)[2]])
     main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast"])
-    assert ("albedo is the same in all pixels" in capsys.readouterr().out) == constant
+    assert ("albedo is the same in all pixels of all frames" in capsys.readouterr().out) == constant
+    main(["inspect", str(shot)])
+    assert ("albedo       is the same in all pixels of the frames examined" in capsys.readouterr().out) == constant
 
 
 def test_a_cut_between_still_shots_is_no_motion(tmp_path, capsys):

@@ -21,7 +21,7 @@ from ..frame import Frame
 from ..sanitise import faults
 from .plan import Plan, make_plan
 from .stand_ins import COSTS, STAND_INS
-from .unmoved import UNMOVED, is_unmoved
+from .unmoved import FLAT, UNMOVED, Flatness, is_unmoved
 
 if TYPE_CHECKING:
     from .conventions import Verdict
@@ -60,6 +60,7 @@ class Inspection:
     dual_motion: str  # the source of dual motion, in words
     scene: bool  # whether there is a scene.json
     examined: tuple[int, ...]  # numbers of the frames whose pixels were read
+    flat_albedo: bool  # whether albedo is the same in all pixels of the examined frames
     faults: dict[str, int]  # "layer: fault" -> pixels of the examined frames that denoising will replace
     motion: MotionStatistics | None
     unmoved: tuple[int, ...]  # numbers of frames whose motion is zero everywhere though the picture changes
@@ -82,8 +83,9 @@ def inspect(
     chosen = _choose_pairs(sequence.numbers)
     frames = {i: sequence.read(i) for i in sorted({i for pair in chosen for i in pair} or {0})}
     moving = [(frames[a], frames[b]) for a, b in chosen if frames[b].motion is not None]
-    counts: dict[str, int] = {}
+    counts, flatness = dict[str, int](), Flatness()
     for frame in frames.values():
+        flatness.see(frame)
         for what, count in faults(frame).items():
             counts[what] = counts.get(what, 0) + count
 
@@ -108,6 +110,7 @@ def inspect(
         dual_motion=_dual_source(present, computed),
         scene=sequence.scene is not None,
         examined=tuple(frame.number for frame in frames.values()),
+        flat_albedo=flatness.found,
         faults=counts,
         motion=motion,
         unmoved=tuple(now.number for before, now in moving if is_unmoved(before, now)),
@@ -216,6 +219,8 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
         ("examined", f"frames {_shorten(found.examined)}"),
         ("bad pixels", bad),
     ]
+    if found.flat_albedo:
+        lines.append(("albedo", FLAT.format("the frames examined").removeprefix("albedo ")))
     lines.append(("dual motion", found.dual_motion))
     if found.computed:
         lines.append(("computed", f"{', '.join(found.computed)} (from positions and the cameras beside the frames)"))

@@ -26,7 +26,7 @@ UNMOVED = (
 )
 PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors are judged, and pixels of each
 WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"
-FLAT = "albedo is the same in all pixels of all frames, so textures blur: was its pass forgotten?"
+FLAT = "albedo is the same in all pixels of {}, so textures blur: was its pass forgotten?"
 
 
 def is_unmoved(before: Frame, now: Frame) -> bool:
@@ -41,21 +41,37 @@ def is_unmoved(before: Frame, now: Frame) -> bool:
     )  # fmt: skip
 
 
+class Flatness:
+    """Whether albedo is the same in all pixels of all frames so far."""
+
+    def __init__(self) -> None:
+        self._albedo: np.ndarray | None = None  # of the first pixel
+        self._flat = True
+
+    def see(self, frame: Frame) -> None:
+        """The next frame as it was read."""
+        if self._flat and frame.albedo is not None:
+            albedo = np.asarray(frame.albedo)
+            self._albedo = albedo[..., :1, :1] if self._albedo is None else self._albedo
+            self._flat = bool((albedo == self._albedo).all())
+
+    @property
+    def found(self) -> bool:
+        """False where there is no albedo."""
+        return self._flat and self._albedo is not None
+
+
 class Watch:
     """Notes each once in a run."""
 
     def __init__(self, notes: list[str]) -> None:
         self._notes, self._before, self._told = notes, None, False
         self._verdicts: list[Verdict] = []  # of the first pairs that move
-        self._albedo: np.ndarray | None = None  # of all pixels of all frames so far
-        self._flat = True
+        self._albedo = Flatness()
 
     def see(self, frame: Frame, goes_on: bool) -> None:
         """The next frame as it was read; `goes_on`: with the shot of the last one."""
-        if self._flat and frame.albedo is not None:
-            albedo = np.asarray(frame.albedo)
-            self._albedo = albedo[..., :1, :1] if self._albedo is None else self._albedo
-            self._flat = bool((albedo == self._albedo).all())
+        self._albedo.see(frame)
         judges = len(self._verdicts) < PAIRS and find_spec("torch") is not None
         if frame.motion is None or (self._told and not judges):
             return
@@ -70,8 +86,8 @@ class Watch:
 
     def end(self) -> None:
         """After the last frame."""
-        if self._flat and self._albedo is not None:
-            self._notes.append(FLAT)
+        if self._albedo.found:
+            self._notes.append(FLAT.format("all frames"))
 
     def _judge(self, frame: Frame) -> None:
         """Note it where all pairs say that the motion is wrong, and in the same way."""
