@@ -1,4 +1,4 @@
-"""The command line itself: start-up, help, old spellings, interruptions, consoles and pipes."""
+"""The command line itself: start-up, help, interruptions, consoles and pipes."""
 
 import os
 import subprocess
@@ -85,19 +85,6 @@ def test_settings_of_a_network_are_collected():
     given = ["--set", "widths=32,48", "--set", "longest=24"]
     config = parse(["train", "--data", "a", "b", "--out", "o", "--model", "default", *given]).config
     assert config.set == ("widths=32,48", "longest=24") and config.model == "default" and len(config.data) == 2
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("train --data c --out r --preset fast", "rtdenoise train --data c --out r --model fast"),
-        ("train --data c --out r --preset=fast", "rtdenoise train --data c --out r --model fast"),
-        ("render --clips 3 --out c", "rtdenoise clips --count 3 --out c --generator 1"),
-        ("render --preset train --clips=3 --out c", "rtdenoise clips --count 3 --out c"),
-    ],
-)
-def test_an_old_spelling_is_answered_with_the_new_one(old, new, capsys):
-    assert new in refused(capsys, *old.split())
 
 
 def test_near_names_are_suggested(tmp_path, capsys):

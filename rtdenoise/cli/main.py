@@ -59,7 +59,6 @@ def main(arguments: list[str] | None = None) -> None:
 def _run(arguments: list[str]) -> None:
     from ..run.threads import set_defaults
     from .console import accept_every_character
-    from .spelling import refuse_old_spelling
 
     accept_every_character(sys.stdout, sys.stderr)
     if arguments in (["--version"], ["-V"]):
@@ -67,7 +66,6 @@ def _run(arguments: list[str]) -> None:
 
         print(f"rtdenoise {__version__}")
         return
-    refuse_old_spelling(arguments)
     _refuse_low_limit()
     set_defaults()
 
