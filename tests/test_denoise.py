@@ -276,7 +276,8 @@ def test_damaged_state(shot, tmp_path, model, capsys):
     "damage",
     [
         {"done": "x"}, {"so_far": "[]"}, {"so_far": "[" * 10_000}, {"so_far": "{}"}, {"options": "[1]"},
-        {"so_far": '{"replaced": [], "cuts": [], "left_out": {}}'}, {"so_far": '{"replaced": {"a": "b"}, "cuts": []}'},
+        {"so_far": '{"replaced": [], "passed_on": {}, "cuts": [], "left_out": {}}'},
+        {"so_far": '{"replaced": {"a": "b"}, "passed_on": {}, "cuts": [], "left_out": {}}'},
     ],
     ids=repr,
 )  # fmt: skip

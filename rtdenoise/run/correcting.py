@@ -151,9 +151,9 @@ class Run:
         done, _, summary, state = read_state(path)
         if done <= 0:
             return 0, Summary()
-        seen = next((k for k, mark in enumerate(self.fingerprints) if mark == state.get("fingerprint")), None)
+        seen = next((k for k, mark in enumerate(self.fingerprints) if mark == state["fingerprint"]), None)
         refuse_other(self.out, state, self.options, "" if seen is None else self.fingerprints[seen])
-        if not are_finished(self.out, self.names[:done], self.source.size, state.get("written", "")):
+        if not are_finished(self.out, self.names[:done], self.source.size, state["written"]):
             return 0, Summary()
         self.counted = done
         if seen < len(self.source):  # the last frames could not look ahead then

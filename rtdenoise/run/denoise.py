@@ -181,6 +181,6 @@ def _resume(
     if done <= 0:  # whatever is there is of a run that did not come as far as its second frame
         return 0, None, Summary()
     refuse_other(out, metadata, options, fingerprints[done] if done <= len(sequence) else "")
-    if not are_finished(out, names[:done], sequence.size, metadata.get("written", "")):
+    if not are_finished(out, names[:done], sequence.size, metadata["written"]):
         return 0, None, Summary()
     return done, history, summary

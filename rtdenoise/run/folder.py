@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from .options import Options, Summary
 
 INDECISIVE = ("backend", "device")  # options that leave the files as they are
-YOUNG = {  # options that older runs did not have, as these ran
-    "offline": False, "confidence": False, "correct": False, "second": "", "samples": 0, "lights": False, "also": (),
-    "lookahead": 0,
-}  # fmt: skip
 
 
 def prepare(out: Path, sequence: Sequence, options: Options) -> Path:
@@ -50,7 +46,7 @@ def refuse_foreign(out: Path, names: Iterable[list[str]]) -> None:
 
 def digest(sequence: Sequence, options: Options) -> list[str]:
     """Tells runs apart that would write different files: entry k is for the first k frames, whatever comes after."""
-    parts = {name: value for name, value in _decisive(options).items() if YOUNG.get(name) != value or name not in YOUNG}
+    parts = _decisive(options)
     parts["layers"] = [repr(sequence.rules), repr(sequence.layout)]  # a layout of one's own may have been mended
     if options.model != SHRINKAGE:
         files = files_of(find(options.model))
@@ -77,13 +73,10 @@ def digest_of(files: list[Path]) -> str:
 
 def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) -> None:
     """Raise InputError where the state in `out` (`denoise.read_state`) is of a run with another fingerprint."""
-    if state.get("fingerprint") == fingerprint:
+    if state["fingerprint"] == fingerprint:
         return
-    before, now = (
-        {**YOUNG, "also": [], **state["options"]},
-        json.loads(json.dumps(_decisive(options))),
-    )  # tuples become lists, as in `before`
-    changed = [key for key in now if key in before and before[key] != now[key]]
+    before, now = state["options"], json.loads(json.dumps(_decisive(options)))  # tuples become lists, as in `before`
+    changed = [key for key in now if key in before and before[key] != now[key]]  # `combine` has other options
     told = ", ".join(f"{key.replace('_', '-')} {before[key]}, now {now[key]}" for key in changed)
     unseen = "another input, layout or weights: a finished frame's input was changed or removed, perhaps"
     other = f"other options: {told}" if told else unseen
@@ -111,13 +104,13 @@ class Written:
 
 def are_finished(out: Path, frames: list[list[str]], size: tuple[int, int], written: str) -> bool:
     """Whether all files of these frames are there. Raises InputError where one is no complete EXR file of this size
-    (height, width) any more, or the files are not those of `written`, a `Written.digest`; "": unknown."""
+    (height, width) any more, or the files are not those of `written`, a `Written.digest`."""
     finished = list(chain(*frames))
     if any(not (out / name).exists() for name in finished):
         return False
     for name in finished:
         _refuse_junk(out / name, size)
-    if written not in ("", Written(out, frames).digest):  # older states do not record it
+    if written != Written(out, frames).digest:
         raise InputError(f"{out}: a finished frame has another size in bytes than it was written with; pass "
                          "--overwrite to denoise all of them again")  # fmt: skip
     return True
@@ -142,7 +135,7 @@ def write_summary(path: Path, sequence: Sequence, options: Options, summary: Sum
 
 
 def _decisive(options: Options) -> dict:
-    """The options that change the files. States of older runs do not record all of them."""
+    """The options that change the files."""
     return {name: value for name, value in asdict(options).items() if name not in INDECISIVE}
 
 

@@ -253,7 +253,7 @@ class _Run:
         count = len(self.sequence)
         waiting = range(done) if done < count else range(2 * count - done)
         finished = self.names[: max(0, done - count)]
-        complete = are_finished(self.out, finished, self.sequence.size, state.get("written", ""))
+        complete = are_finished(self.out, finished, self.sequence.size, state["written"])
         if not complete or not all(self._path(i).exists() for i in waiting):
             return 0, None, Summary()
         return done, history, summary

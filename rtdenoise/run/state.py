@@ -14,6 +14,7 @@ from .backends import Backend
 from .options import Options, Summary
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
+COUNTS = ("replaced", "passed_on", "cuts", "left_out")  # of the summary, which a state keeps
 
 
 def read_state(path: Path, backend: Backend | None = None) -> tuple[int, Any, Summary, dict]:
@@ -22,17 +23,17 @@ def read_state(path: Path, backend: Backend | None = None) -> tuple[int, Any, Su
     try:
         stored, metadata = read_history(path)
         done, summary = int(metadata["done"]), _counts(json.loads(metadata["so_far"]))
-        options = dict(json.loads(metadata.get("options", "{}")))
+        recorded = {key: metadata[key] for key in ("fingerprint", "written")}
+        recorded["options"] = dict(json.loads(metadata["options"]))
         history = backend.restore(stored) if stored and backend else None
     except (InputError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: not readable ({error}); pass --overwrite to start anew") from None
-    return done, history, summary, {**metadata, "options": options}
+    return done, history, summary, recorded
 
 
 def _counts(so_far: dict) -> Summary:
     """The summary of an earlier run, from its saved state. Raises ValueError and others where it is not one's."""
-    summary = Summary(**{key: so_far[key] for key in ("replaced", "cuts", "left_out")})
-    summary.passed_on = dict(so_far.get("passed_on", {}))  # older states lack it
+    summary = Summary(**{key: so_far[key] for key in COUNTS})
     counts = (summary.replaced, summary.left_out, summary.passed_on)
     if not all(type(n) is int for n in (*summary.cuts, *(n for count in counts for n in count.values()))):
         raise ValueError("counts that are no integers")
@@ -43,7 +44,7 @@ def save_state(
     path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options, written: str = ""
 ) -> None:
     """Write the state of a run: `history` is a backend's `save`, `written` a `folder.Written.digest`."""
-    so_far = {key: getattr(summary, key) for key in ("replaced", "passed_on", "cuts", "left_out")}
+    so_far = {key: getattr(summary, key) for key in COUNTS}
     metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far), "written": written}
     write_history(path, history, metadata | {"options": json.dumps(asdict(options))})
 
