@@ -1,4 +1,4 @@
-"""Training clips: required and optional layers, their types, and clips of earlier versions."""
+"""Training clips: required and optional layers, and their types."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from safetensors.numpy import load_file, save_file
 from rtdenoise.data.clips import FEATURES, OPTIONAL, RADIANCE, ClipDataset, bytes_per_clip, clip_path, write_clip
 from rtdenoise.data.clips import read_layers as read_clip
 from rtdenoise.data.exr import read_header, write_layers
-from rtdenoise.data.layers import LAYERS, OLD_NAMES
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.layers import LAYERS
 from rtdenoise.errors import InputError
 
 H, W, COUNT = 6, 8, 3
@@ -40,7 +39,6 @@ def images(frame, name):
 def test_every_layer_is_named_once():
     assert set(RADIANCE) | set(FEATURES) | set(OPTIONAL) == LAYERS.keys()
     assert len(RADIANCE) + len(FEATURES) + len(OPTIONAL) == len(LAYERS)
-    assert set(OLD_NAMES.values()) <= LAYERS.keys() and not OLD_NAMES.keys() & LAYERS.keys()
 
 
 def test_exr_files_and_clips_use_the_same_names(tmp_path):
@@ -109,19 +107,6 @@ def test_samples_and_components_become_fields_of_the_frame(tmp_path):
                 np.testing.assert_allclose(frame.components, stacked, rtol=2**-10)
 
 
-def test_older_clips_are_read(tmp_path):
-    """They number objects in 8 bits and have no optional layer."""
-    frames = make_frames()
-    arrays = {name: np.concatenate([images(frame, name) for frame in frames]) for name in RADIANCE + FEATURES}
-    arrays = {name: np.ascontiguousarray(array, np.float16) for name, array in arrays.items()}
-    arrays["id"] = arrays["id"].astype(np.uint8)
-    save_file(arrays, clip_path(tmp_path, 0), metadata={"clip": json.dumps({"seed": 4})})
-    clips = ClipDataset(tmp_path)
-    assert clips.facts(0) == {"seed": 4}
-    np.testing.assert_array_equal(clips.load(0, signal="indirect")[2].id, images(frames[2], "id"))
-    np.testing.assert_array_equal(clips.load(0)[2].reference_half, images(frames[2], "reference_half"))
-
-
 @pytest.mark.parametrize(
     ("header", "expected"),
     [
@@ -145,17 +130,6 @@ def test_files_that_are_no_clips(tmp_path, header, expected):
         ClipDataset(tmp_path).facts(0)
         ClipDataset(tmp_path).load(0)
     assert str(caught.value).startswith(f"{path}: {expected}")
-
-
-@pytest.mark.parametrize("signal", ["color", "indirect"])
-def test_halves_under_their_old_names_are_read(tmp_path, signal):
-    frame = make_frames()[0]
-    old = {new: old for old, new in OLD_NAMES.items()}
-    write_layers(tmp_path / "1.exr", {old.get(name, name): image for name, image in frame.items()})
-    assert "half_reference.R" in read_header(tmp_path / "1.exr").channels
-    half = open_sequence(tmp_path, signal=signal, layers=["reference_half"])[0].reference_half
-    name = {"color": "reference_half", "indirect": "indirect_reference_half"}[signal]
-    np.testing.assert_array_equal(half, images(frame, name))
 
 
 @pytest.mark.parametrize("facts", [{}, {"generator": 3}, {"kind": "scene file", "seed": 1}])

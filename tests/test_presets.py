@@ -316,7 +316,6 @@ def test_recombined_into_the_files_of_both_signals(tmp_path, model):
         ('[depth]\nchannels = ["Z"]\nfile = "{spp}{spp}.{frame}.exr"', "[depth] file is '{spp}{spp}.{frame}.exr', exp"),
         ('[depth]\nchannels = ["Z"]\nfile = "../{frame}.exr"', "[depth] file is '../{frame}.exr', expected a pattern"),
         ('[depth]\nchannels = ["Z"]\nfile = "{take}.{frame}.exr"', "[depth] file is '{take}.{frame}.exr', expected a"),
-        ("[half_reference]\nchannels = []\n[reference_half]\nchannels = []", "[reference_half] and [half_reference] "),
         ('demodulated = "indirect"', "demodulated is 'indirect', expected a list of color, indirect"),
         ("[colour]\nchannels = []", "unknown layer 'colour' (did you mean 'color'?); known are color, "),
         ("color = 3", "color is 3, expected a table [color]"),

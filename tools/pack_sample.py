@@ -24,7 +24,7 @@ MANTISSA_BITS = {"color": 4, "indirect": 4}  # of a half's 10
 GRID_STEP = {"albedo": 1 / 128, "normal": 1 / 64, "depth": 1 / 64, "motion": 1 / 32, "motion_next": 1 / 32}
 FRAMES = 9
 REFERENCES = ("reference", "indirect_reference", "indirect_reference_half")
-OLD_NAMES = {"half_indirect_reference": "indirect_reference_half"}
+OLD_NAMES = {"half_indirect_reference": "indirect_reference_half"}  # of the bundled sequence
 LEFT_OUT = {  # layers, by the signal that is kept
     None: (),
     "color": ("indirect", "indirect_reference", "indirect_reference_half"),

@@ -1,9 +1,8 @@
 """Training clips on disk: one safetensors file for each clip, written atomically, read in slices. Needs no renderer.
 
-`clip_000123.safetensors` holds tensors `[T, C, H, W]` under the names and in the types of `layers.py` (id is uint8 in
-older clips). Every clip has the layers of `FEATURES` and those of `RADIANCE` of one signal or both; some have more. The
-header carries the clip's facts as JSON under "clip", and under "scales" the factors of the float16 layers that were
-divided to stay below 65504.
+`clip_000123.safetensors` holds tensors `[T, C, H, W]` under the names and in the types of `layers.py`. Every clip has
+the layers of `FEATURES` and those of `RADIANCE` of one signal or both; some have more. The header carries the clip's
+facts as JSON under "clip", and under "scales" the factors of the float16 layers that were divided to stay below 65504.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ OPTIONAL = tuple(name for name, layer in LAYERS.items() if not layer.in_every_cl
 LEAD_IN = "lead_in"  # fact of a clip: how many of its frames, the first ones, have no references
 SHOT = "shot"  # kind of the clips that are cut from frames on disk
 REPEAT = "delete it and make it again: rtdenoise estimates"
-FLOAT_TYPES, ID_TYPES = ("F16", "F32"), ("U16", "U8", "F32")  # names of safetensors; older clips have the later ones
+STORED_TYPES = {np.float16: "F16", np.float32: "F32", np.uint16: "U16"}  # numpy's -> the name of safetensors
 MAX_SCALE = 1024.0  # more would leave half precision no digits for dark pixels; beyond it values are clamped
 
 
@@ -234,8 +233,8 @@ def _read_estimates(clip: Path, method: str, signal: str, size: tuple[int, int, 
     with _opened(path) as file:
         stored, (length, height, width) = file.get_slice(signal), size
         shape, dtype = stored.get_shape(), stored.get_dtype()
-        if shape != [length, 3, height, width] or dtype not in FLOAT_TYPES:
-            raise InputError(f"{path}: damaged, or of another clip: {dtype} {shape}, expected {FLOAT_TYPES[0]} "
+        if shape != [length, 3, height, width] or dtype != "F16":
+            raise InputError(f"{path}: damaged, or of another clip: {dtype} {shape}, expected F16 "
                              f"{[length, 3, height, width]}; {REPEAT}")  # fmt: skip
         return stored
 
@@ -266,9 +265,9 @@ def _size(path: Path, clip, names: Collection[str]) -> tuple[int, int, int]:
     for name in sorted(names):
         layer, stored = LAYERS[name], clip.get_slice(name)
         shape, dtype = stored.get_shape(), stored.get_dtype()
-        types = ID_TYPES if name == "id" else FLOAT_TYPES
-        if len(shape) != 4 or shape[1] != layer.channels or 0 in shape or dtype not in types:
-            raise InputError(f"{path}: damaged: layer '{name}' is {dtype} {shape}, expected {types[0]} "
+        expected = STORED_TYPES[layer.clip_type]
+        if len(shape) != 4 or shape[1] != layer.channels or 0 in shape or dtype != expected:
+            raise InputError(f"{path}: damaged: layer '{name}' is {dtype} {shape}, expected {expected} "
                              f"[T, {layer.channels}, H, W]; delete the clip and render it again")  # fmt: skip
         sizes.add((shape[0], *shape[2:]))
     if len(sizes) > 1:

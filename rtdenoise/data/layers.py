@@ -56,7 +56,3 @@ SIGNALS = {  # signal -> layer of `Frame` -> layer on disk
     },
 }  # fmt: skip
 COMPONENTS = ("large", "small")  # the layers that `Frame.components` stacks, for the signal `color`
-OLD_NAMES = {  # in EXR files of earlier versions, still read -> the name today
-    "half_reference": "reference_half",
-    "half_indirect_reference": "indirect_reference_half",
-}

@@ -31,7 +31,7 @@ from reprlib import repr
 
 from ..errors import InputError, did_you_mean
 from ..files import read_text
-from .layers import LAYERS, OLD_NAMES, SIGNALS
+from .layers import LAYERS, SIGNALS
 from .layout import SCALES, Layout, Rule
 
 COUNTS = {name: layer.channels for name, layer in LAYERS.items()} | {"indirect_albedo": 3}
@@ -53,14 +53,10 @@ def read_layout(path: Path) -> Layout:
         raise InputError(f"{path}: name is {repr(name)}, expected a string")
     if not isinstance(demodulated, list) or not all(signal in list(SIGNALS) for signal in demodulated):
         raise InputError(f"{path}: demodulated is {repr(demodulated)}, expected a list of {', '.join(SIGNALS)}")
-    for old in document.keys() & OLD_NAMES.keys():
-        if OLD_NAMES[old] in document:
-            raise InputError(f"{path}: [{OLD_NAMES[old]}] and [{old}] are the same layer; leave the second out")
-    tables = {OLD_NAMES.get(layer, layer): table for layer, table in document.items()}
-    layers = {layer: _rule(path, layer, table) for layer, table in tables.items()}
+    layers = {layer: _rule(path, layer, table) for layer, table in document.items()}
     if not layers.keys() & SIGNALS.keys():
         raise InputError(f"{path}: describes no signal; expected a table [color] or [indirect]")
-    files = {layer: table["file"] for layer, table in tables.items() if "file" in table}
+    files = {layer: table["file"] for layer, table in document.items() if "file" in table}
     if files and (without := [layer for layer in layers if layer not in files]):
         raise InputError(f"{path}: [{without[0]}] has no 'file', [{next(iter(files))}] has one; give all layers a "
                          "file, or none where one file holds all of them")  # fmt: skip

@@ -27,16 +27,17 @@ from pathlib import Path
 from ..errors import InputError, did_you_mean
 from .exr_format import ExrHeader
 from .files import fits
-from .layers import COMPONENTS, LAYERS, OLD_NAMES, SIGNALS
+from .layers import COMPONENTS, LAYERS, SIGNALS
 from .layout import Layout, Rule, rules
 from .layout_file import read_layout
 from .noisebase import NOISEBASE
 
-_ALIASES = {new: f"{new}|{old}" for old, new in OLD_NAMES.items()}
 NATIVE = Layout(
     "native",
     {
-        **{name: rules(_ALIASES.get(name, name), layer.components) for name, layer in LAYERS.items()},
+        **{name: rules(name, layer.components) for name, layer in LAYERS.items()},
+        # `samples/mural` has the second name; its lossy compression would lose once more under another one.
+        "indirect_reference_half": rules("indirect_reference_half|half_indirect_reference", "RGB"),
         "color": rules("|color|rgba|RGBA|beauty", "RGB"),
         "components": (Rule(tuple(f"{name}.{c}" for name in COMPONENTS for c in "RGB"), (1,) * 3 * len(COMPONENTS)),),
     },
