@@ -399,11 +399,6 @@ def test_sets_of_other_samples_or_lengths_are_not_mixed(tmp_path):
         refuse_other_options(tmp_path, was)
         with pytest.raises(InputError, match=f"clip_000000.safetensors: was rendered with {complaint}"):
             refuse_other_options(tmp_path, replace(was, **change))
-    older = stills.scenes_are_of()
-    for key in ("stills", "least_spp", "most_spp"):
-        del older[key]
-    save_file({"depth": np.zeros(1)}, clip_path(tmp_path, 0), {"clip": json.dumps(facts | {"scenes_are_of": older})})
-    refuse_other_options(tmp_path, stills)
 
 
 def test_clips_of_scenes_without_things_are_counted(folder, tmp_path):

@@ -30,8 +30,6 @@ from .stage import start_mitsuba
 from .windows import COARSE
 from .workers import KILLED, only_run, start_worker
 
-BEFORE = {"calm": 0.0, "lead_in": 0, "most_spp": None}  # options that clips of older versions do not record
-
 
 def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, str], None]) -> dict:
     """Render the missing clips of this shard into a folder, and write its data card. Returns the content of the card.
@@ -87,10 +85,8 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
 
 
 def refuse_other_options(out: Path, options: ClipOptions) -> None:
-    """Raise InputError where the folder holds clips made with other options, which must not be mixed.
-
-    One clip is compared; options that it does not record are taken on trust.
-    """
+    """Raise InputError where the folder holds clips made with other options, which must not be mixed. One clip is
+    compared."""
     for path in sorted(out.glob("clip_*.safetensors"))[:1]:
         facts = read_facts(path)
         index = int(path.stem.removeprefix("clip_"))
@@ -102,12 +98,10 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
             expected |= {"frames": options.repeats if options.stills else options.frames}
         if not options.assets and not options.metropolis:  # there they differ from clip to clip
             expected |= {"spp": options.spp}
-        wanted = options.scenes_are_of()
-        told = {key: facts[key] for key in wanted.keys() & facts.keys()} | facts.get("scenes_are_of", {})
-        found = wanted | BEFORE | told | {key: facts.get(key) for key in expected}
-        for key, value in (wanted | expected).items():
-            if found[key] != value:
-                raise InputError(f"{path}: was rendered with {key} = {found[key]}, not {value}; choose another "
+        found = facts.get("scenes_are_of", {}) | {key: facts.get(key) for key in expected}
+        for key, value in (expected | options.scenes_are_of()).items():
+            if found.get(key) != value:
+                raise InputError(f"{path}: was rendered with {key} = {found.get(key)}, not {value}; choose another "
                                  "--out or the options of that run")  # fmt: skip
 
 

@@ -24,8 +24,7 @@ def write_scene_json(scene: Scene, path: Path, numbers: range, options: RenderOp
     """Add cameras and transforms of these frames, and of one frame before and after them, to the file. `begun`: the
     folder holds frames already, so its options must be these.
 
-    Frames of older versions, which recorded no options, are taken on trust. Raises InputError where the file describes
-    another scene, size or motion, or frames of other options.
+    Raises InputError where the file describes another scene, size or motion, or frames of other options.
     """
     frames = [describe_frame(scene, n, options.size) for n in range(numbers[0] - 1, numbers[-1] + 2)]
     document = {
@@ -43,14 +42,12 @@ def write_scene_json(scene: Scene, path: Path, numbers: range, options: RenderOp
             }
             for f in frames
         ],
+        "rendered": rendered_with(scene, options),
     }
-    before = read_json(path) if path.exists() else {}
-    recorded = before.get("rendered", {}) if isinstance(before, dict) else {}
-    if recorded or not begun:
-        document["rendered"] = rendered_with(scene, options)
     if path.exists():
+        before = read_json(path)
         if begun:
-            _refuse_other_options(path, before, document, rendered_with(scene, RenderOptions()))
+            _refuse_other_options(path, before, document)
         document["frames"] = _joined(path, before, document)
     write_atomically(path, json.dumps(document).encode())
 
@@ -67,15 +64,12 @@ def rendered_with(scene: Scene, options: RenderOptions) -> dict[str, object]:
     return json.loads(json.dumps({"scene": lit, "textures": textures} | chosen))
 
 
-def _refuse_other_options(path: Path, before: object, now: dict, usual: dict) -> None:
-    """Raise InputError where frames beside the file were rendered with another value of an option; it names them.
-    `usual`: `rendered_with` for the options' defaults."""
-    if not isinstance(before, dict) or not isinstance(before.get("rendered", {}), dict):
+def _refuse_other_options(path: Path, before: object, now: dict) -> None:
+    """Raise InputError where frames beside the file were rendered with another value of an option; it names them."""
+    if not isinstance(before, dict) or not isinstance(before.get("rendered"), dict):
         raise InputError(f"{path}: damaged: not as `rtdenoise render` writes it; remove it, or choose another --out")
-    pairs = {name: (before.get(name), now[name]) for name in ("width", "height") if name in before}
-    if recorded := before.get("rendered", {}):
-        recorded = usual | recorded  # options that older versions did not have, as these rendered
-        pairs |= {name: (recorded.get(name), value) for name, value in now["rendered"].items()}
+    pairs = {name: (before.get(name), now[name]) for name in ("width", "height")}
+    pairs |= {name: (before["rendered"].get(name), value) for name, value in now["rendered"].items()}
     if changed := {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}:
         told = ", ".join(f"{name} {before}, now {now}" for name, (before, now) in changed.items())
         raise InputError(f"{path.parent}: holds frames rendered with other options: {told}; {REMEDY}")
