@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 
 from .. import __version__
@@ -173,19 +173,17 @@ def _compared(config: TrainConfig) -> dict:
 
 
 def _same_config(config: TrainConfig, path: Path) -> None:
-    """Write the options of a new run; refuse to go on with other ones. Options missing from older runs take today's
-    defaults; older runs call the network `preset`."""
+    """Write the options of a new run; refuse to go on with other ones."""
     options = _compared(config)
-    defaults = {field.name: field.default for field in fields(TrainConfig)}
-    defaults = {key: [*value] if isinstance(value, tuple) else value for key, value in defaults.items()}
     if not path.exists():
         write_atomically(path, (json.dumps({"version": __version__, "options": options}, indent=1) + "\n").encode())
         return
     try:
         before = dict(read_json(path)["options"])
-        before.setdefault("model", before.get("preset", defaults["model"]))
+        changed = [key for key, now in options.items() if before[key] != now]
     except (ValueError, KeyError, TypeError):  # ValueError: InputError too
         raise InputError(f"{path}: not the options of a run; use another --out") from None
-    for key, now in options.items():
-        if (was := before.get(key, defaults[key])) != now:
-            raise InputError(f"{path.parent}: this run was started with {key} = {was}, not {now}; use another --out")
+    if changed:
+        key = changed[0]
+        raise InputError(f"{path.parent}: this run was started with {key} = {before[key]}, not {options[key]}; use "
+                         "another --out")  # fmt: skip

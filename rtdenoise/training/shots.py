@@ -160,7 +160,7 @@ def _is_there(out: Path, number: int, facts: dict) -> bool:
     path = clip_path(out, number)
     if not path.exists():
         return False
-    if facts.items() <= ({"spp": 1} | read_facts(path)).items():  # older clips do not tell
+    if facts.items() <= read_facts(path).items():
         return True
     raise InputError(f"{path}: is another clip; choose another --out, or the shots and options of that run")
 

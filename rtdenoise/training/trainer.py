@@ -94,13 +94,10 @@ class Trainer:
         open_regular(path).close()
         try:
             state = torch.load(path, map_location=self.config.device, weights_only=True)
-            before = (
-                state["optimisers"] if "optimisers" in state else [state["optimiser"]]
-            )  # older runs have Adam alone
-            step, best, skipped = int(state["step"]), float(state["best"]), int(state.get("skipped", 0))
+            step, best, skipped = int(state["step"]), float(state["best"]), int(state["skipped"])
             self.model.load_state_dict(state["model"])
             self.average.load_state_dict(state["average"])
-            for optimiser, held in zip(self.optimisers, before, strict=True):
+            for optimiser, held in zip(self.optimisers, state["optimisers"], strict=True):
                 optimiser.load_state_dict(held)
             self._check_loaded(step, best, skipped)
         except InputError:
