@@ -115,7 +115,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     for sky in (depth, torch.zeros_like(depth), torch.where(seen, 1.0, 0.0)):
         yield "even_sky", even_sky(other, torch.where(seen, other, 0.5), sky)
     yield "within", pixels.within(image, 0.0, 1.0)
-    yield "expand_within", expand_within(3 * other, one, other, image.abs())
+    yield "expand_within", expand_within(3 * other, other, image.abs())
     pictures = other, other.flip(3), one, share, (0.4, 0.1, 0.1)
     for more in ((), (image.abs(), seen.float()), (image.abs(), seen.float(), other, share)):
         yield f"mix {len(more)}", mix(*pictures, *more)
@@ -131,15 +131,14 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     like = torch.zeros(1, 1, 1, 1).contiguous(memory_format=torch.channels_last)
     for dtype in (torch.float32, torch.bfloat16):
         yield "features", features([image], [normal, depth, seen], one, like.to(dtype))
-    x = feature_bytes(image, other, normal, one)
+    x = feature_bytes(image, other, normal)
     yield "feature_bytes", x
     whole = torch.arange(9 * 3 * 32 * 4).to(torch.int8).view(1, 27, 32, 4)
     for outputs in (32, 20):
         numbers = torch.full((1, outputs), 0.01), torch.zeros(1, outputs)
         for dtype in (torch.uint8, torch.bfloat16):
             yield "convolve_bytes", convolve_bytes(x, whole, *numbers, dtype=dtype)
-    fine = feature_bytes(*(layer.repeat_interleave(2, 2).repeat_interleave(2, 3) for layer in (image, other, normal)),
-                         one)  # fmt: skip
+    fine = feature_bytes(*(layer.repeat_interleave(2, 2).repeat_interleave(2, 3) for layer in (image, other, normal)))
     both = torch.cat([whole[:, :12], whole], dim=1).expand(4, -1, -1, -1).contiguous()
     yield "convolve_bytes", convolve_bytes(fine, both, torch.full((4, 20), 0.01), torch.zeros(4, 20), x)
     for channels, dtype in ((32, torch.float32), (48, torch.bfloat16), (32, torch.bfloat16)):

@@ -108,8 +108,7 @@ def test_no_surface_is_brighter_than_white(name, precision):
     light, albedo, normal = (torch.rand(1, 3, 16, 32) for _ in range(3))
     albedo[..., 16:], normal[..., 16:] = 1, torch.tensor([0.0, -1.0, 1.0])[:, None, None]
     beyond = [torch.cat([x[..., :16], 2 * x[..., 16:]], dim=-1) for x in (albedo, normal)]
-    scale = torch.ones(1, 1, 1, 1)
-    assert torch.equal(pixels(light, *beyond, scale), pixels(light, albedo, normal, scale))
+    assert torch.equal(pixels(light, *beyond), pixels(light, albedo, normal))
 
 
 def test_light_is_written_by_clean_surfaces(monkeypatch):
@@ -120,7 +119,7 @@ def test_light_is_written_by_clean_surfaces(monkeypatch):
     monkeypatch.setattr(model.pixels, "input", lambda *layers: seen.append(layers) or PixelNetwork.input(
         model.pixels, *layers))  # fmt: skip
     model.step(frame)
-    (_, albedo, normal, _), (clean_albedo, clean_normal) = seen[0], model.pixels.clean(frame.albedo, frame.normal)
+    (_, albedo, normal), (clean_albedo, clean_normal) = seen[0], model.pixels.clean(frame.albedo, frame.normal)
     assert torch.equal(albedo, clean_albedo) and torch.equal(normal, clean_normal)
     assert albedo.min() >= 0 and albedo.max() <= 1 and normal.abs().max() <= 1
     bright = model.pixels.clean(frame.albedo, -frame.normal)
@@ -225,8 +224,7 @@ def test_written_pixels_stay_within_the_light_around_them(model, monkeypatch):
         assert model.step(replace(frame, radiance=torch.zeros_like(frame.radiance)))[0].max() == 0
     light, image = torch.rand(1, 3, 40, 70), torch.rand(1, 3, 40, 70)
     light[0, :, 35, 65] = 9.0
-    one = torch.ones(1, 1, 1, 1)
-    least, most = (expand_within(torch.full_like(light, x), one, light, image) for x in (0.0, 30.0))
+    least, most = (expand_within(torch.full_like(light, x), light, image) for x in (0.0, 30.0))
     assert (least <= light.minimum(image)).all() and (most >= light.maximum(image)).all()
     assert (most[..., 16:, 48:] == 9).all() and most[..., :16, :].max() < 1 and most[..., :48].max() < 1
 

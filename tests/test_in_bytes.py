@@ -52,7 +52,7 @@ def inputs(H=48, W=80):
     torch.manual_seed(1)
     radiance, albedo, normal = torch.rand(3, 1, 3, H, W).unbind()
     smooth = F.avg_pool2d(radiance, 9, stride=1, padding=4)
-    return 5 * smooth, albedo, F.normalize(2 * normal - 1, dim=1), torch.full((1, 1, 1, 1), 20.0)
+    return 100 * smooth, albedo, F.normalize(2 * normal - 1, dim=1)
 
 
 # --- operations -------------------------------------------------------------------------------------------------------
@@ -128,12 +128,12 @@ def test_bytes_that_do_not_fit_are_refused(change, message):
 
 
 def test_features_have_their_channels():
-    radiance, albedo, normal, scale = inputs(4, 6)
-    radiance[..., 0, 0], normal = 1e9, as_color(normal)
-    x = feature_bytes(radiance, albedo, normal, scale).double()
+    light, albedo, normal = inputs(4, 6)
+    light[..., 0, 0], normal = 1e9, as_color(normal)
+    x = feature_bytes(light, albedo, normal).double()
     assert x.shape == (1, CHANNELS, 4, 6) and (x[:, :6, 0, 0] == 255).all()
-    light = (1 + scale * radiance).log().clamp(max=510 / 40)
-    torch.testing.assert_close((x[:, :3] + x[:, 3:6]) / 40, light.double(), rtol=0, atol=0.51 / 40)
+    compressed = (1 + light).log().clamp(max=510 / 40)
+    torch.testing.assert_close((x[:, :3] + x[:, 3:6]) / 40, compressed.double(), rtol=0, atol=0.51 / 40)
     surfaces = torch.cat([albedo, normal], dim=1).double()
     torch.testing.assert_close(x[:, 6:] / 255, surfaces, rtol=0, atol=0.51 / 255)
 

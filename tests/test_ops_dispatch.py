@@ -253,10 +253,10 @@ def misfits():
         "mix": (lambda a, b, trust, c, held: mix(a, b, scale, trust, (0.4, 0.1, 0.1), c, held), (3, 3, 1, 3, 1)),
         "soften": (soften, (3, 3, 1)),
         "blend_history": (filtered, (3, 3, 1)),
-        "expand_within": (lambda x, first, other: expand_within(x, scale, first, other), (3, 3, 3)),
+        "expand_within": (expand_within, (3, 3, 3)),
         "displacement_sums": (sums, (1, 1, 2, 1, 1, 1)),
         "block_luminance": (lambda x: torch.stack(block_luminance(x, 4)), (3,)),
-        "feature_bytes": (lambda *layers: feature_bytes(*layers, scale), (3, 3, 3)),
+        "feature_bytes": (feature_bytes, (3, 3, 3)),
         "over": (lambda seen, motion, depth: over(seen, seen, motion, depth, [frame]), (9, 2, 1)),
     }
     for name, (op, channels) in found.items():

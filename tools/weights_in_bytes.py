@@ -99,8 +99,8 @@ class Seen:
         return torch.cat(parts, dim=1), self.modules[name].bias.double(), moments
 
     def _begin(self, _: Module, inputs: tuple[Tensor, ...]) -> None:
-        radiance, albedo, normal, scale = inputs
-        self.given = feature_bytes(radiance, albedo, as_color(normal), scale).float()
+        lit, albedo, normal = inputs
+        self.given = feature_bytes(lit, albedo, as_color(normal)).float()
 
     def _measure(self, name: str, x: Tensor) -> None:
         most = x[0].flatten(1).topk(1 + int(RARE * x.shape[2] * x.shape[3])).values[:, -1].clamp(min=1e-3)

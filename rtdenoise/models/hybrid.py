@@ -56,7 +56,7 @@ class Hybrid(AccumulatedKPN):
             if not self.config.many:
                 radiance = evened(radiance, after.footprint_count, image, trust)
             held, tells = held_and_tells(held, image.dtype)
-        pixels = written(lambda lit, scale: self.pixels(lit, *guides, scale), radiance, image, known.exposure)
+        pixels = written(lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure)
 
         before, shares = None if self.config.many else past.output, self.config.shares
         shown = mix(image, pixels, known.exposure, trust, shares, before, held, frame.radiance, tells)

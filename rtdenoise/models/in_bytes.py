@@ -76,9 +76,9 @@ class PixelNetworkInBytes(PixelNetwork):
         )  # fmt: skip
         self.last = network.last
 
-    def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
+    def input(self, lit: Tensor, albedo: Tensor, normal: Tensor) -> Tensor:
         """As that of `PixelNetwork`, in bytes."""
-        return feature_bytes(radiance, albedo, as_color(normal), scale)
+        return feature_bytes(lit, albedo, as_color(normal))
 
 
 class ToBytes(nn.Module):

@@ -59,16 +59,16 @@ class PixelNetwork(PixelUNet):
         super().__init__(config.pixels)
         self.surfaces = nn.ModuleDict({name: PixelUNet(shape) for name, shape in config.surfaces.items()})
 
-    def forward(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
-        """What each pixel showed, `[B, 3, H, W]` each, its light lifted (`written`), and the `scale` of that light,
-        `[B, 1, 1, 1]`, to the picture's light as `features` compress it, `[B, 3, H, W]` ≥ 0 in float32."""
+    def forward(self, lit: Tensor, albedo: Tensor, normal: Tensor) -> Tensor:
+        """What each pixel showed, `[B, 3, H, W]` each, its light lifted (`written`), to the picture's light as
+        `color.compress` makes it, `[B, 3, H, W]` ≥ 0 in float32."""
         if self.surfaces:
             albedo, normal = self.clean(albedo, normal)
-        return self.write(radiance, albedo, normal, scale)
+        return self.write(lit, albedo, normal)
 
-    def write(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
+    def write(self, lit: Tensor, albedo: Tensor, normal: Tensor) -> Tensor:
         """As `forward`, of albedo and normal as its network of light expects them: clean, if others clean them."""
-        return F.relu(self.filter(self.input(radiance, albedo, normal, scale))) / PIXELS_UNIT
+        return F.relu(self.filter(self.input(lit, albedo, normal))) / PIXELS_UNIT
 
     @torch.no_grad()
     def clean(self, albedo: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
@@ -79,20 +79,20 @@ class PixelNetwork(PixelUNet):
         return albedo, 2 * directions.filter(as_weights(as_color(normal), directions)).clamp(0, 1) - 1
 
     @torch.no_grad()
-    def input(self, radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
+    def input(self, lit: Tensor, albedo: Tensor, normal: Tensor) -> Tensor:
         """`features`, `[B, 9, H, W]`, with light in OIDN's unit, and albedo and normal in [0, 1]."""
         guides, lanes = (albedo.clamp(0, 1), as_color(normal)), self.encoder[0].lanes
-        return features((radiance,), guides, scale, self.last.weight, PIXELS_UNIT, lanes)
+        return features((lit,), guides, lit.new_ones(len(lit), 1, 1, 1), self.last.weight, PIXELS_UNIT, lanes)
 
 
-def written(write: Callable[[Tensor, Tensor], Tensor], radiance: Tensor, other: Tensor, exposure: Tensor) -> Tensor:
+def written(write: Callable[[Tensor], Tensor], radiance: Tensor, other: Tensor, exposure: Tensor) -> Tensor:
     """The light that a network makes of `radiance`, `[B, 3, H, W]`, between the least and the greatest of it and of
-    the picture `other` around each pixel. `write` takes that light on OIDN's curve (`ops.lift`) and its scale there,
-    `[B, 1, 1, 1]`, and returns what `PixelNetwork` does."""
-    scale, one = PIXELS_LIGHT * exposure, torch.ones_like(exposure)
+    the picture `other` around each pixel. `write` takes that light on OIDN's curve (`ops.lift`), and returns what
+    `PixelNetwork` does."""
+    scale = PIXELS_LIGHT * exposure
     lit = lift(scale * radiance)
     around = lit if other is radiance else lift(scale * other)
-    return lower(expand_within(write(lit, one), one, lit, around)) / scale
+    return lower(expand_within(write(lit), lit, around)) / scale
 
 
 def as_color(normal: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from ..constants import AROUND_CELL
 from .dispatch import Fused, Support, falls_back
 
 IMAGES = dict.fromkeys(("compressed", "first", "other"), (3,))
-SUPPORT = Support(other=("scale",), channels=IMAGES)
+SUPPORT = Support(channels=IMAGES)
 FUSED = Fused("around.expand_within", native=SUPPORT, triton=SUPPORT)
 
 
@@ -24,16 +24,15 @@ def greatest_around(x: Tensor) -> Tensor:
 
 @falls_back
 def expand_within(
-    compressed: Tensor,  # [B, 3, H, W] ≥ 0: log(1 + scale · light)
-    scale: Tensor,  # [B, 1, 1, 1]
+    compressed: Tensor,  # [B, 3, H, W] ≥ 0: log(1 + light)
     first: Tensor,  # [B, 3, H, W] a picture
     other: Tensor,  # [B, 3, H, W] another one
 ) -> Tensor:  # [B, 3, H, W]
     """The light, held between the least and the greatest value of both pictures around each pixel: where a network that
     writes pixels must stay, so that black stays black and even light even."""
-    if run := FUSED(compressed=compressed, scale=scale, first=first, other=other):
-        return run(compressed, scale, first, other)
+    if run := FUSED(compressed=compressed, first=first, other=other):
+        return run(compressed, first, other)
     with torch.no_grad():
         least = -greatest_around(-torch.minimum(first, other))
         most = greatest_around(torch.maximum(first, other))
-    return (expand(compressed) / scale).clamp(least, most)
+    return expand(compressed).clamp(least, most)

@@ -15,23 +15,22 @@ CHANNELS = 12  # of the result
 
 @falls_back
 def feature_bytes(
-    radiance: Tensor,  # [B, 3, H, W] linear, ≥ 0
+    light: Tensor,  # [B, 3, H, W] linear, ≥ 0
     albedo: Tensor,  # [B, 3, H, W] in [0, 1]
     normal: Tensor,  # [B, 3, H, W] in [0, 1]: half of it and 0.5
-    scale: Tensor,  # [B, 1, 1, 1] exposure: radiance is multiplied by it
 ) -> Tensor:  # [B, CHANNELS, H, W] uint8, channels last
-    """Whole steps of log(1 + scale · radiance), of albedo and of normal, by channels:
+    """Whole steps of log(1 + light), of albedo and of normal, by channels:
 
         0-2    light, at most 255 steps
         3-5    the steps of light beyond
         6-8    albedo
         9-11   normal
 
-    Light of two bytes has steps of 2.5 % and ends at exp(2 · 255 / LIGHT) = 344 000 times the inverse of `scale`.
+    Light of two bytes has steps of 2.5 % and ends at exp(2 · 255 / LIGHT) = 344 000.
     """
-    layers = radiance, albedo, normal
+    layers = light, albedo, normal
     if run := FUSED(layers=layers):
-        return run(*layers, scale)
-    light = (compress(radiance * scale) * LIGHT).round()
-    parts = torch.cat([light, light - 255, *((x * SURFACE).round() for x in (albedo, normal))], dim=1)
+        return run(*layers)
+    steps = (compress(light) * LIGHT).round()
+    parts = torch.cat([steps, steps - 255, *((x * SURFACE).round() for x in (albedo, normal))], dim=1)
     return parts.clamp(0, 255).to(torch.uint8, memory_format=torch.channels_last)

@@ -37,11 +37,8 @@ class PixelFilter:
         """The radiance of a (sanitised) frame with clean albedo and normal, without noise and within the light around
         each pixel, `[1, 3, H, W]`; there is no history."""
 
-        def write(lit: Tensor, scale: Tensor) -> Tensor:
-            def of_tile(*layers: Tensor) -> tuple[Tensor]:
-                return (self._network.write(*layers, scale),)
-
-            return in_tiles(of_tile, self._reach, lit, frame.albedo, frame.normal)[0]
+        def write(lit: Tensor) -> Tensor:
+            return in_tiles(lambda *x: (self._network.write(*x),), self._reach, lit, frame.albedo, frame.normal)[0]
 
         return written(write, frame.radiance, frame.radiance, exposure(frame.radiance)), None
 

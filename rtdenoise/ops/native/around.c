@@ -23,8 +23,8 @@ static inline void extremes(const float *first, const float *other, float *least
 }
 
 // A row of pixels, of cells whose values and those around lie in `least` and `most`.
-static inline void expanded(const float *in, float *out, const float *least, const float *most, float scale, int row, int rows,
-                            int columns, int W) {
+static inline void expanded(const float *in, float *out, const float *least, const float *most, int row, int rows, int columns,
+                            int W) {
     for (int from = 0; from < W; from += CELL) {
         int column = from / CELL, n = MIN(CELL, W - from);
         float l = INFINITY, h = -INFINITY;
@@ -33,16 +33,16 @@ static inline void expanded(const float *in, float *out, const float *least, con
                 l = MIN(l, least[i * columns + k]), h = MAX(h, most[i * columns + k]);
         if (n == CELL)  // a constant, for the vector code
 #pragma omp simd
-            for (int x = from; x < from + CELL; x++) out[x] = MIN(MAX(expm1_positive(in[x]) / scale, l), h);
+            for (int x = from; x < from + CELL; x++) out[x] = MIN(MAX(expm1_positive(in[x]), l), h);
         else
-            for (int x = from; x < from + n; x++) out[x] = MIN(MAX(expm1_positive(in[x]) / scale, l), h);
+            for (int x = from; x < from + n; x++) out[x] = MIN(MAX(expm1_positive(in[x]), l), h);
     }
 }
 
-// compressed, first, other, out [planes, H, W], three planes for each value of `scale`; least and most [planes, rows, columns];
-// `space` has 2 · W values for each of `threads` threads.
-void expand_within(const float *compressed, const float *scale, const float *first, const float *other, float *least, float *most,
-                   float *space, float *out, int planes, int H, int W, int threads) {
+// compressed, first, other, out [planes, H, W]; least and most [planes, rows, columns]; `space` has 2 · W values for each of
+// `threads` threads.
+void expand_within(const float *compressed, const float *first, const float *other, float *least, float *most, float *space,
+                   float *out, int planes, int H, int W, int threads) {
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
     int64_t plane = (int64_t)H * W, cells = (int64_t)rows * columns;
 #pragma omp parallel num_threads(threads)
@@ -55,8 +55,7 @@ void expand_within(const float *compressed, const float *scale, const float *fir
 #pragma omp for schedule(static)
         for (int64_t i = 0; i < (int64_t)planes * H; i++) {
             int64_t p = i / H;
-            expanded(compressed + i * W, out + i * W, least + p * cells, most + p * cells, scale[p / 3], i % H / CELL, rows,
-                     columns, W);
+            expanded(compressed + i * W, out + i * W, least + p * cells, most + p * cells, i % H / CELL, rows, columns, W);
         }
     }
 }

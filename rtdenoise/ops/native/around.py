@@ -9,9 +9,9 @@ from ...constants import AROUND_CELL
 from .compiler import library, pointer
 
 
-def expand_within(compressed: Tensor, scale: Tensor, first: Tensor, other: Tensor) -> Tensor:
+def expand_within(compressed: Tensor, first: Tensor, other: Tensor) -> Tensor:
     B, C, H, W = compressed.shape
-    images = [x.contiguous() for x in (compressed, scale.expand(B, 1, 1, 1), first, other)]
+    images = [x.contiguous() for x in (compressed, first, other)]
     least, most = compressed.new_empty(2, B * C, -(-H // AROUND_CELL), -(-W // AROUND_CELL)).unbind()
     threads = torch.get_num_threads()
     space, out = compressed.new_empty(threads, 2, W), torch.empty_like(images[0])

@@ -11,20 +11,19 @@ static inline uint32_t word(const float *steps) {
     return byte(steps[0]) | byte(steps[BLOCK]) << 8 | byte(steps[2 * BLOCK]) << 16 | byte(steps[3 * BLOCK]) << 24;
 }
 
-// planes: 9 pointers to `pixels` float32 each, radiance, albedo and normal; out [pixels, WORDS]
-void feature_bytes(const float *const *planes, float scale, uint32_t *out, int64_t pixels, int threads) {
+// planes: 9 pointers to `pixels` float32 each, light, albedo and normal; out [pixels, WORDS]
+void feature_bytes(const float *const *planes, uint32_t *out, int64_t pixels, int threads) {
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t from = 0; from < pixels; from += BLOCK) {
         int n = (int)MIN(BLOCK, pixels - from);
         float steps[CHANNELS][BLOCK] = {0};
         uint32_t words[WORDS][BLOCK];
         for (int c = 0; c < 3; c++) {
-            const float *radiance = planes[c] + from, *albedo = planes[3 + c] + from, *normal = planes[6 + c] + from;
+            const float *light = planes[c] + from, *albedo = planes[3 + c] + from, *normal = planes[6 + c] + from;
 #pragma omp simd
             for (int x = 0; x < n; x++) {
-                float light = rintf(log1p_positive(radiance[x] * scale) * LIGHT);
-                steps[c][x] = light;
-                steps[3 + c][x] = light - 255;
+                steps[c][x] = rintf(log1p_positive(light[x]) * LIGHT);
+                steps[3 + c][x] = steps[c][x] - 255;
                 steps[6 + c][x] = rintf(albedo[x] * SURFACE);
                 steps[9 + c][x] = rintf(normal[x] * SURFACE);
             }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ctypes import c_float, c_int64
+from ctypes import c_int64
 
 import torch
 from torch import Tensor
@@ -11,13 +11,13 @@ from ..feature_bytes import CHANNELS, LIGHT, SURFACE
 from .compiler import library, planes, pointer
 
 
-def feature_bytes(radiance: Tensor, albedo: Tensor, normal: Tensor, scale: Tensor) -> Tensor:
-    layers = [layer.contiguous() for layer in (radiance, albedo, normal)]
-    B, _, H, W = radiance.shape
+def feature_bytes(light: Tensor, albedo: Tensor, normal: Tensor) -> Tensor:
+    layers = [layer.contiguous() for layer in (light, albedo, normal)]
+    B, _, H, W = light.shape
     out = torch.empty(B, CHANNELS, H, W, dtype=torch.uint8, device="cpu", memory_format=torch.channels_last)
     constants = {"LIGHT": LIGHT, "SURFACE": SURFACE, "CHANNELS": CHANNELS}
     run = library("feature_bytes", **constants).feature_bytes
     for b in range(B):
         each = planes([layer[b : b + 1] for layer in layers])
-        run(each, c_float(scale[b].item()), pointer(out[b]), c_int64(H * W), torch.get_num_threads())
+        run(each, pointer(out[b]), c_int64(H * W), torch.get_num_threads())
     return out

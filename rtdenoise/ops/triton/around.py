@@ -8,7 +8,7 @@ import triton.language as tl
 from torch import Tensor
 
 from ...constants import AROUND_CELL
-from .common import BLOCK, grid, of_images, place, row_of
+from .common import BLOCK, grid, place, row_of
 from .curve import expanded
 
 
@@ -29,7 +29,7 @@ def _bounds(first, other, least, most, H, W, CELL: tl.constexpr):
 
 
 @triton.jit
-def _within(compressed, scale, least, most, out, H, W, C, CELL: tl.constexpr, BLOCK: tl.constexpr):
+def _within(compressed, least, most, out, H, W, CELL: tl.constexpr, BLOCK: tl.constexpr):
     n, y, x, exists = place(H, W, BLOCK)  # n: plane
     h, w = tl.cdiv(H, CELL), tl.cdiv(W, CELL)
     least += n * h * w
@@ -42,17 +42,16 @@ def _within(compressed, scale, least, most, out, H, W, C, CELL: tl.constexpr, BL
         low = tl.minimum(low, tl.load(least + i * w + j, mask=inside, other=float("inf")))
         high = tl.maximum(high, tl.load(most + i * w + j, mask=inside, other=-float("inf")))
     at = n * H * W + y * W + x
-    value = expanded(tl.load(compressed + at, mask=exists, other=0.0)) / tl.load(scale + n // C)
+    value = expanded(tl.load(compressed + at, mask=exists, other=0.0))
     tl.store(out + at, tl.minimum(tl.maximum(value, low), high), mask=exists)
 
 
-def expand_within(compressed: Tensor, scale: Tensor, first: Tensor, other: Tensor) -> Tensor:
+def expand_within(compressed: Tensor, first: Tensor, other: Tensor) -> Tensor:
     compressed, first, other = compressed.contiguous(), first.contiguous(), other.contiguous()
     B, C, H, W = compressed.shape
     h, w = triton.cdiv(H, AROUND_CELL), triton.cdiv(W, AROUND_CELL)
     least, most = first.new_empty(B, C, h, w), first.new_empty(B, C, h, w)
     out = torch.empty_like(compressed)
     _bounds[w, B * C * h](first, other, least, most, H, W, CELL=AROUND_CELL)
-    scale, constants = of_images(scale, B), {"CELL": AROUND_CELL, "BLOCK": BLOCK}
-    _within[grid(B * C, H, W)](compressed, scale, least, most, out, H, W, C, **constants)
+    _within[grid(B * C, H, W)](compressed, least, most, out, H, W, CELL=AROUND_CELL, BLOCK=BLOCK)
     return out
