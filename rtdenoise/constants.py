@@ -87,3 +87,5 @@ AROUND_CELL = 16  # side in pixels of the cells in which what is around a pixel 
 MIN_DISTANCE = 1e-12  # least mean depth of a frame: never zero (`ops.mean_distance`)
 
 MAX_HALF = 65504.0  # the largest half float
+
+SOFTWARE_RENDERER = "llvmpipe"  # in the name of Mesa's renderer for machines without a GPU

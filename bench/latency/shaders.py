@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from rtdenoise import glsl
+from rtdenoise.constants import SOFTWARE_RENDERER
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame
 from rtdenoise.glsl import Clock, GpuArray, Pipeline
@@ -75,5 +76,5 @@ def measurable(quick: bool) -> tuple[bool, str]:
         name = renderer()
     except InputError as error:
         return False, f"not measured: {error}"
-    software = "llvmpipe" in name
+    software = SOFTWARE_RENDERER in name
     return (quick or not software), name if quick or not software else f"not measured: {name} is no GPU"

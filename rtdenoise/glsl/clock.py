@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import moderngl
 
+from ..constants import SOFTWARE_RENDERER
 from .current import current
 
 
@@ -23,7 +24,7 @@ class Clock:
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
-        self._software = "llvmpipe" in ctx.info["GL_RENDERER"]
+        self._software = SOFTWARE_RENDERER in ctx.info["GL_RENDERER"]
         self._queries: list[tuple[str, moderngl.Query]] = []
         self._seconds: dict[str, float] = {}
 

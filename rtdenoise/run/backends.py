@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from ..models import Denoiser
 
 BACKENDS = ("auto", "torch", "glsl")
-SOFTWARE = "llvmpipe"  # in the name of Mesa's renderer for machines without a GPU
 
 
 class Backend(Protocol):

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ..constants import SOFTWARE_RENDERER
 from ..data.output import check_output, output_names, write_frame
 from ..data.sequences import Sequence
 from ..errors import InputError
@@ -16,7 +17,7 @@ from ..files import lock, remove_unfinished
 from ..frame import Frame
 from ..models.weights import read_config
 from ..sanitise import faults
-from .backends import SOFTWARE, Backend, open_backend
+from .backends import Backend, open_backend
 from .choice import open_chosen, told_of_samples
 from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
@@ -109,7 +110,7 @@ def _run(
     if not done:  # so that the next run knows the first frame for its own
         save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps, summary.ran = done, list(sequence.gaps), backend.ran
-    if SOFTWARE in summary.ran["device"]:
+    if SOFTWARE_RENDERER in summary.ran["device"]:
         summary.notes.append(f"the shaders run on the CPU, by {summary.ran['device']}: PyTorch (--backend torch) is "
                              "many times as fast")  # fmt: skip
     if len(sequence) > 1 and backend.config.motion is None:
