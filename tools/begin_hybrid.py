@@ -12,7 +12,6 @@ bits, but for those of the filter of light at full and half size, which would be
 
 from __future__ import annotations
 
-import json
 import struct
 import sys
 from dataclasses import asdict, dataclass
@@ -28,7 +27,7 @@ from usage import call
 
 from rtdenoise.files import in_order, write_atomically
 from rtdenoise.models.hybrid_config import HybridConfig, PixelShape
-from rtdenoise.models.weights import KERNELS, UNIT, read_config
+from rtdenoise.models.weights import UNIT, described, read_config
 
 MAGIC = struct.pack("<HBB", 0x41D7, 2, 0)  # of a TZA archive, and its version
 UP = ("dec_conv1", "dec_conv2", "dec_conv3", "dec_conv4")
@@ -68,13 +67,8 @@ def main(out: str, quality: str = "balanced", kernels: str = "default") -> None:
             stored |= {name: (tensor / unit.view(-1, 1, 1, 1)).round().to(torch.int8), name + UNIT: unit}
         else:
             stored[name] = tensor.half()
-    metadata = {
-        "architecture": config.architecture,
-        "config": json.dumps(asdict(config)),
-        "parts": json.dumps({KERNELS: kernels}),
-    }
     stored = {name: tensor.contiguous() for name, tensor in stored.items()}
-    write_atomically(Path(out), in_order(save(stored, metadata=metadata)))
+    write_atomically(Path(out), in_order(save(stored, metadata=described(config, kernels=kernels))))
 
 
 def network(content: bytes, archive: Archive, prefix: str) -> tuple[PixelShape, dict[str, Tensor]]:

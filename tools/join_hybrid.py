@@ -7,7 +7,6 @@ The file holds names alone. Kernels that keep no recent frames by themselves are
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from usage import call
 
 from rtdenoise.files import write_atomically
 from rtdenoise.models.hybrid_config import HybridConfig
-from rtdenoise.models.weights import KERNELS, PIXELS, read_config
+from rtdenoise.models.weights import described, read_config
 
 
 def main(out: str, kernels: str, pixels: str) -> None:
@@ -26,12 +25,7 @@ def main(out: str, kernels: str, pixels: str) -> None:
         many=not of_kernels.recent,
         **{name: getattr(of_pixels, name) for name in ("down", "up", "out", "twice", "clean")},
     )
-    metadata = {
-        "architecture": config.architecture,
-        "config": json.dumps(asdict(config)),
-        "parts": json.dumps({KERNELS: kernels, PIXELS: pixels}),
-    }
-    write_atomically(Path(out), save({}, metadata=metadata))
+    write_atomically(Path(out), save({}, metadata=described(config, kernels=kernels, pixels=pixels)))
 
 
 if __name__ == "__main__":

@@ -64,13 +64,6 @@ def automatic(device: str | torch.device) -> str:
     return "bf16" if resolve("auto", device) is torch.bfloat16 else "fp32"
 
 
-def precision_of(network: nn.Module) -> str:
-    """The one of PRECISIONS that most of a network computes in."""
-    if any(type(module).__name__.endswith("InBytes") for module in network.modules()):
-        return INT8
-    return "bf16" if any(weights.dtype == torch.bfloat16 for weights in network.parameters()) else "fp32"
-
-
 def _has(instructions: str) -> bool:
     ask = getattr(torch.cpu, f"_is_{instructions}_supported", None)  # torch has no public name for it
     return ask is not None and ask()

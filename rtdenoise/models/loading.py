@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import logging
-from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -24,7 +22,7 @@ from .mltd import RecurrentTransformer
 from .presets import SHRINKAGE, Config
 from .shrinkage import Shrinkage
 from .temporal_kpn import TemporalKPN
-from .weights import PIXELS, StoredModel, has_bytes, read_denoiser, read_model
+from .weights import PIXELS, StoredModel, described, has_bytes, read_denoiser, read_model
 
 NETWORKS = {
     "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "afgsa": GuidedAttention,
@@ -79,6 +77,13 @@ def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
         network.pixels = PixelNetworkInBytes(network.pixels, stored)
 
 
+def precision_of(network: Denoiser) -> str:
+    """The one of `inference.PRECISIONS` that most of a network computes in."""
+    if any(isinstance(module, UNetInBytes | PixelNetworkInBytes) for module in network.modules()):
+        return INT8
+    return "bf16" if any(weights.dtype == torch.bfloat16 for weights in network.parameters()) else "fp32"
+
+
 def load_combiner(
     model: str | Path = SHRINKAGE, device: str | torch.device = "cpu", precision: str = "auto", **overrides
 ) -> Combiner | Shrinkage:
@@ -117,5 +122,4 @@ def save(denoiser: Denoiser | Combiner, path: str | Path, **metadata: str) -> No
     if tensors.keys() != denoiser.config.shapes.keys() or any(v.dtype == torch.bfloat16 for v in tensors.values()):
         raise InputError(f"{path}: expected a network with all of its weights, in float32; take it from models.read, "
                          "or from models.load with precision='fp32'")  # fmt: skip
-    described = {"architecture": denoiser.config.architecture, "config": json.dumps(asdict(denoiser.config))}
-    write_atomically(Path(path), in_order(serialise(tensors, metadata=described | metadata)))
+    write_atomically(Path(path), in_order(serialise(tensors, metadata=described(denoiser.config) | metadata)))

@@ -198,6 +198,13 @@ def _overridden(config: Config, model: str, overrides: Mapping[str, object]) -> 
         raise InputError(f"{', '.join(overrides)}: not an override of model {model!r}: {error}") from None
 
 
+def described(config: Config, **parts: str) -> dict[str, str]:
+    """Metadata of the weights file of a model: its configuration, and models that ship whose weights it takes, as
+    `_config` and `_parts` read them."""
+    taken = {"parts": json.dumps(parts)} if parts else {}
+    return {"architecture": config.architecture, "config": json.dumps(asdict(config))} | taken
+
+
 def _config(path: Path, metadata: Mapping[str, str]) -> Config:
     if "config" not in metadata:
         raise InputError(

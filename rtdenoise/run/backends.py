@@ -154,7 +154,7 @@ class TorchBackend:
 
     @property
     def ran(self) -> dict[str, str]:
-        from ..models.inference import precision_of
+        from ..models.loading import precision_of
 
         return {"backend": "torch", "device": self.device, "precision": precision_of(self._denoiser)}
 
