@@ -15,7 +15,6 @@ from .scratch import Scratch
 
 BLOCKS, PIXELS = 2, 4  # groups of four output channels, and pixels, that an invocation of conv3x3 computes
 CONV_GROUP = (8, 8)
-NEAR, POOLED, CONCATENATED = 0, 1, 2  # SOURCE of conv3x3
 
 
 @dataclass(frozen=True)
@@ -54,13 +53,13 @@ def conv_layer(
 def convolve(
     scratch: Scratch,
     layer: PackedLayer,
-    source: int,  # NEAR, POOLED or CONCATENATED
     name: str,  # of the result in `scratch`
     near: GpuArray,  # [⌈C/4⌉, H, W, 4]
-    far: GpuArray | None = None,  # CONCATENATED: [⌈C'/4⌉, H/2, W/2, 4]
-) -> GpuArray:  # [⌈outputs/4⌉, H, W, 4], POOLED: of half the size
+    far: GpuArray | None = None,  # [⌈C'/4⌉, H/2, W/2, 4], enlarged and put before `near`
+    pooled: bool = False,  # of `near` the maxima of 2×2
+) -> GpuArray:  # [⌈outputs/4⌉, H, W, 4]; pooled: of half the size
     """A 3×3 convolution with ReLU: `network/conv3x3`."""
-    H, W = (n >> (source == POOLED) for n in near.shape[1:3])
+    H, W = (n >> pooled for n in near.shape[1:3])
     result = scratch.activations(name, layer.outputs, (H, W))
     groups = result.shape[0]
     dispatch(
@@ -68,7 +67,7 @@ def convolve(
         {"near": near, "far": near if far is None else far, "weights": layer.weights, "biases": layer.biases,
          "result": result},
         {"size": (W, H), "groups": (layer.groups[0], sum(layer.groups), groups)},
-        CONV_GROUP, SOURCE=source, HALF=int(scratch.half),
+        CONV_GROUP, SOURCE=1 if pooled else 0 if far is None else 2, HALF=int(scratch.half),
     )  # fmt: skip
     return result
 
@@ -115,13 +114,13 @@ class UNet:
         first."""
         x, skips = features, []
         for level, (first, second) in enumerate(self._encoder):
-            x = convolve(self._scratch, first, POOLED if level else NEAR, f"first.{level}", x)
-            x = convolve(self._scratch, second, NEAR, f"second.{level}", x)
+            x = convolve(self._scratch, first, f"first.{level}", x, pooled=level > 0)
+            x = convolve(self._scratch, second, f"second.{level}", x)
             skips.append(x)
         for level in reversed(range(len(self._decoder))):
             first, second = self._decoder[level]
-            x = convolve(self._scratch, first, CONCATENATED, f"first.{level}", skips[level], x)
-            x = skips[level] = convolve(self._scratch, second, NEAR, f"second.{level}", x)  # overwrites the skip
+            x = convolve(self._scratch, first, f"first.{level}", skips[level], x)
+            x = skips[level] = convolve(self._scratch, second, f"second.{level}", x)  # overwrites the skip
         return skips[:-1]
 
 

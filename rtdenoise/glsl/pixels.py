@@ -12,7 +12,7 @@ from ..constants import AROUND_CELL, MIX_CELL
 from ..models.hybrid_config import HybridConfig, PixelShape
 from .context import GpuArray
 from .dispatch import dispatch
-from .network import BLOCKS, CONCATENATED, NEAR, PackedLayer, conv_layer, convolve
+from .network import BLOCKS, PackedLayer, conv_layer, convolve
 from .passes import Inputs
 from .scratch import Scratch
 
@@ -120,25 +120,21 @@ class PixelNetwork:
 
     def __call__(self, x: GpuArray) -> GpuArray:
         """The input, zero beyond the picture, to the output [1, H', W', 4]."""
-        skips = []
+        scratch, between, skips = self._scratch, self._between, []
         for level, stage in enumerate(self._encoder):
-            x = self._pool(x, f"pooled.{level}") if level else x
+            x = self._pool(x, f"{between}.pooled.{level}") if level else x
             skips.append(x)
             for layer, name in zip(stage, ("first", "second"), strict=False):
-                x = self._convolve(layer, f"{name}.{level}", x)
+                x = convolve(scratch, layer, f"{between}.{name}.{level}", x)
         for level in reversed(range(len(self._decoder))):
             first, second = self._decoder[level]
-            x = self._convolve(first, f"joined.{level}", skips[level], far=x)
-            x = self._convolve(second, f"last.{level}", x)
-        return convolve(self._scratch, self._last, NEAR, f"{self._name}.output", x)
-
-    def _convolve(self, layer: PackedLayer, name: str, near: GpuArray, far: GpuArray | None = None) -> GpuArray:
-        source = NEAR if far is None else CONCATENATED
-        return convolve(self._scratch, layer, source, f"{self._between}.{name}", near, far)
+            x = convolve(scratch, first, f"{between}.joined.{level}", skips[level], x)
+            x = convolve(scratch, second, f"{between}.last.{level}", x)
+        return convolve(scratch, self._last, f"{self._name}.output", x)
 
     def _pool(self, x: GpuArray, name: str) -> GpuArray:
         groups, H, W, _ = x.shape
-        result = self._scratch.activations(f"{self._between}.{name}", 4 * groups, (H // 2, W // 2))
+        result = self._scratch.activations(name, 4 * groups, (H // 2, W // 2))
         size = W // 2, H // 2
         dispatch("network/pool", (*size, groups), {"near": x, "result": result}, HALF=int(self._scratch.half))
         return result
