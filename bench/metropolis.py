@@ -72,8 +72,10 @@ def main(size: int = 64, mutations: tuple[int, ...] = (32,), runs: int = 2, refe
 class Bench:
     """A scene, rendered both ways."""
 
-    def __init__(self, size: int, depth: int = 8):
-        self.size, self.depth, self.pixels = (size, size), depth, size * size
+    depth = 8  # path edges
+
+    def __init__(self, size: int):
+        self.size, self.pixels = (size, size), size * size
         self.stage: Stage | None = None
 
     def open(self, name: str) -> None:
@@ -92,11 +94,11 @@ class Bench:
         layers, _ = metropolis(self.stage, 0, self.size, mutations, 1, stream, self.depth, options)
         return layers, time.process_time() - start
 
-    def rate(self, count: int, few: int = 8, many: int = 72, rounds: int = 2) -> dict[str, float]:
+    def rate(self, count: int) -> dict[str, float]:
         """Millions of samples and mutations a second of further ones, in turn; medians."""
-        paths, chains = [], []
+        paths, chains, few, many = [], [], 8, 72
         self.chains(1, 0, count)  # warm
-        for k in range(rounds):
+        for k in range(2):
             times = [self.path(n, k)[1] for n in (few, many)] + [self.chains(n, k, count)[1] for n in (few, many)]
             paths.append(1e-6 * self.pixels * (many - few) / (times[1] - times[0]))
             chains.append(1e-6 * self.pixels * (many - few) / (times[3] - times[2]))
@@ -115,7 +117,7 @@ class Bench:
         """A row for each method and signal; path tracing gets the samples that fit into the time of the mutations."""
         chains = [self.chains(mutations, 100 + k) for k in range(runs)]
         seconds = float(np.mean([time for _, time in chains]))
-        samples = max(round(seconds / self.seconds_per_sample(60)), 1)
+        samples = max(round(seconds / self.seconds_per_sample()), 1)
         paths = [self.path(samples, 200 + k) for k in range(runs)]
         pictures = {"pssmlt": [layers for layers, _ in chains], "path": [layers for layers, _ in paths]}
         spent = {"pssmlt": seconds, "path": float(np.mean([time for _, time in paths]))}
@@ -130,14 +132,14 @@ class Bench:
                 })  # fmt: skip
         return rows
 
-    def seconds_per_sample(self, stream: int) -> float:
+    def seconds_per_sample(self) -> float:
         """Of path tracing, for a sample in every pixel."""
-        return self.path(RESERVE, stream)[1] / RESERVE
+        return self.path(RESERVE, stream=60)[1] / RESERVE
 
     def picture(self, references: tuple[dict, dict], mutations: int):
         """Path tracing, Metropolis sampling and its parts at about equal time, and the reference."""
         layers, seconds = self.chains(mutations, 100)
-        samples = max(round(seconds / self.seconds_per_sample(60)), 1)
+        samples = max(round(seconds / self.seconds_per_sample()), 1)
         reference = (references[0]["color"] + references[1]["color"]) / 2
         images = {
             f"path tracing, {samples} spp": self.path(samples, 200)[0]["color"],

@@ -46,7 +46,6 @@ RESULT, PAGES = RESULTS / "mltd.json", (DOCS / "results" / "mltd.md",)
 PROPOSALS = ROOT / "examples" / "metropolis" / "proposals.toml"
 METRICS = ("psnr", "psnr_corrected", "relmse", "tpsnr") + (("fovvideovdp",) if find_spec("pyfvvdp") else ())
 MAIN = "mltd-small"
-UNTRAINED = ("noisy", "oidn", "default")
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ SPEED = 3.25  # pixels per frame of `pan`
 def main() -> None:
     sample = harness.mural("color")[:3]
     shots = {
-        "torch": scenes([_repeat(frame, 2) for frame in sample]),
+        "torch": scenes([_twice(frame) for frame in sample]),
         "glsl": scenes([frame.crop(0, 0, 90, 160) for frame in sample]),
     }
     models = {
@@ -64,7 +64,7 @@ def main() -> None:
         "sizes": {backend: made["objects"][0].size for backend, made in shots.items()},
         "models": models,
         "layers": read_layers(shots["torch"]["objects"][0]),
-        "direct": direct_light("paper"),
+        "direct": direct_light(),
         "not_left_out": {name: not_left_out(load(name, precision="fp32"), sample) for name in available()},
     }
     devices = {"torch": harness.cpu(), "glsl": default_context().info["GL_RENDERER"]}
@@ -75,7 +75,7 @@ def scenes(frames: list[Frame]) -> dict[str, list[Frame]]:
     """Name -> frames; the last one is measured."""
     moving = {"still": _moved(frames, 0.0), "pan": _moved(frames, SPEED), "objects": frames}
     without = {f"{name}, no motion_next": [replace(f, motion_next=None) for f in shot] for name, shot in moving.items()}
-    high = [_repeat(frame, 2) for frame in frames]
+    high = [_twice(frame) for frame in frames]
     return {"single picture": frames[:1], **moving, **without, "night": _upper(high, 0.0), "sky": _upper(high, 1.0)}
 
 
@@ -102,10 +102,10 @@ def measure(backend: str, model: str, frames: list[Frame]) -> dict[str, object]:
             "ratio": round(timings["plan"].median_ms / timings["everything"].median_ms, 3)}  # fmt: skip
 
 
-def direct_light(model: str) -> dict[str, float]:
+def direct_light() -> dict[str, float]:
     """PSNR of the beauty where direct light has no noise: `whole`, denoised as one picture, and `indirect`, with its
     indirect light denoised and the rest passed through."""
-    step = load(model, precision="fp32").step
+    step = load("paper", precision="fp32").step
     beauty, indirect = (harness.mural(signal, layers=("reference",)) for signal in ("color", "indirect"))
     direct = [(b.reference - i.reference).clamp(min=0) for b, i in zip(beauty, indirect, strict=True)]
     whole = [replace(b, radiance=d + i.radiance) for b, d, i in zip(beauty, direct, indirect, strict=True)]
@@ -210,8 +210,9 @@ def _plane(tensor: Tensor, channel: int) -> np.ndarray:
     return np.ascontiguousarray(tensor[0, channel].numpy())
 
 
-def _repeat(frame: Frame, times: int) -> Frame:
-    return frame.map(lambda tensor: tensor.repeat(1, 1, times, 1))
+def _twice(frame: Frame) -> Frame:
+    """The frame, and below it once more."""
+    return frame.map(lambda tensor: tensor.repeat(1, 1, 2, 1))
 
 
 def _moved(frames: list[Frame], speed: float) -> list[Frame]:

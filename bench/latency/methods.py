@@ -140,7 +140,7 @@ def network_flop(preset: str, frame: Frame) -> int:
     """Floating-point operations of one step's network: counted on a small frame, proportional to the pixels."""
     small = frame.crop(0, 0, *(min(n, 32) for n in frame.size)).map(torch.Tensor.cpu)
     model = fresh(preset)
-    count = prediction_flop(model, lambda: model.step(small))
+    count = prediction_flop(lambda: model.step(small))
     return round(count * math.prod(frame.size) / math.prod(small.size))
 
 

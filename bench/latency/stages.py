@@ -78,10 +78,10 @@ def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger
                 setattr(owner, name, function)
 
 
-def prediction_flop(model: nn.Module, step: Callable[[], object]) -> int:
+def prediction_flop(step: Callable[[], object]) -> int:
     """Floating-point operations of a step's convolutions; a multiplication and an addition count as two.
 
-    `model` must run torch's own convolutions: those that `models.inference.prepare` fuses are not counted.
+    The model must run torch's own convolutions: those that `models.inference.prepare` fuses are not counted.
     """
     with FlopCounterMode(display=False) as counter:
         step()

@@ -106,10 +106,11 @@ def ball(name: str, location: tuple, radius: float, look: bpy.types.Material) ->
     return made
 
 
-def keyframe(item: bpy.types.Object, first: int, last: int, start: tuple, end: tuple) -> None:
-    """Move at constant speed from `start` to `end`, and one frame beyond either: motion vectors need these frames."""
-    beyond = [(number, (number - first) / max(last - first, 1)) for number in (first - 1, last + 1)]
-    for number, t in beyond:
+def keyframe(item: bpy.types.Object, last: int, start: tuple, end: tuple) -> None:
+    """Move at constant speed from `start` in frame 1 to `end` in frame `last`, and one frame beyond either: motion
+    vectors need these frames."""
+    for number in (0, last + 1):
+        t = (number - 1) / max(last - 1, 1)
         item.location = [a + t * (b - a) for a, b in zip(start, end, strict=True)]
         item.keyframe_insert("location", frame=number)
 
@@ -131,8 +132,8 @@ def build(scene: bpy.types.Scene, frames: int) -> None:
     post = box("post", (0, 0, 0), (0.5, 0.3, 1.8), red)
     hopper = ball("hopper", (0, 0, 0), 0.35, blue)
     reach = 0.12 * (frames - 1)
-    keyframe(post, 1, frames, (-0.9, 0.6, 0.9), (-0.9 + reach, 0.6, 0.9))
-    keyframe(hopper, 1, frames, (0.9, 0.2, 0.5), (0.9 - 0.3 * reach, 0.2, 0.5 + 0.5 * reach))
+    keyframe(post, frames, (-0.9, 0.6, 0.9), (-0.9 + reach, 0.6, 0.9))
+    keyframe(hopper, frames, (0.9, 0.2, 0.5), (0.9 - 0.3 * reach, 0.2, 0.5 + 0.5 * reach))
 
     bpy.ops.object.light_add(type="AREA", location=(0.8, 0.3, 2.9))
     bpy.context.object.data.energy, bpy.context.object.data.size = 90, 0.6
@@ -143,7 +144,7 @@ def build(scene: bpy.types.Scene, frames: int) -> None:
     bpy.ops.object.camera_add(location=(0, 0, 0), rotation=(math.radians(84), 0, math.radians(2)))
     scene.camera = bpy.context.object
     scene.camera.data.angle = math.radians(62)
-    keyframe(scene.camera, 1, frames, (-0.2, -3.4, 1.5), (-0.2 + 0.25 * reach, -3.4, 1.5 + 0.2 * reach))
+    keyframe(scene.camera, frames, (-0.2, -3.4, 1.5), (-0.2 + 0.25 * reach, -3.4, 1.5 + 0.2 * reach))
 
 
 def plain_material(name: str, **inputs) -> bpy.types.Material:
@@ -167,7 +168,7 @@ def build_still_life(scene: bpy.types.Scene, frames: int) -> None:
     clear = plain_material("glass", Transmission_Weight=1.0, Roughness=0.0, Base_Color=(1, 1, 1, 1))
     ball("glass ball", (1.3, 0.3, 0.5), 0.5, clear)
     reach = 0.1 * (frames - 1)
-    keyframe(rolling, 1, frames, (-1.5, -0.3, 0.45), (-1.5 + reach, -0.3, 0.45))
+    keyframe(rolling, frames, (-1.5, -0.3, 0.45), (-1.5 + reach, -0.3, 0.45))
 
     bpy.ops.object.light_add(type="AREA", location=(2.5, -2.0, 4.0), rotation=(math.radians(35), math.radians(25), 0))
     bpy.context.object.data.energy, bpy.context.object.data.size = 350, 1.0
@@ -177,13 +178,13 @@ def build_still_life(scene: bpy.types.Scene, frames: int) -> None:
     bpy.ops.object.camera_add(rotation=(math.radians(82), 0, 0))
     scene.camera = bpy.context.object
     scene.camera.data.angle = math.radians(50)
-    keyframe(scene.camera, 1, frames, (-0.2, -4.6, 1.5), (-0.2 + 0.3 * reach, -4.6, 1.5))
+    keyframe(scene.camera, frames, (-0.2, -4.6, 1.5), (-0.2 + 0.3 * reach, -4.6, 1.5))
 
 
 SETS = {"room": build, "still-life": build_still_life}
 
 
-def straighten(scene: bpy.types.Scene) -> None:
+def straighten() -> None:
     """Constant speed instead of Blender's eased curves."""
     bpy.context.preferences.edit.keyframe_new_interpolation_type = "LINEAR"
 
@@ -211,7 +212,7 @@ def main() -> None:
     else:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         scene, width, height = bpy.context.scene, 320, 180
-        straighten(scene)
+        straighten()
         SETS[options.set](scene, options.frames or 12)
         scene.frame_start, scene.frame_end = 1, 12
     if options.frames:

@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..files import lock, remove_unfinished
 from .choice import told_of_samples
 from .folder import prepare
-from .options import EXAMINED, CombineOptions, Summary, check_samples
+from .options import CombineOptions, Summary, check_samples
 
 if TYPE_CHECKING:
     from ..models import Combiner, Shrinkage
@@ -60,11 +60,11 @@ def combine(
     if options.confidence and options.layout != "plain":
         raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
     check_other(source, estimates)
-    check_pairs(source, estimates, EXAMINED)
+    check_pairs(source, estimates)
     second = open_second(options.second, source, options.preset, options.allow_gaps) if options.second else None
     if second:
         check_second(source, second)
-        check_pairs(source, second, EXAMINED, "second")
+        check_pairs(source, second, "second")
     same = f"{estimates.paths[0]} is the same picture as {source.paths[0]}: name the denoised frames"
     notes = [same] if repeats(source, estimates) else []
     device = choose_device(options.device)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 HAS_TORCH = find_spec("torch") is not None
 PAIRS = 6  # of consecutive frames whose pixels are examined
+MAX_SHOWN = 24  # values in a line
 
 
 @dataclass(frozen=True)
@@ -183,10 +184,9 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     return command
 
 
-def render_text(found: Inspection, width: int = 120, verbose: bool = False) -> str:
-    """The inspection as text for a terminal `width` characters wide; `verbose` also lists the work that nothing
-    spares."""
-    console = Console(width=width, highlight=False, no_color=True)
+def render_text(found: Inspection, verbose: bool = False) -> str:
+    """The inspection as text for a terminal 120 characters wide; `verbose` also lists the work that nothing spares."""
+    console = Console(width=120, highlight=False, no_color=True)
     with console.capture() as capture:
         console.print(f"[bold]{found.source}[/bold]", soft_wrap=True)
         for label, text in _summary(found, verbose):
@@ -244,7 +244,7 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
     return lines
 
 
-def _shorten(values: tuple, limit: int = 24) -> str:
-    """Comma-separated values, at most `limit` of them."""
-    shown = ", ".join(map(str, values[:limit]))
-    return shown + (f", … ({len(values)} in all)" if len(values) > limit else "")
+def _shorten(values: tuple) -> str:
+    """Comma-separated values, at most `MAX_SHOWN` of them."""
+    shown = ", ".join(map(str, values[:MAX_SHOWN]))
+    return shown + (f", … ({len(values)} in all)" if len(values) > MAX_SHOWN else "")

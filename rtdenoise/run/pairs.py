@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..frame import Frame
 from ..ops.block_luminance import block_luminance
 from ..sanitise import sanitise
+from .options import EXAMINED
 
 MAX_RATIO = 1.6  # of the mean luminance of denoised and noisy frames, either way: noise moves it less, an f-stop more
 WHITE = 1.001  # a tone-mapped picture ends at 1, up to rounding
@@ -96,10 +97,10 @@ def repeats(source: Sequence, other: Sequence) -> bool:
     return any(np.any(a) for a, _ in pictures) and all(np.array_equal(a, b, equal_nan=True) for a, b in pictures)
 
 
-def check_pairs(source: Sequence, denoised: Sequence, count: int, kind: str = "denoised") -> None:
-    """Compare the light of the first `count` frames. Raises InputError where the denoised ones, or those of another
+def check_pairs(source: Sequence, denoised: Sequence, kind: str = "denoised") -> None:
+    """Compare the light of the first `EXAMINED` frames. Raises InputError where the denoised ones, or those of another
     `kind`, are tone-mapped or have another exposure."""
-    places = range(min(count, len(source)))
+    places = range(min(EXAMINED, len(source)))
     noisy = torch.cat([_light(torch.from_numpy(source.only(("radiance",)).read(i).radiance)) for i in places])
     clean = torch.cat([_light(read_estimate(denoised, i)) for i in places])
     path, brightest = denoised.paths[0], block_luminance(noisy, 8)[0].max().item()

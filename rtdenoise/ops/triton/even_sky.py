@@ -15,7 +15,7 @@ COUNT = 8  # blocks of a program
 
 
 @triton.jit
-def _tile(H, W, SIDE: tl.constexpr, COUNT: tl.constexpr):
+def _tile(H, SIDE: tl.constexpr, COUNT: tl.constexpr):
     """Image, row and columns of the blocks of a program, rows and columns of their pixels."""
     b, row = row_of(tl.cdiv(H, SIDE))
     column = tl.program_id(0) * COUNT + tl.arange(0, COUNT)
@@ -33,7 +33,7 @@ def _hit(depth, y, x, H, W):
 
 @triton.jit
 def _blocks(radiance, depth, lowest, highest, H, W, SIDE: tl.constexpr, COUNT: tl.constexpr):
-    b, row, column, y, x = _tile(H, W, SIDE, COUNT)
+    b, row, column, y, x = _tile(H, SIDE, COUNT)
     plane, columns = tl.cast(H, tl.int64) * W, tl.cdiv(W, SIDE)
     size = tl.cast(tl.cdiv(H, SIDE), tl.int64) * columns
     depth += b * plane
@@ -66,7 +66,7 @@ def _even(light, lowest, highest, row, column, rows, columns, tolerance, COUNT: 
 
 @triton.jit
 def _even_sky(image, radiance, depth, lowest, highest, out, H, W, tolerance, SIDE: tl.constexpr, COUNT: tl.constexpr):
-    b, row, column, y, x = _tile(H, W, SIDE, COUNT)
+    b, row, column, y, x = _tile(H, SIDE, COUNT)
     plane, rows, columns = tl.cast(H, tl.int64) * W, tl.cdiv(H, SIDE), tl.cdiv(W, SIDE)
     size = tl.cast(rows, tl.int64) * columns
     exists, at = (y < H) & (x < W), 3 * b * plane + y * W + x

@@ -61,7 +61,7 @@ def _mean_around(told, i, j, h, w, exists):
 
 
 @triton.jit
-def _between_cells(told, i, j, low_i, low_j, f, g, h, w, exists):
+def _between_cells(told, low_i, low_j, f, g, h, w, exists):
     high_i, high_j = tl.minimum(low_i + 1, h - 1), tl.minimum(low_j + 1, w - 1)
     top = _mean_around(told, low_i, low_j, h, w, exists) * (1 - g) + _mean_around(told, low_i, high_j, h, w, exists) * g
     low = _mean_around(told, high_i, low_j, h, w, exists) * (1 - g)
@@ -83,9 +83,9 @@ def _mix(first, other, scale, trust, before, held, told, tells, out, H, W, usual
         v = tl.maximum((y + 0.5) / CELL - 0.5, 0.0)
         u = tl.maximum((x + 0.5) / CELL - 0.5, 0.0)
         i, j = v.to(tl.int32), u.to(tl.int32)
-        along = _between_cells(told, y, x, i, j, v - i, u - j, h, w, exists)
-        square = _between_cells(told + size, y, x, i, j, v - i, u - j, h, w, exists)
-        noise = _between_cells(told + 2 * size, y, x, i, j, v - i, u - j, h, w, exists) + smallest
+        along = _between_cells(told, i, j, v - i, u - j, h, w, exists)
+        square = _between_cells(told + size, i, j, v - i, u - j, h, w, exists)
+        noise = _between_cells(told + 2 * size, i, j, v - i, u - j, h, w, exists) + smallest
         found = tl.minimum(tl.maximum((usual * noise + along) / (noise + square), 0.0), 1.0)
         bounded = tl.minimum(tl.maximum(found, lowest), usual)
         share = bounded + tl.load(tells + b * plane + at, mask=exists, other=0.0) * (found - bounded)

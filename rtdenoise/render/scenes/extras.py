@@ -55,18 +55,18 @@ def room_for(scene, mesh: Mesh, place) -> float:
     return float((hits / length).min())
 
 
-def free_place(scene, camera: Camera, mesh: Mesh, rng: np.random.Generator, depth=(0.25, 0.85)) -> np.ndarray | None:
+def free_place(scene, camera: Camera, mesh: Mesh, rng: np.random.Generator) -> np.ndarray | None:
     """A point [3] in view of the camera where the mesh touches nothing, with a tenth to spare; None: none was found.
 
-    It lies between the camera and a visible surface, at a share of the way within `depth`: such points are never inside
-    an object.
+    It lies between the camera and a visible surface, at 0.25 to 0.85 of the way: such points are never inside an
+    object.
     """
     origin, matrix = camera.world_from_pixel((100, 100))
     pixels = np.concatenate([rng.uniform(15, 85, (MAX_TRIES, 2)), np.ones((MAX_TRIES, 1))], 1)
     directions = pixels @ matrix.T
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     ways = np.minimum(first_hits(scene, np.broadcast_to(origin, directions.shape), directions), MAX_DISTANCE)
-    for way, direction, share in zip(ways, directions, rng.uniform(*depth, MAX_TRIES), strict=True):
+    for way, direction, share in zip(ways, directions, rng.uniform(0.25, 0.85, MAX_TRIES), strict=True):
         place = origin + direction * way * share
         if way * share > 1.5 * mesh.radius and room_for(scene, mesh, place) > 1.1:
             return place

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -69,13 +69,13 @@ def find_pictures(folder: str | Path) -> Pictures:
     return Pictures(folder, tuple(names))
 
 
-def hang(scene: Scene, pictures: Pictures, rng: np.random.Generator, keep: Collection[str] = ("backdrop",)) -> Scene:
-    """The scene with pictures as the textures of some surfaces, never of those named `keep`; geometry, light and motion
+def hang(scene: Scene, pictures: Pictures, rng: np.random.Generator) -> Scene:
+    """The scene with pictures as the textures of some surfaces, never of a `backdrop`; geometry, light and motion
     stay. Its facts name the pictures, their folder and licence."""
     used: list[str] = []
 
     def papered(o: Object) -> Object:
-        can = o.mesh is not None and o.material.kind != "glass" and o.emission is None and o.name not in keep
+        can = o.mesh is not None and o.material.kind != "glass" and o.emission is None and o.name != "backdrop"
         if not can or rng.uniform() >= PICTURE_SHARE:
             return o
         name = pictures.names[rng.integers(len(pictures.names))]

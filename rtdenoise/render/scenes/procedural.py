@@ -202,7 +202,7 @@ def camera_path(b: Builder, size: np.ndarray, static: bool) -> CameraPath:
     return CameraPath(**path)
 
 
-def _mover(b: Builder, camera: CameraPath, size: np.ndarray, near: bool) -> None:
+def _mover(b: Builder, camera: CameraPath, near: bool) -> None:
     """One moving object. A near one crosses the view in front of everything else and uncovers background."""
     rng = b.rng
     view = camera(camera.start)
@@ -253,6 +253,6 @@ def procedural(seed: int, attempt: int = 0) -> Scene:
     camera = camera_path(b, size, kind == "static" or rng.uniform() < 0.26)
     near = rng.integers(1, 4) if kind == "uncovering" else 0
     for k in range(near + (rng.integers(0, 2) if near else rng.integers(1, 5)) if kind != "static" else 0):
-        _mover(b, camera, size, near=k < near)
+        _mover(b, camera, near=k < near)
     facts = {"kind": kind, "place": place, "brightness": log_uniform(rng, 0.1, 2.0), "attempt": attempt}
     return Scene(f"procedural:{seed}", tuple(b.objects), camera, sky, facts=facts)
