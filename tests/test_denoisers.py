@@ -9,7 +9,7 @@ from safetensors.torch import save_file
 
 from rtdenoise.color import albedo_divisor
 from rtdenoise.errors import InputError
-from rtdenoise.frame import Frame, History
+from rtdenoise.frame import Frame, geometry
 from rtdenoise.models import (
     PRESETS,
     AccumulatedKPN,
@@ -101,16 +101,12 @@ def test_off_screen_history_leaves_no_trace(denoiser):
     assert torch.equal(denoiser.step(frame, history)[0], denoiser.step(frame, None)[0])
 
 
-def history_of(frame):
-    return History(frame.radiance, frame.motion_next, frame.depth, frame.normal)
-
-
 def test_dual_and_traditional_motion_differ_only_where_something_was_uncovered():
     motion = torch.zeros(1, 2, 24, 32)
     occluder = torch.zeros(1, 2, 24, 32)
     occluder[:, 0, :, 16:] = 3.0  # the right half has moved on by three pixels
     frame = replace(make_frame(), motion=motion)
-    history = history_of(replace(make_frame(seed=3), motion_next=occluder))
+    history = geometry(replace(make_frame(seed=3), motion_next=occluder))
     assert torch.equal(history_motion(frame, history, "traditional")[0], motion)
     assert torch.equal(history_motion(frame, history, "dual")[0], -occluder)
 
@@ -122,7 +118,7 @@ def test_dual_motion_is_approximated_without_motion_next():
     before[..., 8:16, 8:16] = now[..., 8:16, 11:19] = 4.0
     motion[:, 0, 8:16, 11:19] = -3.0
     uncovered = (before == 4.0) & (now == 9.0)
-    history = history_of(replace(make_frame(seed=3), depth=before, motion_next=None))
+    history = geometry(replace(make_frame(seed=3), depth=before, motion_next=None))
     frame = replace(here, motion=motion, depth=now)
     expected = torch.where(uncovered, torch.tensor([-3.0, 0.0]).reshape(1, 2, 1, 1), motion)
     assert torch.equal(history_motion(frame, history)[0], expected)

@@ -9,7 +9,7 @@ from synthetic import TINY, make_frames
 
 from rtdenoise.constants import SHIFT_CELL
 from rtdenoise.errors import InputError
-from rtdenoise.frame import MAX_CUT_MISMATCH, History
+from rtdenoise.frame import MAX_CUT_MISMATCH, History, geometry
 from rtdenoise.history import load_history, mismatch, resize, save_history, usable
 from rtdenoise.models import TemporalKPN
 
@@ -20,29 +20,25 @@ def denoiser():
     return TemporalKPN(TINY).eval().requires_grad_(False)
 
 
-def history_of(frame):
-    return History(frame.radiance, frame.motion_next, frame.depth, frame.normal)
-
-
 def test_history_is_usable_but_where_something_was_uncovered_or_off_screen():
     before, now = make_frames(2)
     uncovered = (now.depth == 8) & (before.depth == 3)  # the wall, where the square was
-    assert torch.equal(usable(now, history_of(before)), ~uncovered)
+    assert torch.equal(usable(now, geometry(before)), ~uncovered)
     away = replace(now, motion=torch.full_like(now.motion, 1e3))
-    assert not usable(away, history_of(before)).any()
-    assert usable(now, replace(history_of(before), depth=None)).all()
+    assert not usable(away, geometry(before)).any()
+    assert usable(now, replace(geometry(before), depth=None)).all()
 
 
 def test_a_cut_is_seen_whatever_the_motion_says():
     before, now = make_frames(2)
-    assert mismatch(now, history_of(before)) < 0.1
+    assert mismatch(now, geometry(before)) < 0.1
     elsewhere = replace(before, depth=before.depth * 3)
-    assert mismatch(now, history_of(elsewhere)) > MAX_CUT_MISMATCH
+    assert mismatch(now, geometry(elsewhere)) > MAX_CUT_MISMATCH
     turned = replace(now, normal=torch.tensor([0.0, 1.0, 0.0]).reshape(1, 3, 1, 1).expand_as(now.normal))
     looking_up = replace(before, normal=-turned.normal)
-    assert mismatch(turned, history_of(looking_up)) > MAX_CUT_MISMATCH
+    assert mismatch(turned, geometry(looking_up)) > MAX_CUT_MISMATCH
     nothing = replace(now, motion=torch.full_like(now.motion, 1e3))
-    assert mismatch(nothing, history_of(elsewhere)) == 0
+    assert mismatch(nothing, geometry(elsewhere)) == 0
 
 
 def test_two_halves_are_one_pass_to_the_bit(tmp_path, denoiser):

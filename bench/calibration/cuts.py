@@ -23,7 +23,7 @@ import torch
 import tyro
 
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.frame import MAX_CUT_MISMATCH, Frame, History
+from rtdenoise.frame import MAX_CUT_MISMATCH, Frame, geometry
 from rtdenoise.history import mismatch
 
 RESULT, PAGES = RESULTS / "cuts.json", (DOCS / "results" / "stability.md",)
@@ -84,7 +84,7 @@ def tables(document: dict) -> dict[str, str]:
 
 
 def _mismatch(now: Frame, before: Frame) -> float:
-    return mismatch(now, History(before.radiance, before.motion_next, before.depth, before.normal)).item()
+    return mismatch(now, geometry(before)).item()
 
 
 def _mirrored(frame: Frame) -> Frame:

@@ -13,14 +13,14 @@ from torch import Tensor
 
 from ..data.output import output_names, write_frame
 from ..data.sequences import Sequence
-from ..frame import MAX_CUT_MISMATCH, Frame, History
+from ..frame import MAX_CUT_MISMATCH, Frame, geometry
 from ..history import mismatch
 from ..models import Combiner, Shrinkage, Window
 from ..sanitise import faults
 from ..splat import splat_motion_next
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
-from .options import SUMMARY, CombineOptions, Summary
+from .options import SUMMARY, CombineOptions, Summary, add
 from .pairs import both, read_estimate
 from .state import STATE, read_state, save_state
 from .windows import windows
@@ -92,8 +92,8 @@ class Run:
         )  # fmt: skip
         if pair.index >= self.counted:
             lost = int((~pair.estimate.isfinite()).any(1).sum())
-            _add(self.summary.replaced, faults(pair.raw) | ({"denoised: NaN or Inf": lost} if lost else {}))
-            _add(self.summary.passed_on, nans)
+            add(self.summary.replaced, faults(pair.raw) | ({"denoised: NaN or Inf": lost} if lost else {}))
+            add(self.summary.passed_on, nans)
 
     def _pairs(self, first: int) -> Iterator[tuple[Pair, bool]]:
         """The frames from `first` on, and whether a shot begins with each. A frame without `motion_next` gets an
@@ -123,8 +123,7 @@ class Run:
             return True
         if not self.options.detect_cuts:
             return False
-        history = History(last.radiance, last.motion_next, last.depth, last.normal)
-        cut = mismatch(frame, history).item() > MAX_CUT_MISMATCH
+        cut = mismatch(frame, geometry(last)).item() > MAX_CUT_MISMATCH
         if cut and frame.number not in self.summary.cuts:
             self.summary.cuts.append(frame.number)
         return cut
@@ -164,8 +163,3 @@ class Run:
         save_state(
             self.out / STATE, {}, done, self.fingerprints[-1], self.summary, self.options, self.written.digest
         )  # fmt: skip
-
-
-def _add(counts: dict[str, int], more: dict[str, int]) -> None:
-    for what, count in more.items():
-        counts[what] = counts.get(what, 0) + count

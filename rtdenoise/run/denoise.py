@@ -22,7 +22,7 @@ from .choice import open_chosen, told_of_samples
 from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
 from .light import in_parts
-from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, check_lookahead, check_samples
+from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, read_state, save_state
 from .unmoved import Watch
@@ -138,8 +138,7 @@ def _run(
     spent, watch = summary.seconds, Watch(summary.notes)
     for i in range(done, len(sequence)):
         this, ahead = reader.take(i, history)
-        for what, count in faults(this.raw).items():
-            summary.replaced[what] = summary.replaced.get(what, 0) + count
+        add(summary.replaced, faults(this.raw))
         watch.see(this.raw, this.goes_on)
         if this.cut:
             summary.cuts.append(this.raw.number)
@@ -147,8 +146,7 @@ def _run(
         image, history = backend.step(this.prepared, history if this.goes_on else None, ahead)
         spent += time.perf_counter() - started
         summary.seconds = spent + reader.seconds
-        for channel, count in write(out, sequence, i, this.raw, image).items():
-            summary.passed_on[channel] = summary.passed_on.get(channel, 0) + count
+        add(summary.passed_on, write(out, sequence, i, this.raw, image))
         written.add(names[i])
         save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options, written.digest)
         summary.written += 1

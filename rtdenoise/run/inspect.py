@@ -19,6 +19,7 @@ from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from ..errors import INSTALL_TORCH
 from ..frame import Frame
 from ..sanitise import faults
+from .options import add
 from .plan import Plan, make_plan
 from .stand_ins import COSTS, STAND_INS
 from .unmoved import FLAT, UNMOVED, Flatness, is_unmoved
@@ -87,8 +88,7 @@ def inspect(
     counts, flatness = dict[str, int](), Flatness()
     for frame in frames.values():
         flatness.see(frame)
-        for what, count in faults(frame).items():
-            counts[what] = counts.get(what, 0) + count
+        add(counts, faults(frame))
 
     motion, convention = _examine(moving) if moving and HAS_TORCH else (None, None)
     present = {layer for frame in frames.values() for layer, _ in frame.layers()}

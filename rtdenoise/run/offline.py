@@ -39,7 +39,7 @@ from .folder import (
     told_of_output,
     write_summary,
 )
-from .options import EXAMINED, SUMMARY, Options, Summary
+from .options import EXAMINED, SUMMARY, Options, Summary, add
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
@@ -101,9 +101,8 @@ class _Run:
     def run(self, overwrite: bool) -> Summary:
         from .pixel_filter import MODEL
 
-        has_oidn = self.passes.has_oidn  # frames of both must not be mixed
-        opinions = "with OIDN" if has_oidn else f"without OIDN, by {digest_of(files_of(find(MODEL)))}"
-        # likewise estimates of another version
+        # Frames with and without OIDN must not be mixed, nor estimates that are stored otherwise.
+        opinions = "with OIDN" if self.passes.has_oidn else f"without OIDN, by {digest_of(files_of(find(MODEL)))}"
         self.fingerprint = f"{digest(self.sequence, self.options)[-1]} {opinions}, {BYTES_PER_PIXEL} bytes"
         self.names = output_names(self.sequence, self.options.layout, self.options.recombine)[::-1]  # as they appear
         count = len(self.sequence)
@@ -174,8 +173,7 @@ class _Run:
             self.out, self.sequence, i, raw, combined.image.cpu().numpy(), layout=self.options.layout,
             recombine=self.options.recombine, keep=self.options.keep, float32=self.options.float32, extra=extra,
         )  # fmt: skip
-        for channel, bad in nans.items():
-            self.summary.passed_on[channel] = self.summary.passed_on.get(channel, 0) + bad
+        add(self.summary.passed_on, nans)
         return history
 
     def _recent(self, done: int) -> list[Frame]:

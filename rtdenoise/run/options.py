@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from typing import TYPE_CHECKING
@@ -89,6 +90,12 @@ class Summary:
     notes: list[str] = field(default_factory=list)  # what else the user should know
     ran: dict[str, str] = field(default_factory=dict)  # backend, device and precision: what 'auto' became
     plan: Plan | None = None
+
+
+def add(counts: dict[str, int], more: Mapping[str, int]) -> None:
+    """Add to the counts of a summary."""
+    for what, count in more.items():
+        counts[what] = counts.get(what, 0) + count
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..frame import OCCLUSION_THRESHOLD, Frame, Known
+from .options import add
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -115,12 +116,8 @@ def look(frame: Frame, motion_next_before: Tensor | None, history: bool = True) 
 
 def count(left_out: dict[str, int], known: Known, keeps_means: bool) -> None:
     """Count a frame for each piece of work that it leaves out."""
-    for what, done in (
-        ("running means", known.first and keeps_means),
-        ("warp of history", known.still),
-        ("dual motion", known.covered),
-    ):
-        left_out[what] = left_out.get(what, 0) + done
+    means = known.first and keeps_means
+    add(left_out, {"running means": means, "warp of history": known.still, "dual motion": known.covered})
 
 
 def varied_rows(image: Tensor) -> tuple[int, int, Tensor]:
