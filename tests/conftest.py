@@ -54,6 +54,19 @@ def _failed_if_skipped(config, report):
     return report
 
 
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """The path of the weights of a tiny network."""
+    from synthetic import TINY
+
+    from rtdenoise.models import TemporalKPN, save
+
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
+    save(TemporalKPN(TINY), path)
+    return str(path)
+
+
 @pytest.fixture(autouse=True)
 def seed():
     random.seed(0)

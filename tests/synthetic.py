@@ -9,11 +9,20 @@ import torch
 
 from rtdenoise.data.clips import clip_path, write_clip
 from rtdenoise.data.exr import write_layers
+from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame
 from rtdenoise.models.config import TemporalKPNConfig
 from rtdenoise.run.denoise import denoise
 
 TINY = TemporalKPNConfig(widths=(4, 4, 4, 4))  # a network that runs in no time
+
+
+def message(function, *args, **kwargs) -> str:
+    """The text of the `InputError`, which must be one line."""
+    with pytest.raises(InputError) as caught:
+        function(*args, **kwargs)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
 
 
 def make_frames(count=4, H=24, W=32, seed=0, noise=1.0):

@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from synthetic import TINY
 
 import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers, write_like
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
-from rtdenoise.models import TemporalKPN, save
 from rtdenoise.run.inspect import inspect
 
 SHOT = Path(__file__).parent / "data" / "cycles"
@@ -22,14 +20,6 @@ HALF = 2.0**-11  # relative error of one rounding to half
 LOBES = ("Diffuse", "Glossy", "Transmission")
 SHORT = {"Diffuse": "Diff", "Glossy": "Gloss", "Transmission": "Trans", "Direct": "Dir", "Indirect": "Ind",
          "Color": "Col", "Emission": "Emit", "Environment": "Env"}  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
-    save(TemporalKPN(TINY), path)
-    return str(path)
 
 
 def passes(path, *names):

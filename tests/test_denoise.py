@@ -15,26 +15,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from synthetic import TINY, Stop, assert_goes_on, make_frames, stop_after, with_bad_pixels, write_sequence
+from synthetic import Stop, assert_goes_on, make_frames, stop_after, with_bad_pixels, write_sequence
 
 import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.data.stored import read_history, write_history
 from rtdenoise.errors import InputError
-from rtdenoise.models import TemporalKPN, save
 from rtdenoise.models.shrinkage import corrected
 from rtdenoise.run.backends import open_backend
 from rtdenoise.run.denoise import STATE, Options, denoise
 from rtdenoise.run.stand_ins import COSTS, STAND_INS
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
-    save(TemporalKPN(TINY), path)
-    return str(path)
 
 
 @pytest.fixture

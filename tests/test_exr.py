@@ -11,6 +11,7 @@ import OpenEXR
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from synthetic import message
 
 from rtdenoise.data.exr import read_attributes, read_channels, read_header, write_layers
 from rtdenoise.data.sequences import open_sequence
@@ -29,14 +30,6 @@ def write_parts(path, parts, compression=OpenEXR.ZIP_COMPRESSION):
     header = {"compression": compression, "type": OpenEXR.scanlineimage, "displayWindow": window}
     made = [OpenEXR.Part(dict(header), dict(channels), name) for name, channels in parts.items()]  # it alters its dicts
     OpenEXR.File(made).write(str(path))
-
-
-def message(function, *args, **kwargs) -> str:
-    """The text of the `InputError`, which must be one line."""
-    with pytest.raises(InputError) as caught:
-        function(*args, **kwargs)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 def read_all(path):

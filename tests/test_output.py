@@ -7,9 +7,8 @@ from fractions import Fraction
 import numpy as np
 import OpenEXR
 import pytest
-import torch
 from PIL import Image
-from synthetic import TINY, make_frames, write_sequence
+from synthetic import make_frames, write_sequence
 
 from rtdenoise.cli.denoise import write_preview
 from rtdenoise.cli.main import main
@@ -17,20 +16,11 @@ from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.output import recombined
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
-from rtdenoise.models import TemporalKPN, save
 from rtdenoise.run import preview
 from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options, denoise
 
 H, W = 5, 7
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
-    save(TemporalKPN(TINY), path)
-    return str(path)
 
 
 def native(path, color, indirect):

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from plane import FRAMES, H, W, buffers, camera
-from synthetic import TINY
+from synthetic import message
 
 from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.output import read_result
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.errors import InputError
-from rtdenoise.models import TemporalKPN, save
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.inspect import inspect, render_text
 
@@ -70,21 +67,6 @@ def write_oidn(folder, spps=(4, 1)):
 
 def is_close(tensor, image, tolerance=1e-6):
     return np.allclose(tensor[0].permute(1, 2, 0).numpy(), image, rtol=tolerance, atol=tolerance)
-
-
-def message(function, *args, **kwargs) -> str:
-    with pytest.raises(InputError) as caught:
-        function(*args, **kwargs)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
-    save(TemporalKPN(TINY), path)
-    return str(path)
 
 
 # --- Falcor -----------------------------------------------------------------------------------------------------------

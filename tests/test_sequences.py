@@ -10,12 +10,12 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
+from synthetic import message
 
 from rtdenoise.data import layouts
 from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.data.output import write_frame
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 
 H, W = 12, 16
@@ -60,14 +60,6 @@ def write_cycles(path, view_layers=("ViewLayer",), passes=CYCLES):
 
 def stacked(planes, *names, signs=(1, 1, 1)):
     return torch.from_numpy(np.stack([s * planes[n] for n, s in zip(names, signs, strict=False)]))[None]
-
-
-def message(function, *args, **kwargs) -> str:
-    """The text of the `InputError`, which must be one line."""
-    with pytest.raises(InputError) as caught:
-        function(*args, **kwargs)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from ..files import dumps, read_json, write_atomically
 NAME = "evaluation.json"
 FORMAT = "rtdenoise-evaluation-1"
 KEY = ("sequence", "spp", "method", "precision", "device")
-# Keys that a report needs in each part; older files lack the others.
+# Keys that a report needs in each part.
 RESULT = {*KEY, "run", "fingerprint", "ms", "errors", "ghost_length", "frames"}
 SKIPPED = {*KEY, "reason"}
 SEQUENCE = {"size", "frames", "sample_ms", "exposure", "uncovered_share", "stills"}

@@ -146,8 +146,7 @@ class _Run:
     def _forward(self, i: int, history: Any) -> Any:
         """Estimate frame i from the frames before; store the estimate."""
         backend, frame = self.passes.backend, self.sequence.read(i)
-        for what, count in faults(frame).items():
-            self.summary.replaced[what] = self.summary.replaced.get(what, 0) + count
+        add(self.summary.replaced, faults(frame))
         prepared = backend.prepare(with_stand_ins(frame))
         if i and frame.number != self.sequence.numbers[i - 1] + 1:
             history = None
