@@ -110,13 +110,7 @@ def _run(
     if not done:  # so that the next run knows the first frame for its own
         save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps, summary.ran = done, list(sequence.gaps), backend.ran
-    if SOFTWARE_RENDERER in summary.ran["device"]:
-        summary.notes.append(f"the shaders run on the CPU, by {summary.ran['device']}: PyTorch (--backend torch) is "
-                             "many times as fast")  # fmt: skip
-    if len(sequence) > 1 and backend.config.motion is None:
-        summary.notes.append(f"{options.model} denoises each frame alone: nothing is carried from frame to frame")
-    if len(sequence) == 1 and options.correct:
-        summary.notes.append("--correct: there is one frame, and the correction needs the frames before")
+    summary.notes += _notes(sequence, options, backend)
     names = output_names(sequence, options.layout, options.recombine)
     written = Written(out, names[:done])
     if options.plan:
@@ -154,6 +148,18 @@ def _run(
     watch.end()
     write_summary(out / SUMMARY, sequence, options, summary)
     return summary
+
+
+def _notes(sequence: Sequence, options: Options, backend: Backend) -> list[str]:
+    """What the user should know of the choice of model, device and options."""
+    notes, device = [], backend.ran["device"]
+    if SOFTWARE_RENDERER in device:
+        notes.append(f"the shaders run on the CPU, by {device}: PyTorch (--backend torch) is many times as fast")
+    if len(sequence) > 1 and backend.config.motion is None:
+        notes.append(f"{options.model} denoises each frame alone: nothing is carried from frame to frame")
+    if len(sequence) == 1 and options.correct:
+        notes.append("--correct: there is one frame, and the correction needs the frames before")
+    return notes
 
 
 def _check(options: Options) -> None:

@@ -23,6 +23,10 @@ from .tasks import task_of
 
 MOST = 10**9  # of options that count something
 MAX_LR = 100.0
+CHOICES = {
+    "signal": ("indirect", "color", "both"), "motion": ("dual", "traditional"), "optimiser": ("adam", "muon"),
+    "device": ("cpu", "cuda"),
+}  # fmt: skip
 
 
 class Trainer:
@@ -177,14 +181,10 @@ def check(config: TrainConfig) -> None:
     if config.model not in (known := PRESETS | STILLS | COMBINERS):
         near = did_you_mean(config.model, known)
         raise InputError(f"unknown model {config.model!r}{near}; expected one of {', '.join(known)}")
-    if config.signal not in ("indirect", "color", "both"):
-        raise InputError(f"unknown signal {config.signal!r}; expected 'indirect', 'color' or 'both'")
-    if config.motion not in ("dual", "traditional"):
-        raise InputError(f"unknown motion {config.motion!r}; expected 'dual' or 'traditional'")
-    if config.optimiser not in ("adam", "muon"):
-        raise InputError(f"unknown optimiser {config.optimiser!r}; expected 'adam' or 'muon'")
-    if config.device not in ("cpu", "cuda"):
-        raise InputError(f"unknown device {config.device!r}; expected 'cpu' or 'cuda'")
+    for name, (*others, last) in CHOICES.items():
+        if getattr(config, name) not in (*others, last):
+            known = f"{', '.join(map(repr, others))} or {last!r}"
+            raise InputError(f"unknown {name} {getattr(config, name)!r}; expected {known}")
     choose_device(config.device)
     wanted = model_config(config)
     if isinstance(wanted, HybridConfig) and config.init is None:

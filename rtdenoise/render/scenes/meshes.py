@@ -120,8 +120,9 @@ def torus(radius: float = 1.0, tube: float = 0.35) -> Mesh:
     return surface(point, 44, 20)
 
 
-def disc(radius: float, height: float, sides: int = 40) -> Mesh:
-    """Flat cap at y = height, facing up for height ≥ 0 and down below."""
+def disc(radius: float, height: float) -> Mesh:
+    """Flat cap of 40 sides at y = height, facing up for height ≥ 0 and down below."""
+    sides = 40
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False) * (-1 if height >= 0 else 1)
     rim = np.stack([np.cos(angle), np.zeros(sides), np.sin(angle)], 1)
     vertices = np.concatenate([[[0, 0, 0]], rim]) * radius + [0, height, 0]

@@ -17,8 +17,9 @@ FRAMES = 12
 MIDDLE = (FRAMES - 1) / 2
 
 
-def _mural(rng: np.random.Generator, cells: tuple[int, int] = (14, 28), pixels: int = 40) -> np.ndarray:
+def _mural(rng: np.random.Generator) -> np.ndarray:
     """Truchet tiles: bands of quarter circles that join into random curves, painted on plaster."""
+    cells, pixels = (14, 28), 40
     y, x = np.meshgrid(*(np.arange(n * pixels) for n in cells), indexing="ij")
     u, v = (x % pixels + 0.5) / pixels, (y % pixels + 0.5) / pixels
     flip = rng.uniform(size=cells)[y // pixels, x // pixels] < 0.5
@@ -32,9 +33,9 @@ def _mural(rng: np.random.Generator, cells: tuple[int, int] = (14, 28), pixels: 
     return (image * (0.85 + 0.15 * plaster)).astype(np.float32)
 
 
-def _parquet(rng: np.random.Generator, planks: tuple[int, int] = (24, 6), pixels: int = 96) -> np.ndarray:
+def _parquet(rng: np.random.Generator) -> np.ndarray:
     """Planks in staggered rows, each with a tone and a grain of its own."""
-    rows, columns = planks
+    rows, columns, pixels = 24, 6, 96
     y, x = np.meshgrid(np.arange(rows * 24), np.arange(columns * pixels), indexing="ij")
     shifted = x + (y // 24 * 37) % pixels
     tone = rng.uniform(0.65, 1.0, (rows, columns))[y // 24, shifted // pixels % columns]
@@ -44,19 +45,19 @@ def _parquet(rng: np.random.Generator, planks: tuple[int, int] = (24, 6), pixels
     return np.where(joint[..., None], 0.06, wood).astype(np.float32)
 
 
-def _rug(size: int = 240) -> np.ndarray:
+def _rug() -> np.ndarray:
     """Concentric diamonds with a fringe of fine lines."""
-    y, x = (np.mgrid[:size, :size] + 0.5) / size * 2 - 1
+    y, x = (np.mgrid[:240, :240] + 0.5) / 240 * 2 - 1
     ring = ((np.abs(x) + np.abs(y)) * 9).astype(int) % 3
     colours = np.array([[0.55, 0.07, 0.06], [0.78, 0.66, 0.45], [0.10, 0.12, 0.20]])
     edge = np.maximum(np.abs(x), np.abs(y)) > 0.9
-    stripes = (np.arange(size) // 4 % 2)[None, :, None] * 0.5 + 0.15
+    stripes = (np.arange(240) // 4 % 2)[None, :, None] * 0.5 + 0.15
     return np.where(edge[..., None], stripes, colours[ring]).astype(np.float32)
 
 
-def _planks(size: int = 128) -> np.ndarray:
+def _planks() -> np.ndarray:
     """A crate's side: boards, a frame and nails."""
-    y, x = np.mgrid[:size, :size] / size
+    y, x = np.mgrid[:128, :128] / 128
     board = 0.55 + 0.25 * ((y * 5).astype(int) % 2) - 0.4 * ((y * 5 % 1) < 0.06)
     frame = (np.minimum(np.minimum(x, 1 - x), np.minimum(y, 1 - y)) < 0.12) | (np.abs(x - y) < 0.07)
     image = np.where(frame[..., None], [0.62, 0.47, 0.28], board[..., None] * np.array([0.75, 0.55, 0.33]))
