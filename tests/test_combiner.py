@@ -167,6 +167,34 @@ def test_a_bad_pixel_counts_as_no_residual(config, bad):
 
 
 @configs
+@pytest.mark.parametrize("layer", ["noisy", "estimate", "both"])
+def test_a_pixel_as_bright_as_float32_allows_breaks_no_picture(config, layer):
+    model, window = make(config), window_of(config)
+    for place in range(config.frames):
+        frames, estimates = [*window.frames], [*window.estimates]
+        y, z = frames[place].radiance.clone(), estimates[place].clone()
+        for image in {"noisy": (y,), "estimate": (z,), "both": (y, z)}[layer]:
+            image[0, 1, 8, 9] = 3e38
+        frames[place], estimates[place] = replace(frames[place], radiance=y), z
+        for combiner in (model, Shrinkage()) if config.frames == 5 else (model,):
+            combined = combiner.combine(Window(tuple(frames), tuple(estimates)))
+            assert combined.image.isfinite().all() and combined.confidence.isfinite().all()
+
+
+@configs
+def test_a_bad_pixel_of_the_estimate_leaves_the_others_to_the_bit(config):
+    window = window_of(config, "radiance")
+    place = config.current
+    estimate = window.estimates[place] - 0.1  # a denoiser may have made light that is negative
+    estimate[0, 1, 8, 9] = float("nan")
+    frames, estimates = [*window.frames], [*window.estimates]
+    frames[place], estimates[place] = replace(frames[place], radiance=estimate.clone()), estimate
+    image = make(config).combine(Window(tuple(frames), tuple(estimates))).image
+    estimate[0, :, 8, 9] = image[0, :, 8, 9]
+    assert torch.equal(image, estimate)
+
+
+@configs
 def test_a_neighbour_of_another_surface_leaves_no_trace(config):
     model, window = make(config), window_of(config)
     far = [

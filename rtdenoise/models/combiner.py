@@ -106,7 +106,7 @@ class Combiner(nn.Module):
         believed = one_surface(frame) if self.config.evidence else None
         correction = divisor * self.correct(levels, residuals, valid, believed)
 
-        image = now.estimate * divisor if not estimate.isfinite().all() else estimate
+        image = estimate.where(estimate.isfinite().all(1, keepdim=True), now.estimate * divisor)
         image = torch.maximum(image + correction, image.clamp(max=0))
         return Combined(image, changed(image, original[self.config.current]))
 

@@ -12,7 +12,7 @@ from ..color import albedo_divisor
 from ..frame import OFF_SCREEN, Frame
 from ..motion import on_screen
 from ..ops import fetch, reproject
-from ..sanitise import sanitise
+from ..sanitise import BRIGHTEST, sanitise
 
 
 @dataclass(frozen=True)
@@ -111,13 +111,13 @@ def completed(frame: Frame) -> Frame:
 
 
 def comparable(noisy: Tensor, estimate: Tensor) -> tuple[Tensor, Tensor]:
-    """y and z as the network takes them, `[B, 3, H, W]` each: finite and not negative.
+    """y and z as the network takes them, `[B, 3, H, W]` each: from 0 to `BRIGHTEST`.
 
     A pixel that is not finite in one image takes the other's value, so its residual is 0. A firefly in y alone is
     dimmed (`exposure.limit_fireflies`); a firefly in both stays.
     """
     good, known = noisy.isfinite().all(1, keepdim=True), estimate.isfinite().all(1, keepdim=True)
-    y, z = (torch.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0).clamp(min=0) for x in (noisy, estimate))
+    y, z = (torch.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0).clamp(0, BRIGHTEST) for x in (noisy, estimate))
     y, z = torch.where(good, y, z), torch.where(known, z, y)
     dimmed = sanitise(Frame(y)).radiance
     return torch.maximum(dimmed, torch.minimum(y, z)), z
