@@ -1,6 +1,7 @@
 """Metrics of one image against closed forms, scikit-image and the publications' own formulas; transfer curves."""
 
 import math
+import subprocess
 import sys
 
 import numpy as np
@@ -200,6 +201,35 @@ def test_hdr_flip_is_the_greatest_ldr_flip_over_exposures():
     result = flip_map(image, reference, 1.0, "HDR")[0].permute(1, 2, 0)
     np.testing.assert_allclose(result, expected, atol=2e-3)
     assert flip(image, reference, 1.0, dynamic_range="HDR") == pytest.approx(expected.mean(), abs=1e-3)
+
+
+@pytest.mark.parametrize("brightest", [0.0, 1e-7, math.inf, math.nan])
+def test_hdr_flip_without_an_exposure_is_nan(brightest):
+    script = f"""if True:
+        import torch
+        from rtdenoise.metrics import flip
+        black = torch.zeros(1, 3, 8, 8)
+        black[..., 3, 4] = float("{brightest}")
+        print(flip(torch.ones_like(black), black, 1.0, dynamic_range="HDR"))
+    """  # FLIP itself ends the process where the reference is black
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert run.stdout.split() == ["nan"], run.stdout + run.stderr
+
+
+def test_flip_is_nan_where_a_pixel_is(images):
+    image, reference = images[0].clone(), images[1]
+    image[0, 1, 20, 10] = math.nan
+    for dynamic_range in ("LDR", "HDR"):
+        found = flip_map(image, reference, 1.0, dynamic_range)
+        assert found.isnan().sum() == 1 and found[..., 20, 10].isnan()
+
+
+def test_metrics_of_other_libraries_take_one_image(images):
+    image, reference = images
+    for metric in (ssim, flip):
+        with pytest.raises(ValueError, match=r"expected one image \[1, 3, H, W\], got \(2, 3, 40, 30\)"):
+            metric(image.repeat(2, 1, 1, 1), reference.repeat(2, 1, 1, 1), 1.0)
+        assert metric(image.clone().requires_grad_(), reference, 1.0) == metric(image, reference, 1.0)
 
 
 def test_flip_in_a_mask_and_what_it_does_not_take(images, monkeypatch):

@@ -17,8 +17,10 @@ import torch
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from ..color import display
+from ..color import display, luminance
 from ..errors import InputError
+
+DARKEST = 2.0**-22  # luminance of a reference that HDR-FLIP finds exposures for; it stops at float32's epsilon, 2⁻²³
 
 
 def psnr(
@@ -85,9 +87,9 @@ def l1(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | N
 
 def ssim(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
     """Structural similarity (Wang et al. 2004; scikit-image, 7×7 window) on the display transform; NaN for
-    frames smaller than the window.
+    frames smaller than the window. Raises ValueError for several images.
     """
-    a, b = (display(x, scale)[0].permute(1, 2, 0).cpu().numpy() for x in (image, reference))
+    a, b = (_channels_last(display(x, scale)) for x in (image, reference))
     if min(a.shape[:2]) < 7:
         return math.nan
     _, similarity = structural_similarity(a, b, channel_axis=2, data_range=1.0, full=True)
@@ -133,11 +135,13 @@ def flip(
 
 
 def flip_map(image: Tensor, reference: Tensor, scale: Tensor | float, dynamic_range: str = "LDR") -> Tensor:
-    """The perceived difference when flipping between both, `[1, 1, H, W]` in [0, 1], at 67 pixels per degree.
+    """The perceived difference when flipping between both, `[1, 1, H, W]` in [0, 1], at 67 pixels per degree; NaN where
+    one of them is.
 
     LDR (Andersson et al. 2020) is taken on the display transform; HDR (Andersson et al. 2021) is the maximum of
-    LDR-FLIP over the exposures that FLIP derives from the reference. Raises InputError where `flip_evaluator` is not
-    installed, ValueError for another dynamic range.
+    LDR-FLIP over the exposures that FLIP derives from the reference, NaN where it can derive none: the reference is
+    black or not finite. Raises InputError where `flip_evaluator` is not installed, ValueError for another dynamic range
+    and for several images.
     """
     if dynamic_range not in ("LDR", "HDR"):
         raise ValueError(f"expected dynamic range 'LDR' or 'HDR', got {dynamic_range!r}")
@@ -146,9 +150,20 @@ def flip_map(image: Tensor, reference: Tensor, scale: Tensor | float, dynamic_ra
     except ImportError:
         raise InputError("metric flip needs flip-evaluator: pip install 'rtdenoise[bench]'") from None
     r, a = (display(x, scale) if dynamic_range == "LDR" else (x * scale).clamp(min=0) for x in (reference, image))
-    r, a = (np.ascontiguousarray(x[0].permute(1, 2, 0).cpu().numpy(), np.float32) for x in (r, a))
+    nothing = torch.full((1, 1, *r.shape[2:]), math.nan)
+    if dynamic_range == "HDR" and not (r.isfinite().all() and (luminance(r) > DARKEST).any()):
+        return nothing  # FLIP would end the process
+    r, a = (np.ascontiguousarray(_channels_last(x), np.float32) for x in (r, a))
     error, _, _ = flip_evaluator.evaluate(r, a, dynamic_range, applyMagma=False, computeMeanError=False)
-    return torch.from_numpy(np.ascontiguousarray(error)).permute(2, 0, 1)[None]
+    known = torch.from_numpy(~np.isnan(r + a).any(2))
+    return torch.from_numpy(np.ascontiguousarray(error)).permute(2, 0, 1)[None].where(known, nothing)
+
+
+def _channels_last(image: Tensor) -> np.ndarray:
+    """`[1, 3, H, W]` as `[H, W, 3]`, for libraries that compare one image with one. Raises ValueError for several."""
+    if len(image) != 1:
+        raise ValueError(f"expected one image [1, 3, H, W], got {tuple(image.shape)}")
+    return image[0].detach().permute(1, 2, 0).cpu().numpy()
 
 
 def decibels_of_estimate(mse: float) -> float:
