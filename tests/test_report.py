@@ -22,6 +22,7 @@ from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.report import report
+from rtdenoise.report.pictures import encode_map
 
 ARTEFACTS = Path(__file__).parent / "artefacts"
 METHODS = ("noisy", "accumulate", "oidn", "paper")
@@ -374,3 +375,7 @@ def test_a_folder_without_results_is_one_line(tmp_path, capsys, measured):
     assert stopped.value.code == 2 and "rtdenoise evaluate SEQ --out" in capsys.readouterr().err
     with pytest.raises(InputError, match="no method 'magic'"):
         report(measured, ("magic",))
+
+
+def test_nan_is_the_greatest_error_of_a_map():
+    assert encode_map(np.full((4, 6), np.nan)) == encode_map(np.ones((4, 6)))

@@ -34,8 +34,8 @@ def encode_picture(image: np.ndarray, exposure: float) -> str:
 
 
 def encode_map(values: np.ndarray) -> str:
-    """`[H, W]` in [0, 1], in 64 levels: a FLIP map, a mask."""
-    return pack(_plane(np.rint(np.clip(values, 0, 1) * MAX_LEVEL).astype(np.int32)))
+    """`[H, W]` in [0, 1], in 64 levels: a FLIP map, a mask. NaN is 1, the greatest error."""
+    return pack(_plane(np.rint(np.clip(np.nan_to_num(values, nan=1.0), 0, 1) * MAX_LEVEL).astype(np.int32)))
 
 
 def encode_motion(motion: np.ndarray) -> str:
