@@ -354,6 +354,11 @@ def test_reproject_finds_nothing_off_the_screen(bad):
     assert not valid.any() and not found.any()
 
 
+def test_compose_refuses_another_pool():
+    with pytest.raises(ValueError, match="expected pool 'mean', 'max' or 'nearest', got 'sum'"):
+        compose(torch.rand(1, 3, 4, 4), torch.rand(1, 3, 2, 2), torch.rand(1, 1, 2, 2), "sum")
+
+
 def test_reproject_knows_misses():
     depth, normal = surfaces(4, 8, depth=0.0)
     still = torch.zeros(1, 2, 4, 8)

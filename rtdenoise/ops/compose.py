@@ -22,7 +22,7 @@ def compose(
 
         out = fine - U[α · D fine] + U[α · coarse]
 
-    With pool "nearest" U is nearest too. Raises ValueError where the sizes do not fit.
+    With pool "nearest" U is nearest too. Raises ValueError where the sizes do not fit, and for another `pool`.
     """
     B, C, H, W = fine.shape
     expected = (B, C, (H + 1) // 2, (W + 1) // 2)
@@ -31,7 +31,7 @@ def compose(
             f"expected coarse {expected} and alpha {(B, 1, *expected[2:])} for fine {tuple(fine.shape)}, "
             f"got {tuple(coarse.shape)} and {tuple(alpha.shape)}"
         )
-    if pool != "nearest" and (run := FUSED(fine=fine, coarse=coarse, alpha=alpha)):
+    if pool in ("mean", "max") and (run := FUSED(fine=fine, coarse=coarse, alpha=alpha)):
         return run(fine, coarse, alpha, pool)
     mode = "nearest" if pool == "nearest" else "bilinear"
     return fine + upsample(alpha * (coarse - downsample(fine, pool)), (H, W), mode)
