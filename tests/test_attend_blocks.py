@@ -62,6 +62,13 @@ def test_any_size_and_layout(size):
         torch.testing.assert_close(attend_blocks(*pictures, rows, columns, heads=2), expected)
 
 
+def test_pictures_of_bfloat16_beside_offsets_of_float32():
+    q, k, v, rows, columns = arguments(9, 17)
+    found = attend_blocks(q.bfloat16(), k.bfloat16(), v.bfloat16(), rows, columns, heads=2)
+    assert found.dtype == torch.bfloat16
+    torch.testing.assert_close(found.float(), attend_blocks(q, k, v, rows, columns, heads=2), rtol=0.05, atol=0.1)
+
+
 @pytest.mark.parametrize("halo", [0, 3])
 def test_a_lit_pixel_reaches_the_blocks_whose_windows_hold_it(halo):
     zero, lit = torch.zeros(1, 2, 32, 40), torch.zeros(1, 2, 32, 40)

@@ -69,7 +69,7 @@ def _specification(q: Tensor, k: Tensor, v: Tensor, offsets: Tensor, block: int,
         around = F.pad(x, (halo, halo + right, halo, halo + below))
         return F.unfold(around, window, stride=block).unflatten(1, (heads, x.shape[1] // heads, window**2))
 
-    keys, values = windows(k) + offsets.T[:, :, None], windows(v)
+    keys, values = windows(k) + offsets.to(k.dtype).T[:, :, None], windows(v)
     inside = windows(torch.ones_like(q[:, :1]), heads=1).transpose(2, 4) > 0  # [B, 1, l, n, 1]
     queries = F.unfold(F.pad(q, (0, right, 0, below)), block, stride=block)
     queries = queries.unflatten(1, (heads, q.shape[1] // heads, block**2))  # [B, heads, d, p, l]
