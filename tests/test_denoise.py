@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from synthetic import Stop, assert_goes_on, make_frames, stop_after, with_bad_pixels, write_sequence
 
 import rtdenoise
@@ -166,6 +167,19 @@ def test_preview_is_written(shot, tmp_path, model, capsys):
     written = {path.suffix for path in (tmp_path / "out").glob("preview.*")}
     assert ".png" in written and written & {".gif", ".mp4"}
     assert ("preview.gif has 256 colours" in capsys.readouterr().out) == (".gif" in written)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_a_broken_pixel_of_a_reference_leaves_the_preview_its_exposure(tmp_path, model, bad):
+    frames, shown = make_frames(1), []
+    for name in ("whole", "broken"):
+        write_sequence(tmp_path / name, frames)
+        out = tmp_path / f"{name} out"
+        main(["denoise", str(tmp_path / name), "--out", str(out), "--model", model, "--preview"])
+        with Image.open(out / "preview.png") as picture:
+            shown.append(np.asarray(picture)[:, :64].astype(float))  # noisy | denoised
+        frames[0].reference[0, 1, 5, 7] = bad
+    assert np.abs(shown[0] - shown[1]).max() <= 2
 
 
 def test_the_input_is_not_touched(shot, tmp_path, model):

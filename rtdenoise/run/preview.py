@@ -43,7 +43,7 @@ def preview(sequence: Sequence, out: Path, layout: str = "plain", recombine: boo
         reference = _reference(sequence, i, frame, recombine)
         panels = {"noisy": noisy, "denoised": image} | ({} if reference is None else {"reference": reference})
         if scale is None:
-            scale = display_exposure(panels.get("reference", image))
+            scale = display_exposure(valid("radiance", panels.get("reference", image)))
         picture = strip(panels, scale)
         if not strips:
             with replacing(out / "preview.png", ".png") as temporary:
@@ -97,6 +97,6 @@ def strip(panels: dict[str, Tensor | np.ndarray], scale: Tensor | float) -> Imag
 
 
 def to_picture(image: Tensor | np.ndarray) -> Image.Image:
-    """`[1, 3, H, W]` in [0, 1] to 8 bits."""
+    """`[1, 3, H, W]` in [0, 1] to 8 bits; NaN is black."""
     values = np.moveaxis(np.asarray(image[0] if isinstance(image, np.ndarray) else image[0].cpu()), 0, 2)
-    return Image.fromarray(np.round(values * 255).astype(np.uint8))
+    return Image.fromarray(np.round(np.nan_to_num(values) * 255).astype(np.uint8))
