@@ -1,5 +1,6 @@
 """Noisebase's zip files: values as its own loaders give them, both formats, and refusals of broken files."""
 
+import json
 import sys
 import zipfile
 from pathlib import Path
@@ -106,6 +107,22 @@ def test_denoised_into_exr_files(shot, tmp_path):
     assert "layout 'source' copies EXR files" in message(
         denoise, str(shot), tmp_path / "like", Options(model=options.model, layout="source")
     )
+
+
+@pytest.mark.parametrize(
+    "damage", [{"shape": None}, {"chunks": [0, 0, 0, 0]}, {"fill_value": "abc"}, {"compressor": {"id": "lzma"}}, []],
+    ids=str,
+)  # fmt: skip
+def test_damaged_descriptions_of_arrays_are_one_line(shot, tmp_path, damage):
+    path = tmp_path / "frame0000.zip"
+    with zipfile.ZipFile(shot / "frame0000.zip") as whole, zipfile.ZipFile(path, "w") as damaged:
+        for name in whole.namelist():
+            content = whole.read(name)
+            if name == "color/.zarray":
+                content = json.dumps(json.loads(content) | damage if damage else damage)
+            damaged.writestr(name, content)
+    told = message(lambda: open_sequence(path)[0])
+    assert told.startswith(f"{path}: not a readable zip file of Zarr arrays") and "\n" not in told
 
 
 def test_bad_files(shot, tmp_path, monkeypatch):
