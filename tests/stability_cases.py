@@ -249,7 +249,7 @@ def _(subject: Subject) -> float:
 
 @case("one firefly of 1e7: duration", "no pixel twice as bright after 20 frames", "frames", 20)
 def _(subject: Subject) -> float:
-    seen = [i for i, d in enumerate(_after_firefly(subject, min(subject.frames, 40)), start=1) if d.max() > 1]
+    seen = [i for i, d in enumerate(_after_firefly(subject, min(subject.frames, 25)), start=1) if d.max() > 1]
     return max(seen, default=0)
 
 
