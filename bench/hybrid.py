@@ -96,8 +96,6 @@ def tables(document: dict) -> dict[str, str]:
     ]
     for method, shown in METHODS.items():
         pairs = [(row, harness.beside(document, row, "oidn")) for row in document["rows"] if row["method"] == method]
-        if not pairs:
-            continue
         each = [_lead(pairs, "frame", signal) for signal in SIGNALS]
         frame, uncovered = [_lead(pairs, region) for region in ("frame", "uncovered")]
         flip = np.mean([row["frame"]["flip"] / oidn["frame"]["flip"] for row, oidn in pairs])

@@ -79,10 +79,6 @@ def tables(document: dict) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _shown(at_1: dict) -> list[str]:
-    return [method for method in ("oidn-prefiltered", *SHOWN_OURS) if method in at_1]
-
-
 def _by(rows: list[dict], spp: int) -> dict[str, dict[tuple[str, str], dict]]:
     """Method -> (sequence, signal) -> row."""
     found = {}
@@ -110,7 +106,7 @@ def _over_oidn(at_1: dict) -> str:
         "|---" * 11 + "|",
     ]
     base = at_1[REFERENCE]
-    for method in _shown(at_1):
+    for method in ("oidn-prefiltered", *SHOWN_OURS):
         rows = at_1[method]
         each = [np.mean(_leads(rows, base, signal=signal)) for signal in SIGNALS]
         uncovered = _leads(rows, base, region="uncovered")
@@ -128,7 +124,7 @@ def _over_oidn(at_1: dict) -> str:
 
 def _by_frame(at_1: dict) -> str:
     lines = [f"| | {' | '.join(f'frame {number}' for number in FRAMES)} |", "|---" * (len(FRAMES) + 1) + "|"]
-    for method in _shown(at_1)[1:]:
+    for method in SHOWN_OURS:
         cells = []
         for number in map(str, FRAMES):
             pairs = [
@@ -142,7 +138,7 @@ def _by_frame(at_1: dict) -> str:
 def _by_sequence(at_1: dict) -> str:
     keys = list(at_1[REFERENCE])
     lines = [f"| | {' | '.join(f'{name}, {signal}' for name, signal in keys)} |", "|---" * (len(keys) + 1) + "|"]
-    for method in _shown(at_1):
+    for method in ("oidn-prefiltered", *SHOWN_OURS):
         pairs = [(at_1[method][key], at_1[REFERENCE][key]) for key in keys]
         cells = [f"{a['frame']['psnr_corrected'] - b['frame']['psnr_corrected']:+.2f}" for a, b in pairs]
         lines.append(f"| `{method}` | {' | '.join(cells)} |")
