@@ -196,9 +196,7 @@ def _opened(path: Path) -> Iterator:
             if extra not in ({0}, {1}):
                 raise InputError(f"{path}: arrays of one frame and of a sequence in one file, expected either")
             yield group
-    except InputError:
-        raise
-    except MemoryError:
+    except (InputError, MemoryError):
         raise
     except Exception as error:  # zarr and its codecs have no class of their own for damaged files
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__

@@ -216,13 +216,14 @@ def _write_plain(
 ) -> dict[str, int]:
     layers = {name: np.moveaxis(array[0], 0, 2) for name, array in {"color": image, **extra}.items()}
     dtypes = {"color": "float" if float32 else "half"}
+    file, passed = sequence.files[index], {}  # name here -> channel of the input
     stored = sequence.layout.alpha(sequence.header) if alpha else ""
-    if stored and (kind := sequence.files[index].header().channels.get(stored)):
-        layers["A"], dtypes["A"] = sequence.files[index].read([stored], as_stored=True)[stored], kind
-    if keep:
-        names, types = _kept(sequence, keep), sequence.header.channels
-        layers |= sequence.files[index].read(names, as_stored=True)
-        dtypes |= {name: types[name] for name in names}
+    if stored and (kind := file.header().channels.get(stored)):
+        passed["A"], dtypes["A"] = stored, kind
+    for name in _kept(sequence, keep) if keep else ():
+        passed[name], dtypes[name] = name, sequence.header.channels[name]
+    planes = file.read(set(passed.values()), as_stored=True) if passed else {}
+    layers |= {name: planes[channel] for name, channel in passed.items()}
     write_layers(path, layers, dtypes=dtypes, attributes=attributes_of(sequence, index))
     return {
         name: bad
