@@ -27,12 +27,12 @@ from pathlib import Path
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
-from synthetic import TINY, make_frames, write_clips, write_sequence
+from synthetic import TINY, make_frames, save_tiny, write_clips, write_sequence
 from torch.nn.functional import avg_pool2d
 
 from rtdenoise.cli import clips, combine, evaluate, render, train  # noqa: F401  (imported before the forks)
 from rtdenoise.cli.main import main
-from rtdenoise.models import PRESETS, CombinerConfig, TemporalKPN, create, save
+from rtdenoise.models import PRESETS, CombinerConfig, create, save
 from rtdenoise.run import correcting  # noqa: F401
 from rtdenoise.training import loop  # noqa: F401
 
@@ -159,9 +159,7 @@ def run(arguments: list[str], seconds: float | None, outcome: Outcome) -> bool:
 
 def prepare(command: str, folder: Path) -> tuple[list[str], Callable[[Path], object]]:
     """The command without --out, on small input, and the function that reads the files to compare."""
-    torch.manual_seed(0)
-    PRESETS["tiny"] = TINY
-    save(TemporalKPN(TINY), model := folder / "tiny.safetensors")
+    PRESETS["tiny"], model = TINY, save_tiny(folder)
     if command == "denoise":
         shot = write_sequence(folder / "shot", make_frames(24, H=96, W=128))
         return ["denoise", str(shot), "--model", str(model)], files

@@ -57,14 +57,9 @@ def _failed_if_skipped(config, report):
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     """The path of the weights of a tiny network."""
-    from synthetic import TINY
+    from synthetic import save_tiny
 
-    from rtdenoise.models import TemporalKPN, save
-
-    torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
-    save(TemporalKPN(TINY), path)
-    return str(path)
+    return str(save_tiny(tmp_path_factory.mktemp("model")))
 
 
 @pytest.fixture(autouse=True)

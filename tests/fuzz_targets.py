@@ -18,8 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import torch
-from synthetic import TINY, make_frames, write_clips, write_sequence
+from synthetic import make_frames, save_tiny, write_clips, write_sequence
 
 from rtdenoise.data.clips import ClipDataset, read_facts, read_layers
 from rtdenoise.data.exr import read_channels, read_header, write_layers
@@ -27,7 +26,6 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import run as evaluate
 from rtdenoise.evaluate.document import NAME, Document
-from rtdenoise.models import TemporalKPN, save
 from rtdenoise.models.weights import read_model
 from rtdenoise.run import denoise as run
 from rtdenoise.run.backends import TorchBackend
@@ -165,9 +163,7 @@ def _positions() -> Path:
 
 @functools.cache
 def _model() -> Path:
-    torch.manual_seed(0)
-    save(TemporalKPN(TINY), path := folder() / "tiny.safetensors")
-    return path
+    return save_tiny(folder())
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,18 @@ from rtdenoise.data.clips import clip_path, write_clip
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame
+from rtdenoise.models import create, save
 from rtdenoise.models.config import TemporalKPNConfig
 from rtdenoise.run.denoise import denoise
 
 TINY = TemporalKPNConfig(widths=(4, 4, 4, 4))  # a network that runs in no time
+
+
+def save_tiny(folder: Path, config=TINY) -> Path:
+    """Write a network with random weights, always the same. Returns its file."""
+    torch.manual_seed(0)
+    save(create(config), path := folder / "tiny.safetensors")
+    return path
 
 
 def message(function, *args, **kwargs) -> str:

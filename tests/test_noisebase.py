@@ -8,13 +8,12 @@ from pathlib import Path
 import archives
 import numpy as np
 import pytest
-from synthetic import TINY
+from synthetic import save_tiny
 
 from rtdenoise.data.exr import read_channels
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
-from rtdenoise.models import TemporalKPN, save
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.inspect import inspect
 
@@ -99,8 +98,7 @@ def test_a_sequence_in_one_file(tmp_path):
 
 
 def test_denoised_into_exr_files(shot, tmp_path):
-    save(TemporalKPN(TINY), tmp_path / "tiny.safetensors")
-    options = Options(model=str(tmp_path / "tiny.safetensors"), keep=("depth",), device="cpu")
+    options = Options(model=str(save_tiny(tmp_path)), keep=("depth",), device="cpu")
     assert denoise(str(shot), tmp_path / "out", options).written == 4
     assert read_channels(tmp_path / "out" / "frame0003.exr", ["R", "depth.Z"])["R"].shape == SIZE
     assert denoise(str(shot), tmp_path / "out", options).skipped == 4

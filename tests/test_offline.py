@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import Stop, make_frames, stop_after, write_sequence
+from synthetic import Stop, make_frames, save_tiny, stop_after, write_sequence
 from test_denoise import pixels, refused
 
 import rtdenoise
@@ -20,7 +20,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, outputs
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import Frame, reverse
-from rtdenoise.models import AccumulatedKPN, AccumulatedKPNConfig, read, save
+from rtdenoise.models import AccumulatedKPNConfig, read, save
 from rtdenoise.models.weights import find
 from rtdenoise.run.combination import WEIGHTS, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
@@ -36,10 +36,7 @@ NAMES = [f"frame.{i:04d}.exr" for i in range(4)]
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
-    torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
-    save(AccumulatedKPN(TINY), path)
-    return str(path)
+    return str(save_tiny(tmp_path_factory.mktemp("model"), TINY))
 
 
 @pytest.fixture

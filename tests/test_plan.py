@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic import TINY, make_frames, write_sequence
+from synthetic import TINY, make_frames, save_tiny, write_sequence
 
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import OFF_SCREEN, Known
-from rtdenoise.models import AccumulatedKPNConfig, TemporalKPN, available, create, load, save
+from rtdenoise.models import AccumulatedKPNConfig, TemporalKPN, available, create, load
 from rtdenoise.motion import dual_motion, occlusion_mask
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.plan import look, make_plan
@@ -268,10 +268,8 @@ def test_tiles_of_the_shipped_models(name):
 
 
 def test_the_plan_is_in_the_summary_and_can_be_switched_off(tmp_path):
-    torch.manual_seed(0)
-    save(TemporalKPN(TINY), tmp_path / "tiny.safetensors")
     shot = write_sequence(tmp_path / "shot", moved(make_frames(4), [0.0, 0.0]))
-    options = Options(model=str(tmp_path / "tiny.safetensors"), float32=True)
+    options = Options(model=str(save_tiny(tmp_path)), float32=True)
     summary = denoise(str(shot), tmp_path / "planned", options)
     everything = denoise(str(shot), tmp_path / "everything", replace(options, plan=False))
     assert summary.left_out["warp of history"] == 3 and everything.left_out == {} and everything.plan is None
