@@ -3,6 +3,7 @@
 import json
 import math
 import shutil
+import sys
 import webbrowser
 from dataclasses import replace
 from pathlib import Path
@@ -110,7 +111,7 @@ def test_what_cannot_be_a_method(asked, message, tmp_path):
 
 
 def test_a_method_that_is_not_there_says_why(monkeypatch):
-    monkeypatch.setattr("rtdenoise.baselines.oidn.importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
     with pytest.raises(InputError, match="oidn: needs pyoidn: pip install"):
         methods()["oidn"].step()
 

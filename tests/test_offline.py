@@ -2,6 +2,7 @@
 
 import gc
 import shutil
+import sys
 import weakref
 from dataclasses import replace
 
@@ -234,7 +235,7 @@ def test_motion_next_is_approximated_where_it_is_missing(tmp_path, options, caps
 def test_without_oidn_it_says_so_and_filters_by_itself(shot, tmp_path, options, monkeypatch):
     """Its picture is near that with OIDN."""
     denoise(str(shot), tmp_path / "with", options)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyoidn" else True)
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
     summary = denoise(str(shot), tmp_path / "out", options)
     assert len(summary.notes) == 1 and "OIDN is not installed" in summary.notes[0]
     for name in NAMES:
@@ -246,13 +247,13 @@ def test_without_oidn_it_says_so_and_filters_by_itself(shot, tmp_path, options, 
 def test_frames_with_and_without_oidn_are_not_mixed(shot, tmp_path, options, monkeypatch):
     with pytest.raises(Stop):
         denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(6))
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyoidn" else True)
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
     with pytest.raises(rtdenoise.InputError, match="another input, layout or weights"):
         denoise(str(shot), tmp_path / "out", options)
 
 
 def test_frames_of_other_weights_of_the_filter_are_not_mixed(shot, tmp_path, options, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyoidn" else True)
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
     path = shutil.copy(find("hybrid-large"), tmp_path / "mine.safetensors")
     monkeypatch.setattr("rtdenoise.run.pixel_filter.MODEL", path)
     with pytest.raises(Stop):

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -20,8 +19,12 @@ from .accumulate import Accumulate
 
 
 def installed() -> bool:
-    """Whether `pyoidn` is there."""
-    return importlib.util.find_spec("pyoidn") is not None
+    """Whether `pyoidn` is there, with all that it needs."""
+    try:
+        import pyoidn  # noqa: F401
+    except ImportError:
+        return False
+    return True
 
 
 @dataclass(frozen=True)
@@ -139,10 +142,10 @@ class OidnFilter:
 @cache
 def _device(device: torch.device):
     """OIDN's device for a torch device: one for all filters."""
-    try:
-        import pyoidn
-    except ImportError:
-        raise InputError("method oidn needs pyoidn: pip install 'rtdenoise[bench]'") from None
+    if not installed():
+        raise InputError("method oidn needs pyoidn: pip install 'rtdenoise[bench]'")
+    import pyoidn
+
     found = pyoidn.Device.from_torch(device)
     found.commit()
     if message := found.get_error():
