@@ -65,15 +65,17 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
           stored=("*fp32",) * 2, valid="*u8", **near)
     masks = dict(seen="*u8", uncovered="*u8", threshold="fp32")
     images = dict(B=1, frames=1) if one else {}
-    counts = dict(words="i32", step="i32", recent=("*i32",) * 8, **dict.fromkeys({"B", "frames"} - {*images}, "i32"))
-    build(_compare, dict(CELL=4, COLUMNS=32, FAR_AWAY=1e6, **one, **images), **near, **counts)
+    counts = dict(words="i32", step="i32", **dict.fromkeys({"B", "frames"} - {*images}, "i32"))
     build(_stays, dict(BLOCK=128, **{n: v for n, v in {**one, **images}.items() if n in "HWB"}), **sizes, **counts,
           **dict.fromkeys(["alike", "changed", "wide_alike", "wide_changed"], "fp32"))
-    for yes in (False, True):
-        build(_sum, dict(CELL=4, FOOTPRINT=yes, MISPLACED=yes, BLOCK=128, FAR_AWAY=1e6, **one, **images),
-              uncovered="*u8", edge_speed="fp32", gloss="fp32", **near, **counts)
-    build(_over, dict(BLOCK=128, FAR_AWAY=1e6, **{n: v for n, v in {**one, **images}.items() if n != "B"}), **sizes,
-          **counts, **dict.fromkeys(["apart", "speed", "same", "light", "gloss"], "fp32"))
+    for pointers in (("*i32",) * 8, ("*i64",) * 8):  # of frames, and of their addresses
+        counts["recent"] = pointers
+        build(_compare, dict(CELL=4, COLUMNS=32, FAR_AWAY=1e6, **one, **images), **near, **counts)
+        for yes in (False, True):
+            build(_sum, dict(CELL=4, FOOTPRINT=yes, MISPLACED=yes, BLOCK=128, FAR_AWAY=1e6, **one, **images),
+                  uncovered="*u8", edge_speed="fp32", gloss="fp32", **near, **counts)
+        build(_over, dict(BLOCK=128, FAR_AWAY=1e6, **{n: v for n, v in {**one, **images}.items() if n != "B"}),
+              **sizes, **counts, **dict.fromkeys(["apart", "speed", "same", "light", "gloss"], "fp32"))
     build(_off_pixel, dict(BLOCK=128, **({"count": 1} if one else {})), share="fp32", less="fp32", count="i32")
     for first in (False, True):
         build(_keep, dict(WORDS=8, FOOTPRINT=first, BLOCK=128, **one), kept="*i32", edge_speed="fp32", **near)

@@ -1,7 +1,8 @@
 """Paths back through kept frames, for `recall` and `over`: `ops.recall.Path`.
 
 A kernel follows a path through all kept frames, as each step depends on the one before alone. It takes the frames as
-`FRAMES` pointers or more, so that it is compiled once, not for every number of frames (`stacked`).
+`FRAMES` pointers or more, so that it is compiled once, not for every number of frames (`stacked`). In a recorded step
+the pointers may lead to addresses of frames (`ops.elsewhere`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from ..elsewhere import Elsewhere
 from .common import within
 
 FRAMES = 8
@@ -21,17 +23,22 @@ def stacked(recent: Sequence[Tensor]) -> tuple[tuple[Tensor, ...], int]:
     """Kept frames as kernels take them, and how many words each pixel of one has. Frames of a history that another
     network began may have more than the others."""
     words = min(kept.shape[1] for kept in recent)
-    frames = [kept[:, :words].contiguous() for kept in recent]
+    if all(isinstance(kept, Elsewhere) and kept.shape[1] == words for kept in recent):
+        frames = [kept.address for kept in recent]
+    else:
+        frames = [kept[:, :words].contiguous() for kept in recent]
     room = max(FRAMES, triton.next_power_of_2(len(frames)))
     return (*frames, *frames[:1] * (room - len(frames))), words
 
 
 @triton.jit
 def frame_of(frames, j):
-    """The pointer to kept frame j, which is no constant."""
+    """The pointer to kept frame j, which is no constant. `frames`: pointers to frames, or to their addresses."""
     address = frames[0].to(tl.int64)
     for k in tl.static_range(1, len(frames)):
         address = tl.where(j == k, frames[k].to(tl.int64), address)
+    if frames[0].dtype.element_ty == tl.int64:
+        address = tl.load(address.to(tl.pointer_type(tl.int64)))
     return address.to(tl.pointer_type(tl.int32))
 
 
