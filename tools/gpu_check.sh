@@ -23,7 +23,8 @@ main() {
     failed=0
     if [ "$part" != table ]; then # in two runs, because Triton must not be loaded after OpenGL
         timeout 420 "$python" -m pytest -q -n auto tests/test_ops.py tests/test_ops_fused.py \
-            tests/test_ops_fused_frames.py tests/test_ops_dispatch.py tests/test_precision.py tests/test_graphed.py || failed=1
+            tests/test_ops_fused_frames.py tests/test_ops_dispatch.py tests/test_precision.py tests/test_graphed.py \
+            tests/test_elsewhere.py || failed=1
         if has moderngl; then
             timeout 150 "$python" -m pytest -q -n auto tests/test_glsl.py tests/test_glsl_pipeline.py || failed=1
         fi

@@ -2,9 +2,11 @@
 one from Python can take longer than running them.
 
 A recording always reads and writes the memory of the recorded step. So `Graphed` copies the arguments there, replays
-the recording, and copies the results out: tensors in a caller's hands are never overwritten. A recording serves one
-*kind* of step: the layers, their sizes and dtypes, whether there is a history, and the flags of `Known`. Everything
-else that a step depends on (weights, `ops.use`) stays as it was at the recording.
+the recording, and copies the results out: tensors in a caller's hands are never overwritten. Kept frames, most of what
+goes in, stay where they are: kernels that can load addresses from memory get those instead (`ops.elsewhere`).
+
+A recording serves one *kind* of step: the layers, their sizes and dtypes, whether there is a history, and the flags of
+`Known`. Everything else that a step depends on (weights, `ops.use`) stays as it was at the recording.
 
 Read `Graphed.step` first. docs/reference/backends.md says which steps can be recorded.
 """
@@ -21,7 +23,8 @@ from typing import Protocol, TypeVar
 import torch
 from torch import Tensor, nn
 
-from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..frame import NOTHING_KNOWN, RECENT, Frame, History, Known
+from ..ops.elsewhere import Elsewhere, NotHere, fill, table
 from .plan import LAYERS
 
 MAX_RECORDINGS = 8  # a sequence has two to five kinds of steps
@@ -127,7 +130,8 @@ class Graphed:
 
 class RecordedStep:
     """One recorded step, replayed with tensors like those `given`. It shares the input memory `read` of other
-    recordings where name, shape and dtype agree: inputs are copied in before each replay."""
+    recordings where name, shape and dtype agree: inputs are copied in before each replay. Kept frames are not, unless
+    something reads them that needs them here."""
 
     def __init__(
         self,
@@ -138,27 +142,52 @@ class RecordedStep:
         record: Recorder,
     ) -> None:
         self.used = 0  # number of the last step that replayed it
-        self.read: dict[str, Tensor] = {}
+        kept = {name: tensor for name, tensor in given.items() if name.startswith(f"history.{RECENT}")}
         # Tensors created in inference mode could not be written outside it.
         with torch.inference_mode(False), torch.no_grad():
-            for name, tensor in given.items():
-                like = read.get(_description(name, tensor))
-                self.read[name] = tensor.clone(memory_format=torch.contiguous_format) if like is None else like
-            arguments = _arguments(self.read, known)
-            self._replay, self._written = record(lambda: denoiser.step(*arguments))
+            self.read = _memory({name: tensor for name, tensor in given.items() if name not in kept}, read)
+            self._addresses = table(len(kept), given["frame.radiance"].device)
+            self.elsewhere = {n: Elsewhere(t, self._addresses[i, :1]) for i, (n, t) in enumerate(kept.items())}
+            try:
+                self._record(denoiser, known, given, record)
+            except NotHere:
+                self.elsewhere = {}
+                self.read |= _memory(kept, read)
+                self._record(denoiser, known, given, record)
+
+    def _record(self, denoiser: nn.Module, known: Known, given: dict[str, Tensor], record: Recorder) -> None:
+        held = self._point_to(given)  # what is recorded runs before
+        arguments = _arguments(self.read | self.elsewhere, known)
+        self._replay, self._written = record(lambda: denoiser.step(*arguments))
+        del held
+
+    def _point_to(self, given: dict[str, Tensor]) -> list[Tensor]:
+        """Let the recording find the kept frames among `given`. The tensors to hold until it has been replayed."""
+        frames = [given[name].contiguous() for name in self.elsewhere]
+        if frames:
+            fill(self._addresses, frames)
+        return frames
 
     def play(self, given: dict[str, Tensor]) -> tuple[Tensor, History]:
         """Replay the step on the tensors `given`. Tensors that the step only passes on are returned as given, results
         as copies."""
         _copy(list(self.read.values()), [given[name] for name in self.read])
+        held = self._point_to(given)
         self._replay()
-        out = {id(tensor): given[name] for name, tensor in self.read.items()}
+        del held  # whatever is written there from now on, by its owner too, comes later on the stream
+        out = {id(tensor): given[name] for name, tensor in (self.read | self.elsewhere).items()}
         image, history = self._written
         written = {id(tensor): tensor for tensor in (image, *history.layers().values()) if id(tensor) not in out}
         copies = [torch.empty_like(tensor) for tensor in written.values()]
         _copy(copies, list(written.values()))
         out |= zip(written, copies, strict=True)
         return out[id(image)], History.from_layers({n: out[id(t)] for n, t in history.layers().items()})
+
+
+def _memory(given: dict[str, Tensor], read: dict[Hashable, Tensor]) -> dict[str, Tensor]:
+    """Where to copy the tensors `given`: that of `read` where there is such, or else their first copies."""
+    described = {name: read.get(_description(name, tensor)) for name, tensor in given.items()}
+    return {n: given[n].clone(memory_format=torch.contiguous_format) if t is None else t for n, t in described.items()}
 
 
 def _copy(targets: list[Tensor], sources: list[Tensor]) -> None:
