@@ -85,8 +85,9 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
               **dict.fromkeys(["usual", "share_before", "lowest", "smallest", "far"], "fp32"), **sizes)
     build(_bounds, dict(CELL=16, **one), **sizes)
     half = dict.fromkeys(("x", "weight", "bias"), "*bf16")
-    steps = dict.fromkeys(["C", "of_output", "of_input", "of_row", "of_column"], "i32")
-    build(_to_planes, dict(O=3, CHANNELS=32, PRECISION="half", PADDED=16, BLOCK=128, **one), **half, **steps, **sizes)
+    steps = dict.fromkeys(["strips", "of_output", "of_input", "of_row", "of_column"], "i32")
+    build(_to_planes, dict(C=32, O=3, CHANNELS=32, PRECISION="half", PADDED=16, ROWS=16, BLOCK=128, **one), **half,
+          **steps, **sizes)
     build(_within, dict(CELL=16, BLOCK=128, **one), **sizes)
     flat = dict(BLOCK=512, **({"plane": 1} if one else {})), {} if one else {"plane": "i32"}
     build(_demodulate, dict(C=3, **flat[0]), gloss="fp32", **flat[1])
