@@ -15,7 +15,7 @@ from torch.nn import functional as F
 from ..color import srgb_decode, srgb_encode
 from ..constants import PIXELS_LIGHT, PIXELS_UNIT
 from ..ops.around import expand_within
-from ..ops.features import features
+from ..ops.features import features, filled
 from ..ops.lift import lift, lower
 from ..ops.max_pool import max_pool
 from ..ops.to_planes import to_planes
@@ -33,6 +33,10 @@ class PixelUNet(nn.Module):
         self.encoder = nn.ModuleList(ConvRelu(a, b, 3, padding=1) for a, b in shape.convolutions)
         self.decoder = nn.ModuleList(Up(*level) for level in shape.levels)
         self.last = nn.Conv2d(shape.out[0], 3, 3, padding=1)
+
+    def filtered(self, x: Tensor) -> Tensor:
+        """As `filter`, of any layout and dtype, without the zeros that fill the lanes of the first convolution."""
+        return self.filter(filled(as_weights(x, self), self.encoder[0].lanes))
 
     def filter(self, x: Tensor) -> Tensor:
         """`[B, inputs, H, W]`, as the first convolution reads it, to `[B, 3, H, W]` in float32."""
@@ -74,9 +78,8 @@ class PixelNetwork(PixelUNet):
     def clean(self, albedo: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
         """Both without noise, each filtered by itself; no gradients."""
         colours, directions = self.surfaces["albedo"], self.surfaces["normal"]
-        albedo = srgb_encode(albedo.clamp(0, 1))
-        albedo = srgb_decode(colours.filter(as_weights(albedo, colours)).clamp(0, 1))
-        return albedo, 2 * directions.filter(as_weights(as_color(normal), directions)).clamp(0, 1) - 1
+        albedo = srgb_decode(colours.filtered(srgb_encode(albedo.clamp(0, 1))).clamp(0, 1))
+        return albedo, 2 * directions.filtered(as_color(normal)).clamp(0, 1) - 1
 
     @torch.no_grad()
     def input(self, lit: Tensor, albedo: Tensor, normal: Tensor) -> Tensor:
