@@ -1,6 +1,6 @@
 """Time of a frame: stages × backends × models × sizes, with OIDN in the same run.
 
-python bench/latency_720p.py                          # 1280×720, on CUDA where it is, and how `default` scales
+python bench/latency_720p.py                          # 1280×720, on CUDA where it is, and how `default` and `hybrid` scale
 python bench/latency_720p.py --sizes 720p 4k          # everything at both sizes
 python bench/latency_720p.py --quick                  # 64×36, some seconds
 """
@@ -35,6 +35,7 @@ SIZES = {
     "quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
     "4k": (3840, 2160),
 }  # fmt: skip
+SCALED = "default", "hybrid"  # models that are timed at all sizes
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Options:
     sizes: tuple[str, ...] = ("720p",)
     """Some of 360p, 720p, 1080p, 1440p, 4k."""
     scaling: tuple[str, ...] = ("360p", "1080p", "1440p", "4k")
-    """Further sizes, at which only `default` in half precision and OIDN high are timed."""
+    """Further sizes, at which only `default` and `hybrid` in half precision and in bytes, and OIDN high, are timed."""
     presets: tuple[str, ...] = ()
     """Some of the models (default: all). Weights do not matter to the time; models without any get random ones."""
     calls: int = 10
@@ -70,7 +71,7 @@ def main(o: Options) -> None:
         peaks = measured_peaks(device, calls)
         rows = [row for size in sizes for row in run(size, presets, device, calls, with_shaders)]
         for size in () if o.quick else (size for size in o.scaling if size not in sizes):
-            rows += run(size, ("default",), device, calls, False, methods.SCALED, ("high",))
+            rows += run(size, SCALED, device, calls, False, methods.SCALED, ("high",))
     cuda = torch.cuda.get_device_name() if torch.cuda.is_available() else "not measured: there is none"
     devices = {"torch": cuda if device == "cuda" else harness.cpu(), "cpu": harness.cpu(), "glsl": gl, "cuda": cuda}
     content = {"device": device, "measured_peaks": peaks, "rows": rows}
