@@ -31,6 +31,8 @@ from .path import (
 from .unchanged import unchanged
 
 COLUMNS = 32  # of a program that sums over cells: one warp, so that sums need no shared memory
+# With addresses from memory `_sum` would take 106 registers, and a third fewer programs would fit.
+FEW_REGISTERS = {"maxnreg": 80} if torch.version.cuda else {}
 
 
 @triton.jit
@@ -195,5 +197,6 @@ def recall(
     _sum[grid(B, H, W)](
         depth, normal, motion, *masks, recent, stays, *results, *results[:4 - len(results)], *counts, *tolerances,
         RECALL_EDGE_SPEED, GLOSS, FOOTPRINT=uncovered is not None, MISPLACED=misplaced is not None, BLOCK=BLOCK, **far,
+        **FEW_REGISTERS,
     )  # fmt: skip
     return results
