@@ -1,6 +1,6 @@
 """Time of a frame: stages × backends × models × sizes, with OIDN in the same run.
 
-python bench/latency_720p.py                          # 1280×720, on CUDA where it is, and how `default` and `hybrid` scale
+python bench/latency_720p.py                          # 1280×720, on CUDA where it is; `default`, `hybrid` larger, too
 python bench/latency_720p.py --sizes 720p 4k          # everything at both sizes
 python bench/latency_720p.py --quick                  # 64×36, some seconds
 """
