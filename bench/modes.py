@@ -2,9 +2,9 @@
 
 python bench/modes.py
 
-Measures nothing: it reads the results of hybrid.py, large.py and offline.py, and rewrites the table of
-README.md. Each mode stands at the precision that `auto` takes on a CPU that multiplies bytes; the pictures of networks
-that do not compute in bytes were measured in float32.
+Measures nothing: it reads the results of hybrid.py, large.py, offline.py and, on a GPU, latency_720p.py, and rewrites
+the table of README.md. Each mode stands at the precision that `auto` takes on a CPU that multiplies bytes; the pictures
+of networks that do not compute in bytes were measured in float32.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
 from bench import RESULTS, ROOT, harness
+from bench.latency.tables import TOTAL
 
 # isort: split
 import numpy as np
 
 RESULT, PAGES = RESULTS / "hybrid.json", (ROOT / "README.md",)
 REFERENCE = "oidn"
+READ = "large", "offline", "latency_720p_cuda"
 TIME = {"size": "720p", "precision": "bf16"}  # of what is not in bytes
 
 
@@ -53,12 +55,12 @@ def main() -> None:
 
 def tables(document: dict) -> dict[str, str]:
     """Section `modes`; `document` is that of hybrid.py, the others are read."""
-    large, offline = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("large", "offline"))
+    large, offline, gpu = (json.loads((RESULTS / f"{name}.json").read_text()) for name in READ)
     sequences = {row["sequence"] for row in document["rows"]}
     lines = [
         "| `rtdenoise denoise` with | dB over OIDN | in windows of 1280×720 | where just uncovered | FLIP | time, CPU "
-        "| needs |",
-        "|---" * 7 + "|",
+        "| time, GPU | needs |",
+        "|---" * 8 + "|",
     ]
     for mode in MODES:
         small = _pairs(offline if mode.needs == ALL else document, mode.method)
@@ -66,7 +68,8 @@ def tables(document: dict) -> dict[str, str]:
         flip = np.mean([row["frame"]["flip"] / oidn["frame"]["flip"] for row, oidn in small])
         cells = [
             f"{_lead(small, 'frame'):+.2f}", f"{_lead(_pairs(large, mode.method), 'frame'):+.2f}",
-            f"{_lead(small, 'uncovered'):+.2f}", f"{flip:.2f}×", f"{_time(document, small, mode):.2g}×", mode.needs,
+            f"{_lead(small, 'uncovered'):+.2f}", f"{flip:.2f}×", f"{_time(document, small, mode):.2g}×",
+            _on_gpu(gpu, mode), mode.needs,
         ]  # fmt: skip
         lines.append(f"| {mode.shown} | {' | '.join(cells)} |")
     return {"modes": "\n".join(lines)}
@@ -91,6 +94,13 @@ def _time(document: dict, small: list[tuple[dict, dict]], mode: Mode) -> float:
         return float(np.median([row["ms"] / oidn["ms"] for row, oidn in small]))
     row = next(row for row in document["times"] if TIME.items() <= row.items())
     return row[mode.method] / row[REFERENCE]
+
+
+def _on_gpu(gpu: dict, mode: Mode) -> str:
+    """Milliseconds of a 720p frame, as a recorded step in bfloat16."""
+    name = f"{mode.method.removesuffix(' int8')} fused bf16, graph"
+    rows = [row for row in gpu["rows"] if (row["size"], row["method"]) == ("720p", name)]
+    return f"{rows[0][TOTAL]['median_ms']:.1f} ms" if rows else "–"
 
 
 if __name__ == "__main__":
