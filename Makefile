@@ -11,6 +11,9 @@ export PYTHON TORCH
 # Threads that spin while they wait slow each other down wherever other processes run too.
 export OMP_WAIT_POLICY ?= passive
 
+# Packages come without bytecode (tools/setup.sh): who imports a module first keeps it for all others.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help demo test lint wheel addon fuzz clean
 

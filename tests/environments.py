@@ -85,7 +85,7 @@ def blender_python():
         base = shutil.which(f"python{BLENDER_NEEDS}")
         assert base, f"{BLENDER} needs Python {BLENDER_NEEDS}; BLENDER_PYTHON names a Python that has bpy"
         run(base, "-m", "venv", "--clear", "--without-pip", folder)
-        run(*PIP, "--python", python, "install", BLENDER)
+        run(*PIP, "--python", python, "install", "--no-compile", BLENDER)
         (folder / "ready").touch()
     return python
 

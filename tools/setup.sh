@@ -50,7 +50,8 @@ main() {
 
 say() { echo "setup: $*"; }
 fail() { echo "setup: $*" >&2; exit 1; }
-pip() { .venv/bin/python -m pip --quiet --disable-pip-version-check "$@"; }
+# Without bytecode: Python writes it of what is imported, a quarter of all.
+pip() { .venv/bin/python -m pip --quiet --disable-pip-version-check "$@" --no-compile; }
 
 # A virtual environment, with the first Python that is recent enough and can make one.
 make_venv() {
