@@ -10,10 +10,10 @@ from rtdenoise.cli import commands
 from rtdenoise.cli.main import main
 
 
-@pytest.mark.parametrize("megabytes", [400, 1000])
-def test_little_address_space_is_one_line(megabytes, tmp_path):
+@pytest.mark.parametrize("megabytes, H, W", [(400, 24, 32), (1000, 1500, 2000)])
+def test_little_address_space_is_one_line(megabytes, H, W, tmp_path):
     """400 MB: the libraries do not load. 1000 MB: the frame does not fit."""
-    shot = write_sequence(tmp_path / "shot", make_frames(1, H=1500, W=2000))
+    shot = write_sequence(tmp_path / "shot", make_frames(1, H, W))
     found = attack(megabytes, shot, tmp_path / "out")
     assert found["code"] == 2 and found["held"] and "out of memory" in found["line"], found
 
