@@ -1,6 +1,5 @@
-"""Train a tiny network on made-up clips: the script that `test_train` starts in several processes.
+"""Train a tiny network on made-up clips: the script that `test_train` starts in two processes.
 
-python run_training.py CLIPS VALIDATION OUT
 python -m torch.distributed.run --nproc-per-node 2 run_training.py CLIPS VALIDATION OUT
 """
 

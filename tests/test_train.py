@@ -452,15 +452,15 @@ def test_a_cut_starts_anew(config):
     assert always["spatial"] == pytest.approx(sum(row["spatial"] for row in singles) / 2, rel=1e-5)
 
 
-def test_two_processes_take_the_steps_of_one(clips, other_clips, tmp_path):
+def test_two_processes_take_the_steps_of_one(config, tmp_path):
     """torchrun with gloo: the same global batch, the same losses and validations, up to the order of additions."""
-    script, environment = str(Path(__file__).parent / "run_training.py"), os.environ | {"OMP_NUM_THREADS": "1"}
-    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    for name, launcher in (("one", []), ("two", torchrun)):
-        command = [sys.executable, *launcher, script, str(clips), str(other_clips), str(tmp_path / name)]
-        result = subprocess.run(command, capture_output=True, text=True, env=environment)
-        assert result.returncode == 0, result.stderr
-    one, two = log(tmp_path / "one"), log(tmp_path / "two")
+    script, environment = Path(__file__).parent / "run_training.py", os.environ | {"OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", script,
+               *config.data, config.val, tmp_path / "two"]  # fmt: skip
+    result = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert result.returncode == 0, result.stderr
+    train(replace(config, batch=4))
+    one, two = log(config.out), log(tmp_path / "two")
     assert [row["step"] for row in one] == [row["step"] for row in two]
     for a, b in zip(one, two, strict=True):
         assert a.get("loss", 0.0) == pytest.approx(b.get("loss", 0.0), rel=1e-4)
