@@ -195,21 +195,21 @@ def test_a_frame_elsewhere_cannot_be_read(read):
 
 
 @pytest.mark.parametrize("backend", ["triton"], indirect=True)
-@pytest.mark.parametrize("size, count", [((1, 1), 1), ((5, 3), 2), ((1, 3), 9)], ids=str)
-def test_kernels_find_frames_by_their_addresses(backend, monkeypatch, size, count):
+@pytest.mark.parametrize("B, size, count", [(1, (1, 1), 1), (2, (5, 3), 2), (1, (1, 5), 9)], ids=str)
+def test_kernels_find_frames_by_their_addresses(backend, monkeypatch, B, size, count):
     """To the bit what they find by pointers, wherever the frames lie."""
     folder, device = backend
     monkeypatch.setattr(dispatch, "backend", lambda _: (folder, None))
 
     def frame():
-        depth, motion = (3 * torch.rand(2, 1, *size)).ceil(), 0.6 * torch.randn(2, 2, *size)
-        return torch.empty(2, 3, *size).exponential_(), depth, torch.rand(2, 3, *size), torch.rand(2, 1, *size), motion
+        depth, motion = (3 * torch.rand(B, 1, *size)).ceil(), 0.6 * torch.randn(B, 2, *size)
+        return torch.empty(B, 3, *size).exponential_(), depth, torch.rand(B, 3, *size), torch.rand(B, 1, *size), motion
 
     with ops.use("plain"):
-        recent = tuple(shifted(keep(*frame(), torch.rand(2, 3, *size)).to(device)) for _ in range(count))
+        recent = tuple(shifted(keep(*frame(), torch.rand(B, 3, *size)).to(device)) for _ in range(count))
     light, depth, normal, _, motion = (layer.to(device) for layer in frame())
     uncovered, misplaced = depth > 2, depth.new_ones(1, 1, 1, 1)
-    seen = torch.rand(2, 9, *size).to(device)
+    seen = torch.rand(B, 9, *size).to(device)
     with ops.use("fused"):
         of_pointers, of_addresses = (
             [
