@@ -453,7 +453,7 @@ def test_a_cut_starts_anew(config):
 
 
 def test_two_processes_take_the_steps_of_one(config, tmp_path):
-    """torchrun with gloo: the same global batch, the same losses and validations, up to the order of additions."""
+    """torchrun with gloo: the same global batch, losses, gradients and validations, up to the order of additions."""
     script, environment = Path(__file__).parent / "run_training.py", os.environ | {"OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", script,
                *config.data, config.val, tmp_path / "two"]  # fmt: skip
@@ -463,5 +463,6 @@ def test_two_processes_take_the_steps_of_one(config, tmp_path):
     one, two = log(config.out), log(tmp_path / "two")
     assert [row["step"] for row in one] == [row["step"] for row in two]
     for a, b in zip(one, two, strict=True):
-        assert a.get("loss", 0.0) == pytest.approx(b.get("loss", 0.0), rel=1e-4)
+        for of_step in ("loss", "grad_norm"):
+            assert a.get(of_step, 0.0) == pytest.approx(b.get(of_step, 0.0), rel=1e-4)
         assert a.get("validation", {}) == pytest.approx(b.get("validation", {}), rel=1e-4)
