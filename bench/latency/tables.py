@@ -70,6 +70,8 @@ def plot(document: dict, path: Path) -> None:
     all if none was. Needs matplotlib."""
     from matplotlib.figure import Figure
 
+    from rtdenoise.report.chart import plain_ticks
+
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.add_subplot(
         xlabel="megapixels", ylabel="ms a megapixel", yscale="log", title=document["devices"]["torch"]
@@ -82,6 +84,7 @@ def plot(document: dict, path: Path) -> None:
     for name, points in ((name, sorted(points)) for name, points in found.items() if len(points) == most):
         style = {"linestyle": "--"} if name.startswith("oidn") else {}
         axes.plot([m for m, _ in points], [ms / m for m, ms in points], marker="o", label=name, **style)
+    plain_ticks(axes.yaxis, axes.get_ylim())
     axes.legend(fontsize="small")
     figure.savefig(path, dpi=110)
 

@@ -81,13 +81,13 @@ def _panel(axis: Axes, metric: str, rows: list[dict], looks: dict[str, dict], ou
     axis.grid(True, color="#eee")
     axis.set_axisbelow(True)
     axis.margins(0.1)
-    _plain_ticks(axis.xaxis, axis.get_xlim())
+    plain_ticks(axis.xaxis, axis.get_xlim())
     if not info.higher:
-        _plain_ticks(axis.yaxis, axis.get_ylim())
+        plain_ticks(axis.yaxis, axis.get_ylim())
     axis.spines[["top", "right"]].set_visible(False)
 
 
-def _plain_ticks(axis: Axis, limits: tuple[float, float]) -> None:
+def plain_ticks(axis: Axis, limits: tuple[float, float]) -> None:
     """Ticks of a logarithmic axis as plain numbers, without minor ones."""
     ticks = tick_values(*limits)
     axis.set_ticks(ticks, [np.format_float_positional(tick, trim="-") for tick in ticks])
