@@ -220,6 +220,16 @@ def test_a_kind_is_recorded_when_it_comes_again_and_the_idle_make_room(denoiser,
     assert widths() == [16, 24]
 
 
+def test_large_steps_are_not_recorded(denoiser, monkeypatch):
+    frame = make_frames(1)[0]
+    for largest, count in ((frame.radiance[:, 0].numel(), 1), (frame.radiance[:, 0].numel() - 1, 0)):
+        monkeypatch.setattr(graphed, "LARGEST", largest)
+        graph = recorded(denoiser, "cpu")
+        images = [graph.step(frame)[0] for _ in range(3)]
+        assert len(graph.recordings) == count
+        assert all(torch.equal(image, denoiser.step(frame)[0]) for image in images)
+
+
 def test_what_cannot_be_recorded_runs_as_it_would_without(denoiser, caplog):
     def refuse(function):
         raise RuntimeError("operation not permitted when stream is capturing\nat line 5")

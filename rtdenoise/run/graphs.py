@@ -30,6 +30,7 @@ from .plan import LAYERS
 MAX_RECORDINGS = 8  # a sequence has two to five kinds of steps
 IDLE_STEPS = 64  # a recording unused for so many steps makes room; a kind of step seen once is forgotten after as many
 WARM_UP_STEPS = 3  # before a step is captured, as in PyTorch's documentation
+LARGEST = 6_000_000  # pixels of a step that is recorded: kernels of larger ones take longer than to start them
 
 Written = TypeVar("Written")
 Step = Callable[..., tuple[Tensor, History]]
@@ -77,8 +78,9 @@ def stepper(denoiser: nn.Module) -> Step:
 
 
 class Graphed:
-    """A denoiser that records each kind of step at its second occurrence and replays it from then on. `step` is as the
-    denoiser's, without gradients. If a step cannot be recorded, one warning is logged and all steps run unrecorded."""
+    """A denoiser that records each kind of step, of up to LARGEST pixels, at its second occurrence and replays it from
+    then on. `step` is as the denoiser's, without gradients. If a step cannot be recorded, one warning is logged and all
+    steps run unrecorded."""
 
     def __init__(self, denoiser: nn.Module, record: Recorder) -> None:
         self.denoiser = denoiser
@@ -92,6 +94,8 @@ class Graphed:
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History]:
         """As the denoiser's own step."""
+        if frame.radiance.numel() > 3 * LARGEST:
+            return self.denoiser.step(frame, history, known)
         self._steps += 1
         given = _tensors(frame, history, known, (*LAYERS, *self.denoiser.config.reads))
         flags = replace(known, exposure=None, distance=None, noise=None, shift=None, ahead=())
