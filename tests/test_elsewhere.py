@@ -9,9 +9,9 @@ from dataclasses import replace
 import pytest
 import torch
 from synthetic import make_frames
-from test_graphed import DEVICES, nothing_waits, recorded, tolerance
+from test_graphed import DEVICES, network, nothing_waits, recorded, tolerance
 
-from rtdenoise import models, ops
+from rtdenoise import ops
 from rtdenoise.frame import RECENT, Known
 from rtdenoise.models import AccumulatedKPNConfig, past
 from rtdenoise.models.hybrid_config import HybridConfig
@@ -54,8 +54,7 @@ def following(op):
 
 @pytest.fixture(params=SMALL, ids=lambda config: config.architecture)
 def denoiser(request):
-    torch.manual_seed(1)
-    return models.create(request.param).eval().requires_grad_(False)
+    return network(request.param)
 
 
 @pytest.fixture(params=DEVICES)
@@ -157,14 +156,13 @@ def test_what_else_reads_kept_frames_has_them_copied(denoiser, device, choice, a
 @pytest.mark.parametrize("device", DEVICES)
 def test_frames_of_another_network_are_copied(device, assert_images_close):
     """A network without footprints goes on with the history of one with them, whose frames have more channels."""
-    torch.manual_seed(1)
-    network = models.create(SMALL[0]).eval().requires_grad_(False).to(device)
-    graph, (frame, *_) = recorded(network, device), make_frames(1)
+    denoiser = network(SMALL[0]).to(device)
+    graph, (frame, *_) = recorded(denoiser, device), make_frames(1)
     frame = frame.to(device)
-    _, history = network.step(frame)
+    _, history = denoiser.step(frame)
     wider = torch.cat([history.recent[0], history.recent[0][:, :3]], dim=1)
     history = replace(history, recent=(history.recent[0], wider))
-    expected, _ = network.step(frame, history)
+    expected, _ = denoiser.step(frame, history)
     for _ in range(3):
         image, _ = graph.step(frame, history)
         assert_images_close(image.cpu(), expected.cpu(), tolerance(device))

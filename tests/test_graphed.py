@@ -71,10 +71,15 @@ class Rehearsal:
         return [image, *history.layers().values()]
 
 
+def network(config):
+    """A network with random weights, always the same, that runs without gradients."""
+    torch.manual_seed(1)
+    return models.create(config).eval().requires_grad_(False)
+
+
 @pytest.fixture(params=SMALL, ids=lambda config: config.architecture)
 def denoiser(request):
-    torch.manual_seed(1)
-    return models.create(request.param).eval().requires_grad_(False)
+    return network(request.param)
 
 
 @pytest.fixture(params=DEVICES)
