@@ -13,6 +13,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
@@ -31,6 +32,7 @@ from rtdenoise.evaluate.inputs import Source
 from rtdenoise.frame import Frame
 from rtdenoise.metrics.image import decibels, mse_corrected
 from rtdenoise.models import load
+from rtdenoise.models.hybrid_config import SURFACES
 from rtdenoise.models.pixel_network import written
 from rtdenoise.ops.lift import lower
 
@@ -86,7 +88,8 @@ def inputs(model: torch.nn.Module, frames: list[Frame]) -> Iterator[tuple]:
         exposure = model.statistics(frame)[0]
         _, history = model.step(frame, history)
         lit, *guides = given[0]
-        yield frame, lower(lit) / (PIXELS_LIGHT * exposure), exposure, lambda x, guides=guides: model.pixels(x, *guides)
+        network = partial(model.pixels.write, **dict(zip(SURFACES, model.pixels.clean(*guides), strict=True)))
+        yield frame, lower(lit) / (PIXELS_LIGHT * exposure), exposure, network
 
 
 def around(error: Tensor) -> Tensor:
