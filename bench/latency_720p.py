@@ -35,7 +35,7 @@ SIZES = {
     "quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
     "4k": (3840, 2160),
 }  # fmt: skip
-SCALED = "default", "hybrid"  # models that are timed at all sizes
+AT_ALL_SIZES = "default", "hybrid"  # models
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def main(o: Options) -> None:
         peaks = measured_peaks(device, calls)
         rows = [row for size in sizes for row in run(size, presets, device, calls, with_shaders)]
         for size in () if o.quick else (size for size in o.scaling if size not in sizes):
-            rows += run(size, SCALED, device, calls, False, methods.SCALED, ("high",))
+            rows += run(size, AT_ALL_SIZES, device, calls, False, methods.SCALED, ("high",))
     cuda = torch.cuda.get_device_name() if torch.cuda.is_available() else "not measured: there is none"
     devices = {"torch": cuda if device == "cuda" else harness.cpu(), "cpu": harness.cpu(), "glsl": gl, "cuda": cuda}
     content = {"device": device, "measured_peaks": peaks, "rows": rows}

@@ -16,7 +16,7 @@ from .unet import ConvRelu, HeadsByCells, Up
 INT8 = "int8"
 PRECISIONS = ("auto", "fp32", "bf16", INT8)
 LANES = 16  # channels of an input that cuDNN convolves fast in half precision
-ROWS = 8  # numbers that a row of a matrix has for that, or a multiple
+ROWS = 8  # a matrix has a multiple of so many rows there
 
 
 def choose_device(name: str) -> str:
