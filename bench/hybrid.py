@@ -46,6 +46,8 @@ METHODS = {
     "hybrid-fast int8": "**`hybrid-fast`**, int8",
     "hybrid int8": "**`hybrid`**, int8",
     "hybrid-ahead2 int8": "**`hybrid`** with `--lookahead 2`, int8",
+    "hybrid-large int8": "**`hybrid-large`**, int8",
+    "hybrid-large-ahead2 int8": "**`hybrid-large`** with `--lookahead 2`, int8",
 }
 IN_BYTES = tuple(method.removesuffix(" int8") for method in METHODS if method.endswith(" int8"))
 ALONE = "-spatial"  # ends the names of single frames, which are not timed

@@ -280,19 +280,15 @@ def test_hybrids_for_many_samples_are_of_two_models(of_pixels):
         assert torch.equal(tensor, (pixels if name.startswith("pixels.") else many)[name]), name
 
 
-def test_hybrid_many_in_bytes():
-    shipped = files_of(find("hybrid-many"))
-    assert [path.stem for path in shipped] == ["hybrid-many", "many", "hybrid"] and files_of(shipped[1]) == shipped[1:2]
-    assert has_bytes(shipped[0]) and shipped[0].stat().st_size < 1000
-    in_bytes, model = load("hybrid-many", precision="int8"), load("hybrid-many", precision="fp32")
+@pytest.mark.parametrize("of_pixels", ["hybrid", "hybrid-large"])
+def test_hybrids_for_many_samples_in_bytes(of_pixels):
+    shipped = files_of(find(f"{of_pixels}-many"))
+    assert [path.stem for path in shipped][:3] == [f"{of_pixels}-many", "many", of_pixels]
+    assert files_of(shipped[1]) == shipped[1:2] and has_bytes(shipped[0]) and shipped[0].stat().st_size < 1000
+    in_bytes, model = (load(f"{of_pixels}-many", precision=precision) for precision in ("int8", "fp32"))
     assert [type(part).__name__ for part in (in_bytes.unet, in_bytes.pixels)] == ["UNetInBytes", "PixelNetworkInBytes"]
     for a, b in zip(play(in_bytes, make_frames(2)), play(model, make_frames(2)), strict=True):
         assert (compress(a) - compress(b)).abs().mean() < 0.01
-
-
-def test_pixels_of_clean_surfaces_are_not_in_bytes():
-    model = load("hybrid-large", precision="int8")
-    assert [type(part).__name__ for part in (model.unet, model.pixels)] == ["UNetInBytes", "PixelNetwork"]
 
 
 def test_whole_weights_have_their_unit(tmp_path):

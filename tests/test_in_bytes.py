@@ -41,9 +41,19 @@ def tool():
 @pytest.fixture(scope="module")
 def small(tool, tmp_path_factory):
     """A file of random weights, and that of the same in bytes, made from the bundled sequence."""
+    return made(SMALL, tool, tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def clean(tool, tmp_path_factory):
+    """As `small`, with networks that filter albedo and normal."""
+    return made(replace(SMALL, clean=True), tool, tmp_path_factory)
+
+
+def made(config, tool, tmp_path_factory):
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("small") / "small.safetensors"
-    save(create(SMALL), path)
+    save(create(config), path)
     tool.main(str(path), str(bytes_of(path)), str(SAMPLE))
     return path
 
@@ -183,8 +193,9 @@ def test_numbers_become_bytes(dtype):
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 13), (48, 80)], ids=str)
-def test_a_small_network_in_bytes_is_close(small, size):
-    images = []
+@pytest.mark.parametrize("model", ["small", "clean"])
+def test_a_small_network_in_bytes_is_close(request, model, size):
+    small, images = request.getfixturevalue(model), []
     with torch.inference_mode():
         for precision in ("fp32", "int8"):
             model, history = load(small, precision=precision), None
@@ -196,7 +207,7 @@ def test_a_small_network_in_bytes_is_close(small, size):
     assert (image - expected).abs().mean() < 0.02 * expected.mean()
 
 
-@pytest.mark.parametrize("name", ["default", "fast", "many", "hybrid", "hybrid-fast"])
+@pytest.mark.parametrize("name", ["default", "fast", "many", "hybrid", "hybrid-fast", "hybrid-large"])
 def test_what_ships_keeps_the_picture(name):
     """0.1 dB of error at most on the bundled sequence, and 40 dB from the picture in float32."""
     frames = list(open_sequence(SAMPLE, signal="indirect", layers=("reference", "reference_half")))[:4]
@@ -260,12 +271,29 @@ def test_kernels_of_ones_own_with_the_pixels_of_a_model_that_ships_have_no_bytes
         load(path, precision="int8")
 
 
-@pytest.mark.parametrize("width", [10, 132])
+@pytest.mark.parametrize("width", [10, 260])
 def test_widths_come_in_fours_and_have_a_bound(tool, tmp_path, width):
     path = tmp_path / "odd.safetensors"
     save(create(AccumulatedKPNConfig(widths=(8, width, 8), scales=3)), path)
-    with pytest.raises(InputError, match=rf"multiples of 4 up to 128; unet.encoder.1.2 reads {width}"):
+    with pytest.raises(InputError, match=rf"multiples of 4 up to 256; unet.encoder.1.2 reads {width}"):
         tool.main(str(path), str(bytes_of(path)), str(SAMPLE))
+
+
+def test_filters_of_albedo_and_normal_in_bytes_are_close(clean):
+    _, albedo, normal = inputs()
+    with torch.inference_mode():
+        plain, in_bytes = (load(clean, precision=p).pixels.clean(albedo, normal) for p in ("fp32", "int8"))
+    for expected, found in zip(plain, in_bytes, strict=True):
+        assert (found - expected).abs().mean() < 0.02 * expected.std()
+
+
+def test_weights_are_kept_where_rounding_them_would_be_seen(clean):
+    """Of the network of light at full and half size; others are rounded as they are loaded, from steps."""
+    stored = load_file(bytes_of(clean))
+    assert {name: tuple(x.shape) for name, x in stored.items()} == shapes(replace(SMALL, clean=True))
+    kept = {name.removesuffix(".weight") for name in stored if name.endswith(".weight")}
+    light = ("encoder.0", "encoder.1", "encoder.2", "decoder.0.0", "decoder.0.2", "decoder.1.0", "decoder.1.2")
+    assert kept == {f"pixels.{name}" for name in light}
 
 
 def test_damaged_files_are_named(small, tmp_path):

@@ -66,7 +66,9 @@ def test_the_recipe_is_that_of_the_weights(model):
     assert {key: options[key] for key in shared} == {key: plain[key] for key in shared}
 
 
-@pytest.mark.parametrize(("model", "quality"), [("hybrid", "balanced"), ("hybrid-fast", "fast")])
+@pytest.mark.parametrize(
+    ("model", "quality"), [("hybrid", "balanced"), ("hybrid-fast", "fast"), ("hybrid-large", "large")]
+)
 def test_hybrid_is_put_together_and_not_trained(model, quality):
     """tests/test_hybrid.py compares the weights that ship."""
     begin, *renders, in_bytes = words = printed(model, SCENES="scenes")
@@ -75,11 +77,6 @@ def test_hybrid_is_put_together_and_not_trained(model, quality):
     assert in_bytes[1:4] == ["tools/weights_in_bytes.py", model, f"rtdenoise/weights/{model}.int8"]
     parsed(words)
     assert len(printed(model)) == len(words) - 7  # without scene files
-
-
-def test_hybrid_large_has_nothing_in_bytes():
-    (words,) = printed("hybrid-large")
-    assert words[1:] == ["tools/begin_hybrid.py", "rtdenoise/weights/hybrid-large.safetensors", "large"]
 
 
 @pytest.mark.parametrize("pixels", ["hybrid", "hybrid-large"])

@@ -62,12 +62,11 @@ in_bytes() { # what --precision int8 needs, found on frames such as the model wi
     run python tools/weights_in_bytes.py "$model" "rtdenoise/weights/$model.int8" $seen/*
 }
 case $model in # the kernels of a model and a network of OIDN's, both as they are: nothing to train
-    hybrid | hybrid-fast) quality=balanced
-        [ "$model" = hybrid ] || quality=fast
+    hybrid | hybrid-fast | hybrid-large)
+        case $model in hybrid) quality=balanced;; *) quality=${model#hybrid-};; esac
         run python tools/begin_hybrid.py "rtdenoise/weights/$model.safetensors" $quality
         in_bytes
         exit;;
-    hybrid-large) run python tools/begin_hybrid.py "rtdenoise/weights/$model.safetensors" large; exit;;
     hybrid*-many) # names alone
         run python tools/join_hybrid.py "rtdenoise/weights/$model.safetensors" many "${model%-many}"
         exit;;

@@ -14,7 +14,6 @@ from pathlib import Path
 import torch
 from safetensors.torch import save
 from torch import Tensor
-from torch.nn import Module
 from torch.nn import functional as F
 from usage import call
 
@@ -22,9 +21,9 @@ from rtdenoise.constants import PIXELS_UNIT
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.files import write_atomically
 from rtdenoise.models import Denoiser, read
-from rtdenoise.models.bytes_layout import INPUT, PIXELS, UNET, Picture, layout, made_for
+from rtdenoise.models.bytes_layout import INPUT, PIXELS, UNET, Picture, layout, made_for, shapes
 from rtdenoise.models.in_bytes import WHOLE, phases
-from rtdenoise.models.pixel_network import as_color
+from rtdenoise.models.pixel_network import PixelNetwork, as_color
 from rtdenoise.models.weights import find
 from rtdenoise.ops.convolve_bytes import packed
 from rtdenoise.ops.feature_bytes import CHANNELS, LIGHT, SURFACE, feature_bytes
@@ -48,9 +47,12 @@ def main(model: str, out: str, sequence: str, *more: str) -> None:
             history = None
             for frame in islice(open_sequence(folder, signal=signal), FRAMES):
                 _, history = network.step(frame, history)
-    tensors = {f"{name}.step": seen.steps(name) for name in seen.most if name.startswith(UNET)}
+    kept, tensors = shapes(network.config), {}
+    for name in seen.most:
+        if f"{name}.step" in kept:
+            tensors[f"{name}.step"] = seen.steps(name)
     for name, layer in seen.layers.items():
-        if name.startswith(UNET):
+        if not layer.careful:
             continue
         found = [rounded_with_care(*seen.layer(name, phase)) for phase in range(layer.phases)]
         step = 1.0 if layer.numbers else seen.steps(name)
@@ -98,8 +100,10 @@ class Seen:
         moments = self.moments[name, phase] / steps / steps[:, None]
         return torch.cat(parts, dim=1), self.modules[name].bias.double(), moments
 
-    def _begin(self, _: Module, inputs: tuple[Tensor, ...]) -> None:
+    def _begin(self, network: PixelNetwork, inputs: tuple[Tensor, ...]) -> None:
         lit, albedo, normal = inputs
+        if network.surfaces:
+            albedo, normal = network.clean(albedo, normal)
         self.given = feature_bytes(lit, albedo, as_color(normal)).float()
 
     def _measure(self, name: str, x: Tensor) -> None:
@@ -108,7 +112,7 @@ class Seen:
 
     def _add(self, name: str, x: Tensor, output: Tensor) -> None:
         self._measure(name, F.relu(output))
-        if name.startswith(UNET):
+        if not self.layers[name].careful:
             return
         *coarser, beside = self.layers[name].reads
         windows = F.unfold(self._read(beside, x), 3, padding=1)[0]

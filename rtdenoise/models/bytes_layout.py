@@ -21,6 +21,7 @@ from .weights import KERNELS, PIXELS, bytes_of, files_of, parts_of, read_config
 
 UNET = "unet"  # the networks, UNET and PIXELS, are the modules of these names
 INPUT = "input"  # of a network, as a layer
+SEEN = 2  # sizes, the finest first, where rounding weights to the nearest is seen in pixels of clean albedo and normal
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Layer:
     reads: tuple[Picture, ...]  # the coarser picture first
     outputs: int
     numbers: bool = False  # its results are bfloat16, not bytes
+    careful: bool = False  # its weights stand in the file; else they are rounded to the nearest as they are loaded
 
     @property
     def phases(self) -> int:
@@ -47,7 +49,7 @@ class Layer:
 
 
 def layout(config: Config) -> dict[str, Layer]:
-    """Name of each layer in bytes -> the layer. Networks that write pixels from clean albedo and normal have none.
+    """Name of each layer in bytes -> the layer.
 
     Raises InputError where networks of this architecture have none, or `convolve_bytes` does not take the widths.
     """
@@ -55,8 +57,11 @@ def layout(config: Config) -> dict[str, Layer]:
         raise InputError(f"precision int8: networks of the form {config.architecture} have no weights in bytes; take "
                          "auto")  # fmt: skip
     layers = _unet(config.widths)
-    if isinstance(config, HybridConfig) and not config.clean:
-        layers |= _pixels(config.pixels)
+    if isinstance(config, HybridConfig):
+        levels = SEEN if config.clean else len(config.pixels.levels) + 1
+        layers |= _pixels(config.pixels, PIXELS, CHANNELS, levels)
+        for name, shape in config.surfaces.items():
+            layers |= _pixels(shape, f"{PIXELS}.surfaces.{name}", QUAD)
     for name, layer in layers.items():
         if any(picture.channels % QUAD or picture.channels > MOST for picture in layer.reads):
             raise InputError(f"precision int8: expected widths that are multiples of {QUAD} up to {MOST}; {name} reads "
@@ -80,34 +85,39 @@ def _unet(widths: tuple[int, ...]) -> dict[str, Layer]:
     return layers
 
 
-def _pixels(shape: PixelShape) -> dict[str, Layer]:
-    """That of `pixel_network.PixelNetwork`."""
-    maker, inputs, layers = f"{PIXELS}.{INPUT}", CHANNELS, {}
-    for i, (_, width) in enumerate(shape.convolutions):
-        name = f"{PIXELS}.encoder.{i}"
-        layers[name] = Layer((Picture(maker, inputs, 3),), width)
-        maker, inputs = name, width
+def _pixels(shape: PixelShape, prefix: str, inputs: int, careful: int = 0) -> dict[str, Layer]:
+    """That of `pixel_network.PixelUNet`, whose input has `inputs` channels; its layers at the finest `careful` sizes
+    are rounded with care."""
+    maker, below, layers = f"{prefix}.{INPUT}", inputs, {}
+    sizes = [level for level, count in enumerate(shape.stages) for _ in range(count)]
+    for i, ((_, width), level) in enumerate(zip(shape.convolutions, sizes, strict=True)):
+        name = f"{prefix}.encoder.{i}"
+        layers[name] = Layer((Picture(maker, below, 3),), width, careful=level < careful)
+        maker, below = name, width
     for i, (_, middle, skip, width) in reversed(list(enumerate(shape.levels))):
-        name = f"{PIXELS}.decoder.{i}"
-        pooled = f"{PIXELS}.encoder.{sum(shape.stages[:i]) - 1}"
-        beside = Picture(pooled, skip, 3) if i else Picture(f"{PIXELS}.{INPUT}", CHANNELS, 3)
-        layers[f"{name}.0"] = Layer((Picture(maker, inputs, 2), beside), middle)
-        layers[f"{name}.2"] = Layer((Picture(f"{name}.0", middle, 3),), width, numbers=i == 0)
-        maker, inputs = f"{name}.2", width
+        name = f"{prefix}.decoder.{i}"
+        pooled = f"{prefix}.encoder.{sum(shape.stages[:i]) - 1}"
+        beside = Picture(pooled, skip, 3) if i else Picture(f"{prefix}.{INPUT}", inputs, 3)
+        layers[f"{name}.0"] = Layer((Picture(maker, below, 2), beside), middle, careful=i < careful)
+        layers[f"{name}.2"] = Layer((Picture(f"{name}.0", middle, 3),), width, numbers=i == 0, careful=i < careful)
+        maker, below = f"{name}.2", width
     return layers
 
 
 def shapes(config: Config) -> dict[str, tuple[int, ...]]:
-    """Name -> shape of each tensor in the file: of the layers of `UNET` what 1 of the bytes that they make is worth, of
-    those of `PIXELS` the arguments of `convolve_bytes`. Raises InputError as `layout`."""
+    """Name -> shape of each tensor in the file: the arguments of `convolve_bytes` of layers that are rounded with care;
+    what 1 of a byte is worth where another layer reads it or makes it. Raises InputError as `layout`."""
     found: dict[str, tuple[int, ...]] = {f"{UNET}.{INPUT}.step": (config.widths[0],)}
-    for name, layer in layout(config).items():
-        if name.startswith(UNET):
+    layers = layout(config)
+    stepped = {name for name, layer in layers.items() if not layer.careful}
+    stepped |= {picture.maker for name in stepped for picture in layers[name].reads}
+    for name, layer in layers.items():
+        if name in stepped:
             found[f"{name}.step"] = (layer.outputs,)
-            continue
-        quads = sum(picture.channels * picture.taps**2 // QUAD for picture in layer.reads)
-        found[f"{name}.weight"] = layer.phases, quads, -(-layer.outputs // BLOCK) * BLOCK, QUAD
-        found[f"{name}.factor"] = found[f"{name}.bias"] = layer.phases, layer.outputs
+        if layer.careful:
+            quads = sum(picture.channels * picture.taps**2 // QUAD for picture in layer.reads)
+            found[f"{name}.weight"] = layer.phases, quads, -(-layer.outputs // BLOCK) * BLOCK, QUAD
+            found[f"{name}.factor"] = found[f"{name}.bias"] = layer.phases, layer.outputs
     return found
 
 

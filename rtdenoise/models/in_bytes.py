@@ -1,11 +1,12 @@
 """Networks in bytes: less time than in bfloat16 on CPUs that multiply bytes.
 
-In bytes are the U-Net that predicts kernels (`accumulated_kpn`) and the network of `hybrid` that writes pixels. Weights
-are whole numbers from -127 to 127 with a factor for each output, features whole numbers from 0 to 255 with a step for
-each channel; sums are exact (docs/notes/bytes.md). `tools/weights_in_bytes.py` finds the steps.
+In bytes are the U-Net that predicts kernels (`accumulated_kpn`), the network of `hybrid` that writes pixels, and those
+that filter albedo and normal before it. Weights are whole numbers from -127 to 127 with a factor for each output,
+features whole numbers from 0 to 255 with a step for each channel; sums are exact (docs/notes/bytes.md).
+`tools/weights_in_bytes.py` finds the steps.
 
-Kernels take weights that are rounded to the nearest. The pixels' weights were rounded one by one, each so that it makes
-up for the errors of those before, for what a layer sees in some frames (Frantar et al. 2023, *GPTQ*).
+Most weights are rounded to the nearest. Where that would be seen in pixels, they were rounded one by one, each so that
+it makes up for the errors of those before, for what a layer sees in some frames (Frantar et al. 2023, *GPTQ*).
 """
 
 from __future__ import annotations
@@ -14,13 +15,16 @@ from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
-from ..ops.convolve_bytes import convolve_bytes, packed
-from ..ops.feature_bytes import feature_bytes
-from .bytes_layout import INPUT, PIXELS, UNET, Layer, layout
+from ..ops.convolve_bytes import QUAD, convolve_bytes, packed
+from ..ops.feature_bytes import SURFACE, feature_bytes
+from ..ops.features import filled
+from .bytes_layout import INPUT, PIXELS, UNET, Layer, Picture, layout
 from .config import AccumulatedKPNConfig
+from .hybrid_config import HybridConfig
 from .inference import enlarging
-from .pixel_network import PixelNetwork, as_color
+from .pixel_network import PixelNetwork, PixelUNet, as_color
 from .unet import UNet
 
 WHOLE = 127  # the greatest weight
@@ -33,23 +37,12 @@ class UNetInBytes(UNet):
 
     def __init__(self, network: UNet, stored: Stored, config: AccumulatedKPNConfig) -> None:
         nn.Module.__init__(self)
-
-        def convolution(name: str, layer: Layer) -> Convolution:
-            steps = [stored[picture.maker]["step"] for picture in layer.reads]
-            step = stored[name]["step"]
-            module = network.get_submodule(name.removeprefix(f"{UNET}."))
-            made = rounded(module, steps, torch.ones_like(step) if layer.numbers else step)
-            return Convolution(**made, numbers=layer.numbers)
-
-        made = {name: convolution(name, layer) for name, layer in layout(config).items() if name.startswith(UNET)}
+        made = convolutions(network, UNET, layout(config), stored)
         self.encoder = nn.ModuleList(
-            nn.Sequential(made[f"{UNET}.encoder.{i}.0"], made[f"{UNET}.encoder.{i}.2"])
-            for i in range(len(network.encoder))
+            nn.Sequential(made[f"encoder.{i}.0"], made[f"encoder.{i}.2"]) for i in range(len(network.encoder))
         )
         self.encoder[0].insert(0, ToBytes(stored[f"{UNET}.{INPUT}"]["step"]))
-        self.decoder = nn.ModuleList(
-            Up(made[f"{UNET}.decoder.{i}.0"], made[f"{UNET}.decoder.{i}.2"]) for i in range(len(network.decoder))
-        )
+        self.decoder = _decoder(network, made)
         for i in range(1, len(network.decoder)):
             self.register_buffer(f"step{i}", stored[f"{UNET}.decoder.{i}.2"]["step"].view(-1, 1, 1), persistent=False)
 
@@ -60,25 +53,62 @@ class UNetInBytes(UNet):
         return [finest.to(x.dtype), *numbers]
 
 
-class PixelNetworkInBytes(PixelNetwork):
+class PixelUNetInBytes(PixelUNet):
+    """A `PixelUNet` without gradients."""
+
+    def __init__(self, network: PixelUNet, prefix: str, layers: dict[str, Layer], stored: Stored) -> None:
+        nn.Module.__init__(self)
+        made = convolutions(network, prefix, layers, stored)
+        self.stages, self.last = network.stages, network.last
+        self.encoder = nn.ModuleList(made[f"encoder.{i}"] for i in range(len(network.encoder)))
+        self.decoder = _decoder(network, made)
+
+    def filtered(self, x: Tensor) -> Tensor:
+        """As that of `PixelUNet`, of `x` in [0, 1]."""
+        x = (x * SURFACE).round().to(torch.uint8, memory_format=torch.channels_last)
+        return self.filter(filled(x, QUAD))
+
+
+class PixelNetworkInBytes(PixelUNetInBytes, PixelNetwork):
     """A `PixelNetwork` without gradients."""
 
-    def __init__(self, network: PixelNetwork, stored: Stored) -> None:
-        nn.Module.__init__(self)
-        self.stages, self.surfaces = network.stages, network.surfaces
-        self.encoder = nn.ModuleList(
-            Convolution(**stored[f"{PIXELS}.encoder.{i}"]) for i in range(len(network.encoder))
-        )
-        self.decoder = nn.ModuleList(
-            Up(Convolution(**stored[f"{PIXELS}.decoder.{i}.0"]),
-               Convolution(**stored[f"{PIXELS}.decoder.{i}.2"], numbers=i == 0))
-            for i in range(len(network.decoder))
-        )  # fmt: skip
-        self.last = network.last
+    def __init__(self, network: PixelNetwork, stored: Stored, config: HybridConfig) -> None:
+        layers = layout(config)
+        super().__init__(network, PIXELS, layers, stored)
+        self.surfaces = nn.ModuleDict({
+            name: PixelUNetInBytes(surface, f"{PIXELS}.surfaces.{name}", layers, stored)
+            for name, surface in network.surfaces.items()
+        })  # fmt: skip
 
     def input(self, lit: Tensor, albedo: Tensor, normal: Tensor) -> Tensor:
         """As that of `PixelNetwork`, in bytes."""
         return feature_bytes(lit, albedo, as_color(normal))
+
+
+def convolutions(network: nn.Module, prefix: str, layers: dict[str, Layer], stored: Stored) -> dict[str, Convolution]:
+    """Name in `network` -> convolution, for those of the `layers` that are of its encoder and decoder."""
+
+    def step(picture: Picture) -> Tensor:
+        if picture.maker in stored:
+            return stored[picture.maker]["step"]
+        return torch.full((picture.channels,), 1 / SURFACE)  # albedo or normal
+
+    made = {}
+    for name, layer in layers.items():
+        if not name.startswith((f"{prefix}.encoder.", f"{prefix}.decoder.")):
+            continue
+        inner, found = name.removeprefix(f"{prefix}."), stored.get(name, {})
+        if layer.careful:
+            found = {part: found[part] for part in ("weight", "factor", "bias")}
+        else:
+            of_result = torch.ones(layer.outputs) if layer.numbers else found["step"]
+            found = rounded(network.get_submodule(inner), [step(picture) for picture in layer.reads], of_result)
+        made[inner] = Convolution(**found, numbers=layer.numbers)
+    return made
+
+
+def _decoder(network: nn.Module, made: dict[str, Convolution]) -> nn.ModuleList:
+    return nn.ModuleList(Up(made[f"decoder.{i}.0"], made[f"decoder.{i}.2"]) for i in range(len(network.decoder)))
 
 
 class ToBytes(nn.Module):
@@ -132,10 +162,11 @@ def rounded(layer: nn.Conv2d, steps: Sequence[Tensor], made: Tensor) -> dict[str
     """`weight`, `factor` and `bias` of `convolve_bytes`: each weight rounded to the nearest.
 
     `steps`, `[C]` each, are those of the pictures that it reads, the coarser one first; `made`, `[O]`, that of its
-    results.
+    results. The last picture may have more channels than the layer reads.
     """
-    weights, factors = [], []
-    for parts in phases(layer.weight, [len(step) for step in steps]):
+    weights, factors, channels = [], [], [len(step) for step in steps]
+    weight = F.pad(layer.weight, (0, 0, 0, 0, 0, sum(channels) - layer.weight.shape[1]))
+    for parts in phases(weight, channels):
         parts = [part * step.view(-1, 1, 1) for part, step in zip(parts, steps, strict=True)]
         unit = torch.cat([part.flatten(1) for part in parts], dim=1).abs().amax(1).clamp(min=1e-12) / WHOLE
         weights.append(packed([(part / unit.view(-1, 1, 1, 1)).round().to(torch.int8) for part in parts]))

@@ -46,8 +46,8 @@ def load(
     wrote; without one it is `default`, kernels alone, where `rtdenoise.Denoiser` takes `hybrid`. `precision` is that of
     the network: 'fp32', 'bf16', 'int8', or 'auto' (`inference.resolve`, `takes_bytes`); the rest is float32. 'int8' is
     for an `AccumulatedKPN` or `Hybrid` on a CPU: its networks in bytes (`in_bytes`), and what is left of them in
-    bfloat16 or float32. 'auto' leaves the pixels of a `Hybrid` for many samples out, and both those of clean albedo and
-    normal, and those of a file with no bytes of them beside it.
+    bfloat16 or float32. 'auto' leaves the pixels of a `Hybrid` for many samples out, and both those of a file with no
+    bytes of them beside it.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
@@ -72,9 +72,9 @@ def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
         logging.getLogger("rtdenoise").warning("rtdenoise: slower, as not in bytes: %s", error)
         return
     network.unet = UNetInBytes(network.unet, stored, network.config)
-    has_pixels = f"{PIXELS}.encoder.0" in stored and not network.config.clean
+    has_pixels = f"{PIXELS}.encoder.0" in stored
     if has_pixels and (must or not network.config.many):  # steps of light show where noise is little
-        network.pixels = PixelNetworkInBytes(network.pixels, stored)
+        network.pixels = PixelNetworkInBytes(network.pixels, stored, network.config)
 
 
 def precision_of(network: Denoiser) -> str:

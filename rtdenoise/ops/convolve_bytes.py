@@ -14,7 +14,7 @@ from .dispatch import Fused, Support, compiled, falls_back, plain
 FUSED = Fused("convolve_bytes", native=Support(bytes=("x", "below"), other=("below",)))  # channels last only
 QUAD = 4  # inputs whose products are summed at once
 BLOCK = 32  # outputs: weights are stored for multiples of as many
-MOST = 128  # inputs of a picture that the fused op takes
+MOST = 256  # inputs of a picture that the fused op takes
 
 
 @falls_back

@@ -138,6 +138,7 @@ add(vector sums[PIXELS][PARTS], const uint8_t *const *rows, const int8_t *weight
     switch (C) {
 #define CASE(channels) case channels: return added(sums, rows, weight, stride, taps, step, parts, channels);
         CASE(16) CASE(32) CASE(48) CASE(56) CASE(64) CASE(72) CASE(80) CASE(88) CASE(96) CASE(104) CASE(112)
+        CASE(128) CASE(192)
         default: return added(sums, rows, weight, stride, taps, step, parts, C);
     }
 }
