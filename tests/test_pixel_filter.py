@@ -10,6 +10,8 @@ from rtdenoise.color import compress
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.frame import Frame
+from rtdenoise.models import inference
+from rtdenoise.models.in_bytes import PixelNetworkInBytes, PixelUNetInBytes
 from rtdenoise.run import pixel_filter
 from rtdenoise.run.pixel_filter import PixelFilter, in_tiles
 from rtdenoise.sanitise import sanitise
@@ -17,7 +19,7 @@ from rtdenoise.sanitise import sanitise
 
 @pytest.fixture(scope="module")
 def own():
-    return PixelFilter()
+    return PixelFilter(precision="fp32")
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +50,21 @@ def test_even_light_stays_even(own, light):
     layer = torch.full((1, 3, 20, 33), 0.5)
     normal = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand_as(layer)
     assert torch.equal(own.step(Frame(light * layer, layer, normal, layer[:, :1]))[0], light * layer)
+
+
+@pytest.mark.parametrize(("precision", "light", "surfaces"), [("fp32", 0, 0), ("auto", 0, 1), ("int8", 1, 1)])
+def test_precision(own, monkeypatch, frame, precision, light, surfaces):
+    """By itself it filters albedo and normal in bytes on CPUs that multiply them, and light in float32."""
+    monkeypatch.setattr(inference, "multiplies_bytes", lambda: True)
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: False)
+    network, found = PixelFilter("cpu", precision)._network, PixelFilter("cpu", precision).prefiltered(frame)
+    assert isinstance(network, PixelNetworkInBytes) == light
+    assert isinstance(network.surfaces["albedo"], PixelUNetInBytes) == surfaces
+    expected = own.prefiltered(frame)
+    for name in ("albedo", "normal"):
+        filtered = getattr(expected, name)
+        off = (getattr(found, name) - filtered).abs().mean()
+        assert off <= 0.35 * surfaces * (getattr(frame, name) - filtered).abs().mean(), name
 
 
 def test_tiles_are_the_whole(own, monkeypatch, frame):

@@ -53,7 +53,7 @@ class Passes:
         if type(self.backend.network) is not AccumulatedKPN:  # a hybrid's picture holds an opinion already
             raise InputError(f"--offline: model {model!r} does not average light over time, or writes pixels of its "
                              "own; choose default, many or fast")  # fmt: skip
-        self._filter = Oidn(clean=True) if self.has_oidn else PixelFilter(self.backend.device)
+        self._filter = Oidn(clean=True) if self.has_oidn else PixelFilter(self.backend.device, precision)
 
     @property
     def notes(self) -> list[str]:
