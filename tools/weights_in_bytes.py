@@ -31,6 +31,7 @@ from rtdenoise.ops.feature_bytes import CHANNELS, LIGHT, SURFACE, feature_bytes
 FRAMES = 6  # of a sequence and signal
 SAMPLES = 6000  # windows of a frame and layer
 ROOM = 1.25  # what a channel's bytes hold at most, as a multiple of the most that was seen
+ROOM_OF_SURFACES = 2.0  # the same of networks that filter albedo and normal, whose noise may be far more than was seen
 RARE = 1e-4  # share of a frame's pixels that may show more
 DAMPING = 0.003  # added to the variance of each input, as a share of their mean
 INPUTS = 9  # of the network that writes pixels, as numbers
@@ -85,7 +86,8 @@ class Seen:
 
     def steps(self, maker: str) -> Tensor:
         """What 1 of a byte is worth in each channel that a layer makes."""
-        return torch.ones(CHANNELS) if maker == GIVEN else ROOM * self.most[maker] / 255
+        room = ROOM_OF_SURFACES if maker.startswith(f"{PIXELS}.surfaces.") else ROOM
+        return torch.ones(CHANNELS) if maker == GIVEN else room * self.most[maker] / 255
 
     def layer(self, name: str, phase: int) -> tuple[Tensor, Tensor, Tensor]:
         """For bytes: weights `[O, inputs]`, bias `[O]` and moments `[inputs + 1, inputs + 1]` of a layer."""
