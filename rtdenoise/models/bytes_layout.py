@@ -21,7 +21,7 @@ from .weights import KERNELS, PIXELS, bytes_of, files_of, parts_of, read_config
 
 UNET = "unet"  # the networks, UNET and PIXELS, are the modules of these names
 INPUT = "input"  # of a network, as a layer
-SEEN = 2  # sizes, the finest first, where rounding weights to the nearest is seen in pixels of clean albedo and normal
+CAREFUL = 2  # sizes, the finest first, that are rounded with care where albedo and normal are clean: it is seen there
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def layout(config: Config) -> dict[str, Layer]:
                          "auto")  # fmt: skip
     layers = _unet(config.widths)
     if isinstance(config, HybridConfig):
-        levels = SEEN if config.clean else len(config.pixels.levels) + 1
+        levels = CAREFUL if config.clean else len(config.pixels.levels) + 1
         layers |= _pixels(config.pixels, PIXELS, CHANNELS, levels)
         for name, shape in config.surfaces.items():
             layers |= _pixels(shape, f"{PIXELS}.surfaces.{name}", QUAD)

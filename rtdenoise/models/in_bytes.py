@@ -37,7 +37,7 @@ class UNetInBytes(UNet):
 
     def __init__(self, network: UNet, stored: Stored, config: AccumulatedKPNConfig) -> None:
         nn.Module.__init__(self)
-        made = convolutions(network, UNET, layout(config), stored)
+        made = _convolutions(network, UNET, layout(config), stored)
         self.encoder = nn.ModuleList(
             nn.Sequential(made[f"encoder.{i}.0"], made[f"encoder.{i}.2"]) for i in range(len(network.encoder))
         )
@@ -58,7 +58,7 @@ class PixelUNetInBytes(PixelUNet):
 
     def __init__(self, network: PixelUNet, prefix: str, layers: dict[str, Layer], stored: Stored) -> None:
         nn.Module.__init__(self)
-        made = convolutions(network, prefix, layers, stored)
+        made = _convolutions(network, prefix, layers, stored)
         self.stages, self.last = network.stages, network.last
         self.encoder = nn.ModuleList(made[f"encoder.{i}"] for i in range(len(network.encoder)))
         self.decoder = _decoder(network, made)
@@ -85,7 +85,7 @@ class PixelNetworkInBytes(PixelUNetInBytes, PixelNetwork):
         return feature_bytes(lit, albedo, as_color(normal))
 
 
-def convolutions(network: nn.Module, prefix: str, layers: dict[str, Layer], stored: Stored) -> dict[str, Convolution]:
+def _convolutions(network: nn.Module, prefix: str, layers: dict[str, Layer], stored: Stored) -> dict[str, Convolution]:
     """Name in `network` -> convolution, for those of the `layers` that are of its encoder and decoder."""
 
     def step(picture: Picture) -> Tensor:
