@@ -12,7 +12,6 @@ from torch import Tensor
 from ..exposure import exposure
 from ..frame import Frame
 from ..models.config import CELL
-from ..models.inference import takes_bytes
 from ..models.loading import load
 from ..models.pixel_network import written
 
@@ -21,14 +20,11 @@ TILE = 1024  # pixels, a multiple of `CELL`: larger pictures are filtered in til
 
 
 class PixelFilter:
-    """By itself in float32, since steps of bfloat16 show where little noise is left; its networks of albedo and normal
-    in bytes on CPUs where `load` takes them. Another `precision` is that of all."""
+    """With the precision 'auto' in float32, since steps of bytes and bfloat16 show where little noise is left."""
 
     def __init__(self, device: str | torch.device = "cpu", precision: str = "auto") -> None:
         network = load(MODEL, device, "fp32" if precision == "auto" else precision)
         self._network, self._reach = network.pixels, network.config.pixels.reach
-        if precision == "auto" and takes_bytes(precision, device):
-            self._network.surfaces = load(MODEL, device).pixels.surfaces
 
     @torch.no_grad()
     def prefiltered(self, frame: Frame) -> Frame:
