@@ -310,7 +310,7 @@ def whole_weights(*shape):
 
 @pytest.mark.parametrize("size", [*SIZES, (2, 12), (1, 13)], ids=str)
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.bfloat16], ids=str)
-@pytest.mark.parametrize(("channels", "outputs"), [(16, 32), (48, 112), (20, 12), (256, 33)])
+@pytest.mark.parametrize(("channels", "outputs"), [(16, 32), (48, 112), (20, 12), (128, 33), (256, 33)])
 def test_convolve_bytes(both, size, dtype, channels, outputs):
     """Exact sums: the same to the bit."""
     x, weight = some_bytes(2, channels, *size), packed([whole_weights(outputs, channels, 3, 3)])[None]

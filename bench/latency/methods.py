@@ -54,6 +54,7 @@ def torch_methods(preset: str, frame: Frame, device: str, backends: tuple[str, .
             continue
         if precision == INT8:
             model = models.load(preset, precision=precision)
+            tolerance = "int8 networks in turn" if getattr(model.config, "clean", False) else tolerance
         else:
             model = fresh(preset).to(device)
             model = model if precision is None else prepare(model, resolve(precision, device))
