@@ -22,7 +22,7 @@ from ..color import display_exposure
 from ..errors import InputError, did_you_mean
 from ..files import lock, remove_unfinished
 from ..frame import Frame
-from ..models.weights import bytes_of, files_of
+from ..models.weights import bytes_beside, files_of
 from ..run.plan import make_plan
 from ..sanitise import sanitise
 from .document import Document
@@ -222,7 +222,7 @@ class _Input:
     def _fingerprint(self, method: Method) -> str:
         """Changes with the input and with the weights."""
         files = [file for weights in method.weights for file in files_of(models.find(weights))]
-        files += [bytes_of(file) for file in files if bytes_of(file).is_file()]
+        files += bytes_beside(files)
         return "-".join([self._of_input, *(hashlib.sha256(file.read_bytes()).hexdigest()[:16] for file in files)])
 
 

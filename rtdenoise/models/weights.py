@@ -8,7 +8,7 @@ them. Weights may be whole numbers of eight bits; `NAME.unit` beside them says w
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib import resources
@@ -69,6 +69,11 @@ def find(model: str | Path) -> Path:
 def bytes_of(path: Path) -> Path:
     """The file of the same network's weights in bytes (`in_bytes`), which may be missing."""
     return path.with_suffix(".int8")
+
+
+def bytes_beside(files: Iterable[Path]) -> list[Path]:
+    """The files of weights in bytes beside weights files, of those that have one."""
+    return [path for path in map(bytes_of, files) if path.is_file()]
 
 
 def files_of(path: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import dumps, write_atomically
 from ..models.presets import SHRINKAGE
-from ..models.weights import bytes_of, files_of, find
+from ..models.weights import bytes_beside, files_of, find
 
 if TYPE_CHECKING:
     from .options import Options, Summary
@@ -51,7 +51,7 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     if options.model != SHRINKAGE:
         files = files_of(find(options.model))
         parts["weights"] = digest_of(files)
-        if options.precision in ("auto", "int8") and (in_bytes := [f for f in map(bytes_of, files) if f.is_file()]):
+        if options.precision in ("auto", "int8") and (in_bytes := bytes_beside(files)):
             parts["bytes"] = digest_of(in_bytes)
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}

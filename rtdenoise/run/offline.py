@@ -25,7 +25,7 @@ from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import MAX_CUT_MISMATCH, Frame, reverse
-from ..models.weights import bytes_of, files_of, find
+from ..models.weights import bytes_beside, files_of, find
 from ..sanitise import faults
 from .choice import open_chosen, told_of_samples
 from .folder import (
@@ -102,8 +102,9 @@ class _Run:
         from .pixel_filter import MODEL
 
         # Frames with and without OIDN must not be mixed, nor estimates that are stored otherwise.
-        filters = files_of(find(MODEL)) + [path for path in map(bytes_of, files_of(find(MODEL))) if path.is_file()]
-        opinions = "with OIDN" if self.passes.has_oidn else f"without OIDN, by {digest_of(filters)}"
+        files = files_of(find(MODEL))
+        files += bytes_beside(files)
+        opinions = "with OIDN" if self.passes.has_oidn else f"without OIDN, by {digest_of(files)}"
         self.fingerprint = f"{digest(self.sequence, self.options)[-1]} {opinions}, {BYTES_PER_PIXEL} bytes"
         self.names = output_names(self.sequence, self.options.layout, self.options.recombine)[::-1]  # as they appear
         count = len(self.sequence)
