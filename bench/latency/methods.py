@@ -60,12 +60,14 @@ def torch_methods(preset: str, frame: Frame, device: str, backends: tuple[str, .
             model = model if precision is None else prepare(model, resolve(precision, device))
         with ops.use(path):
             image = model.step(small, settled(model, small))[0]
-            history = settled(model, frame)
         expected = image.double().cpu().numpy() if expected is None else expected
         check(f"{preset} {backend}", image.cpu().numpy(), expected, tolerance)
+        if backend not in backends:
+            continue
+        with ops.use(path):
+            history = settled(model, frame)
         method = Method(f"{preset} {backend}", partial(model.step, frame, history), model, path)
-        if backend in backends:
-            methods.append(method)
+        methods.append(method)
         if backend in SCALED and device == "cuda":
             with ops.use(path):
                 whole = method.step()[0]
