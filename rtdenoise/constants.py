@@ -50,7 +50,7 @@ SHIFT_APART = 0.8  # of a shift's length: how far it may be from that of the fra
 
 # The brightness of a frame, and pixels that are too bright for it (`exposure`).
 BRIGHTNESS_BLOCK = 8  # side in pixels of the blocks over which brightness is measured
-BRIGHTNESS_SHARE = 0.9  # share of the blocks that count, the darkest ones
+BRIGHTNESS_TENTHS = 9  # of the blocks: so many count, the darkest ones; of the black ones no more than there are others
 NOISE_WINDOW, NOISE_WINDOWS = 3, 8  # side in pixels of the windows in which noise is measured, and from one to the next
 MIN_BRIGHTNESS = 1e-8  # darker frames count as black
 FIREFLY_LIMIT = 5.0  # times the brightest neighbour or the usual brightness in the frame
@@ -70,6 +70,7 @@ MIX_NOISE = 1e-6  # of their squares, that is there at least: pictures without n
 # kernels may be worse than written pixels everywhere.
 MIX_SHARES, MIX_SHARES_OF_MANY = (0.4, 0.1, 0.4), (0.3, 0.0, 0.0)
 MIX_SHARES_OF_CLEAN = (0.3, 0.1, 0.3)  # beside pixels of albedo and normal without noise
+MIX_BRIGHT, MIX_BLINDING = 7.3, 8.3  # compressed light from which the kernels' picture counts more; and alone
 MIX_FAR = 0.2  # compressed light: a previous picture that differs by more counts as if it differed by this
 MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history
 

@@ -18,7 +18,8 @@ def exposure(radiance: Tensor) -> Tensor:
 
     Brightness is the mean of the block means below their 90th percentile. Blocks, because at 1 spp most pixels of
     indirect light are black and a percentile of pixels says little; the cut, because a firefly then moves one block
-    only. Frames darker than `MIN_BRIGHTNESS` count as black and get its exposure.
+    only. Where more than half of the blocks are black, as around something small before nothing, only as many of these
+    count as there are others. Frames darker than `MIN_BRIGHTNESS` count as black and get its exposure.
     """
     means, _ = block_luminance(radiance, BRIGHTNESS_BLOCK)
     return exposure_of(means)

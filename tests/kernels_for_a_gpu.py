@@ -81,8 +81,8 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
         build(_keep, dict(WORDS=8, FOOTPRINT=first, BLOCK=128, **one), kept="*i32", edge_speed="fp32", **near)
         for shift in (False, True):
             build(_history_motion, dict(NEXT=first, SHIFT=shift, BLOCK=128, **one), **masks, **sizes)
-        build(_mix, dict(BEFORE=first, TOLD=first, CELL=4, BLOCK=128, **one),
-              **dict.fromkeys(["usual", "share_before", "lowest", "smallest", "far"], "fp32"), **sizes)
+        numbers = ["usual", "share_before", "lowest", "smallest", "bright", "blinding", "far"]
+        build(_mix, dict(BEFORE=first, TOLD=first, CELL=4, BLOCK=128, **one), **dict.fromkeys(numbers, "fp32"), **sizes)
     build(_bounds, dict(CELL=16, **one), **sizes)
     half = dict.fromkeys(("x", "weight", "bias"), "*bf16")
     steps = dict.fromkeys(["strips", "of_output", "of_input", "of_row", "of_column"], "i32")
@@ -119,7 +119,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     count = dict(N=1) if one else {}
     row = dict(CHUNK=2048, **count)
     build(_kth_greatest, row, N="i32", k="i32")
-    build(_exposure_of, row, N="i32", count="i32", least="fp32")
+    build(_exposure_of, row, N="i32", tenths="i32", least="fp32")
     build(_median, row, N="i32")
     build(mean_distance._sums, dict(PART=4096, **count), N="i32")
     build(mean_distance._mean, dict(AT_ONCE=1024, **(dict(parts=1) if one else {})), parts="i32", least="fp32")

@@ -259,6 +259,16 @@ def _(subject: Subject) -> float:
     return abs((exposure(broken(frame, "radiance", FIREFLY).radiance) / exposure(frame.radiance)).item() - 1)
 
 
+for behind, where in ((0.0, "before nothing"), (1e-4, "before a wall of 1e-4")):
+
+    @case(f"a small lamp {where}", "it keeps its light", "relative error of its middle", 0.25)
+    def _(subject: Subject, behind: float = behind) -> float:
+        light = torch.full((1, 3, 24, 32), behind)
+        light[..., 8:16, 16:24] = 1.0
+        images = subject.play([replace(frame, radiance=light) for frame in still(3, 0.0)])
+        return max(abs(image[..., 10:14, 18:22].mean().item() - 1) for image in images)
+
+
 @case("1 % fireflies of 1e4", "none of their light is lost: they are the noise", "share of the light cut", 0.0)
 def _(subject: Subject) -> float:
     frames = [_salted(frame, 0.01, 1e4) for frame in scene(3)]

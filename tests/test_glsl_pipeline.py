@@ -233,6 +233,8 @@ def test_frames_are_sanitised_as_in_torch(gl, assert_images_close):
 def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, size):
     cases = {"noise": torch.empty(1, 3, *size).exponential_(), "black": torch.zeros(1, 3, *size)}
     cases["one value"] = torch.full((1, 3, *size), 0.25)
+    cases["small"] = torch.where(torch.arange(size[0])[:, None] < 8, cases["noise"], 0.0)
+    cases["smaller"] = torch.where(torch.arange(size[1]) < 1, cases["small"], 0.0)
     cases["firefly"] = cases["noise"].clone()
     cases["firefly"][0, :, -1, -1] = 1e6
     depth = torch.rand(1, 1, *size) - 0.3

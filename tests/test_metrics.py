@@ -263,6 +263,19 @@ def test_exposure_is_not_moved_by_one_firefly():
     assert np.isfinite(exposure(torch.zeros(1, 3, 8, 8)).item())
 
 
+def test_what_is_black_does_not_hide_what_is_not():
+    """Up to half of the frame counts as it is; beyond that only as many black blocks as there are others."""
+    light = torch.zeros(1, 3, 80, 80)
+    for lit, expected in ((8, 0.7 / 0.9), (5, 0.4 / 0.9), (1, 8 / 18), (0.5, 4 / 9)):
+        light[..., : int(8 * lit), :] = 2.0
+        light[..., int(8 * lit) :, :] = 0.0
+        if lit == 0.5:
+            light[..., :8, :40], light[..., :8, 40:] = 2.0, 0.0
+        assert 1 / exposure(light).item() == pytest.approx(2 * expected, rel=1e-5)
+    light[..., :8, 8:] = 0.0  # one block is left
+    assert 1 / exposure(light).item() == pytest.approx(1.0)
+
+
 def test_display_exposure_brings_the_98th_percentile_to_09():
     values = torch.rand(1, 3, 50, 50) * 7
     assert torch.quantile(values * display_exposure(values), 0.98).item() == pytest.approx(0.9, abs=1e-3)

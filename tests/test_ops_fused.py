@@ -107,6 +107,7 @@ RANKED = {  # many alike, of either sign; some NaN; nothing but NaN
     "few": lambda: torch.tensor([[-0.0, 2.0, -3.0, 0.0, 2.0], [1e-40, 1e30, -1e30, 2.0, -2.0]]),
     "some NaN": lambda: torch.where(torch.rand(2, 300) < 0.3, torch.nan, torch.randn(2, 300)),
     "NaN": lambda: torch.full((2, 1), torch.nan),
+    "mostly black": lambda: (1 + torch.rand(2, 300)) * (torch.rand(2, 300) < torch.tensor([[0.02], [0.4]])),
     "many": lambda: torch.rand(1, 16384 + 9).mul(30).floor() + 0.1,  # more than stay in registers
 }
 

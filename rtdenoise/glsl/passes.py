@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..constants import BRIGHTNESS_BLOCK, BRIGHTNESS_SHARE, SKY_BLOCK
+from ..constants import BRIGHTNESS_BLOCK, SKY_BLOCK
 from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import BLOCK_GROUP, SELECT_GROUP, dispatch, fill
@@ -71,8 +71,8 @@ class Passes:
         dispatch("frame/usual", (1,), {"maxima": maxima, "usual": usual}, {"count": count}, SELECT_GROUP)
         buffers = packed | {"usual": usual, "light": light, "blocks": blocks}
         dispatch("frame/light", size, buffers, group=BLOCK_GROUP)
-        parameters = {"count": count, "kept": max(1, int(BRIGHTNESS_SHARE * count))}
-        dispatch("frame/statistics", (1,), {"blocks": blocks, "statistics": statistics}, parameters, SELECT_GROUP)
+        buffers = {"blocks": blocks, "statistics": statistics}
+        dispatch("frame/statistics", (1,), buffers, {"count": count}, SELECT_GROUP)
         return Inputs(light, surface, guide, statistics)
 
     def vectors(self, layers: Mapping[str, GpuArray]) -> GpuArray | None:

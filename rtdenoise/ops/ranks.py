@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..constants import BRIGHTNESS_SHARE, MIN_BRIGHTNESS
+from ..constants import BRIGHTNESS_TENTHS, MIN_BRIGHTNESS
 from .dispatch import Fused, Support, falls_back
 
 KTH_GREATEST = Fused("ranks.kth_greatest", triton=Support())
@@ -24,13 +24,18 @@ def kth_greatest(values: Tensor, k: int) -> Tensor:
 
 @falls_back
 def exposure_of(means: Tensor) -> Tensor:
-    """One over the mean of the lowest `BRIGHTNESS_SHARE` of each row's values, `[B, N] -> [B, 1, 1, 1]`; that is
-    `MIN_BRIGHTNESS` at least."""
-    count = max(1, int(means.shape[1] * BRIGHTNESS_SHARE))
+    """One over the mean of the lowest `BRIGHTNESS_TENTHS` of each row's values, `[B, N] -> [B, 1, 1, 1]`; that is
+    `MIN_BRIGHTNESS` at least. Values below that are black: of those only as many count as there are others, and one
+    other does at least."""
     if means.shape[1] <= MAX_VALUES and (run := EXPOSURE_OF(means=means)):
-        return run(means, count)
-    kept = means.sort(dim=1).values[:, :count]
-    return 1 / kept.mean(dim=1).clamp(min=MIN_BRIGHTNESS).reshape(-1, 1, 1, 1)
+        return run(means)
+    N = means.shape[1]
+    black = (means < MIN_BRIGHTNESS).sum(dim=1, keepdim=True)
+    left_out = (2 * black - N).clamp(min=0)
+    count = ((N - left_out) * BRIGHTNESS_TENTHS // 10).maximum(black.minimum(N - black) + 1)
+    kept = torch.arange(N, device=means.device) < left_out + count
+    total = torch.where(kept, means.sort(dim=1).values, 0.0).sum(dim=1, keepdim=True)
+    return 1 / (total / count).clamp(min=MIN_BRIGHTNESS).reshape(-1, 1, 1, 1)
 
 
 @falls_back

@@ -7,7 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import MIN_BRIGHTNESS
+from ...constants import BRIGHTNESS_TENTHS, MIN_BRIGHTNESS
 
 CHUNK = 16384
 BITS = tl.constexpr(21)  # of a count
@@ -58,16 +58,23 @@ def _kth_greatest(values, out, N, k, CHUNK: tl.constexpr):
 
 
 @triton.jit
-def _exposure_of(means, out, N, count, least, CHUNK: tl.constexpr):
+def _exposure_of(means, out, N, tenths, least, CHUNK: tl.constexpr):
     b = tl.program_id(0).to(tl.int64)
     means += b * N
-    last = _select(means, N, count - 1, CHUNK)
+    black = tl.full([], 0, tl.int32)
+    for start in range(0, N, CHUNK):
+        x, _ = _keys(means, start, N, CHUNK)
+        black += tl.sum((x < least).to(tl.int32), axis=0)
+    left_out = tl.maximum(2 * black - N, 0)
+    count = tl.maximum((N - left_out) * tenths // 10, tl.minimum(black, N - black) + 1)
+    end = tl.minimum(left_out + count, N)
+    last = _select(means, N, end - 1, CHUNK)
     total, number = tl.full([], 0, tl.float32), tl.full([], 0, tl.int32)
     for start in range(0, N, CHUNK):
         x, keys = _keys(means, start, N, CHUNK)
         total += tl.sum(tl.where(keys < last, x, 0.0), axis=0)
         number += tl.sum((keys < last).to(tl.int32), axis=0)
-    mean = (total + (count - number) * _value(last)) / count  # several may be as great as the last
+    mean = (total + (end - number) * _value(last)) / count  # several may be as great as the last
     tl.store(out + b, 1 / tl.where(mean < least, least, mean))
 
 
@@ -95,10 +102,10 @@ def kth_greatest(values: Tensor, k: int) -> Tensor:
     return out
 
 
-def exposure_of(means: Tensor, count: int) -> Tensor:
+def exposure_of(means: Tensor) -> Tensor:
     means, (B, N) = means.contiguous(), means.shape
     out = means.new_empty(B, 1, 1, 1)
-    _exposure_of[(B,)](means, out, N, count, MIN_BRIGHTNESS, **_constants(N))
+    _exposure_of[(B,)](means, out, N, BRIGHTNESS_TENTHS, MIN_BRIGHTNESS, **_constants(N))
     return out
 
 
