@@ -1,4 +1,5 @@
-"""Ways to denoise a Cycles animation: error and time of each, how even skies stay, and how far shaders are from torch.
+"""Ways to denoise a Cycles animation: error and time of each, every light pass against OIDN, how even skies stay, and
+how far shaders are from torch.
 
     render="bpyenv/bin/python examples/blender/render.py"
     $render shots/still-life --set still-life --frames 8
@@ -12,6 +13,8 @@ from __future__ import annotations
 
 import sys
 import tempfile
+import time
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
@@ -23,23 +26,33 @@ import torch
 import tyro
 
 from rtdenoise import load
+from rtdenoise.baselines.oidn import Oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.data.exr import read_channels
+from rtdenoise.data.light import find_light, read_light
 from rtdenoise.data.output import read_result
 from rtdenoise.data.sequences import Sequence, open_sequence
 from rtdenoise.glsl import Pipeline
 from rtdenoise.metrics import psnr, relmse
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import Options
+from rtdenoise.sanitise import sanitise
 
 RESULT = RESULTS / "cycles.json"
 PAGES = (ROOT / "docs" / "use" / "blender.md",)
 SKIP = 1  # frames: the first has no history
 METHODS = {
     "rtdenoise denoise --offline": Options(offline=True),
-    "rtdenoise denoise --lights": Options(lights=True),
+    "rtdenoise denoise --lights": Options(lights=True, layout="source"),
     "rtdenoise denoise": Options(),
     "rtdenoise denoise --signal indirect --recombine": Options(signal="indirect", recombine=True),
+}
+OIDN = "Intel OIDN 2, each pass by itself"
+OF_LIGHTS = {
+    "rtdenoise denoise --lights": Options(lights=True, layout="source", float32=True),
+    "rtdenoise denoise --lights --model default": Options(
+        lights=True, layout="source", float32=True, model="default"
+    ),
 }
 NOISY = "as rendered"
 OFF = 0.01  # relative error of a pixel of the sky that counts
@@ -47,7 +60,7 @@ OFF = 0.01  # relative error of a pixel of the sky that counts
 
 def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of noisy frames."""
-    rows, skies, apart = [], [], []
+    rows, lights, skies, apart = [], [], [], []
     for shot in shots:
         references = open_sequence(f"{shot}-reference")
         truth = [frame.radiance for frame in references]
@@ -58,13 +71,14 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
                 milliseconds = 1000 * denoise(str(shot), out, how).seconds / len(truth)
                 sequence = open_sequence(shot, signal=how.signal)
                 images = [
-                    torch.from_numpy(read_result(Path(out), sequence, i, recombine=how.recombine))
+                    torch.from_numpy(read_result(Path(out), sequence, i, how.layout, how.recombine))
                     for i in range(len(truth))
                 ]
             rows.append(row(shot.name, name, images, truth, scale, milliseconds))
             skies.append({"shot": shot.name, "method": name, **even_sky(references, images)})
+        lights += light_rows(shot, references, scale)
         apart.append({"shot": shot.name, **difference(shot)})
-    content = {"rows": rows, "skies": skies, "shaders": apart}
+    content = {"rows": rows, "lights": lights, "skies": skies, "shaders": apart}
     harness.publish(RESULT, content, digits=4, pages=PAGES, tables=tables)
 
 
@@ -75,6 +89,53 @@ def row(shot: str, method: str, images: list, truth: list, scale: float, millise
         "psnr": float(np.mean([psnr(image, reference, scale) for image, reference in pairs])),
         "relmse": float(np.mean([relmse(image, reference, scale) for image, reference in pairs])),
     }  # fmt: skip
+
+
+def light_rows(shot: Path, references: Sequence, scale: float) -> list[dict]:
+    """PSNR of every pass that is not black, in radiance, and of their sum."""
+    sequence = open_sequence(shot)
+    truth = [radiances(references, i) for i in range(len(references))]
+    passes = [name for name in truth[0] if max(frame[name].max() for frame in truth) > 0]
+    found, spent = {}, {}
+    found[OIDN], spent[OIDN] = by_oidn(sequence)
+    for name, how in OF_LIGHTS.items():
+        with tempfile.TemporaryDirectory() as out:
+            spent[name] = denoise(str(shot), out, how).seconds
+            clean = open_sequence(out)
+            found[name] = [radiances(clean, i) for i in range(len(clean))]
+    return [
+        {"shot": shot.name, "method": method, "milliseconds": 1000 * spent[method] / len(truth), **{
+            name: float(np.mean([psnr(a[name], b[name], scale) for a, b in zip(images, truth, strict=True)][SKIP:]))
+            for name in passes
+        }}
+        for method, images in found.items()
+    ]  # fmt: skip
+
+
+def radiances(sequence: Sequence, index: int) -> dict[str, torch.Tensor]:
+    """The passes of a frame `[1, 3, H, W]` and, named `Combined`, their sum."""
+    passes = find_light(sequence, lights=True, also=())
+    stored = {name: torch.from_numpy(image) for name, image in read_light(sequence, index, passes).items()}
+    stored |= {name: stored[name] * stored[name.split()[0]] for name in passes.lights}
+    light = {name: stored[name] for name in passes.summands}
+    return light | {"Combined": sum(light.values())}
+
+
+def by_oidn(sequence: Sequence) -> tuple[list[dict[str, torch.Tensor]], float]:
+    """OIDN's pictures of all passes, and the seconds they took. Albedo and normal are filtered first, as in Cycles."""
+    oidn, frames, seconds = Oidn(clean=True), [], 0.0
+    without_noise = find_light(sequence, lights=True, also=()).passed
+    for i in range(len(sequence)):
+        light = radiances(sequence, i)
+        del light["Combined"]
+        started = time.perf_counter()
+        frame = oidn.prefiltered(sanitise(sequence[i]))
+        for name, image in light.items():
+            if name not in without_noise and image.any():
+                light[name] = oidn.step(replace(frame, radiance=image))[0]
+        seconds += time.perf_counter() - started
+        frames.append(light | {"Combined": sum(light.values())})
+    return frames, seconds
 
 
 def even_sky(references: Sequence, images: list) -> dict:
@@ -117,7 +178,19 @@ def tables(document: dict) -> dict[str, str]:
         time = f"{np.mean(times):.0f}" if times else "–"
         label = method if method == NOISY else f"`{method}`"
         lines.append(f"| {label} | {' | '.join(cells)} | {time} |")
-    return {"cycles": "\n".join(lines)}
+    return {"cycles": "\n".join(lines), "lights": of_lights(document["lights"])}
+
+
+def of_lights(rows: list[dict]) -> str:
+    """A column for each pass, a table for all shots."""
+    names = [name for row in rows for name in row if name not in ("shot", "method", "milliseconds")]
+    names = list(dict.fromkeys(names))
+    lines = ["| | | " + " | ".join(names) + " | ms a frame |", "|---" * (len(names) + 3) + "|"]
+    for row in rows:
+        cells = [f"{row[name]:.1f}" if name in row else "–" for name in names]
+        method = row["method"] if row["method"] == OIDN else f"`{row['method']}`"
+        lines.append(f"| {row['shot']} | {method} | {' | '.join(cells)} | {row['milliseconds']:.0f} |")
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

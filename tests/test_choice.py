@@ -84,9 +84,7 @@ def test_noise_tells_where_nothing_else_does(shot):
     assert chosen(shot, Options())[0].model == "hybrid"
 
 
-@pytest.mark.parametrize(
-    "options", [{"backend": "glsl"}, {"offline": True}, {"correct": True}, {"lights": True}, {"also": ("x",)}]
-)
+@pytest.mark.parametrize("options", [{"backend": "glsl"}, {"offline": True}, {"correct": True}])
 def test_what_goes_with_kernels_alone_gets_kernels_alone(shot, options):
     (option,) = options
     because = "because of " + ("--backend glsl" if option == "backend" else f"--{option}")

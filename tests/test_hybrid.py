@@ -21,6 +21,7 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.models import HybridConfig, create, grow, hybrid, load, read, save
+from rtdenoise.models.accumulated_kpn import AccumulatedKPN
 from rtdenoise.models.past import reprojected, seen
 from rtdenoise.models.pixel_network import PixelNetwork
 from rtdenoise.models.presets import PRESETS
@@ -29,9 +30,7 @@ from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.lift import lower
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.recall import reset_of
-from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options
-from rtdenoise.run.light import LightBackend
 from rtdenoise.sanitise import sanitise
 from rtdenoise.splat import history_motion
 
@@ -131,7 +130,7 @@ def test_without_a_share_the_image_is_the_kernels(model, monkeypatch):
     for frame in make_frames(4):
         shares(monkeypatch, 1.0)
         image, after = trusting(model).step(frame, history)
-        kernels, alone, _ = model.step_and_kernels(frame, alone)
+        kernels, alone, _ = AccumulatedKPN.step_and_kernels(model, frame, alone)
         torch.testing.assert_close(image, kernels, rtol=1e-4, atol=1e-5)
         for name, layer in replace(alone, footprint=None, footprint_count=None).layers().items():
             torch.testing.assert_close(after.layers()[name], layer, rtol=1e-4, atol=1e-5)
@@ -200,8 +199,8 @@ def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model):
         _, history = model.step(first)
         _, onward = model.step(second, history)
         model.step(third, onward)
-    _, last, _ = model.step_and_kernels(third, onward)
-    kernels, onward, _ = model.step_and_kernels(second, history)
+    _, last, _ = AccumulatedKPN.step_and_kernels(model, third, onward)
+    kernels, onward, _ = AccumulatedKPN.step_and_kernels(model, second, history)
     light = [x / scale_of(model, frame) for x, frame in zip(shown, (first, second, third), strict=True)]
     torch.testing.assert_close(light[0], first.radiance, rtol=1e-5, atol=0)
     assert (last.footprint_count == 1).all()
@@ -362,8 +361,6 @@ def test_what_it_cannot_do_is_refused():
                 replace(SMALL, **{name: (wrong, *getattr(SMALL, name)[1:])})
     with pytest.raises(InputError, match="not an override of model 'hybrid': down: expected whole numbers"):
         load("hybrid", down=(32.0, 48, 64, 80, 96))
-    with pytest.raises(InputError, match="--lights: goes with --model default, many or fast"):
-        LightBackend(TorchBackend("hybrid", "cpu", "fp32", recent=0), None, each=True)
 
 
 def test_a_saved_network_comes_back(model, tmp_path):

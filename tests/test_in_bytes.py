@@ -25,7 +25,6 @@ from rtdenoise.models.pixel_network import PixelNetwork, as_color
 from rtdenoise.models.weights import bytes_of, find
 from rtdenoise.ops.convolve_bytes import convolve_bytes, multiplies_bytes, packed, unpacked
 from rtdenoise.ops.feature_bytes import CHANNELS, feature_bytes
-from rtdenoise.run.backends import TorchBackend
 
 SMALL = HybridConfig(
     widths=(8, 8, 8, 8), scales=4, edge_kernel=3, detail=True, recent=3, down=(16, 12, 20), up=(12, 8), out=(16, 4)
@@ -368,18 +367,6 @@ def test_auto_takes_bytes_where_a_cpu_multiplies_them_fastest(monkeypatch, tmp_p
             assert isinstance(model.pixels, PixelNetworkInBytes) == (expected and not many)
         assert not any(isinstance(load(name).unet, UNetInBytes) for name in ("paper", tmp_path / "mine.safetensors"))
         assert not isinstance(load("fast", precision="fp32").unet, UNetInBytes)
-
-
-def test_running_means_of_light_in_passes_are_not_in_bytes(monkeypatch):
-    """A byte cannot tell how far a mean outshines a frame in which the light is out."""
-    monkeypatch.setattr("rtdenoise.models.loading.takes_bytes", lambda precision, device: precision in ("auto", "int8"))
-    dark = [replace(f, radiance=f.radiance * (i < 3)) for i, f in enumerate(make_frames(5))]
-    backend, history = TorchBackend("default", "cpu", "auto", recent=0), None
-    for frame in dark:
-        image, history = backend.denoise(frame, history)
-    assert image.max() < 1e-6
-    with pytest.raises(InputError, match="precision int8: goes without"):
-        TorchBackend("default", "cpu", "int8", recent=0)
 
 
 def test_without_a_compiler_no_cpu_multiplies_bytes(monkeypatch):

@@ -244,7 +244,6 @@ def test_appended_frames_need_a_new_run(tmp_path, weights):
         ({"lookahead": 1.5}, "--lookahead: expected 0 to 16 frames, got 1.5"),
         ({"lookahead": True}, "--lookahead: expected 0 to 16 frames, got True"),
         ({"lookahead": 1, "offline": True}, "--lookahead: goes without --offline"),
-        ({"lookahead": 1, "lights": True}, "--lookahead: goes without"),
         ({"lookahead": 1, "model": "paper"}, "^lookahead: model 'paper' does not average light"),
         ({"lookahead": 1, "backend": "glsl"}, "lookahead runs in PyTorch alone"),
     ],

@@ -19,6 +19,7 @@ CHANNELS = {  # field of `History` -> channels; hidden features have any number 
     "radiance": 3, "motion_next": 2, "depth": 1, "normal": 3, "length": 1, "mean": 3, "mean_albedo": 3,
     "noisy": 3, "residual": 3, "residual_length": 1, "footprint": 9, "footprint_count": 1,
 }  # fmt: skip
+OF = "/"  # between the number of a light and the field of its history (`run.light`)
 FOUND = "found"  # the field of shifts, of cells of pixels as `SHIFTS`
 OF_ESTIMATES = {"trust": 1, "surface_count": 1}  # fields of the offline mode's estimates that a history lacks
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
@@ -44,13 +45,13 @@ def read_history(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str
             fields = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that numpy lacks
         raise InputError(f"{path}: not a readable history ({error})") from None
-    several = re.compile(rf"({HIDDEN}|{RECENT}|{SHIFTS})\d{{1,4}}")
-    known = {*CHANNELS, *OF_ESTIMATES, RESETS, FOUND}
-    unknown = [name for name in fields if name not in known and not several.fullmatch(name)]
+    one = "|".join({*CHANNELS, *OF_ESTIMATES, RESETS, FOUND})
+    known = re.compile(rf"(\d{{1,4}}{OF})?({one}|({HIDDEN}|{RECENT}|{SHIFTS})\d{{1,4}})")
+    unknown = [name for name in fields if not known.fullmatch(name)]
     if unknown or (fields and "radiance" not in fields):
         raise InputError(f"{path}: not a history of this version: it holds {', '.join(sorted(fields))}")
     for name, array in fields.items():
-        _check(f"{path}: {name}", name, array, fields["radiance"].shape)
+        _check(f"{path}: {name}", name.rpartition(OF)[2], array, fields["radiance"].shape)
     return fields, metadata
 
 

@@ -19,9 +19,9 @@ from ..ops.evened import evened, held_and_tells
 from ..ops.mix import mix
 from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
-from .accumulated_kpn import AccumulatedKPN
+from .accumulated_kpn import AccumulatedKPN, Kernels
 from .hybrid_config import HybridConfig
-from .past import followed, seen
+from .past import seen
 from .pixel_network import PixelNetwork, written
 
 
@@ -32,11 +32,11 @@ class Hybrid(AccumulatedKPN):
         super().__init__(config)
         self.pixels = PixelNetwork(config)
 
-    def step(
+    def step_and_kernels(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
-    ) -> tuple[Tensor, History]:
-        """As `Denoiser.step`. Training leaves the kernels, and what filters albedo and normal, as they are: no gradient
-        reaches them."""
+    ) -> tuple[Tensor, History, Kernels]:
+        """As `AccumulatedKPN.step_and_kernels`; `step` is that, too. Training leaves the kernels, and what filters
+        albedo and normal, as they are: no gradient reaches them."""
         frame = admit(frame, history and history.radiance, known)
         if known.exposure is None:
             exposure, distance = self.statistics(frame)
@@ -45,7 +45,7 @@ class Hybrid(AccumulatedKPN):
             known = replace(known, noise=noise_level(frame.radiance, frame.depth))
         with torch.no_grad():
             # Filter by kernels, and average.
-            image, after, kernels = self.step_and_kernels(frame, history, replace(known, sanitised=True))
+            image, after, kernels = super().step_and_kernels(frame, history, replace(known, sanitised=True))
             past = kernels.past
             held = past.on_screen & ~past.uncovered
             trust = 1 - held * kernels.heads.reset
@@ -62,4 +62,4 @@ class Hybrid(AccumulatedKPN):
         shown = mix(image, pixels, known.exposure, trust, shares, before, held, frame.radiance, tells)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach(), footprint=None, footprint_count=None)  # of this frame alone
-        return shown, after if known.part else followed(frame, history, after, self.config.recent + 1)
+        return shown, after, kernels

@@ -72,12 +72,10 @@ def open_backend(
     device: str,
     precision: str,
     correct: bool = False,
-    recent: int | None = None,
     lookahead: int = 0,
 ) -> Backend:
     """The backend `name` with a model in it; 'auto' is torch where it is installed. With `correct` its images are
-    corrected by the residuals of the frames before (`models.shrinkage.correct`). `recent` and `lookahead`: as for
-    `TorchBackend`.
+    corrected by the residuals of the frames before (`models.shrinkage.correct`). `lookahead`: as for `TorchBackend`.
 
     Raises InputError for an unknown name, a device, precision or correction that the backend lacks, and as `load` for
     the model.
@@ -88,7 +86,7 @@ def open_backend(
     if name == "torch" and not has_torch:
         raise InputError(f"backend torch: PyTorch is not installed; {INSTALL_TORCH}, or use the backend glsl")
     if name == "torch" or (name == "auto" and has_torch):
-        return TorchBackend(model, device, precision, correct, recent, lookahead=lookahead)
+        return TorchBackend(model, device, precision, correct, lookahead=lookahead)
     for chosen, what in ((correct, "the correction"), (lookahead, "lookahead")):
         if chosen:
             advice = "take the backend torch" if has_torch else INSTALL_TORCH
@@ -105,28 +103,19 @@ class TorchBackend:
         device: str,
         precision: str,
         correct: bool = False,
-        recent: int | None = None,
         footprint: bool = False,
         lookahead: int = 0,
     ) -> None:
-        """`recent`: frames that a network which averages light keeps, in place of its configuration's; 0 is a running
-        mean, by the same weights. `footprint`: its histories have one, of `RECALL_FRAMES` frames. `lookahead`: frames
-        that its steps will get `ahead`; networks that keep none then keep `RECALL_FRAMES`. Raises InputError where one
-        cannot."""
+        """`footprint`: the histories of a network that averages light have one, of `RECALL_FRAMES` frames. `lookahead`:
+        frames that its steps will get `ahead`; networks that keep none then keep `RECALL_FRAMES`. Raises InputError
+        where one cannot."""
         import torch
 
         from ..models import load
-        from ..models.inference import INT8, choose_device, resolve
-        from ..models.weights import read_config
+        from ..models.inference import choose_device
         from .graphs import stepper
 
         self.device = choose_device(device)
-        # Steps found on recent frames do not hold a mean that is 10⁵ times as bright as a frame whose light is out.
-        if recent == 0 and getattr(read_config(model), "recent", 0):
-            if precision == INT8:
-                raise InputError("precision int8: goes without --lights and --also; take auto")
-            if precision == "auto":
-                precision = "bf16" if resolve(precision, self.device) is torch.bfloat16 else "fp32"
         with torch.autocast(self.device, enabled=False):
             self._denoiser = load(model, self.device, precision)
         if correct and self._denoiser.config.motion is None:
@@ -136,13 +125,10 @@ class TorchBackend:
             raise InputError(f"lookahead: model {model!r} does not average light over time; choose hybrid, default, "
                              "many or fast")  # fmt: skip
         self._correct = correct
-        wanted = {} if recent is None else {"recent": recent}
         if averages:
             most = min(RECALL_FRAMES, math.ceil(self._denoiser.config.longest) - 1)  # below the longest history
-            if footprint:
-                wanted = {"recent": most, "footprint": True}
-            elif lookahead and not self._denoiser.config.recent:
-                wanted = {"recent": most}
+            wanted = {"recent": most} if footprint or (lookahead and not self._denoiser.config.recent) else {}
+            wanted |= {"footprint": True} if footprint else {}
             self._denoiser.config = replace(self._denoiser.config, **wanted)
         self._step = self._whole = stepper(self._denoiser)
         self._lookahead = lookahead
@@ -244,7 +230,7 @@ class TorchBackend:
                     before = frames[i + 1]
                     shift = shift_of(frame, before.radiance, before.depth, history.shifts[i + 1 : i + 2])
                 recent.append(kept(self.config, frame, torch.zeros_like(frame.depth), shift=shift))
-            for its, resets in zip(recent, history.recent, strict=False):  # none in a history of light in passes
+            for its, resets in zip(recent, history.recent, strict=False):
                 its[:, RECALL_RESET] |= resets[:, RECALL_RESET]
             return replace(history, noisy=frames[0].radiance, recent=tuple(recent))
 

@@ -50,7 +50,7 @@ def denoise(
     Raises InputError for anything wrong with the input, the options or the output folder.
     """
     if options.offline and (options.lights or options.also):
-        raise InputError("--lights and --also: go without --offline, which has no kernels for them")
+        raise InputError("--lights and --also: go without --offline")
     _check(options)
     if options.offline:
         from .offline import denoise_offline
@@ -70,7 +70,6 @@ def denoise(
         options.device,
         options.precision,
         options.correct,
-        recent=0 if in_passes else None,
         lookahead=options.lookahead,
     )
     notes += told_of_samples(sequence, options.samples)
@@ -168,8 +167,8 @@ def _check(options: Options) -> None:
                          "frames")  # fmt: skip
     check_samples(options.samples)
     check_lookahead(options.lookahead)
-    if options.lookahead and (options.offline or options.lights or options.also):
-        raise InputError("--lookahead: goes without --offline, which looks at all frames, --lights and --also")
+    if options.lookahead and options.offline:
+        raise InputError("--lookahead: goes without --offline, which looks at all frames")
     if options.samples and not options.correct and options.model != AUTO:
         raise InputError(f"--samples {options.samples}: goes with --correct, or without --model")
 

@@ -1,12 +1,13 @@
-"""`denoise --lights` and `--also`: a backend whose steps denoise the light of a frame in parts (`models.parts`).
+"""`denoise --lights` and `--also`: a backend whose steps denoise the light of a frame in parts.
 
-Diffuse light is divided by the diffuse colour. Gloss and transmission are divided by the denoising albedo instead,
-which follows mirrors and glass to the surface that is seen in them: with their own colours a reflected texture blurs.
+Each light is denoised as a picture of its own, by its own noise, with the surfaces of the frame. So is the whole; the
+light passes are then scaled, in each pixel alike, so that they add up to it. Emission, environment and colours have no
+noise: their edges are smoothed as the whole's (`models.noiseless`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,25 +19,26 @@ import numpy as np
 from ..data.light import LightPasses, find_light, read_light
 from ..data.light_output import write_light
 from ..data.sequences import Sequence
+from ..data.stored import OF
 from ..errors import INSTALL_TORCH, InputError
-from ..frame import NOTHING_KNOWN, Frame
+from ..frame import NOTHING_KNOWN, Frame, History
 from .backends import Backend, TorchBackend
 from .memory import explained
 from .options import Options
-from .plan import Plan, count, look, make_plan
+from .plan import Plan, count, look
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ..models.parts import Parts
     from ..models.presets import Config
 
-OWN_COLOR = "Diffuse"  # the lobe whose light is divided by its own colour
 MAX_NEGATIVE = 0.1  # of the light in a layer of `--also`; filters of some renderers have lobes below 0
 MAX_APART = 0.02  # of the mean radiance; half floats round by less than 0.001
 PICTURE = ""  # the name of the sum of all light
 BACKGROUND = "Environment"  # with a transparent film Cycles leaves it out of Combined
 GROUP = "Combined_"  # how the names of Cycles' light groups begin
+
+Histories = dict[str, History]  # of the picture, and of each light by name that was ever there in the shot
 
 
 def in_parts(sequence: Sequence, options: Options, backend: Backend) -> tuple[Backend, Any, Any]:
@@ -49,10 +51,12 @@ def in_parts(sequence: Sequence, options: Options, backend: Backend) -> tuple[Ba
         raise InputError(f"{told}: goes with --signal color, not {options.signal}")
     if options.keep:
         raise InputError(f"{told}: goes without --keep; --layout source passes every channel on")
+    if options.lights and options.layout != "source":
+        raise InputError(f"--lights: goes with --layout source, which has a place for every pass, not {options.layout}")
     passes = find_light(sequence, options.lights, options.also)
     if not isinstance(backend, TorchBackend):
         raise InputError(f"{told}: goes with --backend torch; {INSTALL_TORCH}")
-    lit = LightBackend(backend, passes, each=options.layout == "source", told=told)
+    lit = LightBackend(backend, passes, told)
     return lit, lit.read, partial(_write, passes=passes, layout=options.layout, float32=options.float32)
 
 
@@ -64,30 +68,28 @@ def _write(
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """A frame with its light in parts, and the names of their outputs."""
+class Parts:
+    """The light of a frame in parts, `[1, 3, H, W]` by name."""
 
-    frame: Frame
-    parts: Parts
-    names: tuple[str, ...]
+    lights: dict[str, Tensor]  # radiance, sanitised, each to be denoised as a picture
+    passed: dict[str, Tensor]  # without noise
     background: bool = True  # whether it is in the picture
     groups: tuple[str, ...] = ()  # the light groups, where they add up to the picture
 
 
 class LightBackend:
-    """A `Backend` around torch's. An image is a dict of `[1, 3, H, W]`: the whole, named `PICTURE`, and the passes."""
+    """A `Backend` around torch's. An image is a dict of `[1, 3, H, W]`: the picture, named `PICTURE`, and the passes; a
+    history is `Histories`."""
 
-    def __init__(self, inner: TorchBackend, passes: LightPasses, each: bool, told: str = "--lights") -> None:
-        """`each`: every pass is a result; else the picture and the layers of `also`."""
+    def __init__(self, inner: TorchBackend, passes: LightPasses, told: str = "--lights") -> None:
         from ..models.accumulated_kpn import AccumulatedKPN
 
-        self.network = inner.network
-        if type(self.network) is not AccumulatedKPN:  # `hybrid` writes pixels: not linear in the light
-            raise InputError(f"{told}: goes with --model default, many or fast, which filter irradiance")
-        if self.network.config.recent:
-            raise ValueError("light in parts needs a running mean: TorchBackend(..., recent=0)")
-        self._inner, self._passes, self._each = inner, passes, each
+        self._network = inner.network
+        if not isinstance(self._network, AccumulatedKPN):
+            raise InputError(f"{told}: goes with --model hybrid, default, many or fast, which average light")
+        self._inner, self._passes = inner, passes
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
+        self._parts: dict[int, Parts] = {}  # by number, of the frames that are prepared
         self._left_out: dict[str, int] | None = None
         self._checked = False  # whether the passes add up
 
@@ -103,157 +105,183 @@ class LightBackend:
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out
-        return make_plan(size, frames, self.network.config.motion, first, windows=False)
+        return self._inner.plan(size, frames, first, {})  # a frame counts once, whatever its parts
 
     def read(self, sequence: Sequence, index: int) -> Frame:
         """A frame; its passes are kept for `prepare`, which comes next."""
         self._stored = read_light(sequence, index, self._passes)
         return sequence.read(index)
 
-    def prepare(self, frame: Frame) -> Prepared:
+    def prepare(self, frame: Frame) -> Frame:
+        """The frame; its parts are kept for `step`."""
+        ready, passes = self._inner.prepare(frame), self._passes
+        for name in passes.also:
+            _check_sign(ready.name, name, self._stored[name])
+        stored = {name: _valid(x) for name, x in self._stored.items()}
+        stored |= {name: stored[name] * stored[name.split()[0]] for name in passes.lights}
+        picture = _valid(np.asarray(frame.radiance))
+        summands = {name: stored[name] for name in passes.summands}
+        with explained(ready.name, ready.size, self._inner.device):
+            lights = {name: self._inner.prepare(Frame(stored[name])).radiance
+                      for name in (*passes.lights, *passes.volumes, *passes.also)}  # fmt: skip
+            passed = {name: self._on_device(stored[name]) for name in (*passes.colors, *passes.passed)}
+        background = True
+        if summands:
+            apart, background = _compare_sum(picture, summands)
+            if not self._checked:
+                _check_sum(ready.name, apart, passes)
+                self._checked = True
+        groups = _whole_groups(picture, {n: stored[n] for n in passes.also if n.startswith(GROUP)})
+        self._parts[ready.number] = Parts(lights, passed, background, groups)
+        return ready
+
+    def mismatch(self, frame: Frame, history: Histories | History) -> float:
+        """As the inner backend's; `history` may be a frame's `geometry` alone."""
+        return self._inner.mismatch(frame, history if isinstance(history, History) else history[PICTURE])
+
+    def step(
+        self, frame: Frame, history: Histories | None, ahead: tuple[Frame, ...] = ()
+    ) -> tuple[dict[str, np.ndarray], Histories]:
+        found, history = self.denoise(frame, history, ahead)
+        return {name: image.cpu().numpy() for name, image in found.items()}, history
+
+    def denoise(
+        self, frame: Frame, history: Histories | None, ahead: tuple[Frame, ...] = ()
+    ) -> tuple[dict[str, Tensor], Histories]:
         import torch
 
-        ready, device = self._inner.prepare(frame), self._inner.device
-        with torch.inference_mode(), explained(ready.name, ready.size, device):
-            images = {name: torch.from_numpy(image).to(device) for name, image in self._stored.items()}
-            for name in self._passes.also:
-                _check_sign(ready.name, name, images[name])
-            images = {name: _valid(image) for name, image in images.items()}
-            noisy = torch.as_tensor(frame.radiance).to(device)
-            # Fireflies are dimmed in the parts as in the whole.
-            dimmed = torch.where(ready.radiance < noisy, ready.radiance / noisy, 1.0)
-            for name in images.keys() - self._passes.colors.keys():
-                images[name] = images[name] * dimmed
-            background, groups = True, ()
+        before, parts = history or {}, self._parts[frame.number]
+        with torch.inference_mode(), explained(frame.name, frame.size, self._inner.device):
+            picture, passed, after = self._whole(frame, parts, before.get(PICTURE), ahead)
+            found, after = passed, {PICTURE: after}
+            for name, light in parts.lights.items():
+                if name not in before and not light.any():
+                    found[name] = light
+                    continue
+                following = tuple(replace(f, radiance=self._parts[f.number].lights[name]) for f in ahead)
+                lit = replace(frame, radiance=light)
+                found[name], after[name] = self._inner.denoise(lit, before.get(name), following)
             if self._passes.lights:
-                groups = _whole_groups(ready, images, self._passes)
-                apart, background = _compare_sum(ready, images, self._passes)
-                if not self._checked:
-                    _check_sum(ready, apart, self._passes)
-                    self._checked = True
-                if not background:
-                    images[BACKGROUND] = torch.zeros_like(images[BACKGROUND])
-        return Prepared(ready, *split(images, self._passes, self._each), background, groups)
+                found, picture = self._added_up(found, picture, parts)
+            found |= _shared_out(picture, {name: found[name] for name in parts.groups})
+        self._parts = {number: kept for number, kept in self._parts.items() if number > frame.number}
+        return found | {PICTURE: picture}, after
 
-    def mismatch(self, frame: Prepared, history: Any) -> float:
-        return self._inner.mismatch(frame.frame, history)
-
-    def step(self, frame: Prepared, history: Any, ahead: tuple = ()) -> tuple[dict[str, np.ndarray], Any]:
+    def _whole(
+        self, frame: Frame, parts: Parts, history: History | None, ahead: tuple[Frame, ...]
+    ) -> tuple[Tensor, dict[str, Tensor], History]:
+        """The picture, the layers without noise, and the history."""
         import torch
 
-        from ..models.parts import step
+        from ..models import noiseless
 
-        ready, known = frame.frame, NOTHING_KNOWN
+        known = NOTHING_KNOWN
         if self._left_out is not None:
-            known = look(ready, history and history.motion_next, history is not None)
+            known = look(frame, history and history.motion_next, history is not None)
             count(self._left_out, known, keeps_means=True)
-        known = replace(known, sanitised=True)
-        with torch.inference_mode(), explained(ready.name, ready.size, self._inner.device):
-            whole, outputs, history = step(self.network, ready, frame.parts, history, known)
-            found = dict(zip(frame.names, outputs.split(3, dim=1), strict=True))
-            if PICTURE not in found:
-                lights = self._passes.summands
-                found[PICTURE] = sum(found[name] for name in lights) if lights else whole
-            found |= _shared_out(found[PICTURE], {name: found[name] for name in frame.groups})
-            if not frame.background:
-                found.pop(BACKGROUND, None)  # the layer stays as it is
-            return {name: image.cpu().numpy() for name, image in found.items()}, history
+        if not parts.passed:
+            picture, after = self._inner.denoise(frame, history, ahead)
+            return picture, {}, after
+        known = replace(known, first=known.first and not ahead, sanitised=True, ahead=ahead)
+        layers = dict(parts.passed)
+        if not parts.background:
+            layers[BACKGROUND] = torch.zeros_like(layers[BACKGROUND])
+        picture, smooth, after = noiseless.step(self._network, frame, torch.cat([*layers.values()], 1), history, known)
+        return picture, dict(zip(layers, smooth.split(3, dim=1), strict=True)), after
 
-    def denoise(self, frame: Prepared, history: Any, ahead: tuple = ()) -> tuple[dict[str, np.ndarray], Any]:
-        return self.step(frame, history)
+    def _added_up(
+        self, found: dict[str, Tensor], picture: Tensor, parts: Parts
+    ) -> tuple[dict[str, Tensor], Tensor]:
+        """The passes with lights scaled towards the picture, and the picture that is their sum: that picture, but where
+        emission or environment are part of it."""
+        import torch
 
-    def save(self, history: Any) -> dict[str, np.ndarray]:
-        return self._inner.save(history)
+        total = _sum(found[name] for name in self._passes.summands)
+        scale = torch.where(total > 0, picture / total, 1)
+        lit = {name: scale * found[name] for name in (*self._passes.lights, *self._passes.volumes)}
+        found = found | lit
+        picture = _sum(found[name] for name in self._passes.summands)
+        if not parts.background:
+            del found[BACKGROUND]  # the layer stays as it is
+        return found, picture
 
-    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
-        return self._inner.restore(fields)
+    def save(self, history: Histories) -> dict[str, np.ndarray]:
+        fields = self._inner.save(history[PICTURE])
+        for place, name in enumerate(self._streams):
+            if name in history:
+                fields |= {f"{place}{OF}{field}": x for field, x in self._inner.save(history[name]).items()}
+        return fields
 
-    def remember(self, history: Any, frames: SequenceOf[Prepared]) -> Any:
-        return self._inner.remember(history, [prepared.frame for prepared in frames])
+    def restore(self, fields: Mapping[str, np.ndarray]) -> Histories:
+        kept: dict[str, dict[str, np.ndarray]] = {}
+        streams = dict(enumerate(self._streams))
+        for name, array in fields.items():
+            place, _, field = name.rpartition(OF)
+            kept.setdefault(streams[int(place)] if place else PICTURE, {})[field] = array
+        return {name: self._inner.restore(of_it) for name, of_it in kept.items()}
 
+    def remember(self, history: Histories, frames: SequenceOf[Frame]) -> Histories:
+        remembered = {}
+        for name, its in history.items():
+            seen = [frame if name == PICTURE else replace(frame, radiance=self._parts[frame.number].lights[name])
+                    for frame in frames[: len(its.recent) + 1]]  # fmt: skip
+            remembered[name] = self._inner.remember(its, seen)
+        return remembered
 
-def split(images: dict[str, Tensor], passes: LightPasses, each: bool) -> tuple[Parts, tuple[str, ...]]:
-    """The parts to denoise, from the passes of a frame `[1, 3, H, W]` by name, and the names of their outputs. `each`:
-    an output for every pass, else one for their sum."""
-    import torch
+    @property
+    def _streams(self) -> list[str]:
+        return [*self._passes.lights, *self._passes.volumes, *self._passes.also]
 
-    from ..models.parts import ALBEDO, Output, Parts
+    def _on_device(self, image: np.ndarray) -> Tensor:
+        import torch
 
-    radiance = {name: images[name] * images[lobe] for name in passes.lights if (lobe := name.split()[0]) != OWN_COLOR}
-    own = [name for name in passes.lights if name not in radiance]
-    lights: dict[str, tuple[Tensor, int | None]] = {}
-    passed: dict[str, Tensor] = {}
-    outputs: dict[str, Output] = {}
-    if each:
-        passed = {name: images[name] for name in (*passes.colors, *passes.passed)}
-        color = list(passed).index(OWN_COLOR) if own else None
-        lights = {
-            name: (radiance[name], ALBEDO) if name in radiance else (images[name], color) for name in passes.lights
-        }
-        lights |= {name: (images[name], None) for name in passes.volumes}
-        outputs = {name: Output(lights=(i,)) for i, name in enumerate(lights)}
-        outputs |= {name: Output(passed=(i,)) for i, name in enumerate(passed)}
-    elif passes.lights:
-        passed = {OWN_COLOR: images[OWN_COLOR], "rest": _sum(images[name] for name in passes.passed)}
-        lights = {"own": (_sum(images[name] for name in own), 0), "other": (_sum(radiance.values()), ALBEDO)}
-        if passes.volumes:
-            lights["volume"] = (_sum(images[name] for name in passes.volumes), None)
-        outputs = {PICTURE: Output(tuple(range(len(lights))), (1,))}
-    outputs |= {name: Output(lights=(len(lights) + i,)) for i, name in enumerate(passes.also)}
-    lights |= {f"also {name}": (images[name], ALBEDO) for name in passes.also}
-    light, colors = zip(*lights.values(), strict=True)
-    nothing = light[0][:, :0]
-    parts = Parts(torch.cat(light, 1), torch.cat([nothing, *passed.values()], 1), colors, tuple(outputs.values()))
-    return parts, tuple(outputs)
+        return torch.from_numpy(image).to(self._inner.device)
 
 
-def _compare_sum(frame: Frame, images: dict[str, Tensor], passes: LightPasses) -> tuple[float, bool]:
-    """How far the passes are from the picture, as a share of its mean, and whether they come nearer to it with the
-    background than without."""
-    total = _sum(images[n] * images[n.split()[0]] if n in passes.lights else images[n] for n in passes.summands)
-    mean = frame.radiance.mean().clamp(min=1e-12)
-    whole, bare = (((x - frame.radiance).abs().mean() / mean).item() for x in (total, total - images[BACKGROUND]))
+def _compare_sum(picture: np.ndarray, summands: dict[str, np.ndarray]) -> tuple[float, bool]:
+    """How far the passes are from the noisy picture, as a share of its mean, and whether they come nearer to it with
+    the background than without."""
+    total = _sum(summands.values())
+    mean = max(float(picture.mean()), 1e-12)
+    whole, bare = (float(np.abs(x - picture).mean()) / mean for x in (total, total - summands[BACKGROUND]))
     return min(whole, bare), whole <= bare
 
 
-def _check_sum(frame: Frame, apart: float, passes: LightPasses) -> None:
+def _check_sum(name: str, apart: float, passes: LightPasses) -> None:
     """Raise InputError where the passes do not add up to the picture."""
     if apart > MAX_APART:
         advice = "" if passes.volumes else "are there volumes? switch on View Layer > Passes > Light > Volume, or "
-        raise InputError(f"{frame.name}: --lights: the light passes do not add up to the picture, {100 * apart:.0f} % "
+        raise InputError(f"{name}: --lights: the light passes do not add up to the picture, {100 * apart:.0f} % "
                          f"is missing or too much; {advice}leave --lights out")  # fmt: skip
 
 
-def _check_sign(frame: str, name: str, image: Tensor) -> None:
+def _check_sign(frame: str, name: str, image: np.ndarray) -> None:
     """Raise InputError for a layer that is no light: much of it is negative."""
-    finite = image.nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
-    if (share := (finite.clamp(max=0).mean() / -finite.abs().mean()).item()) > MAX_NEGATIVE:  # black: NaN
+    finite = np.nan_to_num(image, nan=0, posinf=0, neginf=0)
+    if (share := float(-finite.clip(max=0).sum() / max(np.abs(finite).sum(), 1e-30))) > MAX_NEGATIVE:
         raise InputError(f"{frame}: --also {name}: {100 * share:.0f} % of it is negative, and light never is: leave it "
                          "out")  # fmt: skip
 
 
-def _whole_groups(frame: Frame, images: dict[str, Tensor], passes: LightPasses) -> tuple[str, ...]:
+def _whole_groups(picture: np.ndarray, groups: dict[str, np.ndarray]) -> tuple[str, ...]:
     """The light groups, if they add up to the picture; else none."""
-    groups = tuple(name for name in passes.also if name.startswith(GROUP))
-    apart = (sum(images[name] for name in groups) - frame.radiance).abs().mean()
-    return groups if groups and apart <= MAX_APART * frame.radiance.mean() else ()
+    apart = np.abs(_sum(groups.values()) - picture).mean() if groups else np.inf
+    return tuple(groups) if apart <= MAX_APART * picture.mean() else ()
 
 
 def _shared_out(picture: Tensor, groups: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The groups, scaled so that they add up to the picture: the sum of denoised passes is not quite that of groups."""
+    """The groups, scaled so that they add up to the picture: the sum of denoised pictures is not quite the whole."""
     import torch
 
     total = sum(groups.values())
     return {name: torch.where(total > 0, x / total, 1 / len(groups)) * picture for name, x in groups.items()}
 
 
-def _sum(images) -> Tensor:
+def _valid(image: np.ndarray) -> np.ndarray:
+    """Finite and not negative."""
+    return np.nan_to_num(image, nan=0, posinf=0, neginf=0).clip(0)
+
+
+def _sum(images: Iterable[Any]) -> Any:
     first, *others = images
     return sum(others, first)
-
-
-def _valid(image: Tensor) -> Tensor:
-    """Finite and not negative, as `sanitise` makes radiance."""
-    import torch
-
-    return torch.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).clamp(min=0)

@@ -28,8 +28,8 @@ class Options:
     model: str = AUTO
     """The network: 'hybrid', 'hybrid-many', 'hybrid-fast', 'hybrid-large', 'hybrid-large-many', 'default', 'many',
     'fast', 'paper', or a .safetensors file that `rtdenoise train` wrote. 'auto': 'hybrid', and from 4 samples a pixel
-    on, where their number is known or noise is little, 'hybrid-many'. With glsl, --offline, --correct, --lights and
-    --also 'default' and 'many', which take less than half of the time."""
+    on, where their number is known or noise is little, 'hybrid-many'. With glsl, --offline and --correct 'default' and
+    'many', which take less than half of the time."""
     preset: str = "auto"
     """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
     file."""
@@ -39,10 +39,10 @@ class Options:
     recombine: bool = False
     """Add the rest of the light to the denoised signal: the result is the beauty."""
     lights: bool = False
-    """Denoise every light pass that Blender's Cycles split, each divided by its own colour, and add them up; with
-    --layout source every pass is replaced."""
+    """With --layout source: denoise every light pass that Blender's Cycles split, each as a picture of its own; the
+    picture is their sum."""
     also: tuple[str, ...] = ()
-    """Additive layers (light groups, AOVs) to denoise by the kernels of the picture, by name."""
+    """Additive layers (light groups, AOVs) to denoise beside the picture, by name."""
     keep: tuple[str, ...] = ()
     """Layers of the input to copy into the output ('albedo', 'depth' ...), or 'all'."""
     float32: bool = False
