@@ -76,6 +76,7 @@ MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel
 
 # The input of a network that writes pixels (`models.hybrid`).
 PIXELS_LIGHT = 0.4  # what light of a frame's brightness becomes (OIDN's auto-exposure: about a third)
+PIXELS_GREY = 0.06  # share of its mean over colours that light gets: these networks know no pure colours
 PIXELS_UNIT = 0.06145  # of compressed light, as OIDN has it
 # OIDN's curve for light y (`ops.lift`), PU(y): A y up to Y0, B yᶜ + D up to Y1, E log(y + F) + G beyond.
 PU_A, PU_B, PU_C, PU_D = 1412.83765, 1.64593172, 0.431384981, -0.00294139609

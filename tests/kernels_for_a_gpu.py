@@ -108,9 +108,9 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
     build(even_sky._blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
     build(even_sky._even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)
-    curve = dict.fromkeys("ABCDEFS", "fp32")
-    build(_lift, dict(BLOCK=512), count="i32", **curve, Y0="fp32", Y1="fp32")
-    build(_lower, dict(BLOCK=512), count="i32", **curve, X0="fp32", X1="fp32")
+    curve = dict.fromkeys("GABCDEFS", "fp32")
+    build(_lift, flat[0], **flat[1], **curve, Y0="fp32", Y1="fp32")
+    build(_lower, flat[0], **flat[1], **curve, X0="fp32", X1="fp32")
     build(_dim, dict(BLOCK=128, **one), limit="fp32", **sizes)
     for side, rows, count, wide in ((8, 8, 16, 8), (3, 4, 32, 4)):
         build(_block_luminance, dict(SIDE=side, ROWS=rows, COUNT=count, WIDE=wide, **one), **sizes)

@@ -269,6 +269,15 @@ for behind, where in ((0.0, "before nothing"), (1e-4, "before a wall of 1e-4")):
         return max(abs(image[..., 10:14, 18:22].mean().item() - 1) for image in images)
 
 
+@case("light of one primary colour", "its brightness stays", "relative", 0.1, whole=0.15)
+def _(subject: Subject) -> float:
+    frames, found = still(4, 1.0), []
+    for colour in torch.eye(3).view(3, 1, 3, 1, 1):
+        image = subject.play([replace(frame, radiance=frame.radiance * colour) for frame in frames])[-1]
+        found.append(abs(image.mean().item() / (frames[0].reference * colour).mean().item() - 1))
+    return max(found)
+
+
 @case("1 % fireflies of 1e4", "none of their light is lost: they are the noise", "share of the light cut", 0.0)
 def _(subject: Subject) -> float:
     frames = [_salted(frame, 0.01, 1e4) for frame in scene(3)]

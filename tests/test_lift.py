@@ -26,18 +26,31 @@ def oidns(y):
 def test_its_logarithm_is_oidns_curve(choice):
     light = [0.0, 1e-9, 1.5e-6, 1.6e-6, 1e-4, 0.03, 0.0322, 0.0323, 0.5, 7.0, 1e6]
     with use(choice):
-        found = lift(torch.tensor(light).reshape(1, 1, 1, -1)).double().log1p().flatten()
-    torch.testing.assert_close(found, torch.tensor([oidns(y) for y in light]).double(), rtol=1e-5, atol=1e-9)
+        found = lift(torch.tensor(light).expand(1, 3, 1, -1)).double().log1p()
+    expected = torch.tensor([oidns(y) for y in light]).double().expand(1, 3, 1, -1)
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-9)
 
 
 @pytest.mark.parametrize("choice", CHOICES)
 def test_it_rises_and_comes_back(choice):
-    light = torch.cat([torch.zeros(1), torch.logspace(-12, 30, 5000)]).reshape(1, 1, 1, -1)
+    light = torch.cat([torch.zeros(1), torch.logspace(-12, 30, 5000)]).expand(1, 3, 1, -1)
     with use(choice):
         lifted = lift(light)
         back = lower(lifted)
-    assert (lifted[..., 1:] > lifted[..., :-1]).all() and lifted[..., 0] == 0 and back[..., 0] == 0
+    assert (lifted[..., 1:] > lifted[..., :-1]).all() and not lifted[..., 0].any() and not back[..., 0].any()
     torch.testing.assert_close(back, light, rtol=5e-6, atol=0)
+
+
+@pytest.mark.parametrize("choice", CHOICES)
+def test_a_pure_colour_comes_back_and_is_never_pure_to_the_network(choice):
+    light = torch.eye(3).reshape(3, 3, 1, 1) * torch.logspace(-6, 8, 300)
+    with use(choice):
+        lifted = lift(light)
+        back = lower(lifted)
+    assert (lifted > 0).all() and (lifted.amin(1) < lifted.amax(1)).all()
+    brightest = light.amax(1, keepdim=True)
+    torch.testing.assert_close(back / brightest, light / brightest, rtol=1e-5, atol=1e-6)
+    assert (back >= 0).all()
 
 
 def test_gradients_go_through():

@@ -2,8 +2,9 @@
 // The least and the greatest light of two pictures in each cell, for `written`; one work group per cell.
 #include "around.glsl"
 #include "extremes.glsl"
+#include "grey.glsl"
 
-#pragma reads vec4 even, vec4 denoised  // [H, W]
+#pragma reads vec4 even, vec4 denoised  // [H, W] with grey in it, without
 #pragma writes vec4 bounds              // [2, ⌈H/AROUND_CELL⌉, ⌈W/AROUND_CELL⌉] least, greatest
 
 void main() {
@@ -12,8 +13,9 @@ void main() {
     low[lane] = vec3(3e38);
     high[lane] = vec3(0.0);
     if (inside(pixel, size)) {
-        low[lane] = min(even[i].rgb, denoised[i].rgb);
-        high[lane] = max(even[i].rgb, denoised[i].rgb);
+        vec3 grey = greyed(denoised[i].rgb);
+        low[lane] = min(even[i].rgb, grey);
+        high[lane] = max(even[i].rgb, grey);
     }
     reduce_extremes(lane);
     if (lane == 0) {

@@ -13,7 +13,7 @@
 #pragma reads vec4 denoised        // [image_size] the kernels' picture
 #pragma reads vec4 cells           // of `hybrid/cells`
 #pragma reads float statistics     // [2] exposure, ·
-#pragma writes vec4 even           // [image_size] the light that is filtered
+#pragma writes vec4 even           // [image_size] the light that is filtered, with grey in it
 #pragma writes FOUR result         // [3, size]
 
 void main() {
@@ -38,6 +38,7 @@ void main() {
         float share = 1.0 - (1.0 - MIX_SEEN_ONCE) * albedo.w * once * clamp(most - 1.0, 0.0, 1.0);
         rgb = mix(denoised[i].rgb, rgb, share);
     }
+    rgb = greyed(rgb);
     even[i] = vec4(rgb, 1.0);
     result[o] = packed_four(vec4(PIXELS_UNIT * compressed(lifted(PIXELS_LIGHT * statistics[0] * rgb)), colour.r));
     result[o + area] = packed_four(vec4(colour.gb, normal.xy));

@@ -38,7 +38,7 @@ void main() {
         int i = at(pixel, size);
         vec3 wrote = unpacked(compressed_light[in_group(0, pixel, padded)]).rgb;
         vec3 p = denoised[i].rgb, lit = lowered(expanded(wrote / PIXELS_UNIT)) / (PIXELS_LIGHT * statistics[0]);
-        vec3 q = within(pixel, lit);
+        vec3 q = coloured(within(pixel, lit));
         vec3 y = light[i].rgb * divisor(guide[i]), m = mix(q, p, USUAL);
         float relative = statistics[0] / (statistics[0] * (m.r + m.g + m.b) / 3.0 + MIX_DARK);
         vec3 apart = relative * (p - q), left = min(relative * (y - q), MIX_LARGEST);

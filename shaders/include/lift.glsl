@@ -1,6 +1,8 @@
-// The curve on which networks that write pixels see light, and its inverse (ops.lift): log(1 + lifted(y)) is OIDN's, in its unit.
+// The curve on which networks that write pixels see light, and its inverse (ops.lift): log(1 + lifted(y)) is OIDN's, in its unit,
+// of light with some grey in it: lifted(greyed(light)), coloured(lowered(x)).
 #pragma constants PU_A PU_B PU_C PU_D PU_E PU_F PU_G PU_Y0 PU_Y1 PU_X0 PU_X1
 #include "curve.glsl"
+#include "grey.glsl"
 
 vec3 lifted(vec3 light) {
     float slope = exp(PU_G / PU_E);

@@ -11,6 +11,7 @@ from ... import constants
 from .compiler import library, pointer
 
 CURVE = {name: getattr(constants, name) for name in dir(constants) if name.startswith("PU_")}
+CURVE["GREY"] = constants.PIXELS_GREY
 
 
 def lift(light: Tensor) -> Tensor:
@@ -22,8 +23,8 @@ def lower(lifted: Tensor) -> Tensor:
 
 
 def _applied(name: str, x: Tensor) -> Tensor:
-    x = x.contiguous()
+    x, (B, _, H, W) = x.contiguous(), x.shape
     out = torch.empty_like(x)
     run = getattr(library("lift", **CURVE), name)
-    run(pointer(x), pointer(out), c_int64(x.numel()), torch.get_num_threads())
+    run(pointer(x), pointer(out), B, c_int64(H * W), torch.get_num_threads())
     return out
