@@ -23,7 +23,7 @@ from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.models import HybridConfig, create, grow, hybrid, load, read, save
 from rtdenoise.models.accumulated_kpn import AccumulatedKPN
 from rtdenoise.models.past import reprojected, seen
-from rtdenoise.models.pixel_network import PixelNetwork
+from rtdenoise.models.pixel_network import PixelNetwork, written
 from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes
 from rtdenoise.ops.around import expand_within
@@ -227,6 +227,16 @@ def test_written_pixels_stay_within_the_light_around_them(model, monkeypatch):
     least, most = (expand_within(torch.full_like(light, x), light, image) for x in (0.0, 30.0))
     assert (least <= light.minimum(image)).all() and (most >= light.maximum(image)).all()
     assert (most[..., 16:, 48:] == 9).all() and most[..., :16, :].max() < 1 and most[..., :48].max() < 1
+
+
+def test_light_that_a_network_cannot_write_is_the_kernels():
+    """Of a network that writes 100, and can write no more."""
+    exposure, radiance = torch.full((1, 1, 1, 1), 0.5), torch.full((1, 3, 8, 8), 100.0)
+    for brightness, share in ((199.0, 0.0), (200 * 3**0.5, 0.5), (600.0, 1.0), (1e9, 1.0)):
+        image = torch.full_like(radiance, brightness)
+        found = written(lambda lit: lit.log1p(), radiance, image, exposure, greatest=100.0)
+        torch.testing.assert_close(found, torch.lerp(radiance, image, share), rtol=1e-4, atol=0)
+        assert torch.allclose(written(lambda lit: lit.log1p(), radiance, image, exposure), radiance, rtol=1e-4)
 
 
 @pytest.mark.parametrize("config", [SMALL, CLEAN], ids=["small", "clean"])

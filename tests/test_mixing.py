@@ -38,17 +38,6 @@ def test_a_previous_picture_far_from_the_mixture_counts_as_a_nearer_one():
     torch.testing.assert_close(found[1].log1p() - image.log1p(), image.log1p() - found[3].log1p(), rtol=1e-3, atol=1e-6)
 
 
-def test_light_that_no_network_writes_is_the_kernels():
-    """Written pixels end at some thousand times a frame's brightness, whatever the trust in the kernels."""
-    one = torch.ones(1, 1, 1, 1)
-    for light, kernels_alone in ((1e2, False), (1e5, True), (1e12, True)):
-        image, picture = (torch.full((1, 3, 8, 8), light * x) for x in (1.0, 0.5))
-        for trust in (0.0, 1.0):
-            found = mix(image, picture, one, trust, image)
-            assert torch.allclose(found, image, rtol=1e-5) == kernels_alone
-        assert torch.allclose(mix(image, picture, one, 0.0, image), image if kernels_alone else picture, rtol=1e-5)
-
-
 def told(noisy, first, other, usual=0.4):
     return share_told(noisy, first, other, torch.ones(1, 1, 1, 1), usual)
 

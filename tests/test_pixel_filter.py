@@ -71,3 +71,16 @@ def test_tiles_are_the_whole(own, monkeypatch, frame):
     seen = []
     in_tiles(lambda x: (seen.append(x.shape) or x,), 40, torch.rand(1, 3, 300, 300))
     assert len(seen) == 9 and max(max(shape[2:]) for shape in seen) <= 128 + 2 * 64
+
+
+@pytest.mark.parametrize("precision", ["fp32", "int8"])
+def test_a_lamp_keeps_its_light(precision):
+    """Bytes end at some five thousand times a frame's brightness."""
+    light, normal = torch.full((1, 3, 96, 96), 1e-5), torch.zeros(1, 3, 96, 96)
+    light[..., 40:56, 40:56] = 1.0
+    torch.manual_seed(0)
+    noisy = light * torch.empty(1, 1, 96, 96).exponential_()
+    image = PixelFilter(precision=precision).step(Frame(noisy, torch.full_like(light, 0.5), normal, light[:, :1]))[0]
+    middle = image[..., 42:54, 42:54], noisy[..., 42:54, 42:54]
+    assert middle[0].mean().item() == pytest.approx(middle[1].mean().item(), rel=0.2)
+    assert image[..., :20, :].mean().item() == pytest.approx(1e-5, rel=0.2)

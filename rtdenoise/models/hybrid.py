@@ -56,7 +56,9 @@ class Hybrid(AccumulatedKPN):
             if not self.config.many:
                 radiance = evened(radiance, after.footprint_count, image, trust)
             held, tells = held_and_tells(held, image.dtype)
-        pixels = written(lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure)
+        pixels = written(
+            lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure, self.pixels.greatest
+        )
 
         before, shares = None if self.config.many else past.output, self.config.shares
         shown = mix(image, pixels, known.exposure, trust, shares, before, held, frame.radiance, tells)

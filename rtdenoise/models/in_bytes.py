@@ -72,6 +72,8 @@ class PixelUNetInBytes(PixelUNet):
 class PixelNetworkInBytes(PixelUNetInBytes, PixelNetwork):
     """A `PixelNetwork` without gradients."""
 
+    greatest = 1500.0  # bytes end where features of the brightest calibration frames did: some 5000
+
     def __init__(self, network: PixelNetwork, stored: Stored, config: HybridConfig) -> None:
         layers = layout(config)
         super().__init__(network, PIXELS, layers, stored)

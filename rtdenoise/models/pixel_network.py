@@ -5,6 +5,7 @@ They are those of Open Image Denoise (Áfra 2019-2025, Apache License 2.0), with
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import islice
 
@@ -18,10 +19,13 @@ from ..ops.around import expand_within
 from ..ops.features import features, filled
 from ..ops.lift import lift, lower
 from ..ops.max_pool import max_pool
+from ..ops.pixels import within
 from ..ops.to_planes import to_planes
 from .hybrid_config import HybridConfig, PixelShape
 from .inference import as_weights
 from .unet import ConvRelu, Up
+
+FADED = 3.0  # times the greatest light that a network writes: from there on another picture shows alone
 
 
 class PixelUNet(nn.Module):
@@ -59,6 +63,8 @@ class PixelNetwork(PixelUNet):
     """From a picture's light and surfaces to its light without noise. The networks that filter albedo and normal before
     it get no gradient: training leaves them as they are."""
 
+    greatest = math.inf  # light, in units of a frame's brightness, that it can write
+
     def __init__(self, config: HybridConfig) -> None:
         super().__init__(config.pixels)
         self.surfaces = nn.ModuleDict({name: PixelUNet(shape) for name, shape in config.surfaces.items()})
@@ -88,14 +94,21 @@ class PixelNetwork(PixelUNet):
         return features((lit,), guides, lit.new_ones(len(lit), 1, 1, 1), self.last.weight, PIXELS_UNIT, lanes)
 
 
-def written(write: Callable[[Tensor], Tensor], radiance: Tensor, other: Tensor, exposure: Tensor) -> Tensor:
+def written(
+    write: Callable[[Tensor], Tensor], radiance: Tensor, other: Tensor, exposure: Tensor, greatest: float = math.inf
+) -> Tensor:
     """The light that a network makes of `radiance`, `[B, 3, H, W]`, between the least and the greatest of it and of
     the picture `other` around each pixel. `write` takes that light on OIDN's curve (`ops.lift`), and returns what
-    `PixelNetwork` does."""
+    `PixelNetwork` does. Where `other` is brighter than `greatest`, in units of a frame's brightness, it shows more and
+    more, and alone from `FADED` times that on."""
     scale = PIXELS_LIGHT * exposure
     lit = lift(scale * radiance)
     around = lit if other is radiance else lift(scale * other)
-    return lower(expand_within(write(lit), lit, around)) / scale
+    light = lower(expand_within(write(lit), lit, around)) / scale
+    if math.isinf(greatest) or within(other, 0.0, (greatest / exposure).min().item()):
+        return light
+    beyond = (exposure * other / greatest).clamp(1, FADED).log() / math.log(FADED)
+    return torch.lerp(light, other, beyond)
 
 
 def as_color(normal: Tensor) -> Tensor:

@@ -2,16 +2,12 @@
 
 With f(x) = log(1 + x), exposure s, the previous picture where each pixel was (`before`) and the trust t in history,
 
-    a' = max(t a, clamp((f(s · first) - BRIGHT) / (BLINDING - BRIGHT), 0, 1))
-    mixed = a' · f(s · first) + (1 - a') · f(s · other)
+    mixed = t a · f(s · first) + (1 - t a) · f(s · other)
     image = f⁻¹(mixed + t h b · clamp(f(s · before) - mixed, -FAR, FAR)) / s
 
 with the shares a and b, and h = 1 where there is such a previous picture, else 0 (`held`). Where the noisy frame is
 known, a is what it tells (`share_told`): the more samples a pixel, the more that is. Where it tells of other pixels, a
 is that, but not more than usual and not less than the last share.
-
-Networks that write pixels end at light of some thousand times a frame's brightness, and write lamps and suns beyond as
-dark as that: BRIGHT and BLINDING (`constants.MIX_BRIGHT` ...). Kernels know no such end.
 
 FAR (`constants.MIX_FAR`) bounds what the previous picture may add: a pixel that an edge partly covered then would leave
 its light on what is there now, as a faint outline behind what moves.
@@ -27,7 +23,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..color import compress, expand
-from ..constants import MIX_BLINDING, MIX_BRIGHT, MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
+from ..constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
 from .dispatch import Fused, Support, falls_back
 
 IMAGES = dict.fromkeys(("first", "other", "before", "noisy"), (3,)) | dict.fromkeys(("trust", "held", "tells"), (1,))
@@ -58,9 +54,7 @@ def mix(
     if noisy is not None:
         told = share_told(noisy, first, other, scale, share)
         share = torch.lerp(told.clamp(shares[2], share), told, tells)
-    bright = shown(first)
-    beyond = ((bright - MIX_BRIGHT) / (MIX_BLINDING - MIX_BRIGHT)).clamp(0, 1)
-    mixed = torch.lerp(shown(other), bright, torch.maximum(trust * share, beyond))
+    mixed = torch.lerp(shown(other), shown(first), trust * share)
     if before is not None:
         mixed = mixed + trust * shares[1] * held * (shown(before) - mixed).clamp(-MIX_FAR, MIX_FAR)
     return expand(mixed) / scale

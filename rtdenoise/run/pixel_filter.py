@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from ..exposure import exposure
 from ..frame import Frame
@@ -16,6 +18,7 @@ from ..models.loading import load
 from ..models.pixel_network import written
 
 MODEL = "hybrid-large"
+AROUND = 5  # pixels of that mean along either axis
 TILE = 1024  # pixels, a multiple of `CELL`: larger pictures are filtered in tiles, so that memory is bounded
 
 
@@ -40,7 +43,10 @@ class PixelFilter:
         def write(lit: Tensor) -> Tensor:
             return in_tiles(lambda *x: (self._network.write(*x),), self._reach, lit, frame.albedo, frame.normal)[0]
 
-        return written(write, frame.radiance, frame.radiance, exposure(frame.radiance)), None
+        other = frame.radiance
+        if self._network.greatest < math.inf:  # in bytes: of light beyond a mean shows
+            other = F.avg_pool2d(other, AROUND, stride=1, padding=AROUND // 2, count_include_pad=False)
+        return written(write, frame.radiance, other, exposure(frame.radiance), self._network.greatest), None
 
 
 def in_tiles(run: Callable[..., tuple[Tensor, ...]], reach: int, *layers: Tensor) -> tuple[Tensor, ...]:

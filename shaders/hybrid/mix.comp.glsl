@@ -1,6 +1,6 @@
 #version 430
 // The kernels' picture, the written one and the previous one as one picture (ops.mix).
-#pragma constants USUAL BEFORE LEAST MIX_BRIGHT MIX_BLINDING MIX_CELL MIX_FAR MIX_NOISE
+#pragma constants USUAL BEFORE LEAST MIX_CELL MIX_FAR MIX_NOISE
 #include "around.glsl"
 #include "curve.glsl"
 #include "past.glsl"
@@ -50,9 +50,7 @@ void main() {
     float noise = sums.z + MIX_NOISE, trust = seen[i + plane].w, held = has_history(past[i]) ? 1.0 : 0.0;
     float told_share = clamp((USUAL * noise + sums.x) / (noise + sums.y), 0.0, 1.0);
     float share = mix(clamp(told_share, LEAST, USUAL), told_share, tells(pixel, held)), scale = statistics[0];
-    vec3 first = compressed(scale * max(denoised[i].rgb, 0.0));
-    vec3 beyond = min((first - MIX_BRIGHT) / (MIX_BLINDING - MIX_BRIGHT), 1.0);
-    vec3 mixed = mix(compressed(scale * written[i].rgb), first, max(vec3(trust * share), beyond));
+    vec3 mixed = mix(compressed(scale * written[i].rgb), compressed(scale * max(denoised[i].rgb, 0.0)), trust * share);
     mixed += trust * BEFORE * held * clamp(compressed(scale * past[i].rgb) - mixed, -MIX_FAR, MIX_FAR);
     vec3 rgb = expanded(mixed) / scale;
     denoised[i] = vec4(rgb, 1.0);

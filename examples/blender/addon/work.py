@@ -17,7 +17,6 @@ import bpy
 from .process import Stage, Trouble, is_writable, last_line
 
 JOB, COPY, UNFINISHED = "job.json", "job.blend", "unfinished.exr"
-MANY = 4  # samples a pixel from which the network for many is better
 RENDERER = Path(__file__).with_name("render_frames.py")
 
 
@@ -41,10 +40,9 @@ class Work:
     @property
     def arguments(self) -> list[str]:
         """Of rtdenoise."""
-        model = ["--model", "many"] if self.samples >= MANY else []
         how = ["--offline"] if self.light == "BEST" else ["--lights", *(("--also", *self.also) if self.also else ())]
         return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}",
-                "--layout", "source", "--progress", "lines", *how, *model]  # fmt: skip
+                "--layout", "source", "--progress", "lines", *how]  # fmt: skip
 
 
 def folder_of(scene: bpy.types.Scene) -> Path:

@@ -1,5 +1,5 @@
-// One picture of two, and of the previous one. The specification is ops/mix.py; BRIGHT, BLINDING, CELL, DARK, FAR, LARGEST and
-// NOISE are those of constants.py.
+// One picture of two, and of the previous one. The specification is ops/mix.py; CELL, DARK, FAR, LARGEST and NOISE are those of
+// constants.py.
 #include "common.h"
 #include "expm1.h"
 #include "log1p.h"
@@ -90,8 +90,7 @@ static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int
 #pragma omp simd
     for (int x = 0; x < j.W; x++) {
         float p = log1p_positive(scale * MAX(first[x], 0)), q = log1p_positive(scale * MAX(other[x], 0));
-        float beyond = MIN((p - (float)BRIGHT) / (float)(BLINDING - BRIGHT), 1);
-        float mixed = lerp(q, p, MAX(trust[x] * share[x], beyond));
+        float mixed = lerp(q, p, trust[x] * share[x]);
         if (has_before) {
             float apart = log1p_positive(scale * MAX(before[x], 0)) - mixed;
             mixed += trust[x] * part * held[x] * MIN(MAX(apart, -(float)FAR), (float)FAR);

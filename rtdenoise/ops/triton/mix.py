@@ -7,7 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import MIX_BLINDING, MIX_BRIGHT, MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
+from ...constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
 from .common import BLOCK, grid, lerp, of_images, place
 from .curve import compressed, expanded
 
@@ -71,8 +71,7 @@ def _between_cells(told, low_i, low_j, f, g, h, w, exists):
 
 @triton.jit
 def _mix(first, other, scale, trust, before, held, told, tells, out, H, W, usual, share_before, lowest, smallest,
-         bright, blinding, far, BEFORE: tl.constexpr, TOLD: tl.constexpr, CELL: tl.constexpr,
-         BLOCK: tl.constexpr):  # fmt: skip
+         far, BEFORE: tl.constexpr, TOLD: tl.constexpr, CELL: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
     at, s = y * W + x, tl.load(scale + b)
@@ -96,8 +95,7 @@ def _mix(first, other, scale, trust, before, held, told, tells, out, H, W, usual
         here = (b * 3 + c) * plane + at
         p = compressed(s * tl.maximum(tl.load(first + here, mask=exists, other=0.0), 0.0))
         q = compressed(s * tl.maximum(tl.load(other + here, mask=exists, other=0.0), 0.0))
-        beyond = tl.minimum((p - bright) / (blinding - bright), 1.0)
-        mixed = lerp(q, p, tl.maximum(share, beyond))
+        mixed = lerp(q, p, share)
         if BEFORE:
             weight = trusted * share_before * tl.load(held + b * plane + at, mask=exists, other=0.0)
             past = compressed(s * tl.maximum(tl.load(before + here, mask=exists, other=0.0), 0.0))
@@ -130,6 +128,6 @@ def mix(
     constants = {"BEFORE": before is not first, "TOLD": noisy is not None, "CELL": MIX_CELL, "BLOCK": BLOCK}
     _mix[grid(B, H, W)](
         first, other, scale, trust, before, held, told, trust if tells is None else tells, out, H, W, *shares,
-        MIX_NOISE, MIX_BRIGHT, MIX_BLINDING, MIX_FAR, **constants,
+        MIX_NOISE, MIX_FAR, **constants,
     )  # fmt: skip
     return out
