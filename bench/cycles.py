@@ -54,6 +54,7 @@ OF_LIGHTS = {
         lights=True, layout="source", float32=True, model="default"
     ),
 }
+FAINT = 1e-4  # of the light: passes with less are black but for some pixels
 NOISY = "as rendered"
 OFF = 0.01  # relative error of a pixel of the sky that counts
 
@@ -92,10 +93,12 @@ def row(shot: str, method: str, images: list, truth: list, scale: float, millise
 
 
 def light_rows(shot: Path, references: Sequence, scale: float) -> list[dict]:
-    """PSNR of every pass that is not black, in radiance, and of their sum."""
+    """PSNR of every pass that is not black, in radiance, and of their sum. OIDN leaves those without noise as they
+    are."""
     sequence = open_sequence(shot)
     truth = [radiances(references, i) for i in range(len(references))]
-    passes = [name for name in truth[0] if max(frame[name].max() for frame in truth) > 0]
+    light = {name: sum(frame[name].mean() for frame in truth) for name in truth[0]}
+    passes = [name for name in light if light[name] > FAINT * light["Combined"]]
     found, spent = {}, {}
     found[OIDN], spent[OIDN] = by_oidn(sequence)
     for name, how in OF_LIGHTS.items():

@@ -22,8 +22,8 @@ MODULES = (
     "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis", "missing_layers", "mltd",
     "mltd_memory", "modes", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
     "diagnosis.activity", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor",
-    "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover",
-    "diagnosis.trust", "diagnosis.where",
+    "diagnosis.extremes", "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve",
+    "diagnosis.leftover", "diagnosis.trust", "diagnosis.where",
 )  # fmt: skip
 
 
