@@ -25,13 +25,13 @@ def models_in(mode: str) -> list[str]:
 
 MODELS = {mode: models_in(mode) for mode in MODES}
 # Frames of long sequences; a CPU is slow in formats that it has not.
-FRAMES = {"float32": 60, "int8": 30} | ({"bfloat16": 30} if torch.ops.mkldnn._is_mkldnn_bf16_supported() else {})
+FRAMES = {"float32": 100, "int8": 50} | ({"bfloat16": 50} if torch.ops.mkldnn._is_mkldnn_bf16_supported() else {})
 
 
 @pytest.fixture(scope="module")
 def subjects(mode):
     """Of the models in a mode; `mode` changes once all cases are through, so no more than one mode's is remembered."""
-    return {name: Subject.of(name, mode, FRAMES.get(mode, 20)) for name in MODELS[mode]}
+    return {name: Subject.of(name, mode, FRAMES.get(mode, 30)) for name in MODELS[mode]}
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

@@ -25,12 +25,12 @@ def kth_greatest(values: Tensor, k: int) -> Tensor:
 @falls_back
 def exposure_of(means: Tensor) -> Tensor:
     """One over the mean of the lowest `BRIGHTNESS_TENTHS` of each row's values, `[B, N] -> [B, 1, 1, 1]`; that is
-    `MIN_BRIGHTNESS` at least. Values below that are black: of those only as many count as there are others, and one
-    other does at least."""
+    `MIN_BRIGHTNESS` at least. Of values that are 0 only as many count as there are others, and one other does at
+    least."""
     if means.shape[1] <= MAX_VALUES and (run := EXPOSURE_OF(means=means)):
         return run(means)
     N = means.shape[1]
-    black = (means < MIN_BRIGHTNESS).sum(dim=1, keepdim=True)
+    black = (means <= 0).sum(dim=1, keepdim=True)
     left_out = (2 * black - N).clamp(min=0)
     count = ((N - left_out) * BRIGHTNESS_TENTHS // 10).maximum(black.minimum(N - black) + 1)
     kept = torch.arange(N, device=means.device) < left_out + count

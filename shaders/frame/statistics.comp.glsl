@@ -21,7 +21,7 @@ void main() {
     if (lane == 0) black = 0u;
     barrier();
     for (int i = lane; i < count; i += GROUP_X)
-        if (value(i) < MIN_BRIGHTNESS) atomicAdd(black, 1u);
+        if (value(i) <= 0.0) atomicAdd(black, 1u);
     barrier();
     int dark = int(black), left_out = max(2 * dark - count, 0);
     int kept = max((count - left_out) * BRIGHTNESS_TENTHS / 10, min(dark, count - dark) + 1);

@@ -64,7 +64,7 @@ def _exposure_of(means, out, N, tenths, least, CHUNK: tl.constexpr):
     black = tl.full([], 0, tl.int32)
     for start in range(0, N, CHUNK):
         x, _ = _keys(means, start, N, CHUNK)
-        black += tl.sum((x < least).to(tl.int32), axis=0)
+        black += tl.sum((x <= 0).to(tl.int32), axis=0)
     left_out = tl.maximum(2 * black - N, 0)
     count = tl.maximum((N - left_out) * tenths // 10, tl.minimum(black, N - black) + 1)
     end = tl.minimum(left_out + count, N)
