@@ -17,6 +17,7 @@ from rtdenoise.data.exr import write_layers
 from rtdenoise.data.layout import OWN
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
+from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.ops import warp
 from rtdenoise.run.conventions import READINGS, Reading
 from rtdenoise.run.inspect import inspect, next_step, render_text
@@ -330,6 +331,21 @@ def test_a_cut_between_still_shots_is_no_motion(tmp_path, capsys):
     assert next_step(inspect(shot)).startswith("rtdenoise denoise")
     main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast"])
     assert "motion is zero" not in capsys.readouterr().out
+
+
+def test_a_sky_of_unknown_motion_is_no_evidence(tmp_path):
+    """The camera pans: a sky without vectors shows nothing of up and down, and its edges look moved by any reading."""
+    made = frames("horizontal")
+    for layers in made:
+        sky = np.arange(H)[:, None] + 8 * np.sin(np.arange(W) / 5) < H / 2
+        layers["albedo"] = np.where(sky[..., None], 0.0, layers["albedo"])
+        layers["depth"] = np.where(sky[..., None], 0.0, layers["depth"])
+        for name in ("motion", "motion_next"):
+            layers[name] = np.where(sky[..., None], OFF_SCREEN, layers[name])
+    found = inspect(write(tmp_path, made))
+    assert found.convention.status == "ok", found.convention.message
+    assert found.motion.unknown > 0.3 and found.motion.max < 3 and found.motion.off_screen < 0.1
+    assert "unknown in" in render_text(found)
 
 
 def test_motion_statistics(tmp_path):

@@ -20,7 +20,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..frame import Frame
+from ..frame import OFF_SCREEN, Frame
 
 MIN_MOTION = 0.25  # pixels: least motion of a compared pixel, and least difference between readings there
 MIN_CONTRAST = 0.02  # least difference between neighbours at a textured pixel, of a feature in [0, 1]
@@ -178,8 +178,8 @@ def _choose_pixels(image: Tensor, frame: Frame, most: int) -> tuple[Tensor, Tens
     texture = torch.zeros(frame.size)
     texture[:, 1:-1] += (image[0, :, :, 2:] - image[0, :, :, :-2]).abs().amax(0) / 2
     texture[1:-1] += (image[0, :, 2:] - image[0, :, :-2]).abs().amax(0) / 2
-    finite = frame.motion[0].isfinite().all(0)
-    textured = (texture > MIN_CONTRAST) & finite
+    known = (frame.motion[0].abs() < OFF_SCREEN).all(0)
+    textured = (texture > MIN_CONTRAST) & known
     length = torch.hypot(*frame.motion[0])
     moving = textured & (length > MIN_MOTION)
     if moving.sum() < 0.05 * (textured & (length > 0)).sum():  # the unit may not be pixels

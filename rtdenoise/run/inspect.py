@@ -228,7 +228,8 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
         uncovered = "unknown without motion_next and depth" if m.uncovered is None else f"{m.uncovered:.2%}"
         lines += [
             ("motion", f"mean {m.mean:.2f} px, median {m.p50:.2f}, 99 % below {m.p99:.2f}, largest {m.max:.2f}"),
-            ("", f"zero in {m.still:.1%} of the pixels, from off screen {m.off_screen:.2%}, uncovered {uncovered}"),
+            ("", f"zero in {m.still:.1%} of the pixels, from off screen {m.off_screen:.2%}, uncovered {uncovered}"
+                 + (f", unknown in {m.unknown:.1%}" if m.unknown else "")),
         ]
     if found.unmoved:
         lines.append(("", UNMOVED.format(f"frames {_shorten(found.unmoved)}")))

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..frame import Frame
+from ..frame import OFF_SCREEN, Frame
 from ..motion import dual_motion, occlusion_mask, on_screen
 from ..splat import splat_motion_next
 
 
 @dataclass(frozen=True)
 class MotionStatistics:
-    """Statistics over all pixels of the examined frames, in pixels; without non-finite motion."""
+    """Statistics over the pixels of the examined frames whose motion is known (`frame.OFF_SCREEN`), in pixels."""
 
     mean: float
     p50: float
@@ -23,13 +23,15 @@ class MotionStatistics:
     still: float  # share of pixels with zero motion
     off_screen: float  # share of pixels with a previous position outside the picture
     uncovered: float | None  # share of pixels just uncovered; None: motion_next and depth are missing
+    unknown: float  # share of all pixels whose motion is not known, such as that of a sky before a moving camera
 
 
 def motion_statistics(pairs: list[tuple[Frame, Frame]]) -> MotionStatistics:
     """Statistics of the second frame of each pair."""
     motions = [current.motion for _, current in pairs]
-    length = torch.cat([torch.hypot(m[:, 0], m[:, 1]).flatten() for m in motions])
-    length = length[length.isfinite()] if length.isfinite().any() else torch.zeros(1)
+    known = [(m.abs() < OFF_SCREEN).all(1) for m in motions]
+    length = torch.cat([torch.hypot(*m.unbind(1))[there] for m, there in zip(motions, known, strict=True)])
+    length = length if len(length) else torch.zeros(1)
     ordered = length.sort().values  # torch.quantile takes fewer values than a large picture has
 
     def at(share: float) -> float:
@@ -41,10 +43,11 @@ def motion_statistics(pairs: list[tuple[Frame, Frame]]) -> MotionStatistics:
         p99=at(0.99),
         max=at(1.0),
         still=(length == 0).double().mean().item(),
-        off_screen=_mean_share([~on_screen(m) for m in motions]),
+        off_screen=_mean_share([~on_screen(m)[:, 0] & there for m, there in zip(motions, known, strict=True)]),
         uncovered=_mean_share(masks)
         if (masks := [mask for p in pairs if (mask := _uncovered(*p)) is not None])
         else None,
+        unknown=_mean_share([~there for there in known]),
     )
 
 
