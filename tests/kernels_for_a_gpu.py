@@ -75,7 +75,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
             build(_sum, dict(CELL=4, FOOTPRINT=yes, MISPLACED=yes, BLOCK=128, FAR_AWAY=1e6, **one, **images),
                   uncovered="*u8", edge_speed="fp32", gloss="fp32", **near, **counts)
         build(_over, dict(BLOCK=128, FAR_AWAY=1e6, **{n: v for n, v in {**one, **images}.items() if n != "B"}),
-              **sizes, **counts, **dict.fromkeys(["apart", "speed", "same", "light", "gloss"], "fp32"))
+              **sizes, **counts, **dict.fromkeys(["apart", "speed", "same", "light", "gloss", "tolerance"], "fp32"))
     build(_off_pixel, dict(BLOCK=128, **({"count": 1} if one else {})), share="fp32", less="fp32", count="i32")
     for first in (False, True):
         build(_keep, dict(WORDS=8, FOOTPRINT=first, BLOCK=128, **one), kept="*i32", edge_speed="fp32", **near)

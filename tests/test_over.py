@@ -36,11 +36,12 @@ def motion(edge=EDGE, speed=-SPEED):
     return torch.cat([picture(edge, float(speed), 0.0), torch.zeros(1, 1, *SIZE)], dim=1)
 
 
-def kept(edge, reset=0.0):
-    """A frame whose front had light and surfaces of 1, what was behind of 9: no longer what is there."""
+def kept(edge, reset=0.0, passing=1.0):
+    """A frame whose front had light and surfaces of 1, what was behind of 9: no longer what is there. `passing`: what
+    multiplies all distances, below 1 something passed before."""
     surfaces = picture(edge, 1.0, 9.0, 3)
     light = surfaces / (surfaces + GLOSS)
-    return keep(light, picture(edge), surfaces, torch.full((1, 1, *SIZE), reset), motion(edge), surfaces)
+    return keep(light, passing * picture(edge), surfaces, torch.full((1, 1, *SIZE), reset), motion(edge), surfaces)
 
 
 def seen_now():
@@ -73,6 +74,19 @@ def test_the_front_covers_as_much_as_frames_saw():
     assert light == pytest.approx(BEHIND + OVER_LIGHT * (surface - BEHIND), rel=1e-2)
     others = [x for x in range(SIZE[1]) if x not in (EDGE - 1, EDGE)]
     assert torch.equal(result[:, others], seen_now()[0, :, 4][:, others])
+
+
+def test_what_passed_before_both_leaves_nothing():
+    """Such a frame does not count; one whose front was as far as now, within a surface's tolerance, does."""
+    frames = [kept(EDGE - SPEED), kept(EDGE - 2 * SPEED), kept(EDGE - 3 * SPEED)]
+    hidden = [frames[0], kept(EDGE - 2 * SPEED, passing=0.2), frames[2]]
+    near = [frames[0], kept(EDGE - 2 * SPEED, passing=0.95), frames[2]]
+    assert torch.equal(composed(near), composed(frames)) and not torch.equal(composed(hidden), composed(frames))
+    for column in (EDGE - 1, EDGE):
+        now, saw = (FRONT, 1.0) if column < EDGE else (BEHIND, BEHIND)
+        assert values(composed(hidden), column)[1] == pytest.approx((now + 2 * saw) / 3, rel=1e-2)
+    nothing = [kept(EDGE - SPEED * k, passing=0.2) for k in range(1, 4)]
+    torch.testing.assert_close(composed(nothing), composed([kept(EDGE - SPEED, reset=1.0, passing=0.2)]))
 
 
 def test_the_coverage_is_told():

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ..color import albedo_divisor
-from ..constants import OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED, RECALL_FOOTPRINT_WORDS
+from ..constants import DEPTH_TOLERANCE, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED, RECALL_FOOTPRINT_WORDS
 from .dispatch import Fused, Support, falls_back
 from .fetch import fetch
 from .recall import BESIDE, Path, check_kept, distance
@@ -40,9 +40,11 @@ def over(
 
         d_F < (1 - APART) d_B    and    |motion(F) - motion(B)| > SPEED
 
-    Frames saw the front where something was nearer than √(d_F d_B), or than 2 d_F if nothing is behind. Behind is
-    `seen` at B. Of radiance the share LIGHT is s and the rest `seen`, and where both differ by less than kept frames
-    are rounded by (SAME), it stays: even light is even. `constants` has the four as OVER_APART ...
+    Frames saw the front where something was nearer than √(d_F d_B), or than 2 d_F if nothing is behind. What was nearer
+    than the front by more than a surface's tolerance (`constants.DEPTH_TOLERANCE`) passed before both: such a frame
+    does not count, w_j = 0. Behind is `seen` at B. Of radiance the share LIGHT is s and the rest `seen`, and where both
+    differ by less than kept frames are rounded by (SAME), it stays: even light is even. `constants` has the four as
+    OVER_APART ...
 
     Raises ValueError where the shapes do not fit, or the kept frames are no int32. No gradients.
     """
@@ -73,8 +75,10 @@ def over_and_coverage(
     weights, front_weights = torch.ones_like(depth), torch.zeros_like(depth)
     for kept in recent:
         there = path.look(kept)
-        weight = path.inside * path.left * path.cover
-        is_front = distance(there.depth) < between
+        away = distance(there.depth)
+        hidden = away < (1 - DEPTH_TOLERANCE) * near
+        weight = path.inside * path.left * path.cover * ~hidden
+        is_front = (away < between) & ~hidden
         radiance = there.light * albedo_divisor(there.albedo, there.depth)
         total = total + weight * torch.where(is_front, torch.cat([radiance, there.albedo, there.normal], 1), back)
         weights, front_weights = weights + weight, front_weights + weight * is_front

@@ -1,7 +1,7 @@
 #version 430
 // Edges that move against what is behind them (ops.over): the front over what is behind, as a kept frame saw it cover each
 // pixel. The FIRST dispatch finds the edges and adds this frame, the LAST writes the footprints; elsewhere they stay.
-#pragma constants FIRST LAST OVER_APART OVER_SPEED OVER_SAME OVER_LIGHT
+#pragma constants FIRST LAST DEPTH_TOLERANCE OVER_APART OVER_SPEED OVER_SAME OVER_LIGHT
 #include "image.glsl"
 #include "albedo.glsl"
 #include "beside.glsl"
@@ -57,9 +57,9 @@ void main() {
     ivec2 end = end_of(pixel, motion);
     if (inside(end, size)) {
         KeptPixel there = kept_at(end);
-        bool is_front = distance_of(there.surface.w) < between;
-        float weight = come.z * cover(motion);
-        if (is_front) {
+        float away = distance_of(there.surface.w), weight = come.z * cover(motion);
+        if (away < (1.0 - DEPTH_TOLERANCE) * near) weight = 0.0;  // something passed before both
+        else if (away < between) {
             vec3 albedo = kept_edge_at(end).albedo;
             vec3 rgb = there.light * divisor(vec4(albedo, there.surface.w));
             total += weight * mat3(rgb, albedo, there.surface.xyz);

@@ -1,4 +1,5 @@
-// Edges that move against what is behind them. The specification is ops/over.py; GLOSS is that of constants.py.
+// Edges that move against what is behind them. The specification is ops/over.py; GLOSS is that of constants.py, TOLERANCE its
+// DEPTH_TOLERANCE.
 //
 // Few pixels are such edges, so each row is searched first, and paths are followed for what was found alone.
 #include "common.h"
@@ -63,8 +64,10 @@ static inline void compose(Job j, int x, int y) {
         float u = nearbyintf(bounded(mx)) + x, v = nearbyintf(bounded(my)) + y;
         if (!((u >= 0) & (u < j.W) & (v >= 0) & (v < j.H))) break;  // a path ends off the screen
         const uint32_t *w = j.kept[k] + ((int64_t)v * j.W + (int64_t)u) * WORDS;
-        float weight = left * covered(mx) * covered(my);
-        if (distance(high(w[1])) < between) {  // it was hit, then
+        float away = distance(high(w[1])), weight = left * covered(mx) * covered(my);
+        if (away < (1 - (float)TOLERANCE) * near)  // something passed before both
+            weight = 0;
+        else if (away < between) {  // it was hit, then
             float albedo[3] = {low(w[5]), high(w[5]), low(w[6])}, light[3] = {low(w[0]), high(w[0]), low(w[1])};
             float normal[3] = {low(w[2]), high(w[2]), low(w[3])};
             for (int c = 0; c < 3; c++) {

@@ -12,14 +12,14 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED
+from ...constants import DEPTH_TOLERANCE, FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED
 from .common import BLOCK, grid, place
 from .path import beside, bounded, distance, end_of, frame_of, kept_at, kept_edge_at, onward, radiance, stacked, whole
 
 
 @triton.jit
 def _over(seen, now_light, now_albedo, now_normal, motion, depth, recent, out, coverage, H, W, step, frames, words,
-          apart, speed, same, light, gloss, BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
+          apart, speed, same, light, gloss, tolerance, BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
     at = y * W + x
@@ -59,8 +59,9 @@ def _over(seen, now_light, now_albedo, now_normal, motion, depth, recent, out, c
         there, inside = end_of(u, v, y, x, edge, H, W)
         red, green, blue, its, nx, ny, nz, reset, more_u, more_v = kept_at(kept, plane, there, inside)
         albedo_r, albedo_g, albedo_b, _, _ = kept_edge_at(kept, plane, there, inside)
-        is_front = distance(its) < between
-        weight = tl.where(inside, left * (1 - tl.abs(u - whole(u))) * (1 - tl.abs(v - whole(v))), 0.0)
+        hidden = distance(its) < (1 - tolerance) * near
+        is_front = (distance(its) < between) & (hidden == 0)
+        weight = tl.where(inside & (hidden == 0), left * (1 - tl.abs(u - whole(u))) * (1 - tl.abs(v - whole(v))), 0.0)
         backs += tl.where(is_front, 0.0, weight)
         weight = tl.where(is_front, weight, 0.0)
         fronts += weight
@@ -108,6 +109,6 @@ def over_and_coverage(
     out, coverage = torch.empty_like(seen), seen.new_empty(B, 3, H, W)
     _over[grid(B, H, W)](
         seen, *now, motion, depth, frames, out, coverage, H, W, step, len(recent), words, OVER_APART, OVER_SPEED,
-        OVER_SAME, OVER_LIGHT, GLOSS, BLOCK=BLOCK, FAR_AWAY=FAR_AWAY,
+        OVER_SAME, OVER_LIGHT, GLOSS, DEPTH_TOLERANCE, BLOCK=BLOCK, FAR_AWAY=FAR_AWAY,
     )  # fmt: skip
     return out, coverage
