@@ -1,5 +1,5 @@
-"""A whole frame on the GPU: `TemporalKPN.step`, `AccumulatedKPN.step` and `Hybrid.step` as compute shaders, without
-torch.
+"""A whole frame on the GPU: `TemporalKPN.step`, `AccumulatedKPN.step` and `Hybrid.step_and_kernels` as compute shaders,
+without torch.
 
     pipeline, history = Pipeline.load(), None
     for frame in frames:                                     # rtdenoise.frame.Frame of numpy arrays

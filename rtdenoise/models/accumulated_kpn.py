@@ -113,7 +113,7 @@ class AccumulatedKPN(nn.Module):
     def step_and_kernels(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History, Kernels]:
-        """`step`, and the kernels that it applied, for other light of the same frame (`parts.step`)."""
+        """`step`, and the kernels that it applied, for layers beside the picture (`noiseless.step`)."""
         frame = admit(frame, history and history.radiance, known)
         if history is not None:
             history.require(self.config.carries)

@@ -1,5 +1,5 @@
-// The curve of networks that write pixels. The specification is ops/lift.py; PU_A ... are those of constants.py, and GREY. Powers are taken
-// of what a value is beyond the least one, so that logarithm and exponential are of numbers ≥ 0.
+// The curve of networks that write pixels. The specification is ops/lift.py; PU_A ... are those of constants.py, GREY its
+// PIXELS_GREY. Powers are taken of what a value is beyond the least one, so that logarithm and exponential are of numbers ≥ 0.
 #include "common.h"
 #include "log1p.h"
 #include "expm1.h"
