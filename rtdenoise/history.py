@@ -15,6 +15,7 @@ from .data.stored import FOUND, read_history, write_history
 from .errors import InputError
 from .frame import RECENT, SHIFTS, Frame, History
 from .motion import on_screen, same_surface
+from .ops.alike import alike
 
 # Must not be mixed across silhouettes.
 NEAREST = ("depth", "normal", "motion_next", "length", "residual_length", "footprint_count")
@@ -31,18 +32,34 @@ def usable(frame: Frame, history: History) -> Tensor:
 
 
 def mismatch(frame: Frame, history: History) -> Tensor:
-    """Share of the pixels with history on the screen that find another surface there, `[B]`. Above
-    `frame.MAX_CUT_MISMATCH` the frame belongs to another shot, whatever its motion vectors say. 0 where nothing was on
-    the screen: such a history leaves no trace anyway."""
+    """How many more of the pixels with history on the screen find another surface there than find one beside
+    themselves, `[B]` in [0, 1]: with the shares m and b of these,
+
+        max(0, m - b) / (1 - b)
+
+    In fog, out of focus or among thin leaves one sample a pixel finds another surface everywhere, within a shot, too.
+    Above `frame.MAX_CUT_MISMATCH` the frame belongs to another shot, whatever its motion vectors say. 0 where nothing
+    was on the screen: such a history leaves no trace anyway."""
     seen = on_screen(frame.motion)
     wrong = seen & ~_alike(frame, history)
-    return wrong.sum((1, 2, 3)) / seen.sum((1, 2, 3)).clamp(min=1)
+    share = wrong.sum((1, 2, 3)) / seen.sum((1, 2, 3)).clamp(min=1)
+    usual = _unlike_beside(frame)
+    return (share - usual).clamp(min=0) / (1 - usual).clamp(min=1e-6)
 
 
 def _alike(frame: Frame, history: History) -> Tensor:
     if any(layer is None for layer in (frame.depth, frame.normal, history.depth, history.normal)):
         return torch.ones_like(frame.motion[:, :1], dtype=torch.bool)
     return same_surface(frame.depth, frame.normal, history.depth, history.normal, frame.motion)
+
+
+def _unlike_beside(frame: Frame) -> Tensor:
+    """Share of the pixels that show another surface than the one to their right, `[B]`."""
+    if frame.depth is None or frame.normal is None or frame.size[1] < 2:
+        return frame.motion.new_zeros(len(frame.motion))
+    surface = frame.depth, frame.normal
+    here, right = tuple(x[..., :-1] for x in surface), tuple(x[..., 1:] for x in surface)
+    return (~alike(here, right)).to(frame.motion.dtype).mean((1, 2, 3))
 
 
 def resize(history: History, size: tuple[int, int]) -> History:

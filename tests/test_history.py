@@ -41,6 +41,18 @@ def test_a_cut_is_seen_whatever_the_motion_says():
     assert mismatch(nothing, geometry(elsewhere)) == 0
 
 
+def test_depth_that_is_noise_is_no_cut():
+    """Fog: one sample a pixel stops anywhere."""
+    torch.manual_seed(0)
+    fog = [replace(frame, depth=1 + 9 * torch.rand_like(frame.depth)) for frame in make_frames(2, H=72, W=96)]
+    assert not usable(fog[1], geometry(fog[0])).float().mean() > 0.6
+    assert mismatch(fog[1], geometry(fog[0])) < 0.2 * MAX_CUT_MISMATCH
+    half = [replace(frame, depth=torch.where(torch.arange(96) < 30, other.depth, frame.depth))
+            for frame, other in zip(make_frames(2, H=72, W=96), fog, strict=True)]  # fmt: skip
+    assert mismatch(half[1], geometry(half[0])) < 0.2 * MAX_CUT_MISMATCH
+    assert mismatch(half[1], geometry(replace(half[0], depth=3 * half[0].depth))) > MAX_CUT_MISMATCH
+
+
 def test_two_halves_are_one_pass_to_the_bit(tmp_path, denoiser):
     frames, history, whole = make_frames(6), None, []
     for frame in frames:

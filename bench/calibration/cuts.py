@@ -27,7 +27,7 @@ from rtdenoise.frame import MAX_CUT_MISMATCH, Frame, geometry
 from rtdenoise.history import mismatch
 
 RESULT, PAGES = RESULTS / "cuts.json", (DOCS / "results" / "stability.md",)
-THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 JUMP = 5  # frames from one frame of a pair to the next
 
 

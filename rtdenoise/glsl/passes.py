@@ -89,13 +89,14 @@ class Passes:
         return vectors
 
     def mismatch(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> float:
-        """Share of the pixels with history on the screen that find another surface there."""
-        counts = self._scratch("mismatch", (2,), np.uint32)
+        """As `history.mismatch`."""
+        counts, (H, W) = self._scratch("mismatch", (3,), np.uint32), surface.shape[:2]
         fill(counts)
         buffers = {"vectors": vectors, "surface": surface, "surface_before": surface_before, "counts": counts}
-        dispatch("frame/mismatch", surface.shape[1::-1], buffers)
-        seen, wrong = counts.read()
-        return int(wrong) / max(1, int(seen))
+        dispatch("frame/mismatch", (W, H), buffers)
+        seen, wrong, beside = map(int, counts.read())
+        usual = beside / max(1, H * (W - 1))
+        return max(0.0, wrong / max(1, seen) - usual) / max(1 - usual, 1e-6)
 
     def history_motion(self, vectors: GpuArray, surface: GpuArray, history: History) -> GpuArray:
         """The motion that fetches history: traditional, or dual, with a flag, where a pixel has been uncovered."""

@@ -1,19 +1,20 @@
 #version 430
-// Whether history still belongs to this shot (history.mismatch): count the pixels whose surface was on the screen, and those
-// among them for which the nearest pixel of the previous frame shows another surface.
+// Whether history still belongs to this shot (history.mismatch): count the pixels whose surface was on the screen, those among
+// them for which the nearest pixel of the previous frame shows another surface, and the pixels that differ from the one beside.
 #pragma constants DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "on_screen.glsl"
 #include "alike.glsl"
 
 #pragma reads vec4 vectors, vec4 surface, vec4 surface_before  // [H, W]
-#pragma changes uint counts                                    // [2], 0 before: pixels on the screen, mismatched ones
+#pragma changes uint counts                                    // [3], 0 before
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
     if (!inside(pixel, size)) return;
 
     int i = at(pixel, size);
+    if (pixel.x + 1 < size.x && !alike(surface[i], surface[i + 1], DEPTH_TOLERANCE, MIN_NORMAL_COSINE)) atomicAdd(counts[2], 1u);
     vec2 target = vec2(pixel) + vectors[i].xy;
     if (!on_screen(target)) return;
     atomicAdd(counts[0], 1u);
