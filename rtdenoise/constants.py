@@ -31,6 +31,8 @@ OVER_SPEED = 0.5  # least motion against what is behind, in pixels a frame
 OVER_SAME = 2.0**-7  # radiance that differs by this share is the same: kept frames are bfloat16
 OVER_LIGHT = 0.25  # share of radiance that is what frames saw of both; the rest is the footprint of one
 
+CUT_ALIKE = 1.0  # pixels by which neighbours' motion may differ, if they move as one (`history.mismatch`)
+
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
 
 # Light that moves otherwise than its surfaces (`shift`).

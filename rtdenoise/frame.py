@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 OFF_SCREEN = 1e4  # pixels: the motion of a point that is not on the other frame; half floats can hold it
 # A frame belongs to another shot where a larger share of its pixels finds another surface in history
 # (`history.mismatch`). Measured (bench/calibration/cuts.py): small, so that few cuts are missed, without a false alarm.
-MAX_CUT_MISMATCH = 0.25
+MAX_CUT_MISMATCH = 0.3
 # Pixels. A pixel counts as uncovered where dual and traditional motion differ by more. Elsewhere they differ because
 # motion_next is fetched at the nearest pixel: by half a pixel times the motion's gradient at most. Measured
 # (bench/calibration/occlusion_threshold.py): at 0.5, 98 % of the marked pixels were hidden before; a lower threshold

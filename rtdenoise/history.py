@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .constants import SHIFT_CELL
+from .constants import CUT_ALIKE, SHIFT_CELL
 from .data.stored import FOUND, read_history, write_history
 from .errors import InputError
 from .frame import RECENT, SHIFTS, Frame, History
@@ -33,13 +33,14 @@ def usable(frame: Frame, history: History) -> Tensor:
 
 def mismatch(frame: Frame, history: History) -> Tensor:
     """How many more of the pixels with history on the screen find another surface there than find one beside
-    themselves, `[B]` in [0, 1]: with the shares m and b of these,
+    themselves that moves alike, `[B]` in [0, 1]: with the shares m and b of these,
 
         max(0, m - b) / (1 - b)
 
     In fog, out of focus or among thin leaves one sample a pixel finds another surface everywhere, within a shot, too.
-    Above `frame.MAX_CUT_MISMATCH` the frame belongs to another shot, whatever its motion vectors say. 0 where nothing
-    was on the screen: such a history leaves no trace anyway."""
+    Where nothing moves that is no harm; where neighbours move apart, history is from elsewhere indeed. Above
+    `frame.MAX_CUT_MISMATCH` the frame belongs to another shot, whatever its motion vectors say. 0 where nothing was on
+    the screen: such a history leaves no trace anyway."""
     seen = on_screen(frame.motion)
     wrong = seen & ~_alike(frame, history)
     share = wrong.sum((1, 2, 3)) / seen.sum((1, 2, 3)).clamp(min=1)
@@ -54,12 +55,13 @@ def _alike(frame: Frame, history: History) -> Tensor:
 
 
 def _unlike_beside(frame: Frame) -> Tensor:
-    """Share of the pixels that show another surface than the one to their right, `[B]`."""
+    """Share of the pixels that show another surface than the one to their right, and move as it does, `[B]`."""
     if frame.depth is None or frame.normal is None or frame.size[1] < 2:
         return frame.motion.new_zeros(len(frame.motion))
     surface = frame.depth, frame.normal
     here, right = tuple(x[..., :-1] for x in surface), tuple(x[..., 1:] for x in surface)
-    return (~alike(here, right)).to(frame.motion.dtype).mean((1, 2, 3))
+    apart = (frame.motion[..., 1:] - frame.motion[..., :-1]).square().sum(1, keepdim=True)
+    return (~alike(here, right) & (apart < CUT_ALIKE**2)).to(frame.motion.dtype).mean((1, 2, 3))
 
 
 def resize(history: History, size: tuple[int, int]) -> History:

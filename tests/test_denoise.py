@@ -477,3 +477,16 @@ def test_a_history_that_lacks_a_field_is_one_line(field):
     assert backend.restore({name: tensor.numpy() for name, tensor in fields.items()}).residual is not None
     with pytest.raises(InputError, match=f"the history has no {field}"):
         backend.restore({name: tensor.numpy() for name, tensor in fields.items() if name != field})
+
+
+def test_a_shot_that_is_all_cuts_is_told(tmp_path, capsys):
+    """Fog before a moving camera: depth and motion are noise."""
+    torch.manual_seed(0)
+    fog = [
+        replace(f, depth=1 + 9 * torch.rand_like(f.depth), motion=f.motion + 9 * torch.randn_like(f.motion))
+        for f in make_frames(4, H=48, W=64)
+    ]
+    for name, frames, told in (("fog", fog, True), ("clear", make_frames(4), False)):
+        shot = write_sequence(tmp_path / name, frames)
+        main(["denoise", str(shot), "--out", str(tmp_path / f"{name}-out"), "--model", "fast"])
+        assert ("most frames find other surfaces" in capsys.readouterr().out) == told

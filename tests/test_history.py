@@ -41,10 +41,12 @@ def test_a_cut_is_seen_whatever_the_motion_says():
     assert mismatch(nothing, geometry(elsewhere)) == 0
 
 
-def test_depth_that_is_noise_is_no_cut():
-    """Fog: one sample a pixel stops anywhere."""
+def test_depth_that_is_noise_is_no_cut_unless_it_moves():
+    """Fog: one sample a pixel stops anywhere. Before a moving camera its motion is noise, too."""
     torch.manual_seed(0)
     fog = [replace(frame, depth=1 + 9 * torch.rand_like(frame.depth)) for frame in make_frames(2, H=72, W=96)]
+    moving = replace(fog[1], motion=fog[1].motion + 9 * torch.randn_like(fog[1].motion))
+    assert mismatch(moving, geometry(fog[0])) > MAX_CUT_MISMATCH
     assert not usable(fog[1], geometry(fog[0])).float().mean() > 0.6
     assert mismatch(fog[1], geometry(fog[0])) < 0.2 * MAX_CUT_MISMATCH
     half = [replace(frame, depth=torch.where(torch.arange(96) < 30, other.depth, frame.depth))

@@ -1,7 +1,8 @@
 #version 430
 // Whether history still belongs to this shot (history.mismatch): count the pixels whose surface was on the screen, those among
-// them for which the nearest pixel of the previous frame shows another surface, and the pixels that differ from the one beside.
-#pragma constants DEPTH_TOLERANCE MIN_NORMAL_COSINE
+// them for which the nearest pixel of the previous frame shows another surface, and the pixels that differ from the one beside
+// and move as it does.
+#pragma constants CUT_ALIKE DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "on_screen.glsl"
 #include "alike.glsl"
@@ -14,7 +15,10 @@ void main() {
     if (!inside(pixel, size)) return;
 
     int i = at(pixel, size);
-    if (pixel.x + 1 < size.x && !alike(surface[i], surface[i + 1], DEPTH_TOLERANCE, MIN_NORMAL_COSINE)) atomicAdd(counts[2], 1u);
+    if (pixel.x + 1 < size.x && !alike(surface[i], surface[i + 1], DEPTH_TOLERANCE, MIN_NORMAL_COSINE)) {
+        vec2 apart = vectors[i + 1].xy - vectors[i].xy;
+        if (dot(apart, apart) < CUT_ALIKE * CUT_ALIKE) atomicAdd(counts[2], 1u);
+    }
     vec2 target = vec2(pixel) + vectors[i].xy;
     if (!on_screen(target)) return;
     atomicAdd(counts[0], 1u);
