@@ -118,9 +118,9 @@ def light_rows(shot: Path, references: Sequence, scale: float) -> list[dict]:
 def radiances(sequence: Sequence, index: int) -> dict[str, torch.Tensor]:
     """The passes of a frame `[1, 3, H, W]` and, named `Combined`, their sum."""
     passes = find_light(sequence, lights=True, also=())
-    stored = {name: torch.from_numpy(image) for name, image in read_light(sequence, index, passes).items()}
-    stored |= {name: stored[name] * stored[name.split()[0]] for name in passes.lights}
-    light = {name: stored[name] for name in passes.summands}
+    stored = read_light(sequence, index, passes)
+    stored |= passes.radiance(stored)
+    light = {name: torch.from_numpy(stored[name]) for name in passes.summands}
     return light | {"Combined": sum(light.values())}
 
 

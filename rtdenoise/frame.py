@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 OFF_SCREEN = 1e4  # pixels: the motion of a point that is not on the other frame; half floats can hold it
 # A frame belongs to another shot where a larger share of its pixels finds another surface in history
-# (`history.mismatch`). Measured (bench/calibration/cuts.py): small, so that few cuts are missed, without a false alarm.
+# (`history.mismatch`). Measured (bench/calibration/cuts.py): the smallest share without a false alarm, so it misses the
+# fewest cuts.
 MAX_CUT_MISMATCH = 0.3
 # Pixels. A pixel counts as uncovered where dual and traditional motion differ by more. Elsewhere they differ because
 # motion_next is fetched at the nearest pixel: by half a pixel times the motion's gradient at most. Measured

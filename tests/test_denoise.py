@@ -479,7 +479,8 @@ def test_a_history_that_lacks_a_field_is_one_line(field):
         backend.restore({name: tensor.numpy() for name, tensor in fields.items() if name != field})
 
 
-def test_a_shot_that_is_all_cuts_is_told(tmp_path, capsys):
+@pytest.mark.parametrize("options", [(), ("--offline",)], ids=["", "offline"])
+def test_a_shot_that_is_all_cuts_is_told(tmp_path, options, capsys):
     """Fog before a moving camera: depth and motion are noise."""
     torch.manual_seed(0)
     fog = [
@@ -488,5 +489,5 @@ def test_a_shot_that_is_all_cuts_is_told(tmp_path, capsys):
     ]
     for name, frames, told in (("fog", fog, True), ("clear", make_frames(4), False)):
         shot = write_sequence(tmp_path / name, frames)
-        main(["denoise", str(shot), "--out", str(tmp_path / f"{name}-out"), "--model", "fast"])
+        main(["denoise", str(shot), "--out", str(tmp_path / f"{name}-out"), "--model", "fast", *options])
         assert ("most frames find other surfaces" in capsys.readouterr().out) == told

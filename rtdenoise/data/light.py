@@ -39,6 +39,10 @@ class LightPasses:
         """The passes that add up to the picture, once each light is multiplied by its colour."""
         return [*self.lights, *self.volumes, *self.passed]
 
+    def radiance(self, stored: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The lights times the colour of their lobe, of all passes by name."""
+        return {name: stored[name] * stored[name.split()[0]] for name in self.lights}
+
     @property
     def rules(self) -> dict[str, Rule]:
         """All passes."""

@@ -37,9 +37,10 @@ def step(
     known = shifted(frame, history, known)
     image, after, kernels = network.step_and_kernels(frame, history, known)
     past, heads = kernels.past, kernels.heads
-    mean, length, before = _past(network, frame, layers, history, known, past.on_screen)
+    means, length, before = _past(network, frame, layers, history, known, past.on_screen)
     most, never = network.config.longest - 1, torch.zeros_like(length)
-    means = [accumulate(new, old, length, never, most) for new, old in zip(_groups(layers), _groups(mean), strict=True)]
+    pairs = zip(_groups(layers), _groups(means), strict=True)
+    means = [accumulate(now, old, length, never, most) for now, old in pairs]
     outputs = []
     for now, (mean, _), old in zip(_groups(layers), means, _groups(before), strict=True):
         if not (_any(now) or _any(old)):

@@ -23,7 +23,7 @@ def lift(light: Tensor) -> Tensor:
         log(1 + lift(y)) = PU((1 - g) y + g mean(y)) / E,    mean over colours, g = `constants.PIXELS_GREY`
 
     A lamp of one primary colour leaves others black, which OIDN's networks hardly know: they make blue light a tenth
-    too bright, and in bytes a third too dark, but are right once a little of it is in the other colours.
+    too bright, and in bytes a quarter too dark, but are right once a little of it is in the other colours.
     PU is nearly uniform to the eye (Aydın, Mantiuk and Seidel 2008; fitted in Open Image Denoise 2, Apache License
     2.0): a logarithm for bright light, a power for dark. log(1 + c y) is the same for bright light, and flat for dark:
     networks that learnt by PU fill deep shadows then.

@@ -125,11 +125,10 @@ class TorchBackend:
             raise InputError(f"lookahead: model {model!r} does not average light over time; choose hybrid, default, "
                              "many or fast")  # fmt: skip
         self._correct = correct
-        if averages:
-            most = min(RECALL_FRAMES, math.ceil(self._denoiser.config.longest) - 1)  # below the longest history
-            wanted = {"recent": most} if footprint or (lookahead and not self._denoiser.config.recent) else {}
-            wanted |= {"footprint": True} if footprint else {}
-            self._denoiser.config = replace(self._denoiser.config, **wanted)
+        config = self._denoiser.config
+        if averages and (footprint or (lookahead and not config.recent)):
+            most = min(RECALL_FRAMES, math.ceil(config.longest) - 1)  # below the longest history
+            self._denoiser.config = replace(config, recent=most, footprint=footprint or config.footprint)
         self._step = self._whole = stepper(self._denoiser)
         self._lookahead = lookahead
 

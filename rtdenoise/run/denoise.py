@@ -27,8 +27,6 @@ from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, read_state, save_state
 from .unmoved import Watch
 
-MOST_CUTS = 0.5  # of the frames: more are no cuts
-
 
 def denoise(
     source: str,
@@ -146,10 +144,7 @@ def _run(
         save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options, written.digest)
         summary.written += 1
         on_frame(i + 1, len(sequence))
-    watch.end()
-    if len(summary.cuts) > MOST_CUTS * len(sequence):
-        summary.notes.append("most frames find other surfaces than the one before: fog, depth of field or thin things "
-                             "before a moving camera, or wrong depth; each is denoised alone")  # fmt: skip
+    watch.end(len(sequence), len(summary.cuts))
     write_summary(out / SUMMARY, sequence, options, summary)
     return summary
 

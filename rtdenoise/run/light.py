@@ -118,7 +118,7 @@ class LightBackend:
         for name in passes.also:
             _check_sign(ready.name, name, self._stored[name])
         stored = {name: _valid(x) for name, x in self._stored.items()}
-        stored |= {name: stored[name] * stored[name.split()[0]] for name in passes.lights}
+        stored |= passes.radiance(stored)
         picture = _valid(np.asarray(frame.radiance))
         summands = {name: stored[name] for name in passes.summands}
         with explained(ready.name, ready.size, self._inner.device):

@@ -141,7 +141,7 @@ class _Run:
                 self._path(2 * count - 1 - step).unlink(missing_ok=True)
             self.on_frame(step + 1, 2 * count)
         self._clear()
-        self.watch.end()
+        self.watch.end(count, len(summary.cuts))
         write_summary(self.out / SUMMARY, self.sequence, self.options, summary)
         return summary
 

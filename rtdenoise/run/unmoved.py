@@ -1,5 +1,6 @@
 """Motion that is zero everywhere though the picture changes, as Blender 4 writes it with motion blur, motion of another
-convention, and albedo that tells nothing. Needs no torch, but for the convention."""
+convention, surfaces that are others in each frame, and albedo that tells nothing. Needs no torch, but for the
+convention."""
 
 from __future__ import annotations
 
@@ -26,6 +27,11 @@ UNMOVED = (
 )
 PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors are judged, and pixels of each
 WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"
+MOST_CUTS = 0.5  # of the frames: more are no cuts
+CUTS = (
+    "most frames find other surfaces than the one before: fog, depth of field or thin things before a moving camera, "
+    "or wrong depth; each is denoised alone"
+)
 FLAT = "albedo is the same in all pixels of {}, so textures blur: was its pass forgotten?"
 
 
@@ -84,8 +90,10 @@ class Watch:
                 self._judge(frame)
         self._before = frame
 
-    def end(self) -> None:
-        """After the last frame."""
+    def end(self, frames: int, cuts: int) -> None:
+        """After the last one of so many frames, of which so many began anew for what they showed."""
+        if cuts > MOST_CUTS * frames:
+            self._notes.append(CUTS)
         if self._albedo.found:
             self._notes.append(FLAT.format("all frames"))
 
