@@ -31,6 +31,11 @@ OVER_SPEED = 0.5  # least motion against what is behind, in pixels a frame
 OVER_SAME = 2.0**-7  # radiance that differs by this share is the same: kept frames are bfloat16
 OVER_LIGHT = 0.25  # share of radiance that is what frames saw of both; the rest is the footprint of one
 
+# Surfaces that turn (`ops.turned`).
+TURNED_CELL = 4  # side in pixels of the cells over which normals are compared; 3 × 3 cells count together
+TURNED_NOISE = 8.0  # |sum of differences|² / sum of |differences|², 1 on average for noise, from which a surface turns
+TURNED_ANGLE = 0.09  # radians (5°) by which history falls to 1 / e
+
 CUT_ALIKE = 1.0  # pixels by which neighbours' motion may differ, if they move as one (`history.mismatch`)
 
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)

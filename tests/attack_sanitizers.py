@@ -83,6 +83,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.shares import shares
     from rtdenoise.ops.soften import soften
     from rtdenoise.ops.to_planes import to_planes
+    from rtdenoise.ops.turned import turned
     from rtdenoise.shift.displacement import displacement_sums
     from rtdenoise.splat import history_motion
 
@@ -124,6 +125,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     yield "keep", keep(image, depth, normal, share, None)
     for for_footprints in ((), (seen,), (seen, one)):
         yield f"recall {len(for_footprints)}", recall(image, motion, (depth, normal), kept, *for_footprints)
+    yield "turned", turned(normal, other)
     footprint = torch.cat([image, other, normal], dim=1)
     yield "over_and_coverage", over_and_coverage(footprint, footprint, motion, depth, kept)
     shift = torch.zeros(1, 2, -(-H // 16), -(-W // 16))

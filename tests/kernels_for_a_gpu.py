@@ -34,6 +34,7 @@ from rtdenoise.ops.triton.reproject import _reproject
 from rtdenoise.ops.triton.shares import _shares
 from rtdenoise.ops.triton.soften import _soften
 from rtdenoise.ops.triton.to_planes import _to_planes
+from rtdenoise.ops.triton.turned import _gives_way, _turns
 from rtdenoise.ops.triton.unchanged import _stays
 from rtdenoise.ops.triton.warp import _warp
 from rtdenoise.ops.triton.window_noise import _window_noise
@@ -106,6 +107,8 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
         build(_greatest, dict(CELL=16, CELLS=8, **one), x=dtype, **sizes)
         build(_tells, cells, held=dtype, **sizes)
     build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
+    build(_turns, dict(CELL=4, BLOCK=128, **one), **sizes)
+    build(_gives_way, dict(CELL=4, BLOCK=128, **one), noise="fp32", angle="fp32", **sizes)
     build(even_sky._blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
     build(even_sky._even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)
     curve = dict.fromkeys("GABCDEFS", "fp32")

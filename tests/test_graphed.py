@@ -419,7 +419,7 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(config, monkeypat
         "picture": "_counts _moved", "even_sky": "_blocks _even_sky", "dim": "_dim",
         "block_luminance": "_block_luminance", "window_noise": "_window_noise", "mean_distance": "_mean _sums",
         "replace_invalid": "_replace", "ranks": "_kth_greatest _exposure_of _median",
-        "lift": "_lift _lower",
+        "lift": "_lift _lower", "turned": "_turns _gives_way",
     }  # fmt: skip
 
     class Kernel:
@@ -443,7 +443,7 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(config, monkeypat
     }  # fmt: skip
     if not isinstance(model, models.AccumulatedKPN):
         left_out |= {"reproject", "soften", "shares", "features", "blend_history", "compressed", "displacement_sums"}
-        left_out |= {"light_shift", "picture", "pixels._demodulate", "pixels._modulate", "pixels._accumulate"}
+        left_out |= {"light_shift", "picture", "turned", "pixels._demodulate", "pixels._modulate", "pixels._accumulate"}
     assert launched == {name for name in every if not {name, name.partition(".")[0]} & left_out}
 
 

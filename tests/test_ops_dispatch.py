@@ -29,6 +29,7 @@ from rtdenoise.ops.native import compiler
 from rtdenoise.ops.over import over
 from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.soften import soften
+from rtdenoise.ops.turned import turned
 from rtdenoise.shift.displacement import displacement_sums
 from rtdenoise.splat import history_motion
 
@@ -257,6 +258,7 @@ def misfits():
         "displacement_sums": (sums, (1, 1, 2, 1, 1, 1)),
         "block_luminance": (lambda x: torch.stack(block_luminance(x, 4)), (3,)),
         "feature_bytes": (feature_bytes, (3, 3, 3)),
+        "turned": (turned, (3, 3)),
         "over": (lambda seen, motion, depth: over(seen, seen, motion, depth, [frame]), (9, 2, 1)),
     }
     for name, (op, channels) in found.items():

@@ -27,6 +27,7 @@ from rtdenoise.ops.native import compiler
 from rtdenoise.ops.replace_invalid import replace_invalid
 from rtdenoise.ops.shares import shares
 from rtdenoise.ops.to_planes import to_planes
+from rtdenoise.ops.turned import turned
 from rtdenoise.ops.window_noise import window_noise
 from rtdenoise.sanitise import VALID
 
@@ -199,6 +200,19 @@ def test_dark_light_is_lifted_alike(both, size):
         plain, fused = both(op, light)
         scale = plain.amax(1, keepdim=True) if op is lower else plain  # what is left without grey is a difference
         torch.testing.assert_close(fused / scale, plain / scale, rtol=5e-6, atol=1e-6 if op is lower else 0)
+
+
+@pytest.mark.parametrize("backend, size", CASES[:-1], indirect=["backend"], ids=str)
+def test_turns_are_found_alike(both, assert_images_close, size):
+    """A surface that turns, one whose normals are noise, and pixels without a normal in either frame."""
+    normal = torch.randn(2, 3, *size) + torch.tensor([0.0, 0.0, 9.0]).view(3, 1, 1)
+    before = normal + torch.rand(2, 1, 1, 1) * torch.tensor([2.0, 0.0, 0.0]).view(3, 1, 1)
+    before[1] += torch.randn(3, *size)
+    for image in (normal, before):
+        image *= (torch.rand(2, 1, *size) < 0.9) * torch.rand(2, 1, *size)
+    plain, fused = both(turned, normal, before)
+    assert_images_close(fused, plain, "float32 quotient")
+    assert plain.any() or min(size) < 3
 
 
 @pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)

@@ -11,7 +11,6 @@ from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import dispatch
 from .heads import HeadLayer
-from .passes import Inputs
 from .scratch import Scratch
 
 
@@ -24,16 +23,17 @@ class Kernels:
         self._heads = HeadLayer(scratch.ctx, config, tensors)
         self._pool = {"POOL_MAX": int(getattr(config, "pool", "mean") == "max")}
 
-    def accumulate(self, levels: list[GpuArray], light: GpuArray, running: GpuArray) -> GpuArray:
-        """The running mean of light and its length, with this frame in it."""
-        mean = self._scratch.fresh(light.shape[:2])
-        buffers, parameters = {"light": light, "running": running, "mean": mean}, {"longest": self._config.longest}
-        self._predict("accumulated_kpn/accumulate", levels, 0, ("shares",), buffers, parameters)
-        return mean
-
-    def forget(self, levels: list[GpuArray], kept: GpuArray) -> None:
-        """Write into a kept frame [5, H, W] how far light was reset to it."""
-        self._predict("accumulated_kpn/forget", levels, 0, ("shares",), {"kept": kept}, size=kept.shape[:0:-1])
+    def accumulate(
+        self, levels: list[GpuArray], light: GpuArray, running: GpuArray, turned: GpuArray | None
+    ) -> tuple[GpuArray, GpuArray]:
+        """The running mean of light and its length, with this frame in it, and how far it was reset to it. `turned`:
+        that of `Passes`."""
+        size = light.shape[:2]
+        mean, reset = self._scratch.fresh(size), self._scratch("reset", size)
+        buffers, parameters = {"light": light, "running": running}, {"longest": self._config.longest}
+        buffers |= {"mean": mean, "reset": reset}
+        self._over_time("accumulated_kpn/accumulate", levels, ("shares",), buffers, turned, parameters)
+        return mean, reset
 
     def filter(self, levels: list[GpuArray], image: GpuArray) -> GpuArray:
         """Filter every scale with its own kernels; then, from coarse to fine, compose, soften and pick."""
@@ -60,23 +60,17 @@ class Kernels:
         self._predict("accumulated_kpn/texture", levels, 0, ("shares",), buffers)
         return self._filter(levels, 0, ("edge",), now, "smooth") if self._heads.has(0, "edge") else now
 
-    def blend(self, levels: list[GpuArray], past: GpuArray, now: GpuArray) -> tuple[GpuArray, GpuArray]:
-        """The denoised image [3, H, W], and the same as an image for history."""
+    def blend(
+        self, levels: list[GpuArray], past: GpuArray, now: GpuArray, turned: GpuArray | None
+    ) -> tuple[GpuArray, GpuArray]:
+        """The denoised image [3, H, W], and the same as an image for history. `turned`: that of `Passes`."""
         H, W = past.shape[:2]
         denoised, result = self._scratch.fresh((H, W)), self._scratch("result", (3, H, W))
         buffers = {"past": past, "now": now, "denoised": denoised, "result": result}
         heads = "temporal", "shares" if self._accumulates else "alpha_temporal"
         constants = {"KERNEL": self._heads.kernel(0, "temporal"), "REPLACE": int(self._accumulates)}
-        self._predict("frame/temporal", levels, 0, heads, buffers, **constants)
+        self._over_time("frame/temporal", levels, heads, buffers, turned, **constants)
         return result, denoised
-
-    def see(self, levels: list[GpuArray], inputs: Inputs, past: GpuArray, seen: GpuArray | None) -> GpuArray:
-        """Footprints [3, H, W] with this frame in them, and the trust in history; None: there are none without it."""
-        size = past.shape[:2]
-        shown = self._scratch("seen", (3, *size, 4)) if seen is None else seen
-        buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "past": past, "seen": shown}
-        self._predict("hybrid/see", levels, 0, ("shares",), buffers, ALONE=int(seen is None))
-        return shown
 
     def _filter(
         self, levels: list[GpuArray], scale: int, heads: tuple[str, ...], image: GpuArray, name: str
@@ -103,6 +97,20 @@ class Kernels:
     def _pick(self, levels: list[GpuArray], scale: int, composed: GpuArray, coarse: GpuArray) -> None:
         buffers, kernel = {"composed": composed, "coarse": coarse}, self._heads.kernel(scale, "pick")
         self._predict("frame/pick", levels, scale, ("pick", "pick_share"), buffers, KERNEL=kernel)
+
+    def _over_time(
+        self,
+        name: str,  # of the shader, which includes giving_way.glsl
+        levels: list[GpuArray],
+        heads: tuple[str, ...],
+        buffers: dict[str, GpuArray],
+        turned: GpuArray | None,
+        parameters: Mapping[str, float] | None = None,
+        **options,  # as of `_predict`
+    ) -> None:
+        """A pass at full size in which history gives way where surfaces have turned."""
+        buffers = buffers | {"turned": turned or levels[0]}  # which is not read
+        self._predict(name, levels, 0, heads, buffers, parameters, TURNS=int(turned is not None), **options)
 
     def _predict(
         self,

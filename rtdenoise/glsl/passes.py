@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..constants import BRIGHTNESS_BLOCK, SKY_BLOCK
+from ..constants import BRIGHTNESS_BLOCK, SKY_BLOCK, TURNED_CELL
 from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import BLOCK_GROUP, SELECT_GROUP, dispatch, fill
@@ -133,6 +133,17 @@ class Passes:
         buffers |= {"mean_albedo_before": history.mean_albedo, "running": running, "mean_albedo": mean_albedo}
         dispatch("accumulated_kpn/reproject", size[::-1], buffers, RECALLS=int(self._config.recent > 0))
         return Means(running, mean_albedo, seen)
+
+    def turned(self, chosen: GpuArray, inputs: Inputs, history: History) -> GpuArray:
+        """How far history gives way in each cell, as its surfaces have turned."""
+        H, W = inputs.surface.shape[:2]
+        cells = -(-H // TURNED_CELL), -(-W // TURNED_CELL)
+        sums = {"turns": self._scratch.image("turns", cells), "counts": self._scratch("turns.counts", cells)}
+        buffers = {"chosen": chosen, "surface": inputs.surface, "surface_before": history.surface}
+        dispatch("accumulated_kpn/turns", (W, H), buffers | sums)
+        turned = self._scratch("turned", cells)
+        dispatch("accumulated_kpn/turned", cells[::-1], sums | {"turned": turned})
+        return turned
 
     def features(self, inputs: Inputs, past: GpuArray, means: Means, groups: int) -> GpuArray:
         """The network's input, padded to whole cells of the network. Models that accumulate read `means` too, and write

@@ -153,22 +153,25 @@ class Pipeline:
             means = Means(inputs.light, inputs.guide)
             if averages:
                 means = passes.reproject(chosen, inputs, history, flagged)
+            turned = passes.turned(chosen, inputs, history) if averages and not known.still else None
         with self._stage("features"):
             groups = 4 if first else 6 if dual else 5  # of four features; the others are zero everywhere
             features = passes.features(inputs, past, means, groups)
         with self._stage("network"):
             levels = passes.network(features, groups)
         with self._stage("kernels"):
-            mean = kernels.accumulate(levels, inputs.light, means.running) if averages else inputs.light
+            mean, reset = inputs.light, None
+            if averages:
+                mean, reset = kernels.accumulate(levels, inputs.light, means.running, turned)
             now = kernels.filter(levels, mean)
         with self._stage("blend"):
             if self.accumulates:
                 now = kernels.texture(levels, now, inputs.guide, means.mean_albedo)
-            result, denoised = kernels.blend(levels, past, now)
+            result, denoised = kernels.blend(levels, past, now, turned)
             passes.keep_even_sky(inputs, result, denoised)
         if self.pixels:
             with self._stage("pixels"):
-                seen = shown = kernels.see(levels, inputs, past, means.seen)
+                seen = shown = passes.recent.see(inputs, past, means.seen, reset)
                 if not (first or known.still or self.config.many) and history.recent:
                     shown = passes.recent.over(seen, inputs, vectors, history.recent)
                 self.pixels.mix(inputs, past, seen, shown, result, denoised)
@@ -177,9 +180,8 @@ class Pipeline:
         if self.config.recent:
             with self._stage("reprojection"):
                 recent = passes.recent.keep(inputs, motion, "motion" in layers), *(() if first else history.recent)
-            if not first:
-                with self._stage("kernels"):
-                    kernels.forget(levels, recent[0])
+                if not first:
+                    passes.recent.forget(reset, recent[0])
             after = replace(after, recent=recent[: self.config.recent])
         if self.accumulates:
             with self._stage("reprojection"):

@@ -36,6 +36,10 @@ class Recent:
             dispatch("hybrid/keep", size[::-1], buffers | {"guide": inputs.guide}, MOVES=int(moves))
         return kept
 
+    def forget(self, reset: GpuArray, kept: GpuArray) -> None:
+        """Write into a kept frame how far light was reset to it, [H, W]."""
+        dispatch("accumulated_kpn/forget", kept.shape[:0:-1], {"reset": reset, "kept": kept})
+
     def recall(
         self, chosen: GpuArray, inputs: Inputs, recent: tuple[GpuArray, ...], running: GpuArray, dual: bool
     ) -> GpuArray | None:
@@ -64,6 +68,15 @@ class Recent:
             if seen is not None:
                 dispatch("hybrid/look", size[::-1], through | {"kept": kept}, DUAL=int(dual), **at)
         return seen
+
+    def see(self, inputs: Inputs, past: GpuArray, seen: GpuArray | None, reset: GpuArray | None) -> GpuArray:
+        """Footprints [3, H, W] with this frame in them, and the trust in history. `seen`, `reset`: None in a first
+        frame."""
+        size = past.shape[:2]
+        shown = self._scratch("seen", (3, *size, 4)) if seen is None else seen
+        buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "past": past, "seen": shown}
+        dispatch("hybrid/see", size[::-1], buffers | {"reset": reset or past}, ALONE=int(seen is None))
+        return shown
 
     def over(self, seen: GpuArray, inputs: Inputs, vectors: GpuArray, recent: tuple[GpuArray, ...]) -> GpuArray:
         """The footprints `seen`, this frame in them, with edges that move against what is behind them."""

@@ -60,6 +60,13 @@ class Heads:
     reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean of light gives way to the current frame
     sharp: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current albedo against its running mean
 
+    def giving_way(self, share: Tensor | None) -> Heads:
+        """With so much less of history, `[B, 1, H, W]` in [0, 1]: of light, and of the denoised picture."""
+        if share is None:
+            return self
+        alpha, reset = (x + (1 - x) * share for x in (self.alpha_temporal, self.reset))
+        return replace(self, alpha_temporal=alpha, reset=reset)
+
 
 @dataclass(frozen=True)
 class Kernels:
@@ -127,7 +134,7 @@ class AccumulatedKPN(nn.Module):
             mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.albedo_length, never, most)
 
         # Predict kernels.
-        heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
+        heads = self.predict(self.features(frame, noisy, mean_albedo, past, known)).giving_way(past.turned)
 
         # Average light over time; the mean gives way where the network says that light has changed.
         if known.first:  # there is nothing to average

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import torch
@@ -15,6 +16,7 @@ from ..ops.off_pixel import off_pixel
 from ..ops.over import over, over_and_coverage
 from ..ops.pixels import accumulate, demodulate, joined
 from ..ops.recall import Recalled, keep, recall
+from ..ops.turned import turned
 from ..shift import picture
 from ..shift.light import light_shift
 from ..splat import history_motion
@@ -34,6 +36,7 @@ class Past:
     output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where it was off the screen
     on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
+    turned: Tensor | None = None  # [B, 1, H, W] share that gives way, as surfaces have turned; None: nothing moves
     footprint: Tensor | None = None  # [B, 9, H, W] mean of `footprint` in recent frames, where the history keeps any
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
     later: History | None = None  # what the frames after know (`later`)
@@ -75,7 +78,8 @@ def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known
         light, albedo, length = reproject(means, motion, here, before)[0].split([3, 3, 1], dim=1)
         albedo_length = length
     output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
-    return Past(light, albedo, length, albedo_length, output, seen, uncovered, *seen_there)
+    turn = None if known.still else _turn(frame, history, motion)
+    return Past(light, albedo, length, albedo_length, output, seen, uncovered, turn, *seen_there)
 
 
 def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: Known) -> Past:
@@ -84,7 +88,9 @@ def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: K
     motion, _, covered = history_motion(reverse(frame), after, config.motion, shift)
     found = _recalled(config, frame, noisy, motion, after, covered, known)
     light, length = joined(past.light, past.length, found.light, found.count)
-    past, seen = replace(past, light=light, length=length, later=after), (found.footprint, found.footprint_count)
+    turn = _turn(frame, after, motion) if past.turned is None else past.turned
+    past = replace(past, light=light, length=length, later=after, turned=turn)
+    seen = found.footprint, found.footprint_count
     if config.footprint and past.footprint is not None:
         seen = joined(past.footprint, past.footprint_count, *seen)
     return replace(past, footprint=seen[0], footprint_count=seen[1])
@@ -96,9 +102,16 @@ def later(config: Config, frame: Frame, known: Known) -> History | None:
     if not known.ahead:
         return None
     following, shift = known.ahead[0], None if known.shift is None else -known.shift
-    stays = torch.zeros_like(frame.depth)
-    recent = tuple(kept(config, reverse(other), stays, shift=shift) for other in known.ahead)
+    turns = [_turn(a, b, a.motion_next) for a, b in pairwise(known.ahead)]
+    turns.append(torch.zeros_like(frame.depth))  # nothing is beyond the last
+    recent = tuple(kept(config, reverse(a), turn, shift=shift) for a, turn in zip(known.ahead, turns, strict=True))
     return History(following.radiance, following.motion, following.depth, following.normal, recent=recent)
+
+
+def _turn(frame: Frame, other: Frame | History, motion: Tensor) -> Tensor:
+    """How far surfaces have turned between a frame and the one that motion leads to (`ops.turned`)."""
+    here, there = (frame.depth, frame.normal), (other.depth, other.normal)
+    return turned(frame.normal, reproject(other.normal, motion, here, there)[0])
 
 
 def _recalled(

@@ -2,15 +2,15 @@
 // Write into a kept frame how far light was reset to it: later frames count older ones so much less (ops.recall).
 #pragma constants RECALL_RESET
 #include "image.glsl"
-#include "shares.glsl"
 #include "bfloat16.glsl"
 
+#pragma reads float reset   // [H, W]
 #pragma changes uint kept  // [5, H, W] as `keep` writes it
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
     if (!inside(pixel, size)) return;
 
-    predict(pixel);
-    kept[at(pixel, size) + RECALL_RESET * size.x * size.y] |= half_bits(sigmoid(row(RESET))) << 16;
+    int i = at(pixel, size);
+    kept[i + RECALL_RESET * size.x * size.y] |= half_bits(reset[i]) << 16;
 }

@@ -9,6 +9,7 @@
 #include "image.glsl"
 #include "past.glsl"
 #include "kernel_head.glsl"  // logits, and α
+#include "giving_way.glsl"
 
 #pragma reads vec4 past       // [H, W] rgb, flags
 #pragma reads vec4 now        // [H, W] rgb
@@ -28,7 +29,7 @@ void main() {
 
     predict(pixel);
     int i = at(pixel, size), plane = size.x * size.y;
-    float alpha = blend_weight();
+    float alpha = giving_way(blend_weight(), pixel);
     vec3 radiance = max(alpha * now[i].rgb + (1.0 - alpha) * gathered(pixel), 0.0);
     denoised[i] = vec4(radiance, 1.0);
     for (int c = 0; c < 3; ++c) result[c * plane + i] = radiance[c];

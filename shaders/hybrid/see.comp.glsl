@@ -5,10 +5,10 @@
 #include "image.glsl"
 #include "albedo.glsl"
 #include "past.glsl"
-#include "shares.glsl"
 
 #pragma reads vec4 light, vec4 guide, vec4 surface  // [H, W]
 #pragma reads vec4 past                             // [H, W] rgb, flags
+#pragma reads float reset                           // [H, W]; not read where ALONE
 #pragma changes vec4 seen                           // [3, H, W] rgb, frames · albedo, trust · normal
 
 void main() {
@@ -17,16 +17,16 @@ void main() {
 
     int i = at(pixel, size), plane = size.x * size.y;
     vec3 rgb = light[i].rgb * divisor(guide[i]), albedo = guide[i].rgb, normal = surface[i].xyz;
-    predict(pixel);
-    float reset = sigmoid(row(RESET)), weight = 1.0;
+    float weight = 1.0, trust = 1.0;
     if (ALONE == 0) {
         weight = 1.0 / (1.0 + seen[i].w);
-        weight += reset * (1.0 - weight);
+        weight += reset[i] * (1.0 - weight);
+        if (has_history(past[i])) trust -= reset[i];
         rgb = mix(seen[i].rgb, rgb, weight);
         albedo = mix(seen[i + plane].rgb, albedo, weight);
         normal = mix(seen[i + 2 * plane].xyz, normal, weight);
     }
     seen[i] = vec4(rgb, 1.0 / weight);
-    seen[i + plane] = vec4(albedo, has_history(past[i]) ? 1.0 - reset : 1.0);
+    seen[i + plane] = vec4(albedo, trust);
     seen[i + 2 * plane] = vec4(normal, 0.0);
 }
