@@ -181,7 +181,26 @@ def build_still_life(scene: bpy.types.Scene, frames: int) -> None:
     keyframe(scene.camera, frames, (-0.2, -4.6, 1.5), (-0.2 + 0.3 * reach, -4.6, 1.5))
 
 
-SETS = {"room": build, "still-life": build_still_life}
+def build_turntable(scene: bpy.types.Scene, frames: int) -> None:
+    """A monkey of brushed metal that turns by 6° a frame before nothing, in the light of two lamps."""
+    metal = plain_material("metal", Metallic=0.9, Roughness=0.25, Base_Color=(0.8, 0.7, 0.6, 1))
+    bpy.ops.mesh.primitive_monkey_add(size=1, location=(0, 0, 1))
+    monkey = bpy.context.object
+    bpy.ops.object.shade_smooth()
+    monkey.data.materials.append(metal)
+    for number in (0, frames + 1):
+        monkey.rotation_euler = (0, 0, math.radians(6 * number))
+        monkey.keyframe_insert("rotation_euler", frame=number)
+    for location, colour, energy in (((3, -3, 4), (1, 0.8, 0.6), 300), ((-4, -2, 2), (0.4, 0.6, 1), 80)):
+        bpy.ops.object.light_add(type="AREA", location=location)
+        lamp = bpy.context.object
+        lamp.data.energy, lamp.data.size, lamp.data.color = energy, 0.4, colour
+        lamp.rotation_euler = (lamp.location - monkey.location).to_track_quat("Z", "Y").to_euler()
+    bpy.ops.object.camera_add(location=(0, -3.2, 1.1), rotation=(math.radians(88), 0, 0))
+    scene.camera = bpy.context.object
+
+
+SETS = {"room": build, "still-life": build_still_life, "turntable": build_turntable}
 
 
 def straighten() -> None:
