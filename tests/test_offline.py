@@ -433,6 +433,14 @@ def test_noise_is_not_taken_for_light():
     assert (found - STRIPES).abs().mean() < 0.002  # of 0.13 that the mean of both sides is off
 
 
+def test_noise_of_albedo_is_not_taken_for_light():
+    """One sample a pixel of a texture: both sides would agree on light that is the frame's own albedo."""
+    flat = torch.ones_like(STRIPES)
+    frame, *means = sides(flat, flat)
+    noisy = replace(frame, albedo=0.5 * torch.rand(STRIPES.shape, generator=torch.Generator().manual_seed(5)).round())
+    assert (corrected(noisy, flat, *means) - flat).abs().mean() < 0.01
+
+
 def test_a_shadow_that_lags_on_both_sides_stays_where_it_is():
     x = torch.arange(64).expand(1, 3, 64, 64)
     here, behind, ahead = ((x > edge).float() + 0.2 for edge in (32, 26, 38))

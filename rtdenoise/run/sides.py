@@ -58,9 +58,11 @@ def corrected(frame: Frame, image: Tensor, forward: Estimate, backward: Estimate
         E = mean a b,    V = mean (a - b)² n n' / (n + n')²,    image + w (n a + n' b) / (n + n')
 
     So a shadow comes back that no feature shows and that stays where it is. One that moves lags behind in opposite
-    directions on both sides: a b is negative, and nothing is corrected.
+    directions on both sides: a b is negative, and nothing is corrected. Light becomes radiance by the albedo that both
+    sides have seen: the frame's own is noise in a texture, on which both would agree.
     """
-    divisor = albedo_divisor(frame.albedo, frame.depth)
+    _, albedo, _ = seen_on_both_sides(frame, forward, backward)[0].split(FOOTPRINT, dim=1)
+    divisor = albedo_divisor(albedo, frame.depth)
     before, after = forward.length, backward.length - 1
     future = backward.length * backward.mean - demodulate(frame.radiance, frame.albedo, frame.depth)
     a, b = forward.mean * divisor - image, future / after.clamp(min=1) * divisor - image
