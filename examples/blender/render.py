@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import random
 from pathlib import Path
 
 import bpy
@@ -200,7 +201,36 @@ def build_turntable(scene: bpy.types.Scene, frames: int) -> None:
     scene.camera = bpy.context.object
 
 
-SETS = {"room": build, "still-life": build_still_life, "turntable": build_turntable}
+def build_meadow(scene: bpy.types.Scene, frames: int) -> None:
+    """A monkey that flies over grass, whose blades are narrower than a pixel."""
+    draw = random.Random(3)
+    earth = plain_material("earth", Base_Color=(0.3, 0.32, 0.28, 1), Roughness=0.8)
+    box("ground", (0, 5, -0.05), (30, 30, 0.1), earth)
+    bpy.ops.mesh.primitive_cone_add(radius1=0.02, depth=0.35, vertices=4, location=(0, 0, -9))
+    blade = bpy.context.object.data
+    blade.materials.append(plain_material("leaf", Base_Color=(0.12, 0.4, 0.06, 1), Roughness=0.6))
+    for number in range(4000):
+        leaf = bpy.data.objects.new(f"leaf {number}", blade)
+        leaf.location = draw.uniform(-3, 3), draw.uniform(-4, 5), 0.15
+        leaf.rotation_euler = draw.uniform(-0.4, 0.4), draw.uniform(-0.4, 0.4), draw.uniform(0, 6)
+        scene.collection.objects.link(leaf)
+    bpy.ops.mesh.primitive_monkey_add(size=1.2)
+    bpy.ops.object.shade_smooth()
+    monkey, reach = bpy.context.object, 0.1 * (frames - 1)
+    monkey.data.materials.append(plain_material("fur", Base_Color=(0.8, 0.3, 0.1, 1), Roughness=0.4))
+    keyframe(monkey, frames, (0, 0, 1), (reach, 0, 1))
+
+    bpy.ops.object.light_add(type="AREA", location=(3, -3, 4), rotation=(math.radians(54), 0, math.radians(45)))
+    bpy.context.object.data.energy, bpy.context.object.data.size = 600, 0.5
+    scene.world = bpy.data.worlds.new("sky")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.15, 0.18, 0.25, 1)
+    bpy.ops.object.camera_add(rotation=(math.radians(84), 0, 0))
+    scene.camera = bpy.context.object
+    keyframe(scene.camera, frames, (0, -5, 1.6), (0.5 * reach, -5 + 0.2 * reach, 1.6))
+
+
+SETS = {"room": build, "still-life": build_still_life, "turntable": build_turntable, "meadow": build_meadow}
 
 
 def straighten() -> None:
