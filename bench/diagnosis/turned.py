@@ -1,0 +1,165 @@
+"""What is it worth that history gives way where surfaces turn?
+
+    render="bpyenv/bin/python examples/blender/render.py"
+    $render shots/turntable --set turntable --frames 8
+    $render shots/turntable-reference --set turntable --frames 8 --samples 256 --seed 77
+    python bench/diagnosis/turned.py shots/turntable data/standard/{street,bathroom,window,outdoor,backdrop}
+
+Sequences with references, or a folder of these beside each ("-reference"). PSNR over OIDN's at 1 sample a pixel, with
+history as it is and with history that does not know of turns; for `hybrid` with other constants of `ops.turned`, too.
+Writes bench/results/turned.json and the table of docs/notes/turned.md.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
+import numpy as np
+import torch
+import tyro
+from torch import Tensor
+
+from rtdenoise import ops
+from rtdenoise.baselines import Oidn
+from rtdenoise.color import display_exposure
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.evaluate.sequence import uncovered
+from rtdenoise.frame import Frame, Known
+from rtdenoise.metrics.image import decibels, mse, mse_corrected
+from rtdenoise.models import load, past
+from rtdenoise.ops import turned
+from rtdenoise.sanitise import sanitise
+
+RESULT, PAGES = RESULTS / "turned.json", (DOCS / "notes" / "turned.md",)
+FRAMES, SKIP = 12, 1  # of a sequence; the first has no history
+FEWEST = 500  # pixels uncovered in all frames together: fewer say nothing
+MODELS = {  # name, frames ahead
+    "`default`": ("default", 0),
+    "`hybrid`": ("hybrid", 0),
+    "`hybrid` with `--lookahead 2`": ("hybrid", 2),
+    "`hybrid-large`": ("hybrid-large", 0),
+}
+WITHOUT, WITH = "history as before", "and turns"
+CLEAN = "albedo and normal filtered first"
+OTHERS = {  # of `hybrid`: TURNED_NOISE, TURNED_ANGLE
+    "noise counts as a turn": (0.0, turned.TURNED_ANGLE),
+    "half the angle": (turned.TURNED_NOISE, turned.TURNED_ANGLE / 2),
+    "twice the angle": (turned.TURNED_NOISE, 2 * turned.TURNED_ANGLE),
+}
+
+
+def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
+    rows = []
+    for folder in sequences:
+        for signal in ("color", "indirect"):
+            frames = with_references(folder, signal)
+            if not frames:
+                continue
+            told, peer = {"sequence": folder.name, "signal": signal}, errors(frames, pictures_of_oidn(frames))
+            clean = errors(frames, pictures_of_oidn(frames, clean=True))
+            rows.append(told | {"model": "OIDN", "variant": CLEAN} | leads(clean, peer))
+            for label, (name, ahead) in MODELS.items():
+                variants = {WITHOUT: (turned.TURNED_NOISE, math.inf), WITH: None}
+                for variant, constants in (variants | (OTHERS if label == "`hybrid`" else {})).items():
+                    with knowing(constants):
+                        found = errors(frames, pictures(frames, name, ahead))
+                    rows.append(told | {"model": label, "variant": variant} | leads(found, peer))
+                    print(rows[-1], flush=True)
+    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+
+
+def with_references(folder: Path, signal: str) -> list[Frame]:
+    """Sanitised frames; none where there are no references of the signal."""
+    beside = folder.with_name(f"{folder.name}-reference")
+    if beside.is_dir():
+        if signal != "color":
+            return []
+        pairs = zip(open_sequence(folder), open_sequence(beside), strict=True)
+        return [replace(sanitise(noisy), reference=truth.radiance) for noisy, truth in pairs]
+    sequence = open_sequence(folder, signal=signal, layers=("reference", "reference_half"))
+    return [sanitise(sequence[i]) for i in range(min(FRAMES, len(sequence)))]
+
+
+@contextmanager
+def knowing(constants: tuple[float, float] | None) -> Iterator[None]:
+    """Turns found with other constants; None: with its own."""
+    if constants is None:
+        yield
+        return
+    own, use = (turned.TURNED_NOISE, turned.TURNED_ANGLE), past.turned
+    turned.TURNED_NOISE, turned.TURNED_ANGLE = constants
+
+    def plain(*images: Tensor) -> Tensor:
+        with ops.use("plain"):
+            return use(*images)
+
+    past.turned = plain
+    try:
+        yield
+    finally:
+        (turned.TURNED_NOISE, turned.TURNED_ANGLE), past.turned = own, use
+
+
+def pictures_of_oidn(frames: list[Frame], clean: bool = False) -> list[Tensor]:
+    oidn = Oidn(clean=clean)
+    return [oidn.step(oidn.prefiltered(frame) if clean else frame)[0] for frame in frames]
+
+
+@torch.inference_mode()
+def pictures(frames: list[Frame], name: str, ahead: int) -> list[Tensor]:
+    network, history, found = load(name, precision="fp32"), None, []
+    for i, frame in enumerate(frames):
+        image, history = network.step(frame, history, Known(ahead=tuple(frames[i + 1 : i + 1 + ahead])))
+        found.append(image)
+    return found
+
+
+def errors(frames: list[Frame], images: list[Tensor]) -> dict[str, float | None]:
+    """PSNR over the frame and in uncovered regions, corrected where there are halves of the references."""
+    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
+    masks = uncovered(frames)
+
+    def mean(regions: list[Tensor | None]) -> float | None:
+        found = []
+        for frame, image, mask in [*zip(frames, images, regions, strict=True)][SKIP:]:
+            count = frame.depth.numel() if mask is None else int(mask.sum())
+            if count and frame.reference_half is None:
+                found.append((count, mse(image, frame.reference, scale, mask)))
+            elif count:
+                half = {"reference_half": frame.reference_half}
+                found.append((count, mse_corrected(image, frame.reference, scale, mask, **half)))
+        pixels = sum(count for count, _ in found)
+        return decibels(sum(count * error for count, error in found) / pixels) if pixels >= FEWEST else None
+
+    return {"frame": mean(len(frames) * [None]), "uncovered": mean(masks)}
+
+
+def leads(found: dict[str, float | None], peer: dict[str, float | None]) -> dict[str, float | None]:
+    return {key: None if None in (found[key], peer[key]) else found[key] - peer[key] for key in peer}
+
+
+def tables(document: dict) -> dict[str, str]:
+    """Section `turned`: the lead over OIDN on each sequence, beauty and indirect light."""
+    rows, names = document["rows"], list(dict.fromkeys(row["sequence"] for row in document["rows"]))
+    lines = [f"| | | mean | uncovered | {' | '.join(names)} |", "|---" * (len(names) + 4) + "|"]
+    for model, variant in dict.fromkeys((row["model"], row["variant"]) for row in rows):
+        mine = [row for row in rows if (row["model"], row["variant"]) == (model, variant)]
+        seen = [row["uncovered"] for row in mine if row["uncovered"] is not None]
+        cells = [f"{np.mean([row['frame'] for row in mine]):+.2f}", f"{np.mean(seen):+.2f}"]
+        cells += [", ".join(f"{row['frame']:+.2f}" for row in mine if row["sequence"] == name) for name in names]
+        label = f"**{variant}**" if variant == WITH else variant
+        lines.append(f"| {model} | {label} | {' | '.join(cells)} |")
+    return {"turned": "\n".join(lines)}
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)
