@@ -4,9 +4,9 @@ how far shaders are from torch.
     render="bpyenv/bin/python examples/blender/render.py"
     $render shots/still-life --set still-life --frames 8
     $render shots/still-life-reference --set still-life --frames 8 --samples 256 --seed 77
-    python bench/cycles.py shots/still-life shots/room
+    python bench/cycles.py shots/still-life shots/room shots/turntable shots/meadow
 
-A shot's references lie in the folder of its name and "-reference"; `--set room` renders the other shot.
+A shot's references lie in the folder of its name and "-reference"; `--set` renders the other shots.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from bench import RESULTS, ROOT, harness
 import numpy as np
 import torch
 import tyro
+from torch import Tensor
 
 from rtdenoise import load
 from rtdenoise.baselines.oidn import Oidn
@@ -32,6 +34,7 @@ from rtdenoise.data.exr import read_channels
 from rtdenoise.data.light import find_light, read_light
 from rtdenoise.data.output import read_result
 from rtdenoise.data.sequences import Sequence, open_sequence
+from rtdenoise.frame import Frame
 from rtdenoise.glsl import Pipeline
 from rtdenoise.metrics import psnr, relmse
 from rtdenoise.run.denoise import denoise
@@ -44,10 +47,11 @@ SKIP = 1  # frames: the first has no history
 METHODS = {
     "rtdenoise denoise --offline": Options(offline=True),
     "rtdenoise denoise --lights": Options(lights=True, layout="source"),
+    "rtdenoise denoise --lookahead 2": Options(lookahead=2),
     "rtdenoise denoise": Options(),
     "rtdenoise denoise --signal indirect --recombine": Options(signal="indirect", recombine=True),
 }
-OIDN = "Intel OIDN 2, each pass by itself"
+WHOLE, OIDN = "Intel OIDN 2", "Intel OIDN 2, each pass by itself"
 OF_LIGHTS = {
     "rtdenoise denoise --lights": Options(lights=True, layout="source", float32=True),
     "rtdenoise denoise --lights --model default": Options(
@@ -67,6 +71,9 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
         truth = [frame.radiance for frame in references]
         scale = display_exposure(torch.cat(truth))
         rows.append(row(shot.name, NOISY, [frame.radiance for frame in open_sequence(shot)], truth, scale, None))
+        filters, started = Oidn(clean=True), time.perf_counter()
+        images = [by_filters(filters, frame)(frame.radiance) for frame in open_sequence(shot)]
+        rows.append(row(shot.name, WHOLE, images, truth, scale, 1000 * (time.perf_counter() - started) / len(truth)))
         for name, how in METHODS.items():
             with tempfile.TemporaryDirectory() as out:
                 milliseconds = 1000 * denoise(str(shot), out, how).seconds / len(truth)
@@ -125,20 +132,26 @@ def radiances(sequence: Sequence, index: int) -> dict[str, torch.Tensor]:
 
 
 def by_oidn(sequence: Sequence) -> tuple[list[dict[str, torch.Tensor]], float]:
-    """OIDN's pictures of all passes, and the seconds they took. Albedo and normal are filtered first, as in Cycles."""
-    oidn, frames, seconds = Oidn(clean=True), [], 0.0
+    """OIDN's pictures of all passes, and the seconds they took."""
+    filters, frames, seconds = Oidn(clean=True), [], 0.0
     without_noise = find_light(sequence, lights=True, also=()).passed
     for i in range(len(sequence)):
         light = radiances(sequence, i)
         del light["Combined"]
         started = time.perf_counter()
-        frame = oidn.prefiltered(sanitise(sequence[i]))
+        denoised = by_filters(filters, sequence[i])
         for name, image in light.items():
             if name not in without_noise and image.any():
-                light[name] = oidn.step(replace(frame, radiance=image))[0]
+                light[name] = denoised(image)
         seconds += time.perf_counter() - started
         frames.append(light | {"Combined": sum(light.values())})
     return frames, seconds
+
+
+def by_filters(filters: Oidn, frame: Frame) -> Callable[[Tensor], Tensor]:
+    """What denoises light of a frame. Albedo and normal are filtered first, as in Cycles."""
+    prepared = filters.prefiltered(sanitise(frame))
+    return lambda light: filters.step(replace(prepared, radiance=light))[0]
 
 
 def even_sky(references: Sequence, images: list) -> dict:
@@ -174,12 +187,12 @@ def tables(document: dict) -> dict[str, str]:
     shots = list(dict.fromkeys(row["shot"] for row in document["rows"]))
     lines = ["| | " + " | ".join(f"{shot}: PSNR | relMSE" for shot in shots) + " | ms a frame |"]
     lines.append("|---" * (2 * len(shots) + 2) + "|")
-    for method in (NOISY, *METHODS):
+    for method in (NOISY, WHOLE, *METHODS):
         mine = [row for row in document["rows"] if row["method"] == method]
         cells = [f"{row['psnr']:.1f} dB | {row['relmse']:.4f}" for row in mine]
         times = [row["milliseconds"] for row in mine if row["milliseconds"]]
         time = f"{np.mean(times):.0f}" if times else "–"
-        label = method if method == NOISY else f"`{method}`"
+        label = f"`{method}`" if method in METHODS else method
         lines.append(f"| {label} | {' | '.join(cells)} | {time} |")
     return {"cycles": "\n".join(lines), "lights": of_lights(document["lights"])}
 
