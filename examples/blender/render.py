@@ -116,6 +116,13 @@ def keyframe(item: bpy.types.Object, last: int, start: tuple, end: tuple) -> Non
         item.keyframe_insert("location", frame=number)
 
 
+def sky(scene: bpy.types.Scene, colour: tuple) -> None:
+    """Light of one colour from everywhere."""
+    scene.world = bpy.data.worlds.new("sky")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (*colour, 1)
+
+
 def build(scene: bpy.types.Scene, frames: int) -> None:
     """A room of 6 × 5 × 3 m, lit by a small lamp, and by the sky through the open side behind the camera."""
     plaster = material("plaster", (0.75, 0.68, 0.55), (0.25, 0.30, 0.45), 2.5)
@@ -138,9 +145,7 @@ def build(scene: bpy.types.Scene, frames: int) -> None:
 
     bpy.ops.object.light_add(type="AREA", location=(0.8, 0.3, 2.9))
     bpy.context.object.data.energy, bpy.context.object.data.size = 90, 0.6
-    scene.world = bpy.data.worlds.new("sky")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.10, 0.13, 0.20, 1)
+    sky(scene, (0.10, 0.13, 0.20))
 
     bpy.ops.object.camera_add(location=(0, 0, 0), rotation=(math.radians(84), 0, math.radians(2)))
     scene.camera = bpy.context.object
@@ -173,9 +178,7 @@ def build_still_life(scene: bpy.types.Scene, frames: int) -> None:
 
     bpy.ops.object.light_add(type="AREA", location=(2.5, -2.0, 4.0), rotation=(math.radians(35), math.radians(25), 0))
     bpy.context.object.data.energy, bpy.context.object.data.size = 350, 1.0
-    scene.world = bpy.data.worlds.new("sky")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.35, 0.50, 0.75, 1)
+    sky(scene, (0.35, 0.50, 0.75))
     bpy.ops.object.camera_add(rotation=(math.radians(82), 0, 0))
     scene.camera = bpy.context.object
     scene.camera.data.angle = math.radians(50)
@@ -222,9 +225,7 @@ def build_meadow(scene: bpy.types.Scene, frames: int) -> None:
 
     bpy.ops.object.light_add(type="AREA", location=(3, -3, 4), rotation=(math.radians(54), 0, math.radians(45)))
     bpy.context.object.data.energy, bpy.context.object.data.size = 600, 0.5
-    scene.world = bpy.data.worlds.new("sky")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.15, 0.18, 0.25, 1)
+    sky(scene, (0.15, 0.18, 0.25))
     bpy.ops.object.camera_add(rotation=(math.radians(84), 0, 0))
     scene.camera = bpy.context.object
     keyframe(scene.camera, frames, (0, -5, 1.6), (0.5 * reach, -5 + 0.2 * reach, 1.6))
