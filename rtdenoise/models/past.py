@@ -36,7 +36,7 @@ class Past:
     output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where it was off the screen
     on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
-    turned: Tensor | None = None  # [B, 1, H, W] share that gives way, as surfaces have turned; None: nothing moves
+    turned: Tensor | None = None  # [B, 1, H, W] share that gives way, as surfaces have turned; None: nothing has
     footprint: Tensor | None = None  # [B, 9, H, W] mean of `footprint` in recent frames, where the history keeps any
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
     later: History | None = None  # what the frames after know (`later`)
@@ -71,14 +71,15 @@ def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known
     if config.recent:
         recalled = _recalled(config, frame, noisy, motion, history, uncovered, known)
         light, length, seen_there = recalled.light, recalled.count, (recalled.footprint, recalled.footprint_count)
-        albedo, found = reproject(history.mean_albedo, motion, here, before)
+        surfaces, found = reproject((history.mean_albedo, history.normal), motion, here, before)
+        albedo, normal = surfaces.split(3, dim=1)
         albedo_length = length * found
     else:
         means = history.mean, history.mean_albedo, history.length
         light, albedo, length = reproject(means, motion, here, before)[0].split([3, 3, 1], dim=1)
-        albedo_length = length
+        normal, albedo_length = reproject(history.normal, motion, here, before)[0], length
     output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
-    turn = None if known.still else _turn(frame, history, motion)
+    turn = None if known.still else turned(frame.normal, normal)
     return Past(light, albedo, length, albedo_length, output, seen, uncovered, turn, *seen_there)
 
 

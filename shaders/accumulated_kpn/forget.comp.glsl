@@ -4,7 +4,7 @@
 #include "image.glsl"
 #include "bfloat16.glsl"
 
-#pragma reads float reset   // [H, W]
+#pragma reads float reset  // [H, W]
 #pragma changes uint kept  // [5, H, W] as `keep` writes it
 
 void main() {
