@@ -9,7 +9,6 @@ trust. Writes bench/results/trust.json and the table of docs/notes/trust.md.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,11 +22,8 @@ import tyro
 from torch import Tensor
 
 from rtdenoise.baselines import Oidn
-from rtdenoise.color import display_exposure
 from rtdenoise.evaluate.inputs import Source
-from rtdenoise.evaluate.sequence import uncovered
 from rtdenoise.frame import Frame, reverse
-from rtdenoise.metrics.image import decibels, mse_corrected
 from rtdenoise.run import combination
 from rtdenoise.run.passes import Passes
 from rtdenoise.run.sides import corrected
@@ -37,7 +33,6 @@ from rtdenoise.splat import completed
 RESULT, PAGES = RESULTS / "trust.json", (DOCS / "notes" / "trust.md",)
 FRAMES, EVERY = 16, 3  # of a sequence; they take long
 KIND = "offline"  # of the rows; older ones are of a mode that is gone
-FEWEST = 500  # pixels uncovered in all frames together: fewer say nothing
 OFFLINE = {  # the network's share, whether trust counts
     "0.32 of the network, 0.68 of OIDN": (0.32, False),
     "as far as each pass trusts its history": (0.32, True),
@@ -85,26 +80,7 @@ def offline(frames: list[Frame]) -> list[dict]:
                 combination.WEIGHTS = dict(zip(combination.WEIGHTS, weights, strict=True))
                 image = combination.combine(found if trusts else replace(found, trust_forward=1.0, trust_backward=1.0))
                 images[name][i] = corrected(frame, image.image, forward[i], backward)
-    return [{"variant": name} | errors(frames, some) for name, some in images.items()]
-
-
-def errors(frames: list[Frame], images: Pictures) -> dict[str, float | None]:
-    """Corrected PSNR over the frame and in uncovered regions."""
-    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
-    masks = uncovered(frames)
-
-    def mean(of: Callable[[int], Tensor | None]) -> float | None:
-        found = []
-        for i, image in images.items():
-            mask, frame = of(i), frames[i]
-            count = frame.depth.numel() if mask is None else int(mask.sum())
-            if count:
-                half = {"reference_half": frame.reference_half}
-                found.append((count, mse_corrected(image, frame.reference, scale, mask, **half)))
-        pixels = sum(count for count, _ in found)
-        return decibels(sum(count * error for count, error in found) / pixels) if pixels >= FEWEST else None
-
-    return {"frame": mean(lambda _: None), "uncovered": mean(lambda i: masks[i])}
+    return [{"variant": name} | harness.psnr_of_regions(frames, some) for name, some in images.items()]
 
 
 def tables(document: dict) -> dict[str, str]:

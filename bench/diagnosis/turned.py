@@ -30,18 +30,14 @@ from torch import Tensor
 
 from rtdenoise import ops
 from rtdenoise.baselines import Oidn
-from rtdenoise.color import display_exposure
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.evaluate.sequence import uncovered
 from rtdenoise.frame import Frame, Known
-from rtdenoise.metrics.image import decibels, mse, mse_corrected
 from rtdenoise.models import load, past
 from rtdenoise.ops import turned
 from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "turned.json", (DOCS / "notes" / "turned.md",)
 FRAMES, SKIP = 12, 1  # of a sequence; the first has no history
-FEWEST = 500  # pixels uncovered in all frames together: fewer say nothing
 MODELS = {  # name, frames ahead
     "`default`": ("default", 0),
     "`hybrid`": ("hybrid", 0),
@@ -124,23 +120,7 @@ def pictures(frames: list[Frame], name: str, ahead: int) -> list[Tensor]:
 
 
 def errors(frames: list[Frame], images: list[Tensor]) -> dict[str, float | None]:
-    """PSNR over the frame and in uncovered regions, corrected where there are halves of the references."""
-    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
-    masks = uncovered(frames)
-
-    def mean(regions: list[Tensor | None]) -> float | None:
-        found = []
-        for frame, image, mask in [*zip(frames, images, regions, strict=True)][SKIP:]:
-            count = frame.depth.numel() if mask is None else int(mask.sum())
-            if count and frame.reference_half is None:
-                found.append((count, mse(image, frame.reference, scale, mask)))
-            elif count:
-                half = {"reference_half": frame.reference_half}
-                found.append((count, mse_corrected(image, frame.reference, scale, mask, **half)))
-        pixels = sum(count for count, _ in found)
-        return decibels(sum(count * error for count, error in found) / pixels) if pixels >= FEWEST else None
-
-    return {"frame": mean(len(frames) * [None]), "uncovered": mean(masks)}
+    return harness.psnr_of_regions(frames, dict([*enumerate(images)][SKIP:]))
 
 
 def leads(found: dict[str, float | None], peer: dict[str, float | None]) -> dict[str, float | None]:

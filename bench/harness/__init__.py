@@ -1,11 +1,13 @@
-"""Shared by all benchmarks: `timing` checks and times methods, `publish` writes results, `sequences` has frames."""
+"""Shared by all benchmarks: `timing` checks and times methods, `publish` writes results, `sequences` has frames,
+`regions` the errors of their parts."""
 
 from .command import run
 from .publish import beside, cpu, insert_sections, publish
+from .regions import psnr_of_regions
 from .sequences import clips, denoise, mean_errors, mural
 from .timing import Timing, check, measure, summary
 
 __all__ = [
     "Timing", "beside", "check", "clips", "cpu", "denoise", "insert_sections", "mean_errors", "measure", "mural",
-    "publish", "run", "summary",
+    "psnr_of_regions", "publish", "run", "summary",
 ]  # fmt: skip
