@@ -64,6 +64,7 @@ def test_the_network_is_that_of_the_samples(shot, tmp_path):
     for samples, model in ((3, "hybrid"), (4, "hybrid-many"), (16, "hybrid-many")):
         assert chosen(shot, Options(samples=samples))[0].model == model
     assert chosen(shot, Options(model="fast"))[0].model == "fast"
+    assert chosen(shot, Options(offline=True))[0].model == "hybrid"
     for file in shot.glob("*.exr"):
         write_again(file, {}, **{"cycles.ViewLayer.samples": "8"})
     assert chosen(shot, Options()) == (Options(model="hybrid-many"), ["model: hybrid-many, for 8 samples a pixel"])
@@ -84,7 +85,7 @@ def test_noise_tells_where_nothing_else_does(shot):
     assert chosen(shot, Options())[0].model == "hybrid"
 
 
-@pytest.mark.parametrize("options", [{"backend": "glsl"}, {"offline": True}, {"correct": True}])
+@pytest.mark.parametrize("options", [{"backend": "glsl"}, {"correct": True}])
 def test_what_goes_with_kernels_alone_gets_kernels_alone(shot, options):
     (option,) = options
     because = "because of " + ("--backend glsl" if option == "backend" else f"--{option}")

@@ -5,6 +5,7 @@ import shutil
 import sys
 import weakref
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, outputs
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import Frame, reverse
-from rtdenoise.models import AccumulatedKPNConfig, read, save
+from rtdenoise.models import AccumulatedKPNConfig, HybridConfig, read, save
+from rtdenoise.models.accumulated_kpn import AccumulatedKPN
 from rtdenoise.models.weights import find
 from rtdenoise.run.combination import WEIGHTS, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
@@ -29,9 +31,11 @@ from rtdenoise.run.offline import BYTES_PER_PIXEL, ESTIMATES
 from rtdenoise.run.passes import InMemory, Passes
 from rtdenoise.run.sides import Estimate, corrected, seen_on_both_sides
 from rtdenoise.run.stored_estimate import read_estimate, write_estimate
+from rtdenoise.sanitise import sanitise
 from rtdenoise.splat import completed
 
 TINY = AccumulatedKPNConfig(widths=(4, 4, 4), scales=2, kernel=3, recent=2)
+PIXELS = HybridConfig(widths=(4, 4, 4), scales=2, kernel=3, recent=2, down=(4, 4, 4), up=(4, 4), out=(4, 4))
 NAMES = [f"frame.{i:04d}.exr" for i in range(4)]
 
 
@@ -69,6 +73,26 @@ def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, options, 
     assert_same(out, tmp_path / "whole")
     assert not (out / ESTIMATES).exists()
     assert denoise(str(shot), out, options).written == 0
+
+
+def test_with_a_network_that_writes_pixels(shot, tmp_path, options):
+    """It goes on to the same result, too, and what both sides have seen is what kernels alone saw."""
+    options = replace(options, model=str(save_tiny(tmp_path, PIXELS)))
+    denoise(str(shot), tmp_path / "whole", options)
+    for count in (3, 6):
+        with pytest.raises(Stop):
+            denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(count))
+    denoise(str(shot), tmp_path / "out", options)
+    assert_same(tmp_path / "out", tmp_path / "whole")
+
+    passes, history = Passes(options.model, "cpu"), None
+    step = partial(AccumulatedKPN.step_and_kernels, passes.backend.network)
+    for frame in map(sanitise, make_frames(3)):
+        with torch.inference_mode():
+            _, kernels, _ = step(frame, history)
+        estimate, history = passes.step(frame, history)
+        assert torch.equal(estimate.footprint_count, kernels.footprint_count)
+    assert estimate.footprint_count.mean() > 2
 
 
 def test_a_run_killed_before_it_could_note_a_frame(shot, tmp_path, options, monkeypatch):
@@ -278,9 +302,8 @@ def test_what_does_not_go_together_is_refused(shot, tmp_path, model, capsys):
     assert "--confidence: goes with --offline" in refused(capsys, *common, "--confidence")
     assert "goes with --backend torch" in refused(capsys, *common, "--offline", "--backend", "glsl")
     assert "--layout plain" in refused(capsys, *common, "--offline", "--confidence", "--layout", "source")
-    for other in ("paper", "hybrid"):
-        told = refused(capsys, *common[:4], "--model", other, "--offline")
-        assert "does not average light" in told and "choose default, many or fast" in told
+    told = refused(capsys, *common[:4], "--model", "paper", "--offline")
+    assert "does not average light" in told and "choose hybrid, default, many or fast" in told
     main([str(word) for word in common])
     assert "offline False, now True" in refused(capsys, *common, "--offline")
 
@@ -314,43 +337,11 @@ def test_it_scales_with_the_light_and_stays_near_the_candidates():
     assert plain.image.min() >= 0 and plain.image.max() < 4
 
 
-def test_what_a_pass_does_not_trust_is_left_to_the_opinion():
-    """On the left the forward pass has given its history up, on the right the backward pass, in the middle both."""
-    light = dict(zip(("forward", "backward", "single", "opinion"), (1.0, 2.0, 3.0, 4.0), strict=True))
-    candidates = Candidates(**{name: torch.full((1, 3, 1, 4), x) for name, x in light.items()})
-    trust = torch.tensor([[0.0, 1.0, 0.0, 1.0], [1.0, 0.0, 0.0, 1.0]]).reshape(2, 1, 1, 1, 4)
-    found = combine(replace(candidates, trust_forward=trust[0], trust_backward=trust[1])).image
-    assert (found[..., 2] == 4).all()
-    torch.testing.assert_close(found[..., 3:], combine(candidates).image[..., 3:])
-    left = combine(replace(candidates, forward=torch.full((1, 3, 1, 4), 9.0), trust_forward=trust[0],
-                           trust_backward=trust[1])).image  # fmt: skip
-    assert torch.allclose(left[..., 0], found[..., 0], rtol=0.02) and not torch.allclose(left[..., 1], found[..., 1])
-
-
-def test_the_noisy_frame_tells_how_much_the_network_counts():
-    """Stripes that the network has lost come back as OIDN shows them, in a frame of many samples; the other way round
-    too, and not from noise."""
-    torch.manual_seed(0)
-    stripes = (0.2 + 0.6 * (torch.arange(48) % 4 < 2)).expand(1, 3, 48, 48)
-    flat = torch.full_like(stripes, 0.5)
-    for own, opinion, worst in ((flat, stripes, 0.7), (stripes, flat, 0.9)):
-        candidates = Candidates(own, own, own, opinion)
-        error = [(combine(candidates, noisy).image - stripes).square().mean() for noisy in (None, stripes)]
-        assert error[1] < worst * error[0]
-    sparse = 64 * stripes * (torch.rand(1, 1, 48, 48) < 1 / 64)
-    candidates = Candidates(flat, flat, flat, stripes)
-    moved = (combine(candidates, sparse).image - combine(candidates).image).abs().mean()
-    assert moved < 0.1 * (flat - stripes).abs().mean()
-    none = replace(candidates, trust_forward=torch.zeros(1, 1, 48, 48), trust_backward=torch.zeros(1, 1, 48, 48))
-    assert torch.allclose(combine(none, sparse).image, stripes, rtol=1e-4)
-    assert torch.equal(combine(Candidates(*[stripes] * 4), sparse).image, stripes)
-
-
 def estimate(image, length, first=False, surfaces=None):
     ones = torch.ones_like(image[:, :1])
     seen = torch.cat([image, torch.full_like(image, 0.5), torch.full_like(image, -0.6)], dim=1)
     counts = length * ones, (length if surfaces is None else surfaces) * ones
-    return Estimate(image, image, length * ones, first, seen, *counts, ones)
+    return Estimate(image, image, length * ones, first, seen, *counts)
 
 
 def grey(radiance):
@@ -463,7 +454,7 @@ def test_estimates_survive_the_disk(tmp_path, scale):
     found = read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8))
     assert found.first and torch.allclose(found.image, stored.image, rtol=1e-3)
     assert torch.allclose(found.footprint, stored.footprint, rtol=1e-3)
-    for name in ("length", "footprint_count", "surface_count", "trust"):
+    for name in ("length", "footprint_count", "surface_count"):
         assert torch.equal(getattr(found, name), getattr(stored, name)), name
     halves = sum(array.shape[1] for array in read_history(tmp_path / "e.safetensors")[0].values())
     assert 2 * halves == BYTES_PER_PIXEL
@@ -479,6 +470,6 @@ def test_a_black_estimate_survives_too(tmp_path):
 
 def test_evaluate_has_it_as_a_method():
     for method in choose(["offline", "offline-without-oidn"]):
-        assert method.delay >= 2000 and method.weights == ("default", "hybrid-large")
+        assert method.delay >= 2000 and method.weights == ("hybrid", "hybrid-large")
     (result,) = evaluate(make_frames(3), ["offline"], metrics=("psnr",))
     assert len(result.images) == 3 and min(result.times) > 0

@@ -21,7 +21,7 @@ CHANNELS = {  # field of `History` -> channels; hidden features have any number 
 }  # fmt: skip
 OF = "/"  # between the number of a light and the field of its history (`run.light`)
 FOUND = "found"  # the field of shifts, of cells of pixels as `SHIFTS`
-OF_ESTIMATES = {"trust": 1, "surface_count": 1}  # fields of the offline mode's estimates that a history lacks
+OF_ESTIMATES = {"surface_count": 1}  # fields of the offline mode's estimates that a history lacks
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
 OF_MOTION = 8, 9, 13, 14  # channels of a kept frame (`ops.recall`) that may be any finite number
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number

@@ -81,7 +81,7 @@ def methods() -> dict[str, Method]:
         *_oidn(),
         *(method for name in available() for method in _network(name)),
         *(Method(name, f"denoise --offline: both directions in time, {how} OIDN", "network", partial(_offline, oidn),
-                 delay=InMemory.delay, weights=("default", MODEL))
+                 delay=InMemory.delay, weights=("hybrid", MODEL))
           for name, how, oidn in (("offline", "with", None), ("offline-without-oidn", "without", False))),
     ]  # fmt: skip
     for base in [method for method in found if method.name in CORRECTED]:
@@ -224,7 +224,7 @@ def _start(
 
 
 def _offline(oidn: bool | None, device: str | torch.device, precision: str) -> Step:
-    return InMemory(Passes("default", str(device), precision, oidn)).step
+    return InMemory(Passes("hybrid", str(device), precision, oidn)).step
 
 
 def _noisy(frame: Frame, history: None) -> tuple[Tensor, None]:

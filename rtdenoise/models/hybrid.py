@@ -31,6 +31,7 @@ class Hybrid(AccumulatedKPN):
     def __init__(self, config: HybridConfig) -> None:
         super().__init__(config)
         self.pixels = PixelNetwork(config)
+        self.shares = config.shares
 
     def step_and_kernels(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -60,8 +61,7 @@ class Hybrid(AccumulatedKPN):
             lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure, self.pixels.greatest
         )
 
-        before, shares = None if self.config.many else past.output, self.config.shares
-        shown = mix(image, pixels, known.exposure, trust, shares, before, held, frame.radiance, tells)
+        before = None if self.config.many else past.output
+        shown = mix(image, pixels, known.exposure, trust, self.shares, before, held, frame.radiance, tells)
         shown = even_sky(shown, frame.radiance, frame.depth)
-        after = replace(after, radiance=shown.detach(), footprint=None, footprint_count=None)  # of this frame alone
-        return shown, after, kernels
+        return shown, replace(after, radiance=shown.detach()), kernels

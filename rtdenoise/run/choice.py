@@ -31,8 +31,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     samples = known_samples(sequence, options.samples)
     if "samples" not in layers:
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
-    kernels_alone = options.offline or options.correct
-    few, many = candidates(options.backend, kernels_alone)
+    few, many = candidates(options.backend, options.correct)
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
@@ -44,9 +43,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
 
 def _reason(options: Options) -> str:
     """What keeps the networks that write pixels from being chosen."""
-    for name in ("offline", "correct"):
-        if getattr(options, name):
-            return f"--{name}"
+    if options.correct:
+        return "--correct"
     return "--backend glsl" if options.backend == "glsl" else "the backend glsl: PyTorch is not installed"
 
 

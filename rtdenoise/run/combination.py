@@ -7,12 +7,9 @@ weighted sum of them is closer to the truth than each:
     image = c_0 + Σ_i w_i (c_i - c_0),    Σ_i w_i = 1,    in log(1 + exposure · light)
 
 The weight of the single frame is negative: forward and backward pass share the noise of the frame itself, and the
-single frame shows it. Where all candidates are equal the image equals them to the bit.
-
-A pass counts as far as the network trusts its history there: light that moves on a surface which stands still lags
-behind in it. All of its pictures together count as far as the noisy frame tells, too (`ops.mix.share_told`). The
-filter's picture takes what is left. Weights by length of history, or from a network, gained nothing on other scenes
-(docs/notes/offline.md).
+single frame shows it. Where all candidates are equal the image equals them to the bit. The weights are constant: by
+trust in history, by what the noisy frame tells, by length of history, or from a network they gained nothing on other
+scenes (docs/notes/offline.md).
 """
 
 from __future__ import annotations
@@ -24,9 +21,8 @@ from torch import Tensor
 
 from ..color import compress, expand
 from ..exposure import exposure
-from ..ops.mix import share_told
 
-WEIGHTS = {"forward": 0.2, "backward": 0.2, "single": -0.2, "opinion": 0.8}  # where history is trusted
+WEIGHTS = {"forward": 0.35, "backward": 0.35, "single": -0.3, "opinion": 0.6}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 
 
@@ -38,8 +34,6 @@ class Candidates:
     backward: Tensor  # the network with the frames after
     single: Tensor  # the network without history
     opinion: Tensor  # the filter's picture
-    trust_forward: Tensor | float = 1.0  # [1, 1, H, W] in [0, 1]: of each pass in its history
-    trust_backward: Tensor | float = 1.0
 
 
 @dataclass(frozen=True)
@@ -50,42 +44,18 @@ class Combination:
     spread: Tensor  # [1, 1, H, W] radiance: Σ |w_i| |c_i - image|, how far the candidates are from the image
 
 
-def combine(candidates: Candidates, noisy: Tensor | None = None) -> Combination:
-    """The weighted sum of the candidates; the equation stands above. `noisy`: the frame, `[1, 3, H, W]`; without it
-    weights are as they are where history is trusted."""
-    weights = _trusted(candidates)
-    scale, first = exposure(candidates.forward), candidates.forward
-    light = {name: compress(scale * getattr(candidates, name)) for name in weights}
-    if noisy is not None:
-        weights = _told(weights, light, candidates.opinion, noisy, scale)
+def combine(candidates: Candidates) -> Combination:
+    """The weighted sum of the candidates; the equation stands above."""
+    images = {name: getattr(candidates, name) for name in WEIGHTS}
+    first, scale = candidates.forward, exposure(candidates.forward)
+    light = {name: compress(scale * image) for name, image in images.items()}
     base = light["forward"]
-    change = sum(weight * (light[name] - base) for name, weight in weights.items())
+    change = sum(weight * (light[name] - base) for name, weight in WEIGHTS.items())
 
     stacked = torch.stack(list(light.values()))
     low, high = stacked.amin(0), stacked.amax(0)
     margin = MARGIN * (high - low)
     mixed = (base + change).maximum(low - margin).minimum(high + margin).clamp(min=0)
     image = torch.where(change == 0, first, expand(mixed) / scale)
-    apart = sum(abs(weight) * (getattr(candidates, name) - image).abs() for name, weight in weights.items())
+    apart = sum(abs(weight) * (images[name] - image).abs() for name, weight in WEIGHTS.items())
     return Combination(image, apart.mean(1, keepdim=True))
-
-
-def _trusted(candidates: Candidates) -> dict[str, Tensor | float]:
-    """`WEIGHTS` of the network's candidates times the trust in each, the rest for the opinion."""
-    forward, backward = candidates.trust_forward, candidates.trust_backward
-    trust = {"forward": forward, "backward": backward, "single": (forward + backward) / 2}
-    weights = {name: WEIGHTS[name] * share for name, share in trust.items()}
-    return weights | {"opinion": 1 - sum(weights.values())}
-
-
-def _told(
-    weights: dict[str, Tensor | float], light: dict[str, Tensor], opinion: Tensor, noisy: Tensor, scale: Tensor
-) -> dict[str, Tensor | float]:
-    """The weights, with those of the network's candidates, which `_trusted` made, as the noisy frame tells."""
-    own = {name: weight for name, weight in weights.items() if name != "opinion"}
-    together = sum(own.values())
-    picture = sum(weight * light[name] for name, weight in own.items()) / (together + (together == 0))
-    usual = 1 - WEIGHTS["opinion"]
-    share = share_told(noisy, expand(picture.clamp(min=0)) / scale, opinion, scale, usual)
-    own = {name: weight * share / usual for name, weight in own.items()}
-    return own | {"opinion": 1 - sum(own.values())}

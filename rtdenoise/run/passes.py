@@ -27,8 +27,9 @@ from ..baselines.oidn import Oidn, installed
 from ..errors import InputError
 from ..frame import Frame, History, reverse
 from ..models.accumulated_kpn import AccumulatedKPN
+from ..models.hybrid import Hybrid
 from ..ops.even_sky import even_sky
-from ..ops.recall import FOOTPRINT, reset_of
+from ..ops.recall import FOOTPRINT
 from ..sanitise import sanitise
 from ..splat import completed
 from .backends import TorchBackend
@@ -37,6 +38,7 @@ from .covered import as_covered
 from .pixel_filter import PixelFilter
 from .sides import Estimate, corrected, seen_on_both_sides
 
+KERNELS = 0.4  # how much of the share that pixels have in a network that writes them is left to its kernels here
 WITHOUT_OIDN = "OIDN is not installed: a smaller filter takes its place, for 0.1 dB less, in less time"
 
 
@@ -44,15 +46,20 @@ class Passes:
     """The steps of both passes, and the combination. Frames are prepared once (`prepare`)."""
 
     def __init__(
-        self, model: str = "default", device: str = "auto", precision: str = "auto", oidn: bool | None = None
+        self, model: str = "hybrid", device: str = "auto", precision: str = "auto", oidn: bool | None = None
     ) -> None:
-        """`oidn`: whether that filters; None: where it is installed. Raises InputError for a model that keeps no
-        running mean or writes pixels, and what loading it raises."""
+        """`oidn`: whether that filters; None: where it is installed. 'auto' is full precision.
+        Raises InputError for a model that averages no light, and what loading it raises."""
         self.has_oidn = installed() if oidn is None else oidn
+        precision = "fp32" if precision == "auto" else precision  # steps of fewer bits show where little noise is left
         self.backend = TorchBackend(model, device, precision, footprint=True)
-        if type(self.backend.network) is not AccumulatedKPN:  # a hybrid's picture holds an opinion already
-            raise InputError(f"--offline: model {model!r} does not average light over time, or writes pixels of its "
-                             "own; choose default, many or fast")  # fmt: skip
+        network = self.backend.network
+        if not isinstance(network, AccumulatedKPN):
+            raise InputError(f"--offline: model {model!r} does not average light over time; choose hybrid, default, "
+                             "many or fast")  # fmt: skip
+        if isinstance(network, Hybrid):  # the filter writes pixels, too
+            kernels, *others = network.shares
+            network.shares = kernels + KERNELS * (1 - kernels), *others
         self._filter = Oidn(clean=True) if self.has_oidn else PixelFilter(self.backend.device, precision)
 
     @property
@@ -64,20 +71,20 @@ class Passes:
         """One step of a pass over prepared frames."""
         image, after = self.backend.denoise(frame, history)
         footprint, surface_count = as_covered(frame, history, after)
-        seen = footprint, after.footprint_count, surface_count, 1 - reset_of(after.recent[0])
+        seen = footprint, after.footprint_count, surface_count
         return Estimate(image, after.mean, after.length, history is None, *seen), after
 
     @torch.inference_mode()
     def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
-        found = combine(self.candidates(frame, forward, backward), frame.radiance)
+        found = combine(self.candidates(frame, forward, backward))
         image = corrected(frame, found.image, forward, backward)
         return replace(found, image=even_sky(image, frame.radiance, frame.depth))  # it is filtered, too
 
     def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:
         """What is known of a prepared frame."""
         single, opinion = (of(frame, forward, backward) for of in (self._single, self._opinion))
-        return Candidates(forward.image, backward.image, single, opinion, forward.trust, backward.trust)
+        return Candidates(forward.image, backward.image, single, opinion)
 
     def _opinion(self, frame: Frame, forward: Estimate, backward: Estimate) -> Tensor:
         """The filter's picture `[1, 3, H, W]`; the equation stands above. Albedo and normal are filtered beforehand."""

@@ -23,10 +23,10 @@ TILE = 1024  # pixels, a multiple of `CELL`: larger pictures are filtered in til
 
 
 class PixelFilter:
-    """With the precision 'auto' in float32, since steps of bytes and bfloat16 show where little noise is left."""
+    """Steps of bytes and bfloat16 show where little noise is left; hence float32."""
 
-    def __init__(self, device: str | torch.device = "cpu", precision: str = "auto") -> None:
-        network = load(MODEL, device, "fp32" if precision == "auto" else precision)
+    def __init__(self, device: str | torch.device = "cpu", precision: str = "fp32") -> None:
+        network = load(MODEL, device, precision)
         self._network, self._reach = network.pixels, network.config.pixels.reach
 
     @torch.no_grad()

@@ -30,7 +30,6 @@ class Estimate:
     footprint: Tensor  # [1, 9, H, W] `covered.as_covered`
     footprint_count: Tensor  # [1, 1, H, W] frames in its radiance
     surface_count: Tensor  # [1, 1, H, W] frames in its albedo and normal
-    trust: Tensor  # [1, 1, H, W] in [0, 1]: 1 - how far light gave way
 
 
 def seen_on_both_sides(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor, Tensor]:
