@@ -1,7 +1,8 @@
 """`denoise --lights` and `--also`: a backend whose steps denoise the light of a frame in parts.
 
-Each light is denoised as a picture of its own, by its own noise, with the surfaces of the frame. So is the whole; the
-light passes are then scaled, in each pixel alike, so that they add up to it. Emission, environment and colours have no
+Each light is denoised as a picture of its own, by its own noise, with the surfaces of the frame. So is the whole. Their
+sum and the whole err in different places: the picture is a mixture of both, as the noisy frame tells (`ops.mix`), and
+the light passes are scaled, in each pixel alike, so that they add up to it. Emission, environment and colours have no
 noise: their edges are smoothed as the whole's (`models.noiseless`).
 """
 
@@ -36,6 +37,7 @@ MAX_NEGATIVE = 0.1  # of the light in a layer of `--also`; filters of some rende
 MAX_APART = 0.02  # of the mean radiance; half floats round by less than 0.001
 PICTURE = ""  # the name of the sum of all light
 BACKGROUND = "Environment"  # with a transparent film Cycles leaves it out of Combined
+WHOLE = 0.5  # usual share of the picture that was denoised as a whole; the rest is the sum of its parts
 GROUP = "Combined_"  # how the names of Cycles' light groups begin
 
 Histories = dict[str, History]  # of the picture, and of each light by name that was ever there in the shot
@@ -162,7 +164,7 @@ class LightBackend:
                 lit = replace(frame, radiance=light)
                 found[name], after[name] = self._inner.denoise(lit, before.get(name), following)
             if self._passes.lights:
-                found, picture = self._added_up(found, picture, parts)
+                found, picture = self._added_up(frame, found, picture, parts)
             found |= _shared_out(picture, {name: found[name] for name in parts.groups})
         self._parts = {number: kept for number, kept in self._parts.items() if number > frame.number}
         return found | {PICTURE: picture}, after
@@ -190,14 +192,18 @@ class LightBackend:
         return picture, dict(zip(layers, smooth.split(3, dim=1), strict=True)), after
 
     def _added_up(
-        self, found: dict[str, Tensor], picture: Tensor, parts: Parts
+        self, frame: Frame, found: dict[str, Tensor], picture: Tensor, parts: Parts
     ) -> tuple[dict[str, Tensor], Tensor]:
-        """The passes with lights scaled towards the picture, and the picture that is their sum: that picture, but where
-        emission or environment are part of it."""
+        """The passes with lights scaled towards the mixture of the picture and their sum, and the picture that is their
+        sum then: that mixture, but where emission or environment are part of it."""
         import torch
 
-        total = _sum(found[name] for name in self._passes.summands)
-        scale = torch.where(total > 0, picture / total, 1)
+        from ..exposure import exposure
+        from ..ops.mix import mix
+
+        total, ones = _sum(found[name] for name in self._passes.summands), torch.ones_like(frame.depth)
+        shown = mix(picture, total, exposure(picture), ones, (WHOLE, 0.0, 0.0), noisy=frame.radiance, tells=ones)
+        scale = torch.where(total > 0, shown / total, 1)
         lit = {name: scale * found[name] for name in (*self._passes.lights, *self._passes.volumes)}
         found = found | lit
         picture = _sum(found[name] for name in self._passes.summands)
