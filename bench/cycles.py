@@ -47,6 +47,7 @@ SKIP = 1  # frames: the first has no history
 METHODS = {
     "rtdenoise denoise --offline": Options(offline=True),
     "rtdenoise denoise --lights": Options(lights=True, layout="source"),
+    "rtdenoise denoise --lights --lookahead 2": Options(lights=True, layout="source", lookahead=2),
     "rtdenoise denoise --lookahead 2": Options(lookahead=2),
     "rtdenoise denoise": Options(),
     "rtdenoise denoise --signal indirect --recombine": Options(signal="indirect", recombine=True),
@@ -54,6 +55,7 @@ METHODS = {
 WHOLE, OIDN = "Intel OIDN 2", "Intel OIDN 2, each pass by itself"
 OF_LIGHTS = {
     "rtdenoise denoise --lights": Options(lights=True, layout="source", float32=True),
+    "rtdenoise denoise --lights --lookahead 2": Options(lights=True, layout="source", float32=True, lookahead=2),
     "rtdenoise denoise --lights --model default": Options(
         lights=True, layout="source", float32=True, model="default"
     ),

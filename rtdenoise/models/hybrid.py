@@ -31,7 +31,8 @@ class Hybrid(AccumulatedKPN):
     def __init__(self, config: HybridConfig) -> None:
         super().__init__(config)
         self.pixels = PixelNetwork(config)
-        self.shares = config.shares
+        self.shares = config.shares  # of `mix`
+        self.keeps_footprint = False  # in its history, for others who filter it
 
     def step_and_kernels(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -64,4 +65,7 @@ class Hybrid(AccumulatedKPN):
         before = None if self.config.many else past.output
         shown = mix(image, pixels, known.exposure, trust, self.shares, before, held, frame.radiance, tells)
         shown = even_sky(shown, frame.radiance, frame.depth)
-        return shown, replace(after, radiance=shown.detach()), kernels
+        after = replace(after, radiance=shown.detach())
+        if not self.keeps_footprint:
+            after = replace(after, footprint=None, footprint_count=None)
+        return shown, after, kernels

@@ -60,6 +60,7 @@ class Passes:
         if isinstance(network, Hybrid):  # the filter writes pixels, too
             kernels, *others = network.shares
             network.shares = kernels + KERNELS * (1 - kernels), *others
+            network.keeps_footprint = True
         self._filter = Oidn(clean=True) if self.has_oidn else PixelFilter(self.backend.device, precision)
 
     @property
