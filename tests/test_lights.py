@@ -89,6 +89,27 @@ def test_the_picture_is_between_that_without_lights_and_the_sum_of_the_lights(pl
         assert 0.2 < apart[0] / sum(apart) < 0.8
 
 
+def test_diffuse_and_glossy_light_have_the_colour_of_their_lobe(tmp_path, monkeypatch):
+    """In the frames ahead, too."""
+    denoise_, seen = TorchBackend.denoise, []
+
+    def spy(self, frame, history, ahead=()):
+        seen.append((frame, ahead))
+        return denoise_(self, frame, history, ahead)
+
+    monkeypatch.setattr(TorchBackend, "denoise", spy)
+    lit(tmp_path, lookahead=1)
+    shown = {}
+    for frame, ahead in seen:
+        for lit_frame in (frame, *ahead):
+            path = SHOT / Path(lit_frame.name).name
+            colors = {lobe: image(path, f"{lobe} Color") for lobe in LOBES} | {"frame": image(path, "Denoising Albedo")}
+            albedo = lit_frame.albedo[0].numpy()
+            (lobe,) = [name for name, color in colors.items() if np.array_equal(albedo, color)]
+            shown[lobe] = shown.get(lobe, 0) + 1
+    assert {"Diffuse", "Glossy"} <= set(shown) and "Transmission" not in shown
+
+
 @pytest.mark.parametrize("name", ["Combined", "Diffuse Direct", "Diffuse Indirect", "Glossy Indirect"])
 def test_the_noise_goes_and_the_brightness_stays(source, name):
     for path, clean in list(zip(sorted(SHOT.glob("*.exr")), source, strict=True))[1:]:

@@ -1,16 +1,17 @@
 """`denoise --lights` and `--also`: a backend whose steps denoise the light of a frame in parts.
 
-Each light is denoised as a picture of its own, by its own noise, with the surfaces of the frame. So is the whole. Their
-sum and the whole err in different places: the picture is a mixture of both, as the noisy frame tells (`ops.mix`), and
-the light passes are scaled, in each pixel alike, so that they add up to it. Emission, environment and colours have no
-noise: their edges are smoothed as the whole's (`models.noiseless`).
+Each light is denoised as a picture of its own, by its own noise, with the surfaces of the frame; diffuse and glossy
+light with the colour of their lobe as albedo. So is the whole. Their sum and the whole err in different places: the
+picture is a mixture of both, as the noisy frame tells (`ops.mix`), and the light passes are scaled, in each pixel
+alike, so that they add up to it. Emission, environment and colours have no noise: their edges are smoothed as the
+whole's (`models.noiseless`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from collections.abc import Sequence as SequenceOf
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,9 +24,11 @@ from ..data.sequences import Sequence
 from ..data.stored import OF
 from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, History
+from ..sanitise import GREATEST_ALBEDO
 from .backends import Backend, TorchBackend
 from .memory import explained
 from .options import Options
+from .parts import BACKGROUND, Parts, check_sign, check_sum, compare_sum, shared_out, sum_of, valid, whole_groups
 from .plan import Plan, count, look
 
 if TYPE_CHECKING:
@@ -33,10 +36,8 @@ if TYPE_CHECKING:
 
     from ..models.presets import Config
 
-MAX_NEGATIVE = 0.1  # of the light in a layer of `--also`; filters of some renderers have lobes below 0
-MAX_APART = 0.02  # of the mean radiance; half floats round by less than 0.001
 PICTURE = ""  # the name of the sum of all light
-BACKGROUND = "Environment"  # with a transparent film Cycles leaves it out of Combined
+OWN = "Diffuse", "Glossy"  # lobes whose colour is their albedo; in glass the frame's is that of what shows behind it
 WHOLE = 0.5  # usual share of the picture that was denoised as a whole; the rest is the sum of its parts
 GROUP = "Combined_"  # how the names of Cycles' light groups begin
 
@@ -67,16 +68,6 @@ def _write(
 ) -> dict[str, int]:
     parts = {name: part for name, part in image.items() if name != PICTURE}
     return write_light(out, sequence, index, picture=image[PICTURE], parts=parts, **options)
-
-
-@dataclass(frozen=True)
-class Parts:
-    """The light of a frame in parts, `[1, 3, H, W]` by name."""
-
-    lights: dict[str, Tensor]  # radiance, sanitised, each to be denoised as a picture
-    passed: dict[str, Tensor]  # without noise
-    background: bool = True  # whether it is in the picture
-    groups: tuple[str, ...] = ()  # the light groups, where they add up to the picture
 
 
 class LightBackend:
@@ -118,23 +109,25 @@ class LightBackend:
         """The frame; its parts are kept for `step`."""
         ready, passes = self._inner.prepare(frame), self._passes
         for name in passes.also:
-            _check_sign(ready.name, name, self._stored[name])
-        stored = {name: _valid(x) for name, x in self._stored.items()}
+            check_sign(ready.name, name, self._stored[name])
+        stored = {name: valid(x) for name, x in self._stored.items()}
         stored |= passes.radiance(stored)
-        picture = _valid(np.asarray(frame.radiance))
+        picture = valid(np.asarray(frame.radiance))
         summands = {name: stored[name] for name in passes.summands}
         with explained(ready.name, ready.size, self._inner.device):
             lights = {name: self._inner.prepare(Frame(stored[name])).radiance
                       for name in (*passes.lights, *passes.volumes, *passes.also)}  # fmt: skip
             passed = {name: self._on_device(stored[name]) for name in (*passes.colors, *passes.passed)}
+        colors = {lobe: passed[lobe].clamp(max=GREATEST_ALBEDO) for lobe in OWN if lobe in passed}
+        albedo = {name: colors[lobe] for name in passes.lights if (lobe := name.split()[0]) in colors}
         background = True
         if summands:
-            apart, background = _compare_sum(picture, summands)
+            apart, background = compare_sum(picture, summands)
             if not self._checked:
-                _check_sum(ready.name, apart, passes)
+                check_sum(ready.name, apart, passes)
                 self._checked = True
-        groups = _whole_groups(picture, {n: stored[n] for n in passes.also if n.startswith(GROUP)})
-        self._parts[ready.number] = Parts(lights, passed, background, groups)
+        groups = whole_groups(picture, {n: stored[n] for n in passes.also if n.startswith(GROUP)})
+        self._parts[ready.number] = Parts(lights, albedo, passed, background, groups)
         return ready
 
     def mismatch(self, frame: Frame, history: Histories | History) -> float:
@@ -160,12 +153,11 @@ class LightBackend:
                 if name not in before and not light.any():
                     found[name] = light
                     continue
-                following = tuple(replace(f, radiance=self._parts[f.number].lights[name]) for f in ahead)
-                lit = replace(frame, radiance=light)
-                found[name], after[name] = self._inner.denoise(lit, before.get(name), following)
+                following = tuple(self._parts[f.number].lit(f, name) for f in ahead)
+                found[name], after[name] = self._inner.denoise(parts.lit(frame, name), before.get(name), following)
             if self._passes.lights:
                 found, picture = self._added_up(frame, found, picture, parts)
-            found |= _shared_out(picture, {name: found[name] for name in parts.groups})
+            found |= shared_out(picture, {name: found[name] for name in parts.groups})
         self._parts = {number: kept for number, kept in self._parts.items() if number > frame.number}
         return found | {PICTURE: picture}, after
 
@@ -201,12 +193,12 @@ class LightBackend:
         from ..exposure import exposure
         from ..ops.mix import mix
 
-        total, ones = _sum(found[name] for name in self._passes.summands), torch.ones_like(frame.depth)
+        total, ones = sum_of(found[name] for name in self._passes.summands), torch.ones_like(frame.depth)
         shown = mix(picture, total, exposure(picture), ones, (WHOLE, 0.0, 0.0), noisy=frame.radiance, tells=ones)
         scale = torch.where(total > 0, shown / total, 1)
         lit = {name: scale * found[name] for name in (*self._passes.lights, *self._passes.volumes)}
         found = found | lit
-        picture = _sum(found[name] for name in self._passes.summands)
+        picture = sum_of(found[name] for name in self._passes.summands)
         if not parts.background:
             del found[BACKGROUND]  # the layer stays as it is
         return found, picture
@@ -229,7 +221,7 @@ class LightBackend:
     def remember(self, history: Histories, frames: SequenceOf[Frame]) -> Histories:
         remembered = {}
         for name, its in history.items():
-            seen = [frame if name == PICTURE else replace(frame, radiance=self._parts[frame.number].lights[name])
+            seen = [frame if name == PICTURE else self._parts[frame.number].lit(frame, name)
                     for frame in frames[: len(its.recent) + 1]]  # fmt: skip
             remembered[name] = self._inner.remember(its, seen)
         return remembered
@@ -242,52 +234,3 @@ class LightBackend:
         import torch
 
         return torch.from_numpy(image).to(self._inner.device)
-
-
-def _compare_sum(picture: np.ndarray, summands: dict[str, np.ndarray]) -> tuple[float, bool]:
-    """How far the passes are from the noisy picture, as a share of its mean, and whether they come nearer to it with
-    the background than without."""
-    total = _sum(summands.values())
-    mean = max(float(picture.mean()), 1e-12)
-    whole, bare = (float(np.abs(x - picture).mean()) / mean for x in (total, total - summands[BACKGROUND]))
-    return min(whole, bare), whole <= bare
-
-
-def _check_sum(name: str, apart: float, passes: LightPasses) -> None:
-    """Raise InputError where the passes do not add up to the picture."""
-    if apart > MAX_APART:
-        advice = "" if passes.volumes else "are there volumes? switch on View Layer > Passes > Light > Volume, or "
-        raise InputError(f"{name}: --lights: the light passes do not add up to the picture, {100 * apart:.0f} % "
-                         f"is missing or too much; {advice}leave --lights out")  # fmt: skip
-
-
-def _check_sign(frame: str, name: str, image: np.ndarray) -> None:
-    """Raise InputError for a layer that is no light: much of it is negative."""
-    finite = np.nan_to_num(image, nan=0, posinf=0, neginf=0)
-    if (share := float(-finite.clip(max=0).sum() / max(np.abs(finite).sum(), 1e-30))) > MAX_NEGATIVE:
-        raise InputError(f"{frame}: --also {name}: {100 * share:.0f} % of it is negative, and light never is: leave it "
-                         "out")  # fmt: skip
-
-
-def _whole_groups(picture: np.ndarray, groups: dict[str, np.ndarray]) -> tuple[str, ...]:
-    """The light groups, if they add up to the picture; else none."""
-    apart = np.abs(_sum(groups.values()) - picture).mean() if groups else np.inf
-    return tuple(groups) if apart <= MAX_APART * picture.mean() else ()
-
-
-def _shared_out(picture: Tensor, groups: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The groups, scaled so that they add up to the picture: the sum of denoised pictures is not quite the whole."""
-    import torch
-
-    total = sum(groups.values())
-    return {name: torch.where(total > 0, x / total, 1 / len(groups)) * picture for name, x in groups.items()}
-
-
-def _valid(image: np.ndarray) -> np.ndarray:
-    """Finite and not negative."""
-    return np.nan_to_num(image, nan=0, posinf=0, neginf=0).clip(0)
-
-
-def _sum(images: Iterable[Any]) -> Any:
-    first, *others = images
-    return sum(others, first)
