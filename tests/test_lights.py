@@ -90,7 +90,7 @@ def test_the_picture_is_between_that_without_lights_and_the_sum_of_the_lights(pl
 
 
 def test_diffuse_and_glossy_light_have_the_colour_of_their_lobe(tmp_path, monkeypatch):
-    """In the frames ahead, too."""
+    """In the frames ahead, too. Transmitted light has the frame's."""
     denoise_, seen = TorchBackend.denoise, []
 
     def spy(self, frame, history, ahead=()):
@@ -99,15 +99,30 @@ def test_diffuse_and_glossy_light_have_the_colour_of_their_lobe(tmp_path, monkey
 
     monkeypatch.setattr(TorchBackend, "denoise", spy)
     lit(tmp_path, lookahead=1)
-    shown = {}
-    for frame, ahead in seen:
-        for lit_frame in (frame, *ahead):
-            path = SHOT / Path(lit_frame.name).name
-            colors = {lobe: image(path, f"{lobe} Color") for lobe in LOBES} | {"frame": image(path, "Denoising Albedo")}
-            albedo = lit_frame.albedo[0].numpy()
-            (lobe,) = [name for name, color in colors.items() if np.array_equal(albedo, color)]
-            shown[lobe] = shown.get(lobe, 0) + 1
-    assert {"Diffuse", "Glossy"} <= set(shown) and "Transmission" not in shown
+
+    def layer(frame):
+        albedo, path = frame.albedo[0].numpy(), SHOT / Path(frame.name).name
+        names = [*(f"{lobe} Color" for lobe in LOBES), "Denoising Albedo"]
+        (name,) = [name for name in names if np.array_equal(albedo, image(path, name))]
+        return name
+
+    shown = [{layer(f) for f in (frame, *ahead)} for frame, ahead in seen]
+    assert all(len(names) == 1 for names in shown) and any(ahead for _, ahead in seen)
+    assert set.union(*shown) - {"Denoising Albedo"} == {"Diffuse Color", "Glossy Color"}
+
+
+def test_light_that_is_missing_in_a_later_frame_is_not_lost(tmp_path):
+    """As in fog that begins in mid-shot, where its passes are switched off."""
+    brighter = relit(tmp_path / "shot", frames=3)
+    path = sorted(brighter.glob("*.exr"))[2]
+    planes = read_channels(path, list(read_header(path).channels))
+    for c in "RGB":
+        planes[f"ViewLayer.Combined.{c}"] = 1.5 * planes[f"ViewLayer.Combined.{c}"]
+    write_layers(path, planes, dtypes=dict.fromkeys(planes, "float"))
+    with_lights = lit(tmp_path / "lights", brighter)[2]
+    without = run(tmp_path / "plain", brighter, float32=True)[2]
+    dark = image(with_lights, "Emission") == 0
+    np.testing.assert_allclose(image(with_lights, "Combined")[dark], image(without, "")[dark], rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["Combined", "Diffuse Direct", "Diffuse Indirect", "Glossy Indirect"])

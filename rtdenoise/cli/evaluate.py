@@ -70,7 +70,9 @@ class Evaluate:
                 bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
             document = run(self.sources, out, options, say, on_step)
-        own, networks = automatic(options.device), [m for m in document.methods.values() if m["family"] == "network"]
+        own, networks = automatic(options.device), [
+            name for name, m in document.methods.items() if m["family"] == "network" and not name.startswith("offline")
+        ]
         if networks and own not in options.precisions:
             print(f"the networks ran in {', '.join(options.precisions)}; `denoise` runs most in {own} here, which is "
                   f"faster: --precision {own} measures that")  # fmt: skip

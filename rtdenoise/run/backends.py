@@ -112,6 +112,7 @@ class TorchBackend:
         import torch
 
         from ..models import load
+        from ..models.hybrid import Hybrid
         from ..models.inference import choose_device
         from .graphs import stepper
 
@@ -129,6 +130,8 @@ class TorchBackend:
         if averages and (footprint or (lookahead and not config.recent)):
             most = min(RECALL_FRAMES, math.ceil(config.longest) - 1)  # below the longest history
             self._denoiser.config = replace(config, recent=most, footprint=footprint or config.footprint)
+            if isinstance(self._denoiser, Hybrid):
+                self._denoiser.keeps_footprint = footprint
         self._step = self._whole = stepper(self._denoiser)
         self._lookahead = lookahead
 

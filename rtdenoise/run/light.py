@@ -28,7 +28,18 @@ from ..sanitise import GREATEST_ALBEDO
 from .backends import Backend, TorchBackend
 from .memory import explained
 from .options import Options
-from .parts import BACKGROUND, Parts, check_sign, check_sum, compare_sum, shared_out, sum_of, valid, whole_groups
+from .parts import (
+    BACKGROUND,
+    MAX_APART,
+    Parts,
+    check_sign,
+    check_sum,
+    compare_sum,
+    shared_out,
+    sum_of,
+    valid,
+    whole_groups,
+)
 from .plan import Plan, count, look
 
 if TYPE_CHECKING:
@@ -120,14 +131,15 @@ class LightBackend:
             passed = {name: self._on_device(stored[name]) for name in (*passes.colors, *passes.passed)}
         colors = {lobe: passed[lobe].clamp(max=GREATEST_ALBEDO) for lobe in OWN if lobe in passed}
         albedo = {name: colors[lobe] for name in passes.lights if (lobe := name.split()[0]) in colors}
-        background = True
+        whole = background = True
         if summands:
             apart, background = compare_sum(picture, summands)
             if not self._checked:
                 check_sum(ready.name, apart, passes)
                 self._checked = True
+            whole = apart <= MAX_APART
         groups = whole_groups(picture, {n: stored[n] for n in passes.also if n.startswith(GROUP)})
-        self._parts[ready.number] = Parts(lights, albedo, passed, background, groups)
+        self._parts[ready.number] = Parts(lights, albedo, passed, whole, background, groups)
         return ready
 
     def mismatch(self, frame: Frame, history: Histories | History) -> float:
@@ -187,15 +199,17 @@ class LightBackend:
         self, frame: Frame, found: dict[str, Tensor], picture: Tensor, parts: Parts
     ) -> tuple[dict[str, Tensor], Tensor]:
         """The passes with lights scaled towards the mixture of the picture and their sum, and the picture that is their
-        sum then: that mixture, but where emission or environment are part of it."""
+        sum then: that mixture, but where emission or environment are part of it. In a frame to which they do not add
+        up, they are scaled towards the picture."""
         import torch
 
         from ..exposure import exposure
         from ..ops.mix import mix
 
         total, ones = sum_of(found[name] for name in self._passes.summands), torch.ones_like(frame.depth)
-        shown = mix(picture, total, exposure(picture), ones, (WHOLE, 0.0, 0.0), noisy=frame.radiance, tells=ones)
-        scale = torch.where(total > 0, shown / total, 1)
+        if parts.whole:
+            picture = mix(picture, total, exposure(picture), ones, (WHOLE, 0.0, 0.0), noisy=frame.radiance, tells=ones)
+        scale = torch.where(total > 0, picture / total, 1)
         lit = {name: scale * found[name] for name in (*self._passes.lights, *self._passes.volumes)}
         found = found | lit
         picture = sum_of(found[name] for name in self._passes.summands)

@@ -72,7 +72,8 @@ class Options:
     sure)."""
     precision: str = "auto"
     """Precision of the network: 'fp32', 'bf16' (torch), 'int8' (for CPUs that multiply bytes), 'fp16' (glsl, for
-    stored activations), or 'auto' (torch: bf16 or int8 where the hardware is faster with it; glsl: fp32)."""
+    stored activations), or 'auto' (torch: bf16 or int8 where the hardware is faster with it, fp32 with
+    --offline; glsl: fp32)."""
 
 
 @dataclass

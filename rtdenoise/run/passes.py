@@ -38,7 +38,7 @@ from .covered import as_covered
 from .pixel_filter import PixelFilter
 from .sides import Estimate, corrected, seen_on_both_sides
 
-KERNELS = 0.4  # how much of the share that pixels have in a network that writes them is left to its kernels here
+LEFT_TO_KERNELS = 0.4  # of the share that a network's written pixels have in real time: the filter writes pixels, too
 WITHOUT_OIDN = "OIDN is not installed: a smaller filter takes its place, for 0.06 dB less, in less time"
 
 
@@ -48,7 +48,7 @@ class Passes:
     def __init__(
         self, model: str = "hybrid", device: str = "auto", precision: str = "auto", oidn: bool | None = None
     ) -> None:
-        """`oidn`: whether that filters; None: where it is installed. 'auto' is full precision.
+        """`oidn`: whether that filters; None: where it is installed. 'auto' is float32.
         Raises InputError for a model that averages no light, and what loading it raises."""
         self.has_oidn = installed() if oidn is None else oidn
         precision = "fp32" if precision == "auto" else precision  # steps of fewer bits show where little noise is left
@@ -57,10 +57,9 @@ class Passes:
         if not isinstance(network, AccumulatedKPN):
             raise InputError(f"--offline: model {model!r} does not average light over time; choose hybrid, default, "
                              "many or fast")  # fmt: skip
-        if isinstance(network, Hybrid):  # the filter writes pixels, too
+        if isinstance(network, Hybrid):
             kernels, *others = network.shares
-            network.shares = kernels + KERNELS * (1 - kernels), *others
-            network.keeps_footprint = True
+            network.shares = kernels + LEFT_TO_KERNELS * (1 - kernels), *others
         self._filter = Oidn(clean=True) if self.has_oidn else PixelFilter(self.backend.device, precision)
 
     @property

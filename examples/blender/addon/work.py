@@ -40,9 +40,9 @@ class Work:
     @property
     def arguments(self) -> list[str]:
         """Of rtdenoise."""
-        how = ["--offline"] if self.light == "BEST" else ["--lights", *(("--also", *self.also) if self.also else ())]
+        every = ["--lights", "--lookahead", "2", *(("--also", *self.also) if self.also else ())]
         return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}",
-                "--layout", "source", "--progress", "lines", *how]  # fmt: skip
+                "--layout", "source", "--progress", "lines", *(["--offline"] if self.light == "BEST" else every)]  # fmt: skip
 
 
 def folder_of(scene: bpy.types.Scene) -> Path:
