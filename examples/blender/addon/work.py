@@ -40,9 +40,11 @@ class Work:
     @property
     def arguments(self) -> list[str]:
         """Of rtdenoise."""
-        every = ["--lights", "--lookahead", "2", *(("--also", *self.also) if self.also else ())]
+        how = ["--lights", "--lookahead", "2", *(("--also", *self.also) if self.also else ())]
+        if self.light == "BEST":
+            how = ["--offline"]
         return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}",
-                "--layout", "source", "--progress", "lines", *(["--offline"] if self.light == "BEST" else every)]  # fmt: skip
+                "--layout", "source", "--progress", "lines", *how]  # fmt: skip
 
 
 def folder_of(scene: bpy.types.Scene) -> Path:
