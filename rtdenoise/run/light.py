@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 PICTURE = ""  # the name of the sum of all light
 OWN = "Diffuse", "Glossy"  # lobes whose colour is their albedo; in glass the frame's is that of what shows behind it
-WHOLE = 0.5  # usual share of the picture that was denoised as a whole; the rest is the sum of its parts
+SHARES = 0.5, 0.0, 0.0  # of `mix`: usually half of the picture as a whole, half of the sum of its lights
 GROUP = "Combined_"  # how the names of Cycles' light groups begin
 
 Histories = dict[str, History]  # of the picture, and of each light by name that was ever there in the shot
@@ -131,15 +131,15 @@ class LightBackend:
             passed = {name: self._on_device(stored[name]) for name in (*passes.colors, *passes.passed)}
         colors = {lobe: passed[lobe].clamp(max=GREATEST_ALBEDO) for lobe in OWN if lobe in passed}
         albedo = {name: colors[lobe] for name in passes.lights if (lobe := name.split()[0]) in colors}
-        whole = background = True
+        complete = background = True
         if summands:
             apart, background = compare_sum(picture, summands)
             if not self._checked:
                 check_sum(ready.name, apart, passes)
                 self._checked = True
-            whole = apart <= MAX_APART
+            complete = apart <= MAX_APART
         groups = whole_groups(picture, {n: stored[n] for n in passes.also if n.startswith(GROUP)})
-        self._parts[ready.number] = Parts(lights, albedo, passed, whole, background, groups)
+        self._parts[ready.number] = Parts(lights, albedo, passed, complete, background, groups)
         return ready
 
     def mismatch(self, frame: Frame, history: Histories | History) -> float:
@@ -207,8 +207,9 @@ class LightBackend:
         from ..ops.mix import mix
 
         total, ones = sum_of(found[name] for name in self._passes.summands), torch.ones_like(frame.depth)
-        if parts.whole:
-            picture = mix(picture, total, exposure(picture), ones, (WHOLE, 0.0, 0.0), noisy=frame.radiance, tells=ones)
+        if parts.complete:
+            scale = exposure(picture)
+            picture = mix(picture, total, scale, ones, SHARES, noisy=frame.radiance, tells=ones)
         scale = torch.where(total > 0, picture / total, 1)
         lit = {name: scale * found[name] for name in (*self._passes.lights, *self._passes.volumes)}
         found = found | lit

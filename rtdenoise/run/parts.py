@@ -27,7 +27,7 @@ class Parts:
     lights: dict[str, Tensor]  # radiance, sanitised, each to be denoised as a picture
     albedo: dict[str, Tensor]  # sanitised, of the lights that have one of their own
     passed: dict[str, Tensor]  # without noise
-    whole: bool = True  # whether they add up to the picture
+    complete: bool = True  # whether they add up to the picture
     background: bool = True  # whether it is in the picture
     groups: tuple[str, ...] = ()  # the light groups, where they add up to the picture
 
