@@ -26,6 +26,7 @@ except ImportError:  # Windows: two runs on one folder are not kept apart
 
 UNFINISHED = re.compile(r"\.rtdenoise-(\d+)-([0-9a-f]{8})[0-9a-f]{8}\.\w+")  # process, machine, a random number
 DAY = 86400.0  # seconds
+LOCK = ".rtdenoise-lock"  # in an output folder, while a run writes to it
 NO_LOCKS = errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP  # as on a network's disk that is mounted without
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)  # flags that Windows lacks
 NO_WAITING = getattr(os, "O_NONBLOCK", 0)
@@ -111,7 +112,7 @@ def _runs(process: int) -> bool:
 
 
 @contextlib.contextmanager
-def lock(folder: Path, name: str = ".rtdenoise-lock") -> Iterator[None]:
+def lock(folder: Path, name: str = LOCK) -> Iterator[None]:
     """Hold a lock on a folder; the system releases it however the process ends.
 
     Raises InputError where another process holds it, and where the file `name` in the folder cannot be opened or is a

@@ -300,6 +300,55 @@ def clear(planes):
         planes[f"ViewLayer.Volume Direct.{c}"] = 0 * planes[f"ViewLayer.Combined.{c}"]
 
 
+@pytest.fixture(scope="module")
+def offline(tmp_path_factory):
+    """The offline mode's picture, and with all lights."""
+    shot = relit(tmp_path_factory.mktemp("offline") / "shot", groups, frames=3)
+    plain = run(shot.parent / "plain", shot, offline=True, float32=True)
+    return shot, plain, lit(shot.parent / "lit", shot, offline=True)
+
+
+def test_offline_its_picture_takes_the_place_of_the_whole(offline, tmp_path, monkeypatch):
+    shot, plain, every = offline
+    for path in every:
+        np.testing.assert_allclose(sum_of_lights(path), image(path, "Combined"), rtol=HALF, atol=1e-4)
+    monkeypatch.setattr("rtdenoise.ops.mix.mix", lambda whole, *_, **__: whole)
+    for of_whole, path in zip(plain, lit(tmp_path, shot, offline=True), strict=True):
+        dark = image(path, "Emission") == 0
+        np.testing.assert_allclose(image(path, "Combined")[dark], image(of_whole, "")[dark], rtol=1e-4, atol=1e-4)
+
+
+def test_offline_light_groups_add_up_to_its_picture(offline, tmp_path):
+    shot, plain, _ = offline
+    also = ("Combined_key", "Combined_fill")
+    for of_whole, path in zip(plain, run(tmp_path, shot, offline=True, also=also, float32=True), strict=True):
+        assert np.array_equal(image(path, ""), image(of_whole, ""))
+        key, fill = (image(path, f".{name}") for name in also)
+        np.testing.assert_allclose(key + fill, image(path, ""), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("killed", [(0, 2), (4, 6), (7, 8)])
+def test_offline_an_interrupted_run_goes_on_to_the_same_result(offline, tmp_path, killed):
+    """Killed in either pass over the picture, between them and the light, and in that; then once more, for nothing."""
+    shot, _, every = offline
+    options = Options(model="fast", lights=True, layout="source", float32=True, offline=True)
+    for count in killed:
+        with pytest.raises(Stop):
+            denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(count))
+    counted = []
+    summary = denoise(str(shot), tmp_path / "out", options, on_frame=lambda *progress: counted.append(progress))
+    assert len(set(summary.notes)) == len(summary.notes)
+    assert counted[0] == (min(killed[-1], 6), 9) and counted == sorted(counted) and counted[-1] == (9, 9)
+    for path in every:
+        names = [name for name in read_header(path).channels if name.startswith("ViewLayer.")]
+        a, b = read_channels(path, names), read_channels(tmp_path / "out" / path.name, names)
+        assert all(np.array_equal(a[name], b[name], equal_nan=True) for name in names)
+    assert {p.name for p in (tmp_path / "out").iterdir() if p.is_dir()} == set()
+    assert denoise(str(shot), tmp_path / "out", options).written == 0
+    with pytest.raises(InputError, match="offline True, now False"):
+        denoise(str(shot), tmp_path / "out", Options(model="fast", lights=True, layout="source", float32=True))
+
+
 @pytest.mark.parametrize(("change", "options", "words"), [
     (without("Glossy Color", "Emission"), {"lights": True}, "missing: Glossy Color, Emission; switch on View Layer"),
     (dark, {"lights": True},
@@ -314,7 +363,7 @@ def clear(planes):
     (without(), {"lights": True, "signal": "indirect"}, "goes with --signal color"),
     (without(), {"lights": True, "layout": "plain"}, "goes with --layout source, which has a place for every pass"),
     (without(), {"also": ("Emission",), "keep": ("all",), "layout": "plain"}, "goes without --keep"),
-    (without(), {"lights": True, "offline": True}, "go without --offline"),
+    (without(), {"lights": True, "offline": True, "confidence": True}, "goes with --offline, and without --lights"),
     (without(), {"lights": True, "model": "paper"}, "go with --model hybrid, default, many or fast"),
     (without(), {"lights": True, "backend": "glsl"}, "goes with --backend torch"),
 ])  # fmt: skip

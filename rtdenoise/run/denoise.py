@@ -22,6 +22,7 @@ from .choice import open_chosen, told_of_samples
 from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
 from .light import in_parts
+from .offline_picture import Picture
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, read_state, save_state
@@ -45,25 +46,25 @@ def denoise(
     With `options.lookahead` or `offline` appended frames change what those before them look like, so that a finished
     run is not continued: `overwrite` starts anew.
 
-    With `options.offline` see `offline.denoise_offline`: there `total` counts the frames of both passes.
+    With `options.offline` see `offline.denoise_offline`: there `total` counts the frames of both passes. With light in
+    parts, too, see `offline_picture`: it counts the frames three times.
 
     Raises InputError for anything wrong with the input, the options or the output folder.
     """
-    if options.offline and (options.lights or options.also):
-        raise InputError("--lights and --also: go without --offline")
     _check(options)
-    if options.offline:
+    in_passes, picture = bool(options.lights or options.also), None
+    if options.offline and in_passes:
+        picture = Picture(source, Path(out), options, overwrite, on_frame)
+        options, on_frame = picture.options_of_light, picture.on_frame_of_light
+    elif options.offline:
         from .offline import denoise_offline
 
         return denoise_offline(source, out, options, overwrite, on_frame)
-    if options.confidence:
-        raise InputError("--confidence: goes with --offline")
     reads = () if options.model == AUTO else read_config(options.model).reads
     layers = (*reads, *(["samples"] if options.correct else []))
     sequence, options, notes = open_chosen(source, options, layers)
     sequence.require(*reads)
     check_output(sequence, options.layout, options.recombine, options.keep)
-    in_passes = bool(options.lights or options.also)
     backend = open_backend(
         options.backend,
         options.model,
@@ -81,12 +82,14 @@ def denoise(
         if reads:
             raise InputError(f"--lights, --also: not with {options.model}, which reads {reads[0]}; "
                              "leave them out, or take --model default")  # fmt: skip
-        backend, read, write = in_parts(sequence, options, backend)
+        backend, read, write = in_parts(sequence, options, backend, picture)
     out = prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
-        summary = _run(sequence, out, options, backend, read, write, overwrite, on_frame)
-    summary.notes[:0] = [*notes, *told_of_output(sequence, options)]
+        summary = _run(sequence, out, options, backend, read, write, overwrite, on_frame, picture)
+        if picture:
+            picture.remove(sequence)
+    summary.notes = list(dict.fromkeys([*notes, *told_of_output(sequence, options), *summary.notes]))
     return summary
 
 
@@ -99,6 +102,7 @@ def _run(
     write: Callable[..., dict[str, int]],
     overwrite: bool,
     on_frame: Callable[[int, int], None],
+    picture: Picture | None,
 ) -> Summary:
     fingerprints = digest(sequence, options)
     if options.lookahead:  # appended frames change what the frames before them look like
@@ -112,6 +116,9 @@ def _run(
     summary.notes += _notes(sequence, options, backend)
     names = output_names(sequence, options.layout, options.recombine)
     written = Written(out, names[:done])
+    if picture and done < len(sequence):
+        made = picture.make(sequence)
+        summary.notes, summary.seconds = [*summary.notes, *made.notes], summary.seconds + made.seconds
     if options.plan:
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
         summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
@@ -169,6 +176,8 @@ def _check(options: Options) -> None:
     check_lookahead(options.lookahead)
     if options.lookahead and options.offline:
         raise InputError("--lookahead: goes without --offline, which looks at all frames")
+    if options.confidence and (not options.offline or options.lights or options.also):
+        raise InputError("--confidence: goes with --offline, and without --lights and --also")
     if options.samples and not options.correct and options.model != AUTO:
         raise InputError(f"--samples {options.samples}: goes with --correct, or without --model")
 

@@ -27,19 +27,9 @@ from ..frame import NOTHING_KNOWN, Frame, History
 from ..sanitise import GREATEST_ALBEDO
 from .backends import Backend, TorchBackend
 from .memory import explained
+from .offline_picture import Picture
 from .options import Options
-from .parts import (
-    BACKGROUND,
-    MAX_APART,
-    Parts,
-    check_sign,
-    check_sum,
-    compare_sum,
-    shared_out,
-    sum_of,
-    valid,
-    whole_groups,
-)
+from .parts import BACKGROUND, Parts, check_sign, compare_sum, shared_out, sum_of, valid, whole_groups
 from .plan import Plan, count, look
 
 if TYPE_CHECKING:
@@ -55,8 +45,11 @@ GROUP = "Combined_"  # how the names of Cycles' light groups begin
 Histories = dict[str, History]  # of the picture, and of each light by name that was ever there in the shot
 
 
-def in_parts(sequence: Sequence, options: Options, backend: Backend) -> tuple[Backend, Any, Any]:
+def in_parts(
+    sequence: Sequence, options: Options, backend: Backend, picture: Picture | None = None
+) -> tuple[Backend, Any, Any]:
     """A backend for light in parts around `backend`, and the functions that read its frames and write its results.
+    `picture`: instead of that which `backend` makes of the whole.
 
     Raises InputError for options that do not go together, and as `find_light`.
     """
@@ -70,7 +63,7 @@ def in_parts(sequence: Sequence, options: Options, backend: Backend) -> tuple[Ba
     passes = find_light(sequence, options.lights, options.also)
     if not isinstance(backend, TorchBackend):
         raise InputError(f"{told}: goes with --backend torch; {INSTALL_TORCH}")
-    lit = LightBackend(backend, passes, told)
+    lit = LightBackend(backend, passes, told, picture)
     return lit, lit.read, partial(_write, passes=passes, layout=options.layout, float32=options.float32)
 
 
@@ -85,13 +78,15 @@ class LightBackend:
     """A `Backend` around torch's. An image is a dict of `[1, 3, H, W]`: the picture, named `PICTURE`, and the passes; a
     history is `Histories`."""
 
-    def __init__(self, inner: TorchBackend, passes: LightPasses, told: str = "--lights") -> None:
+    def __init__(
+        self, inner: TorchBackend, passes: LightPasses, told: str = "--lights", picture: Picture | None = None
+    ) -> None:
         from ..models.accumulated_kpn import AccumulatedKPN
 
         self._network = inner.network
         if not isinstance(self._network, AccumulatedKPN):
             raise InputError(f"{told}: goes with --model hybrid, default, many or fast, which average light")
-        self._inner, self._passes = inner, passes
+        self._inner, self._passes, self._picture = inner, passes, picture
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
         self._parts: dict[int, Parts] = {}  # by number, of the frames that are prepared
         self._left_out: dict[str, int] | None = None
@@ -133,11 +128,8 @@ class LightBackend:
         albedo = {name: colors[lobe] for name in passes.lights if (lobe := name.split()[0]) in colors}
         complete = background = True
         if summands:
-            apart, background = compare_sum(picture, summands)
-            if not self._checked:
-                check_sum(ready.name, apart, passes)
-                self._checked = True
-            complete = apart <= MAX_APART
+            first, self._checked = not self._checked, True
+            complete, background = compare_sum(ready.name, picture, summands, passes, must=first)
         groups = whole_groups(picture, {n: stored[n] for n in passes.also if n.startswith(GROUP)})
         self._parts[ready.number] = Parts(lights, albedo, passed, complete, background, groups)
         return ready
@@ -160,6 +152,8 @@ class LightBackend:
         before, parts = history or {}, self._parts[frame.number]
         with torch.inference_mode(), explained(frame.name, frame.size, self._inner.device):
             picture, passed, after = self._whole(frame, parts, before.get(PICTURE), ahead)
+            if self._picture:
+                picture = self._on_device(self._picture.read(frame.number))
             found, after = passed, {PICTURE: after}
             for name, light in parts.lights.items():
                 if name not in before and not light.any():

@@ -59,7 +59,8 @@ class Options:
     """Device of the torch backend: 'auto', 'cpu' or 'cuda'."""
     offline: bool = False
     """The best picture for frames on disk: uses the frames after as well as those before, and OIDN or networks
-    like its own. Takes 25 to 45 times as long as without."""
+    like its own. Takes 25 to 45 times as long as without. With --lights and --also it serves
+    the picture; its lights look two frames ahead."""
     lookahead: int = 0
     """Denoise each frame with so many of those after it: 2 gain 0.2 to 0.5 dB for little time."""
     correct: bool = False

@@ -36,21 +36,20 @@ class Parts:
         return replace(frame, radiance=self.lights[name], albedo=self.albedo.get(name, frame.albedo))
 
 
-def compare_sum(picture: np.ndarray, summands: dict[str, np.ndarray]) -> tuple[float, bool]:
-    """How far the passes are from the noisy picture, as a share of its mean, and whether they come nearer to it with
-    the background than without."""
+def compare_sum(
+    name: str, picture: np.ndarray, summands: dict[str, np.ndarray], passes: LightPasses, must: bool
+) -> tuple[bool, bool]:
+    """Whether the passes add up to the noisy picture, and whether they come nearer to it with the background than
+    without. Raises InputError where they do not and `must`."""
     total = sum_of(summands.values())
     mean = max(float(picture.mean()), 1e-12)
     whole, bare = (float(np.abs(x - picture).mean()) / mean for x in (total, total - summands[BACKGROUND]))
-    return min(whole, bare), whole <= bare
-
-
-def check_sum(name: str, apart: float, passes: LightPasses) -> None:
-    """Raise InputError where the passes do not add up to the picture."""
-    if apart > MAX_APART:
+    apart = min(whole, bare)
+    if must and apart > MAX_APART:
         advice = "" if passes.volumes else "are there volumes? switch on View Layer > Passes > Light > Volume, or "
         raise InputError(f"{name}: --lights: the light passes do not add up to the picture, {100 * apart:.0f} % "
                          f"is missing or too much; {advice}leave --lights out")  # fmt: skip
+    return apart <= MAX_APART, whole <= bare
 
 
 def check_sign(frame: str, name: str, image: np.ndarray) -> None:

@@ -1,0 +1,64 @@
+"""`denoise --offline` for light in parts (`light`): the picture comes first, by all frames, in a hidden folder inside
+the output folder. It takes the place of the one that is denoised as a whole. Then the light is denoised, two frames
+ahead: over both directions in time it would take as much disk for each pass as the picture does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from ..data.output import output_names, read_result
+from ..data.sequences import Sequence
+from ..errors import InputError
+from ..files import LOCK
+from .options import SUMMARY, Options, Summary
+from .state import STATE
+
+FOLDER = ".rtdenoise-picture"
+AHEAD = 2  # frames
+
+
+class Picture:
+    """The picture of each frame, once it is made."""
+
+    def __init__(
+        self, source: str, out: Path, options: Options, overwrite: bool, on_frame: Callable[[int, int], None]
+    ) -> None:
+        """As `denoise.denoise`. `on_frame` counts the frames three times, twice of them for the picture."""
+        self._source, self._folder, self._overwrite, self._on_frame = source, out / FOLDER, overwrite, on_frame
+        self._options = replace(options, lights=False, also=(), layout="plain", float32=True)
+        self.options_of_light = replace(options, lookahead=AHEAD)
+
+    def on_frame_of_light(self, done: int, total: int) -> None:
+        """Progress of the light."""
+        self._on_frame(2 * total + done, 3 * total)
+
+    def make(self, sequence: Sequence) -> Summary:
+        """Denoise the picture, or go on where that was interrupted."""
+        from .offline import denoise_offline
+
+        if self._folder.is_symlink():
+            raise InputError(f"{self._folder}: not a folder of this program; remove it or choose another --out")
+        self._sequence = sequence
+        return denoise_offline(
+            self._source, self._folder, self._options, self._overwrite,
+            lambda done, total: self._on_frame(done, 3 * total // 2),
+        )  # fmt: skip
+
+    def read(self, number: int) -> np.ndarray:
+        """The picture of a frame, `[1, 3, H, W]`."""
+        return read_result(self._folder, self._sequence, self._sequence.numbers.index(number))
+
+    def remove(self, sequence: Sequence) -> None:
+        """Remove the pictures, and the folder unless it holds anything else."""
+        if self._folder.is_dir() and not self._folder.is_symlink():
+            for name in (*chain(*output_names(sequence, "plain", False)), SUMMARY, STATE, LOCK):
+                (self._folder / name).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self._folder.rmdir()
