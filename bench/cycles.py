@@ -46,6 +46,7 @@ PAGES = (ROOT / "docs" / "use" / "blender.md",)
 SKIP = 1  # frames: the first has no history
 METHODS = {
     "rtdenoise denoise --offline": Options(offline=True),
+    "rtdenoise denoise --offline --lights": Options(offline=True, lights=True, layout="source"),
     "rtdenoise denoise --lights": Options(lights=True, layout="source"),
     "rtdenoise denoise --lights --lookahead 2": Options(lights=True, layout="source", lookahead=2),
     "rtdenoise denoise --lookahead 2": Options(lookahead=2),

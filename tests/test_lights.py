@@ -366,6 +366,7 @@ def test_offline_an_interrupted_run_goes_on_to_the_same_result(offline, tmp_path
     (without(), {"lights": True, "offline": True, "confidence": True}, "goes with --offline, and without --lights"),
     (without(), {"lights": True, "model": "paper"}, "go with --model hybrid, default, many or fast"),
     (without(), {"lights": True, "backend": "glsl"}, "goes with --backend torch"),
+    (without(), {"lights": True, "backend": "glsl", "offline": True}, "--offline: goes with --backend torch"),
 ])  # fmt: skip
 def test_bad_input_is_one_sentence(tmp_path, change, options, words):
     shot = relit(tmp_path / "shot", change, frames=1)

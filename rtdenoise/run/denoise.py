@@ -174,6 +174,8 @@ def _check(options: Options) -> None:
                          "frames")  # fmt: skip
     check_samples(options.samples)
     check_lookahead(options.lookahead)
+    if options.offline and options.backend == "glsl":
+        raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
     if options.lookahead and options.offline:
         raise InputError("--lookahead: goes without --offline, which looks at all frames")
     if options.confidence and (not options.offline or options.lights or options.also):

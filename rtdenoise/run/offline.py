@@ -66,8 +66,6 @@ def denoise_offline(
     Frames appear in the output folder from the last one to the first. Appended frames change what the frames before
     them look like, so a finished run is not continued: `overwrite` starts anew.
     """
-    if options.backend == "glsl":
-        raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
     if find_spec("torch") is None:
         raise InputError("--offline needs PyTorch, which is not installed; leave it out")
     sequence, options, notes = open_chosen(source, options)
