@@ -53,6 +53,7 @@ class Evaluate:
     def _measure(self, signal: str, out: Path) -> None:
         from rich.progress import TextColumn
 
+        from ..evaluate.registry import choose
         from ..evaluate.run import EvaluateOptions, run
         from ..models.inference import automatic, choose_device
 
@@ -70,9 +71,8 @@ class Evaluate:
                 bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
             document = run(self.sources, out, options, say, on_step)
-        own, networks = automatic(options.device), [
-            name for name, m in document.methods.items() if m["family"] == "network" and not name.startswith("offline")
-        ]
+        own = automatic(options.device)
+        networks = [m for m in choose(options.methods) if m.family == "network" and len(m.precisions) > 1]
         if networks and own not in options.precisions:
             print(f"the networks ran in {', '.join(options.precisions)}; `denoise` runs most in {own} here, which is "
                   f"faster: --precision {own} measures that")  # fmt: skip

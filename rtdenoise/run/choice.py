@@ -48,11 +48,11 @@ def _reason(options: Options) -> str:
     return "--backend glsl" if options.backend == "glsl" else "the backend glsl: PyTorch is not installed"
 
 
-def candidates(backend: str, kernels_alone: bool) -> tuple[str, str]:
+def candidates(backend: str, correct: bool) -> tuple[str, str]:
     """The networks that make the best picture on a backend, of few samples a pixel and from LEAST on: those that write
-    pixels, unless something is asked for that goes with `kernels_alone`."""
+    pixels, unless their images are to be corrected, which goes with kernels alone."""
     in_torch = backend == "torch" or (backend == "auto" and find_spec("torch") is not None)
-    return BEST if in_torch and not kernels_alone else KERNELS
+    return BEST if in_torch and not correct else KERNELS
 
 
 def _has_little_noise(sequence: Sequence) -> bool:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
@@ -15,7 +16,7 @@ from ..data.exr import read_header
 from ..data.output import protect_input
 from ..data.sequences import Sequence
 from ..errors import InputError
-from ..files import dumps, write_atomically
+from ..files import dumps, remove_unfinished, write_atomically
 from ..models.presets import SHRINKAGE
 from ..models.weights import bytes_beside, files_of, find
 
@@ -34,6 +35,24 @@ def prepare(out: Path, sequence: Sequence, options: Options) -> Path:
     except OSError as error:
         raise InputError(f"{out}: cannot write there: {error.strerror}") from None
     return out
+
+
+def refuse_no_folder(hidden: Path) -> None:
+    """Raise InputError where a folder in the output folder is a link, or a file: of another program."""
+    if hidden.is_symlink() or not (hidden.is_dir() or not hidden.exists()):
+        raise InputError(f"{hidden}: not a folder of this program; remove it or choose another --out")
+
+
+def clear(hidden: Path, is_ours: Callable[[str], object]) -> None:
+    """Remove the files of these names from a folder in the output folder, and that unless it holds anything else."""
+    if hidden.is_symlink() or not hidden.is_dir():
+        return
+    remove_unfinished(hidden)
+    with contextlib.suppress(OSError):
+        for path in hidden.iterdir():
+            if is_ours(path.name):
+                path.unlink()
+        hidden.rmdir()
 
 
 def refuse_foreign(out: Path, names: Iterable[list[str]]) -> None:

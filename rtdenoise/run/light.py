@@ -124,8 +124,8 @@ class LightBackend:
             lights = {name: self._inner.prepare(Frame(stored[name])).radiance
                       for name in (*passes.lights, *passes.volumes, *passes.also)}  # fmt: skip
             passed = {name: self._on_device(stored[name]) for name in (*passes.colors, *passes.passed)}
-        colors = {lobe: passed[lobe].clamp(max=GREATEST_ALBEDO) for lobe in OWN if lobe in passed}
-        albedo = {name: colors[lobe] for name in passes.lights if (lobe := name.split()[0]) in colors}
+        lobes = {name: name.split()[0] for name in passes.lights}
+        albedo = {name: passed[lobe].clamp(max=GREATEST_ALBEDO) for name, lobe in lobes.items() if lobe in OWN}
         complete = background = True
         if summands:
             first, self._checked = not self._checked, True

@@ -10,7 +10,6 @@ A shot begins at the first frame, after a gap, and at a cut, which the first pas
 
 from __future__ import annotations
 
-import contextlib
 import re
 import shutil
 import time
@@ -31,10 +30,12 @@ from .choice import open_chosen, told_of_samples
 from .folder import (
     Written,
     are_finished,
+    clear,
     digest,
     digest_of,
     prepare,
     refuse_foreign,
+    refuse_no_folder,
     refuse_other,
     told_of_output,
     write_summary,
@@ -110,10 +111,9 @@ class _Run:
         self.summary, self.written = summary, Written(self.out, self.names[: max(0, done - count)])
         summary.skipped, summary.gaps, summary.notes = max(0, done - count), list(self.sequence.gaps), self._notes()
         summary.ran, self.watch = self.passes.backend.ran, Watch(summary.notes)
-        if self.estimates.is_symlink() or not (self.estimates.is_dir() or not self.estimates.exists()):
-            raise InputError(f"{self.estimates}: not a folder of this program; remove it or choose another --out")
+        refuse_no_folder(self.estimates)
         if not done:
-            self._clear()
+            clear(self.estimates, OF_ESTIMATE.fullmatch)
             self._save(0, None)
         if done < 2 * count:
             self._check_disk(count - min(done, count))
@@ -138,7 +138,7 @@ class _Run:
             if step >= count:
                 self._path(2 * count - 1 - step).unlink(missing_ok=True)
             self.on_frame(step + 1, 2 * count)
-        self._clear()
+        clear(self.estimates, OF_ESTIMATE.fullmatch)
         self.watch.end(count, len(summary.cuts))
         write_summary(self.out / SUMMARY, self.sequence, self.options, summary)
         return summary
@@ -225,17 +225,6 @@ class _Run:
 
     def _path(self, i: int) -> Path:
         return self.estimates / f"{i:06d}.safetensors"
-
-    def _clear(self) -> None:
-        """Remove the stored estimates, and their folder unless it holds anything else."""
-        if not self.estimates.exists():
-            return
-        remove_unfinished(self.estimates)
-        with contextlib.suppress(OSError):
-            for path in self.estimates.iterdir():
-                if OF_ESTIMATE.fullmatch(path.name):
-                    path.unlink()
-            self.estimates.rmdir()
 
     def _resume(self) -> tuple[int, Any, Summary]:
         """How far an earlier run came: frames done in both passes, the history, and the summary so far."""

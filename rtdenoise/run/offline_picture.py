@@ -5,7 +5,6 @@ ahead: over both directions in time it would take as much disk for each pass as 
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import chain
@@ -15,8 +14,8 @@ import numpy as np
 
 from ..data.output import output_names, read_result
 from ..data.sequences import Sequence
-from ..errors import InputError
 from ..files import LOCK
+from .folder import clear, refuse_no_folder
 from .options import SUMMARY, Options, Summary
 from .state import STATE
 
@@ -43,8 +42,7 @@ class Picture:
         """Denoise the picture, or go on where that was interrupted."""
         from .offline import denoise_offline
 
-        if self._folder.is_symlink():
-            raise InputError(f"{self._folder}: not a folder of this program; remove it or choose another --out")
+        refuse_no_folder(self._folder)
         self._sequence = sequence
         return denoise_offline(
             self._source, self._folder, self._options, self._overwrite,
@@ -57,8 +55,4 @@ class Picture:
 
     def remove(self, sequence: Sequence) -> None:
         """Remove the pictures, and the folder unless it holds anything else."""
-        if self._folder.is_dir() and not self._folder.is_symlink():
-            for name in (*chain(*output_names(sequence, "plain", False)), SUMMARY, STATE, LOCK):
-                (self._folder / name).unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
-                self._folder.rmdir()
+        clear(self._folder, {*chain(*output_names(sequence, "plain", False)), SUMMARY, STATE, LOCK}.__contains__)

@@ -40,9 +40,10 @@ class Work:
     @property
     def arguments(self) -> list[str]:
         """Of rtdenoise."""
-        how = ["--lights", "--lookahead", "2", *(("--also", *self.also) if self.also else ())]
         if self.light == "BEST":
             how = ["--offline"]
+        else:
+            how = ["--lights", "--lookahead", "2", *(("--also", *self.also) if self.also else ())]
         return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}",
                 "--layout", "source", "--progress", "lines", *how]  # fmt: skip
 
