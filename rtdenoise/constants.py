@@ -22,6 +22,7 @@ RECALL_RESET = 3  # of these the one whose higher half is the reset
 RECALL_CELL = 4  # side in pixels of the cells in which light is compared; 3 × 3 cells count together
 RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |differences|²: light counts whole; not at all
 RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED = 6.0, 12.0  # likewise over cells of twice the side
+RECALL_ROUNDING = 4e-4  # share of this frame's light that squared differences have at least: bfloat16 rounds light
 RECALL_NOISY = 0.25  # noise (`exposure.noise_level`) from which on lookups off the pixel count as far as they cover it
 RECALL_MISPLACED = 2.0  # below that the square of their distance counts so many times 1 / noise - 1 / RECALL_NOISY, too
 
@@ -35,6 +36,11 @@ OVER_LIGHT = 0.25  # share of radiance that is what frames saw of both; the rest
 TURNED_CELL = 4  # side in pixels of the cells over which normals are compared; 3 × 3 cells count together
 TURNED_NOISE = 8.0  # |sum of differences|² / sum of |differences|², 1 on average for noise, from which a surface turns
 TURNED_ANGLE = 0.09  # radians (5°) by which history falls to 1 / e
+
+# Light that has changed since all frames before (`ops.outdated`).
+AGREES_PATIENCE = 1.5  # the bounds of `recall` for a running mean, so many times as high: one test tells of all frames
+OUTDATED_CELL = 8  # side in pixels of the cells in which nothing may agree
+OUTDATED_PICTURE = 0.9  # share from which on the previous picture is as if off the screen
 
 CUT_ALIKE = 1.0  # pixels by which neighbours' motion may differ, if they move as one (`history.mismatch`)
 

@@ -69,6 +69,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise import ops
     from rtdenoise.frame import Frame, History
     from rtdenoise.ops import pixels
+    from rtdenoise.ops.agrees import agrees
     from rtdenoise.ops.around import expand_within
     from rtdenoise.ops.blend_history import blend_history
     from rtdenoise.ops.block_luminance import block_luminance
@@ -126,6 +127,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     for for_footprints in ((), (seen,), (seen, one)):
         yield f"recall {len(for_footprints)}", recall(image, motion, (depth, normal), kept, *for_footprints)
     yield "turned", turned(normal, other)
+    yield "agrees", agrees(image, other, seen)
     footprint = torch.cat([image, other, normal], dim=1)
     yield "over_and_coverage", over_and_coverage(footprint, footprint, motion, depth, kept)
     shift = torch.zeros(1, 2, -(-H // 16), -(-W // 16))

@@ -6,7 +6,7 @@ import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 
-from rtdenoise.ops.triton import displacement_sums, even_sky, light_shift, mean_distance
+from rtdenoise.ops.triton import agrees, displacement_sums, even_sky, light_shift, mean_distance
 from rtdenoise.ops.triton.apply_kernel import _backward, _forward
 from rtdenoise.ops.triton.around import _bounds, _within
 from rtdenoise.ops.triton.blend_history import _blend_history
@@ -71,7 +71,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
           **dict.fromkeys(["alike", "changed", "wide_alike", "wide_changed"], "fp32"))
     for pointers in (("*i32",) * 8, ("*i64",) * 8):  # of frames, and of their addresses
         counts["recent"] = pointers
-        build(_compare, dict(CELL=4, COLUMNS=32, FAR_AWAY=1e6, **one, **images), **near, **counts)
+        build(_compare, dict(CELL=4, COLUMNS=32, FAR_AWAY=1e6, **one, **images), rounding="fp32", **near, **counts)
         for yes in (False, True):
             build(_sum, dict(CELL=4, FOOTPRINT=yes, MISPLACED=yes, BLOCK=128, FAR_AWAY=1e6, **one, **images),
                   uncovered="*u8", edge_speed="fp32", gloss="fp32", **near, **counts)
@@ -109,6 +109,8 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_told, dict(CELL=4, BLOCK=128, **one), usual="fp32", dark="fp32", largest="fp32", **sizes)
     build(_turns, dict(CELL=4, BLOCK=128, **one), **sizes)
     build(_gives_way, dict(CELL=4, BLOCK=128, **one), noise="fp32", angle="fp32", **sizes)
+    build(agrees._compare, dict(CELL=4, BLOCK=128, **one), found="*u8", rounding="fp32", **sizes)
+    build(agrees._spread, dict(CELL=4, BLOCK=128, **one), **sizes)
     build(even_sky._blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
     build(even_sky._even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)
     curve = dict.fromkeys("GABCDEFS", "fp32")

@@ -18,6 +18,7 @@ from torch.autograd import forward_ad
 from rtdenoise import ops
 from rtdenoise.frame import Frame, History
 from rtdenoise.ops import dispatch, pixels
+from rtdenoise.ops.agrees import agrees
 from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.blend_history import blend_history
 from rtdenoise.ops.block_luminance import block_luminance
@@ -259,6 +260,7 @@ def misfits():
         "block_luminance": (lambda x: torch.stack(block_luminance(x, 4)), (3,)),
         "feature_bytes": (feature_bytes, (3, 3, 3)),
         "turned": (turned, (3, 3)),
+        "agrees": (lambda light, mean, found: agrees(light, mean, found > 0.5), (3, 3, 1)),
         "over": (lambda seen, motion, depth: over(seen, seen, motion, depth, [frame]), (9, 2, 1)),
     }
     for name, (op, channels) in found.items():

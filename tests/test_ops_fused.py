@@ -10,6 +10,7 @@ from fused_cases import CASES, DTYPES, SIZES
 
 from rtdenoise import ops
 from rtdenoise.ops import pixels, ranks
+from rtdenoise.ops.agrees import agrees
 from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.blend_history import blend_history
 from rtdenoise.ops.block_luminance import block_luminance
@@ -213,6 +214,16 @@ def test_turns_are_found_alike(both, assert_images_close, size):
     plain, fused = both(turned, normal, before)
     assert_images_close(fused, plain, "float32 quotient")
     assert plain.any() or min(size) < 3
+
+
+@pytest.mark.parametrize("backend, size", CASES[:-1], indirect=["backend"], ids=str)
+def test_running_means_are_tested_alike(both, assert_images_close, size):
+    """Where light has changed a little or much, is as it was, and where there is no mean."""
+    light = torch.rand(2, 3, *size)
+    mean = light + torch.randn(2, 3, *size) * 0.3 + torch.linspace(0, 0.3, size[1])
+    mean[1, ..., size[1] // 2 :] = light[1, ..., size[1] // 2 :]
+    plain, fused = both(agrees, light, mean, torch.rand(2, 1, *size) < 0.9)
+    assert_images_close(fused, plain, "float32 quotient")
 
 
 @pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..constants import BRIGHTNESS_BLOCK, SKY_BLOCK, TURNED_CELL
+from ..constants import AGREES_PATIENCE, BRIGHTNESS_BLOCK, OUTDATED_CELL, RECALL_CELL, SKY_BLOCK, TURNED_CELL
 from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import BLOCK_GROUP, SELECT_GROUP, dispatch, fill
@@ -144,6 +144,27 @@ class Passes:
         turned = self._scratch("turned", cells)
         dispatch("accumulated_kpn/turned", cells[::-1], sums | {"turned": turned})
         return turned
+
+    def outdated(
+        self, inputs: Inputs, noisy: GpuArray, before: GpuArray, means: Means, turned: GpuArray | None
+    ) -> tuple[GpuArray, GpuArray]:
+        """The reprojected previous output without what is outdated, and `turned` with it."""
+        H, W = inputs.surface.shape[:2]
+        past = self._scratch.image("shown", (H, W))
+        if turned is None:
+            turned = self._scratch("turned", (-(-H // TURNED_CELL), -(-W // TURNED_CELL)))
+            fill(turned)
+        recalls, stays = self._config.recent > 0, means.running  # which is not read
+        buffers = {"running": means.running, "mean_albedo": means.mean_albedo}
+        if not recalls:
+            cells = -(-H // RECALL_CELL), -(-W // RECALL_CELL)
+            sums, stays = {"cells": self._scratch.image("cells", cells)}, self._scratch("stays", cells)
+            dispatch("accumulated_kpn/compare", (W, H), buffers | sums | {"light": inputs.light})
+            dispatch("accumulated_kpn/stays", cells[::-1], sums | {"stays": stays}, {"patience": AGREES_PATIENCE})
+        buffers |= {"stays": stays, "noisy": noisy, "before": before, "past": past, "turned": turned}
+        group = OUTDATED_CELL, OUTDATED_CELL
+        dispatch("accumulated_kpn/outdated", (W, H), buffers, group=group, RECALLS=int(recalls))
+        return past, turned
 
     def features(self, inputs: Inputs, past: GpuArray, means: Means, groups: int) -> GpuArray:
         """The network's input, padded to whole cells of the network. Models that accumulate read `means` too, and write

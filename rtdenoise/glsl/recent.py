@@ -62,7 +62,7 @@ class Recent:
         for i, kept in enumerate(recent):
             buffers, at = now | {"kept": kept, "found": found, "cells": cells}, {"FIRST": int(i == 0)}
             dispatch("accumulated_kpn/look", size[::-1], buffers, **at)
-            dispatch("accumulated_kpn/stays", extent[::-1], {"cells": cells, "stays": stays})
+            dispatch("accumulated_kpn/stays", extent[::-1], {"cells": cells, "stays": stays}, {"patience": 1.0})
             buffers, at = {"found": found, "stays": stays, "running": running}, at | {"LAST": int(i == last)}
             dispatch("accumulated_kpn/add", size[::-1], buffers, **at)
             if seen is not None:

@@ -134,7 +134,8 @@ class AccumulatedKPN(nn.Module):
             mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.albedo_length, never, most)
 
         # Predict kernels.
-        heads = self.predict(self.features(frame, noisy, mean_albedo, past, known)).giving_way(past.turned)
+        heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
+        heads = heads.giving_way(past.turned).giving_way(past.outdated)
 
         # Average light over time; the mean gives way where the network says that light has changed.
         if known.first:  # there is nothing to average

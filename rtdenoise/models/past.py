@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from ..constants import OUTDATED_PICTURE
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
+from ..ops.agrees import agrees
 from ..ops.off_pixel import off_pixel
+from ..ops.outdated import outdated
 from ..ops.over import over, over_and_coverage
 from ..ops.pixels import accumulate, demodulate, joined
 from ..ops.recall import Recalled, keep, recall
@@ -33,10 +36,11 @@ class Past:
     albedo: Tensor  # [B, 3, H, W] running mean of albedo
     length: Tensor  # [B, 1, H, W] frames in the mean of irradiance
     albedo_length: Tensor  # [B, 1, H, W] likewise, but 0 where albedo is: light can reach farther back
-    output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where it was off the screen
-    on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame
+    output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where there is none
+    on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame, and its light is not outdated
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
     turned: Tensor | None = None  # [B, 1, H, W] share that gives way, as surfaces have turned; None: nothing has
+    outdated: Tensor | None = None  # [B, 1, H, W] likewise, as light has changed in all recent frames (`ops.outdated`)
     footprint: Tensor | None = None  # [B, 9, H, W] mean of `footprint` in recent frames, where the history keeps any
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
     later: History | None = None  # what the frames after know (`later`)
@@ -74,13 +78,19 @@ def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known
         surfaces, found = reproject((history.mean_albedo, history.normal), motion, here, before)
         albedo, normal = surfaces.split(3, dim=1)
         albedo_length = length * found
+        agree = length if history.recent else torch.ones_like(length)
     else:
         means = history.mean, history.mean_albedo, history.length
-        light, albedo, length = reproject(means, motion, here, before)[0].split([3, 3, 1], dim=1)
+        surfaces, found = reproject(means, motion, here, before)
+        light, albedo, length = surfaces.split([3, 3, 1], dim=1)
         normal, albedo_length = reproject(history.normal, motion, here, before)[0], length
+        agree = agrees(noisy, light, found)
+    old = outdated(found, agree)
     output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
+    shown = old < OUTDATED_PICTURE
+    output, seen = torch.where(shown, output, frame.radiance), seen & shown
     turn = None if known.still else turned(frame.normal, normal)
-    return Past(light, albedo, length, albedo_length, output, seen, uncovered, turn, *seen_there)
+    return Past(light, albedo, length, albedo_length, output, seen, uncovered, turn, old, *seen_there)
 
 
 def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: Known) -> Past:
@@ -90,7 +100,8 @@ def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: K
     found = _recalled(config, frame, noisy, motion, after, covered, known)
     light, length = joined(past.light, past.length, found.light, found.count)
     turn = _turn(frame, after, motion) if past.turned is None else past.turned
-    past = replace(past, light=light, length=length, later=after, turned=turn)
+    old = None if past.outdated is None else outdated(past.outdated > 0, length)
+    past = replace(past, light=light, length=length, later=after, turned=turn, outdated=old)
     seen = found.footprint, found.footprint_count
     if config.footprint and past.footprint is not None:
         seen = joined(past.footprint, past.footprint_count, *seen)

@@ -24,6 +24,7 @@ from ..constants import (
     RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
     RECALL_RESET,
+    RECALL_ROUNDING,
     RECALL_WIDE_ALIKE,
     RECALL_WIDE_CHANGED,
     RECALL_WORDS,
@@ -63,12 +64,14 @@ def recall(
 
         p_1 = p + motion(p),    p_(j+1) = p_j + motion_j(p_j),    at the nearest pixel; a path ends off the screen
         w_j = same surface · u_j · Π_(i<j) (1 - reset_i(p_i)),
-        u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1) · the same of wider cells,    q_j = |Σ d|² / Σ |d|²
+        u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1) · the same of wider cells,
+        q_j = |Σ d|² / Σ (|d|² + ROUNDING · light)
 
     with the differences d = √light_j(p_j) - √light(p), over cells of CELL × CELL pixels and the eight around them, of
-    pixels that show the same surface (`alike`): q_j is 1 on average if they are noise alone. The root keeps a few
-    bright samples from being all that counts. Cells of twice the side tell of weaker changes: what is common to more
-    pixels stands out from their noise. `constants` has these numbers as RECALL_CELL, RECALL_WIDE_ALIKE ...
+    pixels that show the same surface (`alike`): q_j is 1 on average if they are noise alone, and small if they are what
+    bfloat16 rounds. The root keeps a few bright samples from being all that counts. Cells of twice the side tell of
+    weaker changes: what is common to more pixels stands out from their noise. `constants` has these numbers as
+    RECALL_CELL, RECALL_WIDE_ALIKE ...
 
     With `uncovered` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
     converged picture both: so the surface there need only be that of p or of a pixel beside it. An edge moves with what
@@ -91,13 +94,14 @@ def recall(
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
     seen, seen_count = light.new_zeros(B, sum(FOOTPRINT), H, W), torch.zeros_like(count)
     path, edge, root = Path(motion), None, _root(light)
+    least = RECALL_ROUNDING * root.square().sum(1, keepdim=True)
     if uncovered is not None:
         along, nearest = edge_motion(motion, surface[0])
         edge = Path(along)
     for kept in recent:
         there = path.look(kept)
         same = (alike(surface, (there.depth, there.normal)) & path.inside).to(light.dtype)
-        stays = unchanged(same * (_root(there.light) - root))
+        stays = unchanged(same * (_root(there.light) - root), same * least)
         weight = same * stays * path.left
         mean, count = mean + weight * there.light, count + weight
         path.follow(there.motion, there.reset)
@@ -182,11 +186,12 @@ def _unpacked(kept: Tensor) -> Tensor:
     return kept[..., None].contiguous().view(torch.bfloat16).movedim(-1, 2).flatten(1, 2).float()
 
 
-def unchanged(difference: Tensor) -> Tensor:
-    """The second factor of w_j, `[B, 1, H, W]`, from the differences `[B, 3, H, W]`: 0 on other surfaces."""
+def unchanged(difference: Tensor, least: Tensor, patience: float = 1.0) -> Tensor:
+    """The second factor of w_j, `[B, 1, H, W]`, from the differences `[B, 3, H, W]` and what is added to their squares,
+    `[B, 1, H, W]`: both are 0 on other surfaces. `patience`: the bounds of q are so many times as high."""
     (H, W), wide = difference.shape[2:], 2 * RECALL_CELL
-    padded = F.pad(difference, (0, -W % wide, 0, -H % wide))
-    terms = torch.cat([padded, padded.square().sum(1, keepdim=True)], dim=1)
+    square = patience * (difference.square().sum(1, keepdim=True) + least)
+    terms = F.pad(torch.cat([difference, square], dim=1), (0, -W % wide, 0, -H % wide))
     cells = F.avg_pool2d(terms, RECALL_CELL) * RECALL_CELL**2
     weight = _unchanged(4 * F.avg_pool2d(cells, 2), RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED)
     weight = F.interpolate(weight, scale_factor=2) * _unchanged(cells, RECALL_ALIKE, RECALL_CHANGED)

@@ -1,7 +1,7 @@
 #version 430
 // Look a kept frame up at the end of each pixel's path (ops.recall), and compare its light with this frame's: sums over cells
 // of RECALL_CELL² pixels, for `add`. A work group is a row of whole cells. The path goes on by the motion found there.
-#pragma constants FIRST RECALL_CELL DEPTH_TOLERANCE MIN_NORMAL_COSINE
+#pragma constants FIRST RECALL_CELL RECALL_ROUNDING DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "alike.glsl"
 #include "kept.glsl"
@@ -10,7 +10,7 @@
 #pragma reads vec4 chosen               // [H, W] motion to the frame before, where the paths begin
 #pragma changes vec4 path               // [H, W] motion to the kept frame, share that resets left; not read by the FIRST
 #pragma writes vec4 found               // [H, W] its rgb, this share, or 0 where it shows another surface
-#pragma writes vec4 cells               // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] Σ d, Σ |d|²
+#pragma writes vec4 cells               // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] Σ d, Σ |d|² and what is added
 
 shared vec4 terms[GROUP_X * GROUP_Y];
 
@@ -23,17 +23,19 @@ void main() {
         vec2 motion = bounded(come.xy);
         ivec2 end = end_of(pixel, motion);
         vec4 on = vec4(FAR_AWAY, FAR_AWAY, come.z, 0.0), its = vec4(0.0);
-        vec3 d = vec3(0.0);
+        vec3 d = vec3(0.0), now = max(light[i].rgb, 0.0);
+        float least = 0.0;
         if (inside(end, size)) {
             KeptPixel there = kept_at(end);
             float same = alike(surface[i], there.surface, DEPTH_TOLERANCE, MIN_NORMAL_COSINE) ? 1.0 : 0.0;
             on = vec4(motion + there.motion, come.z * (1.0 - there.reset), 0.0);
             its = vec4(there.light, same * come.z);
-            d = same * (sqrt(max(there.light, 0.0)) - sqrt(max(light[i].rgb, 0.0)));
+            d = same * (sqrt(max(there.light, 0.0)) - sqrt(now));
+            least = same * RECALL_ROUNDING * (now.r + now.g + now.b);
         }
         path[i] = on;
         found[i] = its;
-        term = vec4(d, dot(d, d));
+        term = vec4(d, dot(d, d) + least);
     }
     terms[lane.y * GROUP_X + lane.x] = term;
     barrier();

@@ -14,7 +14,7 @@
 #pragma reads vec4 mean_albedo_before            // [H, W] rgb
 #pragma reads vec4 guide                         // [H, W] rgb
 #pragma changes vec4 running                     // [H, W] rgb, length: light, without this frame
-#pragma writes vec4 mean_albedo                  // [H, W] rgb, with this frame
+#pragma writes vec4 mean_albedo                  // [H, W] rgb, with this frame; whether the surface was there
 
 vec4 surface_before_at(ivec2 p) {
     return surface_before[at(p, size)];
@@ -42,5 +42,5 @@ void main() {
     if (RECALLS == 1) mean = is_valid(taps) ? running[i] : vec4(0.0);  // light can reach farther back than albedo
     else running[i] = mean;
     float weight = 1.0 / (1.0 + mean.w);
-    mean_albedo[i] = vec4(weight * guide[i].rgb + (1.0 - weight) * albedo, 0.0);
+    mean_albedo[i] = vec4(weight * guide[i].rgb + (1.0 - weight) * albedo, is_valid(taps) ? 1.0 : 0.0);
 }

@@ -3,8 +3,10 @@
 //
 //     clamp((RECALL_CHANGED - q) / (RECALL_CHANGED - RECALL_ALIKE), 0, 1) · the same of wide cells,    q = |Σ d|² / Σ |d|²
 //
-// with sums over a cell and the eight around it. A wide cell is 2×2 of them.
+// with sums over a cell and the eight around it. A wide cell is 2×2 of them. For a running mean (ops.agrees) bounds are `patience`
+// times as high.
 #pragma constants RECALL_ALIKE RECALL_CHANGED RECALL_WIDE_ALIKE RECALL_WIDE_CHANGED
+#pragma parameters float patience
 #include "image.glsl"
 
 #pragma reads vec4 cells    // [h, w] Σ d, Σ |d|²
@@ -19,7 +21,7 @@ float unchanged(ivec2 cell, int side, float alike, float changed) {
             ivec2 c = first + ivec2(x, y);
             if (inside(c, size)) sum += cells[at(c, size)];
         }
-    float q = dot(sum.rgb, sum.rgb) / max(sum.w, 1e-30);
+    float q = dot(sum.rgb, sum.rgb) / max(patience * sum.w, 1e-30);
     return clamp((changed - q) / (changed - alike), 0.0, 1.0);
 }
 

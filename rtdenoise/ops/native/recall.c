@@ -207,9 +207,9 @@ static inline void compare(Job j, int cell_row, int k, Roots now) {
             float light[3] = {low(found[x]), high(found[x]), low(other)};
 #pragma GCC unroll 3
             for (int c = 0; c < 3; c++) {
-                float d = high(other) * (root(light[c]) - now[c][y % CELL][x]);
+                float here = now[c][y % CELL][x], d = high(other) * (root(light[c]) - here);
                 sum[c][x] += d;
-                sum[3][x] += d * d;
+                sum[3][x] += d * d + high(other) * (float)ROUNDING * here * here;
             }
         }
     }

@@ -18,6 +18,7 @@ from ...constants import (
     RECALL_CHANGED,
     RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
+    RECALL_ROUNDING,
     RECALL_WIDE_ALIKE,
     RECALL_WIDE_CHANGED,
     RECALL_WORDS,
@@ -83,4 +84,4 @@ def keep(light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Te
 
 
 def _compiled() -> CDLL:
-    return library("recall", CELL=RECALL_CELL, FAR_AWAY=FAR_AWAY, GLOSS=GLOSS)
+    return library("recall", CELL=RECALL_CELL, ROUNDING=RECALL_ROUNDING, FAR_AWAY=FAR_AWAY, GLOSS=GLOSS)

@@ -10,7 +10,15 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import DEPTH_TOLERANCE, FAR_AWAY, GLOSS, MIN_NORMAL_COSINE, RECALL_CELL, RECALL_EDGE_SPEED
+from ...constants import (
+    DEPTH_TOLERANCE,
+    FAR_AWAY,
+    GLOSS,
+    MIN_NORMAL_COSINE,
+    RECALL_CELL,
+    RECALL_EDGE_SPEED,
+    RECALL_ROUNDING,
+)
 from .alike import alike, surface_at
 from .common import BLOCK, grid, of_images, place, row_of
 from .keep import keep as keep
@@ -42,8 +50,9 @@ def _root(light):
 
 @triton.jit
 def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words, depth_tolerance, normal_tolerance,
-             CELL: tl.constexpr, COLUMNS: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
-    """Sums over cells of the differences between each kept frame and this one, and of their squares."""
+             rounding, CELL: tl.constexpr, COLUMNS: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
+    """Sums over cells of the differences between each kept frame and this one, and of their squares with what is
+    added."""
     plane, rows = tl.cast(H, tl.int64) * W, tl.cdiv(H, CELL)
     b, row = row_of(rows)
     cell = tl.program_id(0) * (COLUMNS // CELL) + tl.arange(0, COLUMNS // CELL)
@@ -58,6 +67,7 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
     now_r = _root(tl.load(light, mask=exists, other=0.0))
     now_g = _root(tl.load(light + plane, mask=exists, other=0.0))
     now_b = _root(tl.load(light + 2 * plane, mask=exists, other=0.0))
+    least = rounding * (now_r * now_r + now_g * now_g + now_b * now_b)
     across = tl.cdiv(W, CELL)
     size = tl.cast(rows, tl.int64) * across
     for j in range(frames):
@@ -71,7 +81,7 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
         a = tl.where(same, _root(blue) - now_b, 0.0)
         of_frame = cells + (tl.cast(j, tl.int64) * B + b) * 4 * size + row * across + cell
         for k in tl.static_range(4):
-            term = r if k == 0 else g if k == 1 else a if k == 2 else r * r + g * g + a * a
+            term = r if k == 0 else g if k == 1 else a if k == 2 else r * r + g * g + a * a + tl.where(same, least, 0.0)
             tl.store(of_frame + k * size, tl.sum(tl.sum(term, axis=2), axis=0), mask=cell < across)
         u, v = onward(u, v, more_u, more_v, inside, FAR_AWAY)
 
@@ -185,8 +195,9 @@ def recall(
     tolerances, far = (DEPTH_TOLERANCE, MIN_NORMAL_COSINE), {"CELL": RECALL_CELL, "FAR_AWAY": FAR_AWAY}
     counts = H, W, B, K, words
     _compare[triton.cdiv(W, COLUMNS), B * h](
-        light, depth, normal, motion, recent, cells, *counts, *tolerances, COLUMNS=COLUMNS, num_warps=1, **far
-    )
+        light, depth, normal, motion, recent, cells, *counts, *tolerances, RECALL_ROUNDING, COLUMNS=COLUMNS,
+        num_warps=1, **far,
+    )  # fmt: skip
     stays = unchanged(cells)
     results = torch.empty_like(light), torch.empty_like(depth)
     masks = depth, depth  # not read

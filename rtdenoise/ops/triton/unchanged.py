@@ -59,10 +59,12 @@ def _stays(cells, stays, H, W, B, alike, changed, wide_alike, wide_changed, BLOC
     tl.store(stays + W + 1, wide * _unchanged(r3, g3, a3, s3, alike, changed), mask=right & below)
 
 
-def unchanged(cells: Tensor) -> Tensor:
-    """`[K, B, 4, h, w]` sums of differences and of their squares, to `[K, B, h, w]` in [0, 1]."""
+def unchanged(cells: Tensor, patience: float = 1.0) -> Tensor:
+    """`[K, B, 4, h, w]` sums of differences and of their squares, to `[K, B, h, w]` in [0, 1]. `patience`: as that of
+    `ops.recall.unchanged`."""
     K, B, _, h, w = cells.shape
     stays = cells.new_empty(K, B, h, w)
-    tests = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
+    bounds = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
+    tests = [patience * bound for bound in bounds]
     _stays[*grid(B, triton.cdiv(h, 2), triton.cdiv(w, 2)), K](cells, stays, h, w, B, *tests, BLOCK=BLOCK)
     return stays
