@@ -9,13 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from rendering import render_here
 from safetensors.numpy import save_file
 
 from rtdenoise.cli.main import main
 from rtdenoise.data.clips import ClipDataset, clip_path, read_facts, read_layers
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
-from rtdenoise.render.clips import refuse_other_options, render_clips
+from rtdenoise.render.clips import refuse_other_options
 from rtdenoise.render.draw import VIEWS, draw_takes
 from rtdenoise.render.frames import features, radiance
 from rtdenoise.render.options import ClipOptions
@@ -361,7 +362,7 @@ def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
     """With a lead-in all its clips are as short as this."""
     (folder / "models" / "kitchen" / "0.ply").write_bytes(b"ply\nnonsense")
     options = replace(TINY, frames=2, lead_in=1, assets=str(folder))
-    card = render_clips(tmp_path / "out", options, lambda *_: None)
+    card = render_here(tmp_path / "out", options, lambda *_: None)
     assert card["clips"] == 2 and card["sources"] == {"composition of assets": 2}
     facts = [read_facts(clip_path(tmp_path / "out", i)) for i in range(2)]
     for f in facts:
@@ -374,7 +375,7 @@ def test_a_set_of_assets_is_resumed_and_credits_its_authors(folder, tmp_path):
     before = ClipDataset(tmp_path / "out").load(1)
     assert (before[0].samples == facts[1]["spp"]).all()
     clip_path(tmp_path / "out", 1).unlink()
-    render_clips(tmp_path / "out", options, lambda *_: None)
+    render_here(tmp_path / "out", options, lambda *_: None)
     for a, b in zip(before, ClipDataset(tmp_path / "out").load(1), strict=True):
         assert all(tensor.equal(getattr(b, name)) for name, tensor in a.layers())
 
@@ -408,7 +409,7 @@ def test_clips_of_scenes_without_things_are_counted(folder, tmp_path):
     read_library.cache_clear()
     lines = []
     with pytest.raises(InputError, match="no clips found"):
-        render_clips(tmp_path / "out", ClipOptions(2, (32, 32), workers=1, assets=str(folder)),
+        render_here(tmp_path / "out", ClipOptions(2, (32, 32), workers=1, assets=str(folder)),
                      lambda done, total, line: lines.append((done, total, line)))  # fmt: skip
     assert lines[1:] == [(2, 2, "left out: 2 clips, from 0 on: nothing is seen in their scenes")]
 
@@ -422,7 +423,7 @@ def test_a_library_without_meshes_is_refused(folder, tmp_path):
     load_model.cache_clear()
     options = ClipOptions(2, (32, 32), assets=str(folder))
     with pytest.raises(InputError, match=rf"library: none of its {len(models)} models can be loaded: .*\.ply: "):
-        render_clips(tmp_path / "out", options, lambda *_: None)
+        render_here(tmp_path / "out", options, lambda *_: None)
     assert not (tmp_path / "out").exists()
 
 
@@ -431,7 +432,7 @@ def stills(tmp_path_factory):
     """Two stills of a library, and their options."""
     library = write_library(tmp_path_factory.mktemp("assets") / "library")
     options = replace(TINY, frames=1, reference_range=(16, 16), assets=str(library))
-    render_clips(library.parent / "stills", options, lambda *_: None)
+    render_here(library.parent / "stills", options, lambda *_: None)
     return library.parent / "stills", options
 
 
@@ -452,7 +453,7 @@ def test_a_set_of_assets_has_no_more_samples_than_allowed():
 
 def test_repeats_of_a_still_differ_in_noise_alone(stills, tmp_path):
     path, options = stills
-    render_clips(tmp_path, replace(options, count=1, repeats=3), lambda *_: None)
+    render_here(tmp_path, replace(options, count=1, repeats=3), lambda *_: None)
     (once,), thrice = ClipDataset(path).load(0), ClipDataset(tmp_path).load(0)
     assert len(thrice) == 3
     for frame in thrice:
@@ -461,7 +462,7 @@ def test_repeats_of_a_still_differ_in_noise_alone(stills, tmp_path):
     assert thrice[0].radiance.equal(once.radiance) and not thrice[1].radiance.equal(thrice[2].radiance)
     assert {"albedo_reference", "normal_reference"} <= read_layers(clip_path(path, 0)).keys()
     with pytest.raises(InputError, match="was rendered with frames = 3, not 1"):
-        render_clips(tmp_path, options, lambda *_: None)
+        render_here(tmp_path, options, lambda *_: None)
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from rendering import render_here
 
 from rtdenoise.cli.main import main
 from rtdenoise.data.clips import ClipDataset, clip_path, read_facts, read_layers
 from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
-from rtdenoise.render.clips import render_clips
 from rtdenoise.render.frames import RenderOptions, radiance, render_frame
 from rtdenoise.render.metropolis import MetropolisOptions, chains_of, metropolis, unseen_lamps
 from rtdenoise.render.options import ClipOptions
@@ -292,7 +292,7 @@ def test_a_sequence_resumes_with_its_own_options_only(tmp_path):
 
 def test_clips_of_caustic_scenes(tmp_path):
     options = ClipOptions(1, (16, 16), 2, reference_spp=4, max_depth=4, workers=1, metropolis=MetropolisOptions())
-    render_clips(tmp_path, options, lambda *_: None)
+    render_here(tmp_path, options, lambda *_: None)
     facts, layers = read_facts(clip_path(tmp_path, 0)), read_layers(clip_path(tmp_path, 0))
     assert facts["generator"] == "caustic" and facts["integrator"] == "pssmlt" and facts["chains"] in (16, 64)
     assert facts["samples"] in (1, 2, 4, 8) and (layers["samples"] == facts["samples"]).all()
@@ -302,13 +302,13 @@ def test_clips_of_caustic_scenes(tmp_path):
     frame = ClipDataset(tmp_path).load(0)[1]
     assert frame.components.shape == (1, 6, 16, 16)
     written = clip_path(tmp_path, 0).read_bytes()
-    render_clips(tmp_path, options, lambda *_: None)
+    render_here(tmp_path, options, lambda *_: None)
     assert clip_path(tmp_path, 0).read_bytes() == written
     for change in ({"spp": 4}, {"reference_spp": 8}):
         with pytest.raises(InputError, match=f"rendered with .*{next(iter(change))} = "):
-            render_clips(tmp_path, replace(options, count=2, **change), lambda *_: None)
+            render_here(tmp_path, replace(options, count=2, **change), lambda *_: None)
     with pytest.raises(InputError, match="generator = caustic, not 3"):
-        render_clips(tmp_path, replace(options, metropolis=None, size=(32, 32)), lambda *_: None)
+        render_here(tmp_path, replace(options, metropolis=None, size=(32, 32)), lambda *_: None)
 
 
 def test_caustic_scenes_have_lamps_that_paths_find():

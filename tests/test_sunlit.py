@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rendering import render_here
 
 from rtdenoise.data.clips import read_facts
 from rtdenoise.errors import InputError
-from rtdenoise.render.clips import render_clips
 from rtdenoise.render.frames import radiance
 from rtdenoise.render.options import ClipOptions
 from rtdenoise.render.scenes import meshes, textures, wide
@@ -105,13 +105,13 @@ def test_sunlit_is_a_scene_to_render_and_shows_something():
 
 
 def test_a_set_says_that_it_is_lit_and_is_not_mixed_up_with_others(tmp_path):
-    card = render_clips(tmp_path, TINY, lambda *_: None)
+    card = render_here(tmp_path, TINY, lambda *_: None)
     assert read_facts(tmp_path / "clip_000000.safetensors")["sun_through"] in PANELS
     assert card["sunlit"] == 4 and "4 clips have a sun" in (tmp_path / "DATA.md").read_text()
     others = {"sun": 0.0, "reference_error": 0.5, "generator": 2, "scenes": (("hall/scene.xml", ""),)}
     for name, value in others.items():
         with pytest.raises(InputError, match="choose another --out or the options of that run"):
-            render_clips(tmp_path, replace(TINY, **{name: value}), lambda *_: None)
+            render_here(tmp_path, replace(TINY, **{name: value}), lambda *_: None)
 
 
 def test_nothing_moves_that_did_not():

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from rendering import render_here
 from safetensors.numpy import save_file
 
 from rtdenoise.cli.clips import Clips
@@ -74,6 +75,7 @@ def script(room: Path, text: str) -> Path:
 
 
 def test_a_set_is_the_same_in_shards_and_after_a_kill(tmp_path):
+    """The whole in a process of its own, the shards in this one."""
     lines = []
     card = render_clips(tmp_path / "whole", TINY, lambda done, total, line: lines.append((done, total, line)))
     assert [line[:2] for line in lines] == [(i, 6) for i in range(7)]
@@ -85,11 +87,11 @@ def test_a_set_is_the_same_in_shards_and_after_a_kill(tmp_path):
 
     parts = tmp_path / "parts"
     for i in range(2):
-        render_clips(parts, replace(TINY, shard=(i, 2)), lambda *_: None)
+        render_here(parts, replace(TINY, shard=(i, 2)), lambda *_: None)
         if i == 0:
             assert [clip_path(parts, k).exists() for k in range(6)] == [True] * 4 + [False] * 2
     clip_path(parts, 2).unlink()  # as if killed before it was done
-    render_clips(parts, TINY, lambda *_: None)
+    render_here(parts, TINY, lambda *_: None)
     assert json.loads((parts / "dataset.json").read_text())["clips"] == 6
     for index in range(6):
         one, other = ClipDataset(tmp_path / "whole").load(index), ClipDataset(parts).load(index)
@@ -104,7 +106,7 @@ def test_a_set_is_the_same_in_shards_and_after_a_kill(tmp_path):
 
 def test_a_lead_in_has_no_references_and_comes_before_the_rest(tmp_path):
     options = replace(TINY, count=1, lead_in=4)
-    render_clips(tmp_path, options, lambda *_: None)
+    render_here(tmp_path, options, lambda *_: None)
     assert "1 clips of 3 frames after 4 without references, 32×32" in (tmp_path / "DATA.md").read_text()
     data = ClipDataset(tmp_path)
     assert read_facts(data.paths[0])["frames"] == 3 and read_facts(data.paths[0])["lead_in"] == 4
@@ -119,7 +121,7 @@ def test_a_lead_in_has_no_references_and_comes_before_the_rest(tmp_path):
     with pytest.raises(InputError, match="expected at least 4 frames of 32×32, found 3"):
         data.load(0, frames=4)
     with pytest.raises(InputError, match="lead_in"):
-        render_clips(tmp_path, TINY, lambda *_: None)
+        render_here(tmp_path, TINY, lambda *_: None)
 
 
 def test_scenes_are_mixed_in_with_their_licences(room, tmp_path):
@@ -136,7 +138,7 @@ def test_scenes_are_mixed_in_with_their_licences(room, tmp_path):
     assert find_scenes(tmp_path, tmp_path, ()) == ((str(room), str(tmp_path / "room.toml")),
                                                    (str(street / "scene.xml"), ""))  # fmt: skip
     options = replace(TINY, count=16, scenes=scenes, shard=(2, 4), seed=1)
-    card = render_clips(tmp_path / "out", options, lambda *_: None)
+    card = render_here(tmp_path / "out", options, lambda *_: None)
     assert card["sources"] == {"room": 4} and card["licences"] == {"room": "A room by Nobody, CC0.\n"}
     assert "A room by Nobody, CC0." in (tmp_path / "out" / "DATA.md").read_text()
 
@@ -234,7 +236,7 @@ def test_in_calm_scenes_only_the_camera_moves_and_slowly():
 def test_in_a_calm_set_nothing_moves_but_cameras(tmp_path, room):
     crate = script(room, '[[object]]\nshapes = ["crate_wood"]\nvelocity = [0.1, 0, 0]')
     options = replace(TINY, count=24, frames=2, calm=1.0, scenes=((str(room), str(crate)),))
-    card = render_clips(tmp_path / "calm", options, lambda *_: None)
+    card = render_here(tmp_path / "calm", options, lambda *_: None)
     assert set(card["kinds"]) == {"calm", "calm scene file"}
     for index in range(options.count):
         facts = read_facts(clip_path(tmp_path / "calm", index))
