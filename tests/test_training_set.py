@@ -207,8 +207,14 @@ def test_a_window_is_a_part_of_the_picture():
     assert hit.any() and offset[hit].min() > -1e-3 and offset[hit].max() < 1 + 1e-3
 
 
-def test_the_wide_generator_repeats_and_leaves_the_first_alone():
-    kinds = [wide.procedural(seed).facts["kind"] for seed in range(80)]
+@pytest.fixture(scope="module")
+def wide_facts():
+    """Of the scenes of the first seeds."""
+    return [wide.procedural(seed).facts for seed in range(80)]
+
+
+def test_the_wide_generator_repeats_and_leaves_the_first_alone(wide_facts):
+    kinds = [facts["kind"] for facts in wide_facts]
     assert set(kinds) == set(wide.KINDS)
     a, again = wide.procedural(7), wide.procedural(7)
     assert [o.name for o in a.objects] == [o.name for o in again.objects]
@@ -246,11 +252,10 @@ def test_in_a_calm_set_nothing_moves_but_cameras(tmp_path, room):
         render_clips(tmp_path / "calm", replace(options, calm=0.5), lambda *_: None)
 
 
-def test_what_happens_does_not_decide_where():
+def test_what_happens_does_not_decide_where(wide_facts):
     """In version 2 one number drew both."""
     found = {}
-    for seed in range(80):
-        facts = wide.procedural(seed).facts
+    for facts in wide_facts:
         found.setdefault(facts["kind"], set()).add(facts["place"].partition("/")[0])
     assert all(found[kind] == {"closed", "half-open", "outdoor"} for kind in ("uncovering", "entering", "free"))
     older = [wide.procedural(seed, version=2).facts for seed in range(30)]
@@ -290,8 +295,8 @@ FIRST_OF_SEED_5 = [
 ]
 
 
-def test_what_enters_is_outside_at_first():
-    for seed in [s for s in range(60) if wide.procedural(s).facts["kind"] == "entering"][:4]:
+def test_what_enters_is_outside_at_first(wide_facts):
+    for seed in [s for s, facts in enumerate(wide_facts) if facts["kind"] == "entering"][:4]:
         scene = wide.procedural(seed, frames=20)
         mover = next(o for o in scene.objects if o.name.startswith("moving"))
         centre = mover.mesh.vertices.mean(0)
