@@ -1,5 +1,6 @@
 """`rtdenoise export`: a player that knows nothing but the exported files reproduces the frames."""
 
+import importlib
 import json
 import re
 import shutil
@@ -8,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +32,27 @@ THIN = {"widths": (8, 12, 4, 8, 4), "down": (8, 12, 16, 8, 8), "up": (8, 16, 8, 
 @pytest.fixture(scope="module")
 def player():
     return imported(PLAYER)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once():
+    """Exports share most of their shaders: glslang, half of the time, compiles each text once."""
+    kept = {}
+
+    def run(command, **options):
+        compiler, *_, target, source = command
+        key = compiler, source.read_bytes()
+        if key not in kept:
+            done = subprocess.run(command, **options)
+            if done.returncode or not target.is_file():
+                return done
+            kept[key] = done, target.read_bytes()
+        target.write_bytes(kept[key][1])
+        return kept[key][0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(importlib.import_module("rtdenoise.glsl.export"), "subprocess", SimpleNamespace(run=run))
+        yield
 
 
 @pytest.fixture(scope="module")
