@@ -34,7 +34,9 @@ TOOL = Path(__file__).parent.parent / "tools" / "weights_in_bytes.py"
 
 @pytest.fixture(scope="module")
 def tool():
-    return imported(TOOL)
+    module = imported(TOOL)
+    module.FRAMES = 2  # with history and without
+    return module
 
 
 @pytest.fixture(scope="module")
