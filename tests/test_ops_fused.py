@@ -2,6 +2,7 @@
 gradients. The CUDA ops run on a GPU if there is one, else in Triton's interpreter."""
 
 import functools
+import importlib
 import math
 
 import pytest
@@ -315,10 +316,16 @@ def test_features_of_other_types_are_plain(both, dtype):
     assert found.dtype == dtype and torch.equal(found, plain)
 
 
-@pytest.mark.parametrize("backend, size", [*CASES, *NARROW], indirect=["backend"], ids=str)
+PLANES = [case for case in CASES if case != ("triton", (3, 4))] + [*NARROW, ("triton", (5, 4))]  # 5: two strips
+
+
+@pytest.mark.parametrize("backend, size", PLANES, indirect=["backend"], ids=str)
 @pytest.mark.parametrize("dtypes", [("float32", "float32"), ("bfloat16", "bfloat16"), ("bfloat16", "float32")], ids=str)
 @pytest.mark.parametrize(("channels", "planes"), [(32, 3), (48, 1), (16, 4), (64, 2)])
-def test_to_planes(both, backend, assert_images_close, size, dtypes, channels, planes):
+def test_to_planes(both, backend, assert_images_close, monkeypatch, size, dtypes, channels, planes):
+    """In the interpreter strips are of four rows: it takes its time for those beyond the picture, too."""
+    if backend == ("triton", "cpu"):
+        monkeypatch.setattr(importlib.import_module("rtdenoise.ops.triton.to_planes"), "ROWS", 4)
     of_x, of_weights = (getattr(torch, name) for name in dtypes)
     x = torch.rand(2, channels, *size).to(of_x).to(memory_format=torch.channels_last)
     weight, bias = torch.rand(planes, channels, 3, 3).to(of_weights), torch.rand(planes).to(of_weights)
