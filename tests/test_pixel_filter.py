@@ -61,7 +61,7 @@ def test_precision(own, frame, precision, bound):
 
 
 def test_tiles_are_the_whole(own, monkeypatch, frame):
-    wide = frame.map(lambda layer: layer.repeat(1, 1, 3, 4)[..., :330, :460])
+    wide = frame.map(lambda layer: layer.repeat(1, 1, 3, 4)[..., :260, :270])  # three rows and columns of tiles
     whole = own.prefiltered(wide), own.step(wide)[0]
     monkeypatch.setattr(pixel_filter, "TILE", 128)
     tiled = own.prefiltered(wide), own.step(wide)[0]

@@ -261,7 +261,7 @@ def test_tiles_are_the_whole_picture(either):
 
 @pytest.mark.parametrize("name", available())
 def test_tiles_of_the_shipped_models(name):
-    frames = make_frames(2, H=64, W=420)
+    frames = make_frames(2, H=32, W=420)
     with torch.inference_mode():
         model = load(name, precision="fp32")
         assert_same(play(Tiled(model, 64), frames), play(model, frames), close)
