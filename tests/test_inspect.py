@@ -158,7 +158,10 @@ def test_nothing_has_texture(tmp_path):
 def test_motion_that_explains_nothing(tmp_path):
     verdict = verdict_on(tmp_path, lambda f: {"motion": f["motion"] + 2.5}, kind="static")
     assert verdict.status == "ambiguous"
-    assert next_step(inspect(tmp_path)).startswith("look at the motion vectors first")
+    found = inspect(tmp_path)
+    assert "shifts by (+2.5, +2.5) px a frame against its motion vectors" in render_text(found)
+    assert next_step(found).startswith("mend the motion vectors")
+    assert next_step(replace(found, drifts=())).startswith("look at the motion vectors first")
     assert verdict.message == "no reading of the motion explains how albedo changes any better than no motion at all"
 
 

@@ -140,14 +140,14 @@ def _collect(pairs: list[tuple[Frame, Frame]], feature: str, most: int) -> _Samp
     readings = [r for r in READINGS if all(getattr(current, r.source) is not None for _, current in pairs)]
     errors, groups, motions = [], [], []
     for index, (previous, current) in enumerate(pairs):
-        here, before = _feature(current, feature), _feature(previous, feature)
+        here, before = feature_of(current, feature), feature_of(previous, feature)
         if here is None or before is None:
             return None
         y, x = _choose_pixels(here, current, most)
         names = {r.source for r in readings}
         sources = {name: getattr(current, name)[0, :, y, x].T.nan_to_num(0, 0, 0) for name in names}
         fields = torch.stack([r.apply(sources[r.source], current.size) for r in readings] + [torch.zeros(len(x), 2)])
-        errors.append((here[0, :, y, x] - _sample(before, x + fields[..., 0], y + fields[..., 1])).abs().mean(1))
+        errors.append((here[0, :, y, x] - sample(before, x + fields[..., 0], y + fields[..., 1])).abs().mean(1))
         H, W = current.size
         groups.append((index * TILES + y * TILES // H) * TILES + x * TILES // W)
         motions.append(fields)
@@ -156,7 +156,7 @@ def _collect(pairs: list[tuple[Frame, Frame]], feature: str, most: int) -> _Samp
     return _Samples(torch.cat(errors, 1), torch.cat(groups), torch.cat(motions, 1))
 
 
-def _feature(frame: Frame, name: str) -> Tensor | None:
+def feature_of(frame: Frame, name: str) -> Tensor | None:
     """An image `[1, 3, H, W]` in [0, 1] in which corresponding pixels look alike.
 
     It is blurred, because at one sample a pixel features are noisy too: with the same jitter in every frame their noise
@@ -173,23 +173,26 @@ def _feature(frame: Frame, name: str) -> Tensor | None:
     return image
 
 
-def _choose_pixels(image: Tensor, frame: Frame, most: int) -> tuple[Tensor, Tensor]:
-    """(y, x) of pixels with texture that move, the same for every reading."""
+def textured(image: Tensor, frame: Frame) -> Tensor:
+    """The pixels `[H, W]` whose motion is known and around which the image has texture."""
     texture = torch.zeros(frame.size)
     texture[:, 1:-1] += (image[0, :, :, 2:] - image[0, :, :, :-2]).abs().amax(0) / 2
     texture[1:-1] += (image[0, :, 2:] - image[0, :, :-2]).abs().amax(0) / 2
-    known = (frame.motion[0].abs() < OFF_SCREEN).all(0)
-    textured = (texture > MIN_CONTRAST) & known
-    length = torch.hypot(*frame.motion[0])
-    moving = textured & (length > MIN_MOTION)
-    if moving.sum() < 0.05 * (textured & (length > 0)).sum():  # the unit may not be pixels
-        moving = textured & (length * max(frame.size) > MIN_MOTION)
+    return (texture > MIN_CONTRAST) & (frame.motion[0].abs() < OFF_SCREEN).all(0)
+
+
+def _choose_pixels(image: Tensor, frame: Frame, most: int) -> tuple[Tensor, Tensor]:
+    """(y, x) of pixels with texture that move, the same for every reading."""
+    has_texture, length = textured(image, frame), torch.hypot(*frame.motion[0])
+    moving = has_texture & (length > MIN_MOTION)
+    if moving.sum() < 0.05 * (has_texture & (length > 0)).sum():  # the unit may not be pixels
+        moving = has_texture & (length * max(frame.size) > MIN_MOTION)
     y, x = moving.nonzero(as_tuple=True)
     order = torch.randperm(len(x), generator=torch.Generator().manual_seed(0))[:most]
     return y[order], x[order]
 
 
-def _sample(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
+def sample(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """Bilinear lookup as `ops.warp` does it, at points `[R, N]` only (pixel (0, 0) is at 0); gives `[R, C, N]`."""
     H, W = image.shape[2:]
     grid = torch.stack([(2 * x + 1) / W - 1, (2 * y + 1) / H - 1], -1)

@@ -26,6 +26,7 @@ from .unmoved import FLAT, UNMOVED, Flatness, is_unmoved
 
 if TYPE_CHECKING:
     from .conventions import Verdict
+    from .lens import Drift
     from .motion_statistics import MotionStatistics
 
 HAS_TORCH = find_spec("torch") is not None
@@ -67,6 +68,7 @@ class Inspection:
     motion: MotionStatistics | None
     unmoved: tuple[int, ...]  # numbers of frames whose motion is zero everywhere though the picture changes
     convention: Verdict | None  # None where there is no motion, or no two consecutive frames
+    drifts: tuple[Drift, ...]  # zooms and shifts that the vectors lack, of the pairs of frames that have any
     plan: Plan  # the work that `denoise` will leave out
 
 
@@ -90,7 +92,7 @@ def inspect(
         flatness.see(frame)
         add(counts, faults(frame))
 
-    motion, convention = _examine(moving) if moving and HAS_TORCH else (None, None)
+    motion, convention, drifts = _examine(moving) if moving and HAS_TORCH else (None, None, ())
     present = {layer for frame in frames.values() for layer, _ in frame.layers()}
     computed = tuple(sorted(present - sequence.available.keys()))
     absent = [layer for layer in DEFAULT_LAYERS if layer not in sequence.available and layer not in computed]
@@ -116,19 +118,23 @@ def inspect(
         motion=motion,
         unmoved=tuple(now.number for before, now in moving if is_unmoved(before, now)),
         convention=convention,
+        drifts=drifts,
         plan=make_plan(sequence.size, len(sequence), "dual", list(frames.values())),
     )
 
 
-def _examine(pairs: list[tuple[Frame, Frame]]) -> tuple[MotionStatistics, Verdict]:
+def _examine(pairs: list[tuple[Frame, Frame]]) -> tuple[MotionStatistics, Verdict, tuple[Drift, ...]]:
     """The motion in pairs of consecutive frames of numpy arrays. Needs torch."""
     import torch
 
     from .conventions import check_motion
+    from .lens import find_drift
     from .motion_statistics import motion_statistics
 
     tensors = [(before.map(torch.from_numpy), now.map(torch.from_numpy)) for before, now in pairs]
-    return motion_statistics(tensors), check_motion(tensors)
+    verdict = check_motion(tensors)
+    drifts = () if verdict.status == "wrong" else filter(None, (find_drift(*pair) for pair in tensors))
+    return motion_statistics(tensors), verdict, tuple(drifts)
 
 
 def _choose_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -170,6 +176,8 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     those of `inspect` that were not the defaults."""
     if found.convention and found.convention.status == "wrong":
         return "mend the motion vectors as said above: with these, history comes from wrong places"
+    if found.drifts:
+        return "mend the motion vectors as said above: with these, history blurs"
     if 2 * len(found.unmoved) >= len(found.examined):  # not the cuts between still shots
         return "render again without motion blur, or mend the motion: with zeros, what moves leaves trails"
     words = ["rtdenoise", "denoise", found.source, "--out", "clean/"]
@@ -239,6 +247,8 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
     else:
         compared = f" (compared: {found.convention.feature})" if found.convention.feature else ""
         lines.append(("convention", f"{found.convention.status.upper()}: {found.convention.message}{compared}"))
+    if found.drifts:
+        lines.append(("lens", f"{found.drifts[0]} (in {len(found.drifts)} of the pairs of frames examined)"))
     decisions = [d for d in found.plan.decisions if verbose or not d.left_out.startswith(("0 of", "never"))]
     for i, decision in enumerate(decisions):
         lines.append(("" if i else "left out", f"{decision.what}: {decision.left_out} ({decision.why})"))

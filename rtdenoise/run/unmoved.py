@@ -1,6 +1,6 @@
 """Motion that is zero everywhere though the picture changes, as Blender 4 writes it with motion blur, motion of another
-convention, surfaces that are others in each frame, and albedo that tells nothing. Needs no torch, but for the
-convention."""
+convention, vectors without the motion of the lens, surfaces that are others in each frame, and albedo that tells
+nothing. Needs no torch, but for convention and lens."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from ..sanitise import FAR
 
 if TYPE_CHECKING:
     from .conventions import Verdict
+    from .lens import Drift
 
 # A pixel has changed where its value lies outside those around it in the frame before by more than a share of the value
 # (depth), or by an amount (albedo). Such pixels of Cycles at 1 sample: up to 0.1 % of a still scene with depth of
@@ -27,6 +28,10 @@ UNMOVED = (
 )
 PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors are judged, and pixels of each
 WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"
+LACKS = (
+    "the picture {} against its motion vectors, so history blurs: an animated focal length or camera shift? Cycles' "
+    "vectors lack the shift, and before Blender 4.5 the focal length"
+)
 MOST_CUTS = 0.5  # of the frames: more are no cuts
 CUTS = (
     "most frames find other surfaces than the one before: fog, depth of field or thin things before a moving camera, "
@@ -73,6 +78,7 @@ class Watch:
     def __init__(self, notes: list[str]) -> None:
         self._notes, self._before, self._told = notes, None, False
         self._verdicts: list[Verdict] = []  # of the first pairs that move
+        self._drifts: list[Drift | None] = []  # likewise
         self._albedo = Flatness()
 
     def see(self, frame: Frame, goes_on: bool) -> None:
@@ -98,16 +104,20 @@ class Watch:
             self._notes.append(FLAT.format("all frames"))
 
     def _judge(self, frame: Frame) -> None:
-        """Note it where all pairs say that the motion is wrong, and in the same way."""
+        """Note it where all pairs say that the motion is wrong, and in the same way, or that it lacks something."""
         import torch
 
         from .conventions import check_motion
+        from .lens import find_drift
 
         first, second = (x.map(torch.as_tensor) for x in (self._before, frame))
         self._verdicts.append(check_motion([(first, second)], PIXELS))
+        self._drifts.append(find_drift(first, second))
         wrong = [verdict.best for verdict in self._verdicts if verdict.status == "wrong"]
         if len(wrong) == PAIRS and len(set(wrong)) == 1:
             self._notes.append(WRONG.format(wrong[0]))
+        elif len(self._drifts) == PAIRS and all(self._drifts):
+            self._notes.append(str(self._drifts[0]))
 
 
 def _changed(before: np.ndarray, now: np.ndarray, relative: float, absolute: float) -> float:

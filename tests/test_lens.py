@@ -1,0 +1,85 @@
+"""Zooms and shifts of the picture that motion vectors lack (`run.lens`)."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from synthetic import write_sequence
+
+from rtdenoise.frame import OFF_SCREEN, Frame
+from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.inspect import inspect, next_step, render_text
+from rtdenoise.run.lens import find_drift
+
+SIZE = 72, 108
+OPTIONS = Options(model="fast", precision="fp32")
+
+
+def texture(x, y):
+    """Waves of many lengths and directions, in [0, 1]."""
+    waves = (0.21, 0.13, 0), (-0.3, 0.4, 1), (0.05, 0.5, 2), (0.6, 0.1, 3)
+    return 0.5 + sum(torch.sin(x * a + y * b + c) for a, b, c in waves) / 8
+
+
+def shot(count, zoom=0.0, shift=(0.0, 0.0), pan=(0.0, 0.0), noise=0.0):
+    """A wall before a camera that pans, whose vectors know the pan alone. A square before it stands still."""
+    g, (H, W) = torch.Generator().manual_seed(0), SIZE
+    y, x = torch.meshgrid(torch.arange(H).float(), torch.arange(W).float(), indexing="ij")
+    frames = []
+    for number in range(count):
+        lens = (1 + zoom) ** number
+        u = ((x - (W - 1) / 2) - number * (shift[0] + pan[0])) / lens
+        v = ((y - (H - 1) / 2) - number * (shift[1] + pan[1])) / lens
+        albedo = texture(u, v) + noise * torch.randn(H, W, generator=g)
+        square = (x > 50) & (x < 62) & (y > 30) & (y < 40)
+        albedo = torch.where(square, 0.9, albedo).clamp(0, 1).expand(1, 3, H, W).contiguous()
+        motion = torch.where(square, 0.0, -torch.tensor(pan).view(1, 2, 1, 1) + 1e-5)
+        frames.append(Frame(
+            albedo, albedo=albedo, normal=torch.tensor([0, 0, 1.0]).view(1, 3, 1, 1).repeat(1, 1, H, W),
+            depth=torch.full((1, 1, H, W), 4.0), motion=motion, motion_next=-motion, number=number,
+        ))  # fmt: skip
+    return frames
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("pan", [(0.0, 0.0), (1.5, -0.6)])
+@pytest.mark.parametrize(
+    ("zoom", "shift"), [(0.03, (0.0, 0.0)), (-0.02, (0.0, 0.0)), (0.0, (3.0, -1.0)), (0.04, (-2.0, 0.5))]
+)
+def test_zoom_and_shift_are_measured(zoom, shift, pan, noise):
+    drift = find_drift(*shot(2, zoom, shift, pan, noise))
+    assert math.isclose(drift.zoom, zoom, abs_tol=2e-3)
+    assert math.hypot(drift.shift[0] - shift[0], drift.shift[1] - shift[1]) < 0.15
+
+
+@pytest.mark.parametrize("pan", [(0.0, 0.0), (4.0, 1.0)])
+def test_vectors_that_are_right_lack_nothing(pan):
+    assert find_drift(*shot(2, pan=pan, noise=0.05)) is None
+
+
+def test_without_texture_nothing_is_told():
+    flat = [replace(frame, albedo=torch.full_like(frame.albedo, 0.5)) for frame in shot(2, zoom=0.05)]
+    assert find_drift(*flat) is None
+    assert find_drift(*(replace(frame, albedo=None) for frame in flat)) is None
+
+
+def test_noise_and_unknown_motion_are_no_lens():
+    first, second = shot(2)
+    other = torch.rand(2, *first.albedo.shape, generator=torch.Generator().manual_seed(1))
+    assert find_drift(replace(first, albedo=other[0]), replace(second, albedo=other[1])) is None
+    unknown = replace(second, motion=torch.full_like(second.motion, OFF_SCREEN))
+    assert find_drift(first, unknown) is None
+
+
+def test_inspect_and_denoise_tell(tmp_path):
+    source = write_sequence(tmp_path / "zoom", shot(4, zoom=0.03))
+    found = inspect(source)
+    text = render_text(found)
+    assert "lens         the picture zooms by +3.0% a frame against its motion vectors" in text
+    assert "(in 3 of the pairs of frames examined)" in text and "mend the motion" in next_step(found)
+    notes = denoise(str(source), tmp_path / "out", OPTIONS).notes
+    assert sum("zooms by +3.0% a frame against its motion vectors" in note for note in notes) == 1
+    source = write_sequence(tmp_path / "pan", shot(4, pan=(2.0, 0.0)))
+    assert "lens" not in render_text(inspect(source))
+    assert not any("lens" in note for note in denoise(str(source), tmp_path / "pan out", OPTIONS).notes)
