@@ -129,16 +129,21 @@ def leads(found: dict[str, float | None], peer: dict[str, float | None]) -> dict
 
 def tables(document: dict) -> dict[str, str]:
     """Section `turned`: the lead over OIDN on each sequence, beauty and indirect light."""
-    rows, names = document["rows"], list(dict.fromkeys(row["sequence"] for row in document["rows"]))
+    return {"turned": table(document["rows"], WITH)}
+
+
+def table(rows: list[dict], bold: str) -> str:
+    """The leads of each model and variant; `bold`: the one that is used."""
+    names = list(dict.fromkeys(row["sequence"] for row in rows))
     lines = [f"| | | mean | uncovered | {' | '.join(names)} |", "|---" * (len(names) + 4) + "|"]
     for model, variant in dict.fromkeys((row["model"], row["variant"]) for row in rows):
         mine = [row for row in rows if (row["model"], row["variant"]) == (model, variant)]
         seen = [row["uncovered"] for row in mine if row["uncovered"] is not None]
         cells = [f"{np.mean([row['frame'] for row in mine]):+.2f}", f"{np.mean(seen):+.2f}"]
         cells += [", ".join(f"{row['frame']:+.2f}" for row in mine if row["sequence"] == name) for name in names]
-        label = f"**{variant}**" if variant == WITH else variant
+        label = f"**{variant}**" if variant == bold else variant
         lines.append(f"| {model} | {label} | {' | '.join(cells)} |")
-    return {"turned": "\n".join(lines)}
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

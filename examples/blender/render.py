@@ -231,7 +231,63 @@ def build_meadow(scene: bpy.types.Scene, frames: int) -> None:
     keyframe(scene.camera, frames, (0, -5, 1.6), (0.5 * reach, -5 + 0.2 * reach, 1.6))
 
 
-SETS = {"room": build, "still-life": build_still_life, "turntable": build_turntable, "meadow": build_meadow}
+def build_flicker(scene: bpy.types.Scene, frames: int) -> None:
+    """Crates in a dark room, lit by a screen whose colour changes every two frames. Half way a lamp goes on."""
+    draw = random.Random(3)
+    plaster = plain_material("plaster", Base_Color=(0.75, 0.72, 0.65, 1), Roughness=0.8)
+    green = plain_material("green", Base_Color=(0.15, 0.45, 0.2, 1), Roughness=0.8)
+    box("floor", (0, 0, -0.05), (6, 6, 0.1), material("tiles", (0.15, 0.12, 0.1), (0.7, 0.6, 0.5), 2.0, roughness=0.4))
+    box("ceiling", (0, 0, 3.05), (6, 6, 0.1), plaster)
+    for name, x, y, size in (("back", 0, 3.05, (6, 0.1, 3)), ("front", 0, -3.05, (6, 0.1, 3)),
+                             ("left", -3.05, 0, (0.1, 6, 3))):  # fmt: skip
+        box(name, (x, y, 1.5), size, plaster)
+    box("right", (3.05, 0, 1.5), (0.1, 6, 3), green)
+    for number in range(6):
+        look = plain_material(f"crate {number}", Base_Color=(*(draw.uniform(0.2, 0.8) for _ in range(3)), 1))
+        box(f"crate {number}", (draw.uniform(-2, 2), draw.uniform(-1, 2), 0.3), (0.5, 0.5, 0.6), look)
+    glow = plain_material("glow", Base_Color=(0, 0, 0, 1), Emission_Strength=4.0)
+    box("screen", (0, 2.9, 1.5), (2.4, 0.05, 1.3), glow)
+    bpy.ops.object.light_add(type="POINT", location=(2.2, 0, 2.2))
+    lamp = bpy.context.object.data
+    lamp.shadow_soft_size = 0.15
+    colour = glow.node_tree.nodes["Principled BSDF"].inputs["Emission Color"]
+    for number in range(frames + 2):
+        if number % 2 == 0:
+            shown = [draw.uniform(0, 1) for _ in range(3)]
+        colour.default_value = *shown, 1
+        colour.keyframe_insert("default_value", frame=number)
+        lamp.energy = 80 if number > frames // 2 else 0
+        lamp.keyframe_insert("energy", frame=number)
+    bpy.ops.object.camera_add(rotation=(math.radians(80), 0, math.radians(-26)))
+    scene.camera = bpy.context.object
+    scene.camera.data.angle = math.radians(73)
+    keyframe(scene.camera, frames, (-1.5, -2.6, 1.6), (-1.5 + 0.03 * (frames - 1), -2.6, 1.6))
+
+
+def build_evening(scene: bpy.types.Scene, frames: int) -> None:
+    """Houses on a plane, before a camera that stands still. The sun wanders around them, by 13° a frame."""
+    draw = random.Random(5)
+    box("ground", (0, 0, -0.05), (60, 60, 0.1), material("ground", (0.25, 0.2, 0.18), (0.7, 0.6, 0.5), 0.5))
+    for number in range(40):
+        look = plain_material(f"house {number}", Base_Color=(*(draw.uniform(0.2, 0.8) for _ in range(3)), 1))
+        place = draw.uniform(-12, 12), draw.uniform(-4, 20), 0
+        house = box(f"house {number}", place, (draw.uniform(1, 2), draw.uniform(1, 2), draw.uniform(2, 8)), look)
+        house.rotation_euler = (0, 0, draw.uniform(0, 1.5))
+    bpy.ops.object.light_add(type="SUN")
+    sun = bpy.context.object
+    sun.data.energy, sun.data.color, sun.data.angle = 4, (1, 0.85, 0.65), 0.01
+    for number in (0, frames + 1):
+        sun.rotation_euler = (math.radians(60), 0, math.radians(-70 + 13 * number))
+        sun.keyframe_insert("rotation_euler", frame=number)
+    sky(scene, (0.15, 0.22, 0.40))
+    bpy.ops.object.camera_add(location=(0, -14, 9), rotation=(math.radians(63), 0, 0))
+    scene.camera = bpy.context.object
+
+
+SETS = {
+    "room": build, "still-life": build_still_life, "turntable": build_turntable, "meadow": build_meadow,
+    "flicker": build_flicker, "evening": build_evening,
+}  # fmt: skip
 
 
 def straighten() -> None:
