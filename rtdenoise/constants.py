@@ -23,13 +23,13 @@ RECALL_CELL = 4  # side in pixels of the cells in which light is compared; 3 × 
 RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |differences|²: light counts whole; not at all
 RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED = 6.0, 12.0  # likewise over cells of twice the side
 RECALL_ROUNDING = 4e-4  # share of this frame's light that squared differences have at least: bfloat16 rounds light
+RECALL_SAME = 2.0**-7  # values that differ by this share are the same: kept frames are bfloat16
 RECALL_NOISY = 0.25  # noise (`exposure.noise_level`) from which on lookups off the pixel count as far as they cover it
 RECALL_MISPLACED = 2.0  # below that the square of their distance counts so many times 1 / noise - 1 / RECALL_NOISY, too
 
 # Edges that move against what is behind them (`ops.over`).
 OVER_APART = 0.05  # least difference of distances, as a share of the greater one
 OVER_SPEED = 0.5  # least motion against what is behind, in pixels a frame
-OVER_SAME = 2.0**-7  # radiance that differs by this share is the same: kept frames are bfloat16
 OVER_LIGHT = 0.25  # share of radiance that is what frames saw of both; the rest is the footprint of one
 
 # Surfaces that turn (`ops.turned`).

@@ -93,7 +93,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     flat = dict(BLOCK=512, **({"plane": 1} if one else {})), {} if one else {"plane": "i32"}
     build(_demodulate, dict(C=3, **flat[0]), gloss="fp32", **flat[1])
     build(_modulate, dict(C=3, **flat[0]), gloss="fp32", **flat[1])
-    build(_accumulate, dict(M=3, N=6, C=9, **flat[0]), most="fp32", **flat[1])
+    build(_accumulate, dict(M=3, N=6, C=9, **flat[0]), most="fp32", same="fp32", **flat[1])
     build(_joined, dict(C=9, **flat[0]), **flat[1])
     build(_nearness, flat[0], **flat[1])
     build(_features, dict(ENDS=(0, 3, 6, 7), FLAGS=(False, False, True), LIGHT=3, ALL=8, CP=8, BLOCK=128,

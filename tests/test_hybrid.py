@@ -30,6 +30,7 @@ from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.dispatch import use
 from rtdenoise.ops.lift import lower
 from rtdenoise.ops.mix import mix
+from rtdenoise.ops.pixels import demodulate
 from rtdenoise.ops.recall import reset_of
 from rtdenoise.run.denoise import Options
 from rtdenoise.sanitise import sanitise
@@ -150,7 +151,7 @@ def test_the_picture_is_history_and_is_kept(model, monkeypatch):
     for frame in make_frames(3):
         before, (image, history) = history, trusting(model).step(frame, history)
         assert torch.equal(history.radiance, image)
-    past = reprojected(model.config, frame, frame.radiance, before)
+    past = reprojected(model.config, frame, demodulate(frame.radiance, frame.albedo, frame.depth), before)
     held = past.on_screen & ~past.uncovered
     assert held.any() and not held.all()
     same = (image - past.output).abs().amax(1, keepdim=True) < 1e-4

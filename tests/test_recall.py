@@ -9,12 +9,13 @@ from synthetic import TINY, assert_goes_on, make_frames, write_sequence
 
 from rtdenoise import models, ops
 from rtdenoise.color import albedo_divisor
-from rtdenoise.constants import GLOSS
+from rtdenoise.constants import GLOSS, RECALL_SAME
 from rtdenoise.errors import InputError
 from rtdenoise.exposure import noise_level
 from rtdenoise.frame import OFF_SCREEN, History
 from rtdenoise.history import load_history, resize, save_history
 from rtdenoise.models import AccumulatedKPNConfig
+from rtdenoise.ops.pixels import accumulate
 from rtdenoise.ops.recall import FOOTPRINT, edge_motion, keep, recall, reset_of
 from rtdenoise.run.denoise import Options
 from rtdenoise.run.tiles import Tiled, carried
@@ -441,4 +442,6 @@ def test_even_light_without_noise_is_no_change():
     kept = [keep(light, *surface, torch.zeros_like(frame.depth), 0 * frame.motion)] * 3
     for choice in ("plain", "fused"):
         with ops.use(choice):
-            assert (recall(light, 0 * frame.motion, surface, kept).count == 3).all()
+            found = recall(light, 0 * frame.motion, surface, kept)
+            mean, _ = accumulate(light, found.light, found.count, torch.zeros_like(frame.depth), 9.0, RECALL_SAME)
+            assert (found.count == 3).all() and torch.equal(mean, light)

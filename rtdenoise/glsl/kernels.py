@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..constants import RECALL_SAME
 from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import dispatch
@@ -31,6 +32,7 @@ class Kernels:
         size = light.shape[:2]
         mean, reset = self._scratch.fresh(size), self._scratch("reset", size)
         buffers, parameters = {"light": light, "running": running}, {"longest": self._config.longest}
+        parameters["same"] = RECALL_SAME if self._config.recent else 0.0
         buffers |= {"mean": mean, "reset": reset}
         self._over_time("accumulated_kpn/accumulate", levels, ("shares",), buffers, turned, parameters)
         return mean, reset

@@ -22,6 +22,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ..constants import RECALL_SAME
 from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import apply_kernel, compose, downsample, pick, soften
@@ -141,7 +142,8 @@ class AccumulatedKPN(nn.Module):
         if known.first:  # there is nothing to average
             mean, length = noisy, torch.ones_like(past.length)
         else:
-            mean, length = accumulate(noisy, past.light, past.length, heads.reset, most)
+            same = RECALL_SAME if self.config.recent else 0.0
+            mean, length = accumulate(noisy, past.light, past.length, heads.reset, most, same)
 
         # Multiply the albedo in: its running mean is closer to a converged picture than one sample a pixel, except
         # where it has just changed.

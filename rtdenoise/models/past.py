@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from ..constants import OUTDATED_PICTURE
+from ..constants import OUTDATED_PICTURE, RECALL_SAME
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
@@ -191,7 +191,7 @@ def footprint(frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:
     seen = footprint_of(frame)
     if past.footprint is None:
         return torch.cat(seen, dim=1), torch.ones_like(frame.depth)
-    return accumulate(seen, past.footprint, past.footprint_count, reset, torch.inf)
+    return accumulate(seen, past.footprint, past.footprint_count, reset, torch.inf, RECALL_SAME)
 
 
 def footprint_of(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ..color import albedo_divisor
-from ..constants import DEPTH_TOLERANCE, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED, RECALL_FOOTPRINT_WORDS
+from ..constants import DEPTH_TOLERANCE, OVER_APART, OVER_LIGHT, OVER_SPEED, RECALL_FOOTPRINT_WORDS, RECALL_SAME
 from .dispatch import Fused, Support, falls_back
 from .fetch import fetch
 from .recall import BESIDE, Path, check_kept, distance
@@ -85,7 +85,7 @@ def over_and_coverage(
         onward = torch.where(is_front, there.motion, onward)
         path.follow(onward, there.reset)
     (light, surfaces), (was, _) = (x.split([3, 6], dim=1) for x in (total / weights, seen))
-    light = torch.where((light - was).abs() <= OVER_SAME * was, was, light)
+    light = torch.where((light - was).abs() <= RECALL_SAME * was, was, light)
     composed = torch.cat([torch.lerp(was, light, OVER_LIGHT), surfaces], dim=1)
     coverage = torch.cat([now_front, front_weights, weights - 1], dim=1).where(edge, 0)
     return torch.where(edge, composed, seen), coverage

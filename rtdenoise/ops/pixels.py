@@ -55,10 +55,13 @@ def accumulate(
     length: Tensor,  # [B, 1, H, W] number of those frames
     reset: Tensor,  # [B, 1, H, W] in [0, 1]: share of the mean that the new frame replaces; 1 restarts it
     max_length: float,
+    same: float = 0.0,
 ) -> tuple[Tensor, Tensor]:  # [B, C, H, W], [B, 1, H, W]
     """A running mean and its length, updated with one frame:
 
     w = 1 / (1 + length),  a = w + reset · (1 - w),  mean' = a · new + (1 - a) · mean,  length' = min(1/a, max_length)
+
+    Values of the mean that differ from the new ones by the share `same` or less count as these: they have been rounded.
 
     Raises ValueError where the channels do not fit.
     """
@@ -66,10 +69,11 @@ def accumulate(
     if sum(part.shape[1] for part in new) != mean.shape[1]:
         raise ValueError(f"expected {mean.shape[1]} channels, got {[part.shape[1] for part in new]}")
     if run := ACCUMULATE(new=new, mean=mean, length=length, reset=reset):
-        return run(new, mean, length, reset, max_length)
+        return run(new, mean, length, reset, max_length, same)
     new = torch.cat(new, dim=1) if len(new) > 1 else new[0]
     weight = 1 / (1 + length)
     weight = weight + reset * (1 - weight)
+    mean = torch.where((mean - new).abs() <= same * new.abs(), new, mean)
     return blend(new, mean, weight), (1 / weight).clamp(max=max_length)
 
 

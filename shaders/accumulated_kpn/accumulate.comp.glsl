@@ -4,7 +4,9 @@
 //
 //     w = 1 / (1 + length),    w' = w + reset · (1 - w),    mean' = w' · light + (1 - w') · mean,
 //     length' = min(1 / w', longest - 1)
-#pragma parameters float longest
+//
+// A mean that differs from light by the share `same` or less counts as light: kept frames are bfloat16.
+#pragma parameters float longest, float same
 #include "image.glsl"
 #include "shares.glsl"
 #include "giving_way.glsl"
@@ -22,7 +24,9 @@ void main() {
     int i = at(pixel, size);
     float gives_way = giving_way(sigmoid(row(RESET)), pixel), weight = 1.0 / (1.0 + running[i].w);
     weight += gives_way * (1.0 - weight);
-    vec3 rgb = weight * light[i].rgb + (1.0 - weight) * running[i].rgb;
+    vec3 now = light[i].rgb, before = running[i].rgb;
+    before = mix(before, now, lessThanEqual(abs(before - now), same * abs(now)));
+    vec3 rgb = weight * now + (1.0 - weight) * before;
     mean[i] = vec4(rgb, min(1.0 / weight, longest - 1.0));
     reset[i] = gives_way;
 }

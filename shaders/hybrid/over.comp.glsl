@@ -1,7 +1,7 @@
 #version 430
 // Edges that move against what is behind them (ops.over): the front over what is behind, as a kept frame saw it cover each
 // pixel. The FIRST dispatch finds the edges and adds this frame, the LAST writes the footprints; elsewhere they stay.
-#pragma constants FIRST LAST DEPTH_TOLERANCE OVER_APART OVER_SPEED OVER_SAME OVER_LIGHT
+#pragma constants FIRST LAST DEPTH_TOLERANCE OVER_APART OVER_SPEED RECALL_SAME OVER_LIGHT
 #include "image.glsl"
 #include "albedo.glsl"
 #include "beside.glsl"
@@ -76,7 +76,7 @@ void main() {
     if (LAST == 1) {
         total /= come.w;
         vec3 was = seen[i].rgb;
-        vec3 now = mix(total[0], was, lessThanEqual(abs(total[0] - was), OVER_SAME * was));
+        vec3 now = mix(total[0], was, lessThanEqual(abs(total[0] - was), RECALL_SAME * was));
         total[0] = mix(was, now, OVER_LIGHT);
     }
     front[i] = come;

@@ -1,7 +1,7 @@
 #version 430
 // The footprint of each pixel with this frame in it (models.past.footprint), and the trust in history: 1 less how far the
 // network resets it. With ALONE it is what this frame shows.
-#pragma constants ALONE
+#pragma constants ALONE RECALL_SAME
 #include "image.glsl"
 #include "albedo.glsl"
 #include "past.glsl"
@@ -10,6 +10,11 @@
 #pragma reads vec4 past                             // [H, W] rgb, flags
 #pragma reads float reset                           // [H, W]; not read where ALONE
 #pragma changes vec4 seen                           // [3, H, W] rgb, frames · albedo, trust · normal
+
+// With this frame in it: what differs by RECALL_SAME or less is the same, as kept frames are bfloat16.
+vec3 mean(vec3 before, vec3 now, float weight) {
+    return mix(mix(before, now, lessThanEqual(abs(before - now), RECALL_SAME * abs(now))), now, weight);
+}
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -22,9 +27,9 @@ void main() {
         weight = 1.0 / (1.0 + seen[i].w);
         weight += reset[i] * (1.0 - weight);
         if (has_history(past[i])) trust -= reset[i];
-        rgb = mix(seen[i].rgb, rgb, weight);
-        albedo = mix(seen[i + plane].rgb, albedo, weight);
-        normal = mix(seen[i + 2 * plane].xyz, normal, weight);
+        rgb = mean(seen[i].rgb, rgb, weight);
+        albedo = mean(seen[i + plane].rgb, albedo, weight);
+        normal = mean(seen[i + 2 * plane].xyz, normal, weight);
     }
     seen[i] = vec4(rgb, 1.0 / weight);
     seen[i + plane] = vec4(albedo, trust);

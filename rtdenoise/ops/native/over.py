@@ -8,7 +8,7 @@ from ctypes import c_float
 import torch
 from torch import Tensor
 
-from ...constants import DEPTH_TOLERANCE, FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED
+from ...constants import DEPTH_TOLERANCE, FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SPEED, RECALL_SAME
 from .compiler import library, planes, pointer, pointers
 
 
@@ -23,7 +23,7 @@ def over_and_coverage(
     kept = pointers(image for images in zip(*recent, strict=True) for image in images)
     out, found = torch.empty_like(seen), seen.new_empty(threads, W, dtype=torch.uint8)
     coverage = seen.new_zeros(B, 3, H, W)
-    constants = map(c_float, (OVER_APART, OVER_SPEED, OVER_LIGHT, OVER_SAME))
+    constants = map(c_float, (OVER_APART, OVER_SPEED, OVER_LIGHT, RECALL_SAME))
     run = library("over", FAR_AWAY=FAR_AWAY, GLOSS=GLOSS, TOLERANCE=DEPTH_TOLERANCE).over
     arrays = pointer(seen), planes(now), *map(pointer, where), kept, *map(pointer, (out, coverage, found))
     run(*arrays, K, B, H, W, *constants, threads)

@@ -36,7 +36,7 @@ void modulate(const float *irradiance, const float *albedo, const float *mean_al
 
 // `new`: B × C pointers to planes.
 void accumulate(const float *const *new, const float *mean, const float *length, const float *reset, float *out, float *next_length,
-                int B, int64_t plane, float max_length, int threads) {
+                int B, int64_t plane, float max_length, float same, int threads) {
     EACH_BLOCK(B, plane) {
         int64_t to = MIN(from + BLOCK, plane), first = b * C * plane;
         const float *m = mean + first, *l = length + b * plane, *r = reset + b * plane;
@@ -48,7 +48,10 @@ void accumulate(const float *const *new, const float *mean, const float *length,
         }
         for (int c = 0; c < C; c++, m += plane, o += plane) {
             const float *n = new[b * C + c];
-            EACH_PIXEL o[x] = lerp(m[x], n[x], weight[x - from]);
+            EACH_PIXEL {
+                float before = fabsf(m[x] - n[x]) <= same * fabsf(n[x]) ? n[x] : m[x];
+                o[x] = lerp(before, n[x], weight[x - from]);
+            }
         }
     }
 }

@@ -26,13 +26,14 @@ def modulate(irradiance: Tensor, albedo: Tensor, mean_albedo: Tensor, sharp: Ten
 
 
 def accumulate(
-    new: Sequence[Tensor], mean: Tensor, length: Tensor, reset: Tensor, max_length: float
+    new: Sequence[Tensor], mean: Tensor, length: Tensor, reset: Tensor, max_length: float, same: float
 ) -> tuple[Tensor, Tensor]:
     new, inputs = [t.contiguous() for t in new], [t.contiguous() for t in (mean, length, reset)]
     out = [torch.empty_like(t) for t in inputs[:2]]
     B, C, H, W = mean.shape
     run, size = _library(C).accumulate, c_int64(H * W)
-    run(planes(new), *map(pointer, (*inputs, *out)), B, size, c_float(max_length), torch.get_num_threads())
+    numbers = c_float(max_length), c_float(same)
+    run(planes(new), *map(pointer, (*inputs, *out)), B, size, *numbers, torch.get_num_threads())
     return out[0], out[1]
 
 

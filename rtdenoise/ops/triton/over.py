@@ -12,7 +12,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import DEPTH_TOLERANCE, FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SAME, OVER_SPEED
+from ...constants import DEPTH_TOLERANCE, FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SPEED, RECALL_SAME
 from .common import BLOCK, grid, place
 from .path import beside, bounded, distance, end_of, frame_of, kept_at, kept_edge_at, onward, radiance, stacked, whole
 
@@ -109,6 +109,6 @@ def over_and_coverage(
     out, coverage = torch.empty_like(seen), seen.new_empty(B, 3, H, W)
     _over[grid(B, H, W)](
         seen, *now, motion, depth, frames, out, coverage, H, W, step, len(recent), words, OVER_APART, OVER_SPEED,
-        OVER_SAME, OVER_LIGHT, GLOSS, DEPTH_TOLERANCE, BLOCK=BLOCK, FAR_AWAY=FAR_AWAY,
+        RECALL_SAME, OVER_LIGHT, GLOSS, DEPTH_TOLERANCE, BLOCK=BLOCK, FAR_AWAY=FAR_AWAY,
     )  # fmt: skip
     return out, coverage

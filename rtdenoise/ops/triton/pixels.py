@@ -41,7 +41,7 @@ def _modulate(irradiance, albedo, mean_albedo, sharp, depth, out, plane, gloss, 
 
 
 @triton.jit
-def _accumulate(first, second, third, mean, length, reset, out, next_length, plane, most, M: tl.constexpr,
+def _accumulate(first, second, third, mean, length, reset, out, next_length, plane, most, same, M: tl.constexpr,
                 N: tl.constexpr, C: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     """M channels of `first`, then those of `second` up to the N-th, then those of `third`, C in all."""
     b, at, exists = place_flat(plane, BLOCK)
@@ -57,6 +57,7 @@ def _accumulate(first, second, third, mean, length, reset, out, next_length, pla
         else:
             new = tl.load(third + (b * (C - N) + c - N) * plane + at, mask=exists, other=0.0)
         before = tl.load(mean + (b * C + c) * plane + at, mask=exists, other=0.0)
+        before = tl.where(tl.abs(before - new) <= same * tl.abs(new), new, before)
         tl.store(out + (b * C + c) * plane + at, lerp(before, new, weight), mask=exists)
 
 
@@ -91,7 +92,7 @@ def modulate(irradiance: Tensor, albedo: Tensor, mean_albedo: Tensor, sharp: Ten
 
 
 def accumulate(
-    new: Sequence[Tensor], mean: Tensor, length: Tensor, reset: Tensor, max_length: float
+    new: Sequence[Tensor], mean: Tensor, length: Tensor, reset: Tensor, max_length: float, same: float
 ) -> tuple[Tensor, Tensor]:
     if len(new) > 3:
         new = [torch.cat([*new], dim=1)]
@@ -101,7 +102,7 @@ def accumulate(
     M, N = new[0].shape[1], sum(t.shape[1] for t in new[:2])
     new += new[:1] * (3 - len(new))  # not read
     sizes = {"M": M, "N": N, "C": C, "BLOCK": FLAT}
-    _accumulate[flat_grid(B, H * W)](*new, *inputs, out, next_length, H * W, float(max_length), **sizes)
+    _accumulate[flat_grid(B, H * W)](*new, *inputs, out, next_length, H * W, float(max_length), same, **sizes)
     return out, next_length
 
 
