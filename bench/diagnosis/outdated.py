@@ -25,7 +25,7 @@ import torch
 import tyro
 from torch import Tensor
 
-from bench.diagnosis.turned import CLEAN, errors, leads, pictures, pictures_of_oidn, table, with_references
+from bench.diagnosis.turned import cases, errors, leads, pictures, table
 from rtdenoise.frame import Frame
 from rtdenoise.models import load, past
 from rtdenoise.run.passes import InMemory, Passes
@@ -43,23 +43,16 @@ ALONE, WITHOUT, WITH = "single frames", "history as before", "and what is outdat
 
 def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     rows = []
-    for folder in sequences:
-        for signal in ("color", "indirect"):
-            frames = with_references(folder, signal)
-            if not frames:
-                continue
-            told, peer = {"sequence": folder.name, "signal": signal}, errors(frames, pictures_of_oidn(frames))
-            clean = errors(frames, pictures_of_oidn(frames, clean=True))
-            rows.append(told | {"model": "OIDN", "variant": CLEAN} | leads(clean, peer))
-            for label, (name, ahead) in MODELS.items():
-                if not ahead:
-                    add(rows, told | {"model": label, "variant": ALONE}, frames, singles(frames, name), peer)
-                with ignored():
-                    add(rows, told | {"model": label, "variant": WITHOUT}, frames, pictures(frames, name, ahead), peer)
-                add(rows, told | {"model": label, "variant": WITH}, frames, pictures(frames, name, ahead), peer)
+    for told, frames, peer in cases(sequences, rows):
+        for label, (name, ahead) in MODELS.items():
+            if not ahead:
+                add(rows, told | {"model": label, "variant": ALONE}, frames, singles(frames, name), peer)
             with ignored():
-                add(rows, told | {"model": "`--offline`", "variant": WITHOUT}, frames, offline(frames), peer)
-            add(rows, told | {"model": "`--offline`", "variant": WITH}, frames, offline(frames), peer)
+                add(rows, told | {"model": label, "variant": WITHOUT}, frames, pictures(frames, name, ahead), peer)
+            add(rows, told | {"model": label, "variant": WITH}, frames, pictures(frames, name, ahead), peer)
+        with ignored():
+            add(rows, told | {"model": "`--offline`", "variant": WITHOUT}, frames, offline(frames), peer)
+        add(rows, told | {"model": "`--offline`", "variant": WITH}, frames, offline(frames), peer)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
 
 

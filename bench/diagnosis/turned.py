@@ -55,6 +55,20 @@ OTHERS = {  # of `hybrid`: TURNED_NOISE, TURNED_ANGLE
 
 def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     rows = []
+    for told, frames, peer in cases(sequences, rows):
+        for label, (name, ahead) in MODELS.items():
+            variants = {WITHOUT: (turned.TURNED_NOISE, math.inf), WITH: None}
+            for variant, constants in (variants | (OTHERS if label == "`hybrid`" else {})).items():
+                with knowing(constants):
+                    found = errors(frames, pictures(frames, name, ahead))
+                rows.append(told | {"model": label, "variant": variant} | leads(found, peer))
+                print(rows[-1], flush=True)
+    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+
+
+def cases(sequences: tuple[Path, ...], rows: list[dict]) -> Iterator[tuple[dict, list[Frame], dict]]:
+    """What names a row, the frames, and the errors of OIDN's pictures, of each sequence and signal. To `rows` it adds
+    OIDN with albedo and normal filtered first."""
     for folder in sequences:
         for signal in ("color", "indirect"):
             frames = with_references(folder, signal)
@@ -63,14 +77,7 @@ def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
             told, peer = {"sequence": folder.name, "signal": signal}, errors(frames, pictures_of_oidn(frames))
             clean = errors(frames, pictures_of_oidn(frames, clean=True))
             rows.append(told | {"model": "OIDN", "variant": CLEAN} | leads(clean, peer))
-            for label, (name, ahead) in MODELS.items():
-                variants = {WITHOUT: (turned.TURNED_NOISE, math.inf), WITH: None}
-                for variant, constants in (variants | (OTHERS if label == "`hybrid`" else {})).items():
-                    with knowing(constants):
-                        found = errors(frames, pictures(frames, name, ahead))
-                    rows.append(told | {"model": label, "variant": variant} | leads(found, peer))
-                    print(rows[-1], flush=True)
-    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+            yield told, frames, peer
 
 
 def with_references(folder: Path, signal: str) -> list[Frame]:

@@ -1,21 +1,19 @@
 #version 430
-// Look a kept frame up at the end of each pixel's path (ops.recall), and compare its light with this frame's: sums over cells
-// of RECALL_CELL² pixels, for `add`. A work group is a row of whole cells. The path goes on by the motion found there.
-#pragma constants FIRST RECALL_CELL RECALL_ROUNDING DEPTH_TOLERANCE MIN_NORMAL_COSINE
+// Look a kept frame up at the end of each pixel's path (ops.recall), and compare its light with this frame's: sums over cells,
+// for `stays`. The path goes on by the motion found there.
+#pragma constants FIRST RECALL_ROUNDING DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "alike.glsl"
 #include "kept.glsl"
+#include "sum_cell.glsl"
 
 #pragma reads vec4 light, vec4 surface  // [H, W] rgb; normal, depth
 #pragma reads vec4 chosen               // [H, W] motion to the frame before, where the paths begin
 #pragma changes vec4 path               // [H, W] motion to the kept frame, share that resets left; not read by the FIRST
 #pragma writes vec4 found               // [H, W] its rgb, this share, or 0 where it shows another surface
-#pragma writes vec4 cells               // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] Σ d, Σ |d|² and what is added
-
-shared vec4 terms[GROUP_X * GROUP_Y];
 
 void main() {
-    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), lane = ivec2(gl_LocalInvocationID.xy);
+    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
     vec4 term = vec4(0.0);
     if (inside(pixel, size)) {
         int i = at(pixel, size);
@@ -37,11 +35,5 @@ void main() {
         found[i] = its;
         term = vec4(d, dot(d, d) + least);
     }
-    terms[lane.y * GROUP_X + lane.x] = term;
-    barrier();
-    if (lane.x % RECALL_CELL != 0 || lane.y % RECALL_CELL != 0 || !inside(pixel, size)) return;
-    vec4 sum = vec4(0.0);
-    for (int y = 0; y < RECALL_CELL; ++y)
-        for (int x = 0; x < RECALL_CELL; ++x) sum += terms[(lane.y + y) * GROUP_X + lane.x + x];
-    cells[at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL)] = sum;
+    sum_cell(pixel, term);
 }
