@@ -22,9 +22,9 @@ def texture(x, y):
     return 0.5 + sum(torch.sin(x * a + y * b + c) for a, b, c in waves) / 8
 
 
-def shot(count, zoom=0.0, shift=(0.0, 0.0), pan=(0.0, 0.0), noise=0.0):
+def shot(count, zoom=0.0, shift=(0.0, 0.0), pan=(0.0, 0.0), noise=0.0, size=SIZE):
     """A wall before a camera that pans, whose vectors know the pan alone. A square before it stands still."""
-    g, (H, W) = torch.Generator().manual_seed(0), SIZE
+    g, (H, W) = torch.Generator().manual_seed(0), size
     y, x = torch.meshgrid(torch.arange(H).float(), torch.arange(W).float(), indexing="ij")
     frames = []
     for number in range(count):
@@ -56,6 +56,18 @@ def test_zoom_and_shift_are_measured(zoom, shift, pan, noise):
 @pytest.mark.parametrize("pan", [(0.0, 0.0), (4.0, 1.0)])
 def test_vectors_that_are_right_lack_nothing(pan):
     assert find_drift(*shot(2, pan=pan, noise=0.05)) is None
+
+
+def test_a_large_picture_says_what_moves():
+    """There little zoom is much motion."""
+    drift = find_drift(*shot(2, zoom=4e-4, size=(90, 3200)))
+    assert math.isclose(drift.zoom, 4e-4, rel_tol=0.1) and drift.shift == (0.0, 0.0)
+    assert "the picture zooms by +0.04% a frame against" in str(drift)
+
+
+def test_a_strip_of_few_rows_is_examined():
+    drift = find_drift(*shot(2, shift=(2.0, 0.0), size=(6, 400)))
+    assert abs(drift.shift[0] - 2.0) < 0.15
 
 
 def test_without_texture_nothing_is_told():

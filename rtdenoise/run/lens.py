@@ -31,14 +31,14 @@ LEFT = 0.7  # share of the difference that may be left
 class Drift:
     """How the picture moves from the frame before to this one, against its vectors."""
 
-    zoom: float  # growth: 0.01 is 1 % larger
-    shift: tuple[float, float]  # pixels, x right, y down
+    zoom: float  # growth: 0.01 is 1 % larger; 0 where it moves no pixel by LEAST_MOTION / 2
+    shift: tuple[float, float]  # pixels, x right, y down; likewise
 
     def __str__(self) -> str:
         """In words, with the remedy."""
-        zooms = f"zooms by {self.zoom:+.1%} a frame" if abs(self.zoom) >= 5e-4 else ""
         x, y = self.shift
-        shifts = f"shifts by ({x:+.1f}, {y:+.1f}) px a frame" if math.hypot(x, y) >= LEAST_MOTION / 2 else ""
+        zooms = f"zooms by {self.zoom:+.{1 if abs(self.zoom) > 1e-3 else 2}%} a frame" if self.zoom else ""
+        shifts = f"shifts by ({x:+.1f}, {y:+.1f}) px a frame" if x or y else ""
         return LACKS.format(" and ".join(filter(None, (zooms, shifts))))
 
 
@@ -58,7 +58,7 @@ def find_drift(previous: Frame, current: Frame) -> Drift | None:
     there = pixels + current.motion[0, :, y, x].T
     fit = torch.zeros(3)  # zoom · reach, shift
     for cell in LEVELS:
-        if min(H, W) < 8 * cell:
+        if 1 < cell > min(H, W) / 8:
             continue
         now, then = (F.avg_pool2d(image, cell, ceil_mode=True, count_include_pad=False) for image in (here, before))
         target = _at(now, pixels, cell)
@@ -77,10 +77,12 @@ def find_drift(previous: Frame, current: Frame) -> Drift | None:
     errors = [(target - _at(before, place, 1)).abs().mean(0) for place in (there, _moved(there, fit, middle, reach))]
     bound = 2 * errors[0].mean()  # what lies beyond is uncovered, or off the screen
     as_is, fitted = (error.clamp(max=bound).mean() for error in errors)
-    if (fit[0].abs() + fit[1:].norm()) < LEAST_MOTION or fitted > LEFT * as_is:
+    zooms, shifts = fit[0].abs(), fit[1:].norm()
+    if zooms + shifts < LEAST_MOTION or fitted > LEFT * as_is:
         return None
     zoom = 1 / (1 + fit[0].item() / reach) - 1
-    return Drift(zoom, tuple((-fit[1:]).tolist()))
+    shift = tuple((-fit[1:]).tolist())
+    return Drift(zoom if zooms >= LEAST_MOTION / 2 else 0.0, shift if shifts >= LEAST_MOTION / 2 else (0.0, 0.0))
 
 
 def _moved(there: Tensor, fit: Tensor, middle: Tensor, reach: float) -> Tensor:
