@@ -85,15 +85,15 @@ def test_history_gives_way_where_surfaces_turn(name):
     network = models.load(name)
     torch.manual_seed(0)
 
-    def after(degrees):
+    def after(degrees, light):
         history = None
         for i in range(6):
-            _, history = network.step(turning(i * degrees, 1.0), history)
+            _, history = network.step(turning(i * degrees, light), history)
         return network.step(turning(6 * degrees, 0.9), history)[0].mean().item(), history
 
-    still, _ = after(0.0)
-    turns, history = after(8.0)
-    assert turns - 0.9 < 0.5 * (still - 0.9)
+    still, turns = (abs(after(degrees, 1.0)[0] - after(degrees, 0.9)[0]) for degrees in (0.0, 8.0))
+    assert turns < 0.5 * still
+    _, history = after(8.0, 1.0)
     share = -math.expm1(-math.radians(8.0) / TURNED_ANGLE)
     if network.config.recent:  # frames that are kept count less, too
         assert reset_of(history.recent[0]).min() > 0.9 * share
