@@ -1,7 +1,7 @@
 #version 430
-// Look a kept frame up at the end of each pixel's path (ops.recall), and compare its light with this frame's: sums over cells,
-// for `stays`. The path goes on by the motion found there.
-#pragma constants FIRST RECALL_ROUNDING DEPTH_TOLERANCE MIN_NORMAL_COSINE
+// Look a kept frame up at the end of each pixel's path (ops.recall), and compare its light with this frame's: sums over cells
+// of RECALL_CELL² pixels, for `stays`. The path goes on by the motion found there.
+#pragma constants FIRST RECALL_CELL RECALL_ROUNDING DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "alike.glsl"
 #include "kept.glsl"
@@ -11,6 +11,7 @@
 #pragma reads vec4 chosen               // [H, W] motion to the frame before, where the paths begin
 #pragma changes vec4 path               // [H, W] motion to the kept frame, share that resets left; not read by the FIRST
 #pragma writes vec4 found               // [H, W] its rgb, this share, or 0 where it shows another surface
+#pragma writes vec4 cells               // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] Σ d, Σ |d|² and what is added
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -35,5 +36,6 @@ void main() {
         found[i] = its;
         term = vec4(d, dot(d, d) + least);
     }
-    sum_cell(pixel, term);
+    vec4 sum;
+    if (sum_cell(pixel, RECALL_CELL, term, sum)) cells[at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL)] = sum;
 }

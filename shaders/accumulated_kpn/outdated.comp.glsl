@@ -25,7 +25,7 @@ float agrees(ivec2 pixel, int i) {
 }
 
 void main() {
-    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), lane_at = ivec2(gl_LocalInvocationID.xy);
+    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
     int lane = int(gl_LocalInvocationIndex), i = at(pixel, size);
     bool has = inside(pixel, size);
     most[lane] = has ? vec2(agrees(pixel, i), mean_albedo[i].w) : vec2(0.0);
@@ -37,7 +37,7 @@ void main() {
     if (!has) return;
     float share = most[0].y * max(1.0 - most[0].x, 0.0);
     past[i] = share < OUTDATED_PICTURE ? before[i] : vec4(noisy[i].rgb, float(int(before[i].w) & ~ON_SCREEN));
-    if (lane_at.x % TURNED_CELL != 0 || lane_at.y % TURNED_CELL != 0) return;
+    if (pixel.x % TURNED_CELL != 0 || pixel.y % TURNED_CELL != 0) return;
     int cell = at(pixel / TURNED_CELL, (size + TURNED_CELL - 1) / TURNED_CELL);
     turned[cell] += (1.0 - turned[cell]) * share;
 }

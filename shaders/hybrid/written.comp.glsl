@@ -1,13 +1,13 @@
 #version 430
 // The light that the network wrote, between the least and the greatest around each pixel (ops.around.expand_within); and what
-// the noisy frame tells of it and of the kernels' picture (ops.mix.share_told): means over cells of MIX_CELL² pixels. A work
-// group is a row of whole cells.
+// the noisy frame tells of it and of the kernels' picture (ops.mix.share_told): means over cells of MIX_CELL² pixels.
 #pragma constants USUAL PIXELS_LIGHT PIXELS_UNIT MIX_CELL MIX_DARK MIX_LARGEST
 #pragma parameters ivec2 padded
 #include "around.glsl"
 #include "activations.glsl"
 #include "albedo.glsl"
 #include "lift.glsl"
+#include "sum_cell.glsl"
 
 #pragma reads FOUR compressed_light    // [1, padded] what the network wrote
 #pragma reads vec4 bounds              // of `hybrid/bounds`
@@ -16,8 +16,6 @@
 #pragma reads float statistics         // [2] exposure, ·
 #pragma writes vec4 written            // [H, W] rgb
 #pragma writes vec4 told               // [⌈H/MIX_CELL⌉, ⌈W/MIX_CELL⌉] (p - q)(y - q), (p - q)², (y - m)², 0
-
-shared vec4 terms[GROUP_X * GROUP_Y];
 
 vec3 within(ivec2 pixel, vec3 rgb) {
     ivec2 extent = cells_of(size);
@@ -32,7 +30,7 @@ vec3 within(ivec2 pixel, vec3 rgb) {
 }
 
 void main() {
-    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), lane = ivec2(gl_LocalInvocationID.xy);
+    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
     vec4 term = vec4(0.0);  // the last one counts pixels
     if (inside(pixel, size)) {
         int i = at(pixel, size);
@@ -46,11 +44,7 @@ void main() {
         term = vec4(dot(apart, left), dot(apart, apart), dot(noise, noise), 1.0);
         written[i] = vec4(q, 1.0);
     }
-    terms[lane.y * GROUP_X + lane.x] = term;
-    barrier();
-    if (lane.x % MIX_CELL != 0 || lane.y % MIX_CELL != 0 || !inside(pixel, size)) return;
-    vec4 sum = vec4(0.0);
-    for (int y = 0; y < MIX_CELL; ++y)
-        for (int x = 0; x < MIX_CELL; ++x) sum += terms[(lane.y + y) * GROUP_X + lane.x + x];
+    vec4 sum;
+    if (!sum_cell(pixel, MIX_CELL, term, sum)) return;
     told[at(pixel / MIX_CELL, (size + MIX_CELL - 1) / MIX_CELL)] = vec4(sum.xyz / sum.w, 0.0);
 }

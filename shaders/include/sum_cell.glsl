@@ -1,17 +1,15 @@
-// Sums of differences over cells of RECALL_CELL² pixels, for `accumulated_kpn/stays`. A work group is a row of whole cells.
-#pragma constants RECALL_CELL
-#pragma writes vec4 cells  // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] Σ d, Σ |d|² and what is added
-
+// Sums over cells of side × side pixels. A work group is a row of whole cells.
 shared vec4 terms[GROUP_X * GROUP_Y];
 
-// Sum up the term of each pixel, 0 beyond the picture. All invocations call it.
-void sum_cell(ivec2 pixel, vec4 term) {
+// Whether this invocation has the first pixel of a cell, and the sum of the cell's terms, which are 0 beyond the picture. All
+// invocations call it.
+bool sum_cell(ivec2 pixel, int side, vec4 term, out vec4 sum) {
     ivec2 lane = ivec2(gl_LocalInvocationID.xy);
     terms[lane.y * GROUP_X + lane.x] = term;
     barrier();
-    if (lane.x % RECALL_CELL != 0 || lane.y % RECALL_CELL != 0 || !inside(pixel, size)) return;
-    vec4 sum = vec4(0.0);
-    for (int y = 0; y < RECALL_CELL; ++y)
-        for (int x = 0; x < RECALL_CELL; ++x) sum += terms[(lane.y + y) * GROUP_X + lane.x + x];
-    cells[at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL)] = sum;
+    sum = vec4(0.0);
+    if (lane.x % side != 0 || lane.y % side != 0 || !inside(pixel, size)) return false;
+    for (int y = 0; y < side; ++y)
+        for (int x = 0; x < side; ++x) sum += terms[(lane.y + y) * GROUP_X + lane.x + x];
+    return true;
 }

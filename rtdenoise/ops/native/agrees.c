@@ -1,6 +1,7 @@
 // How far a frame agrees with a running mean. The specification is ops/agrees.py; CELL, PATIENCE, ALIKE and so on are those
 // of constants.py.
 #include "common.h"
+#include "cells.h"
 
 #define SUMS 4  // of the differences of three channels, and of their squares with what is added
 #define WIDE 2  // side of a wide cell in cells
@@ -27,12 +28,7 @@ static inline void compare(const float *light, const float *mean, const uint8_t 
             square[x] += squared(dx, dy, dz) + there * (float)ROUNDING * least;
         }
     }
-    for (int i = 0; i < SUMS; i++)
-        for (int column = 0; column < columns; column++) {
-            float total = 0;
-            for (int x = column * CELL; x < MIN((column + 1) * CELL, W); x++) total += space[i * W + x];
-            cells[i * columns + column] = total;
-        }
+    total_cells(space, cells, SUMS, W, columns);
 }
 
 // The factor of `side` × `side` cells, of which (row, column) is one, and as many on each side of them; `cells` [rows, SUMS,
@@ -75,8 +71,7 @@ void agrees(const float *light, const float *mean, const uint8_t *found, float *
                         wide = unchanged(its, row, column, WIDE, WIDE_ALIKE, WIDE_CHANGED, rows, columns);
                     factor[column] = wide * unchanged(its, row, column, 1, ALIKE, CHANGED, rows, columns);
                 }
-                for (int y = row * CELL; y < MIN((row + 1) * CELL, H); y++)
-                    for (int x = 0; x < W; x++) out[i / rows * plane + (int64_t)y * W + x] = factor[x / CELL];
+                spread_cells(factor, out + i / rows * plane, row, H, W);
             }
     }
 }

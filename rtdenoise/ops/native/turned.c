@@ -1,5 +1,6 @@
 // How far surfaces have turned. The specification is ops/turned.py; CELL, NOISE and ANGLE are those of constants.py.
 #include "common.h"
+#include "cells.h"
 
 #define SUMS 5  // of the differences of normals, of their squares, and the pixels that have both
 
@@ -27,12 +28,7 @@ static inline void compare(const float *normal, const float *before, float *cell
             count[x] += both;
         }
     }
-    for (int i = 0; i < SUMS; i++)
-        for (int column = 0; column < columns; column++) {
-            float total = 0;
-            for (int x = column * CELL; x < MIN((column + 1) * CELL, W); x++) total += space[i * W + x];
-            cells[i * columns + column] = total;
-        }
+    total_cells(space, cells, SUMS, W, columns);
 }
 
 // The share of each cell of a row, from its sums and those of the eight around it; `cells` [rows, SUMS, columns].
@@ -68,8 +64,7 @@ void turned(const float *normal, const float *before, float *out, float *cells, 
                 float *share = space + (int64_t)t * SUMS * W;
                 int row = i % rows;
                 shares(cells + i / rows * rows * row_of_cells, share, row, rows, columns);
-                for (int y = row * CELL; y < MIN((row + 1) * CELL, H); y++)
-                    for (int x = 0; x < W; x++) out[i / rows * plane + (int64_t)y * W + x] = share[x / CELL];
+                spread_cells(share, out + i / rows * plane, row, H, W);
             }
     }
 }
