@@ -5,12 +5,18 @@ from dataclasses import replace
 
 import pytest
 import torch
-from synthetic import write_sequence
+from synthetic import assert_goes_on, save_tiny, write_sequence
+from test_combine import estimate, write_images
+from test_denoise import pixels, refused
 
+from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import OFF_SCREEN, Frame
+from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.inspect import inspect, next_step, render_text
 from rtdenoise.run.lens import find_drift
+from rtdenoise.run.lens_motion import with_lens
+from rtdenoise.run.options import CombineOptions
 
 SIZE = 72, 108
 OPTIONS = Options(model="fast", precision="fp32")
@@ -89,9 +95,91 @@ def test_inspect_and_denoise_tell(tmp_path):
     found = inspect(source)
     text = render_text(found)
     assert "lens         the picture zooms by +3.0% a frame against its motion vectors" in text
-    assert "(in 3 of the pairs of frames examined)" in text and "mend the motion" in next_step(found)
+    assert "(in 3 of the pairs of frames examined)" in text and next_step(found).endswith("--lens")
     notes = denoise(str(source), tmp_path / "out", OPTIONS).notes
     assert sum("zooms by +3.0% a frame against its motion vectors" in note for note in notes) == 1
     source = write_sequence(tmp_path / "pan", shot(4, pan=(2.0, 0.0)))
     assert "lens" not in render_text(inspect(source))
     assert not any("lens" in note for note in denoise(str(source), tmp_path / "pan out", OPTIONS).notes)
+
+
+@pytest.mark.parametrize(
+    ("zoom", "shift"), [(0.03, (0.0, 0.0)), (-0.02, (0.0, 0.0)), (0.0, (3.0, -1.0)), (0.04, (-2.0, 0.5))]
+)
+def test_motion_with_the_lens_is_where_surfaces_were(tmp_path, zoom, shift):
+    pan, (H, W) = (1.5, -0.6), SIZE
+    source = open_sequence(write_sequence(tmp_path / "shot", shot(3, zoom, shift, pan, 0.03)))
+    frame = with_lens(source)[2]
+    y, x = torch.meshgrid(torch.arange(H) - (H - 1) / 2, torch.arange(W) - (W - 1) / 2, indexing="ij")
+    moved = [shift[i] + pan[i] for i in (0, 1)]
+    there = torch.stack([(p - 2 * m) / (1 + zoom) + m for p, m in zip((x, y), moved, strict=True)])  # in frame 1
+    error = (frame.motion[0] - (there - torch.stack([x, y]))).norm(dim=0)
+    error[31:40, 51:62] = 0  # the square
+    assert error.max() < 0.25
+    assert frame.motion_next is None and not with_lens(source).has("motion_next")
+
+
+def test_unknown_motion_stays_unknown_and_right_motion_as_it_is(tmp_path):
+    frames = shot(3, zoom=0.05)
+    frames[2].motion[..., :20] = OFF_SCREEN
+    source = with_lens(open_sequence(write_sequence(tmp_path / "zoom", frames)))
+    assert source[2].motion[..., :20].abs().amax(1).min() > OFF_SCREEN / 2
+    plain = open_sequence(write_sequence(tmp_path / "pan", shot(3, pan=(2.0, 0.0))))
+    assert all(torch.equal(plain[i].motion, with_lens(plain)[i].motion) for i in range(3))
+
+
+def test_after_a_gap_no_lens_is_known(tmp_path):
+    frames = shot(5, zoom=0.03)
+    folder = write_sequence(tmp_path / "shot", [*frames[:2], *frames[3:]])
+    source = open_sequence(folder, allow_gaps=True)
+    drifts = with_lens(source).drifts
+    assert [drifts.of(i) is not None for i in range(4)] == [False, True, False, True]
+    assert drifts.told == "--lens: added what the vectors of 2 of 4 frames lack"
+
+
+def noisy(frames):
+    """The same with light of one sample a pixel."""
+    g = torch.Generator().manual_seed(5)
+    return [replace(f, radiance=f.albedo * -torch.rand(f.radiance.shape, generator=g).log()) for f in frames]
+
+
+@pytest.mark.parametrize("more", [{}, {"lookahead": 2}, {"offline": True}])
+def test_denoise_with_the_lens_keeps_textures(tmp_path, more):
+    frames = shot(5, zoom=0.04)
+    source = write_sequence(tmp_path / "zoom", noisy(frames))
+
+    def error(lens):
+        out = tmp_path / f"out {lens}"
+        notes = denoise(str(source), out, replace(OPTIONS, float32=True, lens=lens, **more)).notes
+        assert any(note == "--lens: added what the vectors of 4 of 5 frames lack" for note in notes) == lens
+        assert any("against its motion vectors" in note for note in notes) != lens
+        image = torch.from_numpy(pixels(out / "frame.0002.exr"))
+        return (image - frames[2].albedo[0]).square().mean()
+
+    assert error(True) < 0.85 * error(False)
+
+
+def test_a_run_with_the_lens_goes_on(tmp_path):
+    source = write_sequence(tmp_path / "zoom", noisy(shot(5, zoom=0.04)))
+    model = str(save_tiny(tmp_path))
+    assert_goes_on(source, tmp_path, replace(OPTIONS, model=model, lens=True), 3)
+
+
+def test_combine_takes_the_lens(tmp_path):
+    frames = noisy(shot(4, zoom=0.04))
+    source = write_sequence(tmp_path / "noisy", frames)
+    write_images(tmp_path / "denoised", [estimate(frame) for frame in frames])
+    results = []
+    for lens in (False, True):
+        out = tmp_path / f"out {lens}"
+        options = CombineOptions(samples=4, float32=True, lens=lens)
+        notes = combine(str(source), str(tmp_path / "denoised"), out, options).notes
+        assert ("--lens: added what the vectors of 3 of 4 frames lack" in notes) == lens
+        results.append((pixels(out / "frame.0002.exr") - frames[2].albedo[0].numpy()).var())
+    assert results[1] < results[0]
+
+
+def test_without_albedo_or_motion_the_lens_is_refused(tmp_path, capsys):
+    for layer in ("albedo", "motion"):
+        source = write_sequence(tmp_path / layer, shot(2), without=(layer,))
+        assert f"no layer '{layer}'" in refused(capsys, "denoise", source, "--out", tmp_path / "out", "--lens")

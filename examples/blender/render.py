@@ -284,9 +284,32 @@ def build_evening(scene: bpy.types.Scene, frames: int) -> None:
     scene.camera = bpy.context.object
 
 
+def build_zoom(scene: bpy.types.Scene, frames: int) -> None:
+    """Chequered crates in a room, before a camera whose focal length grows by 7 to 5 % a frame."""
+    draw = random.Random(5)
+    plaster = plain_material("plaster", Base_Color=(0.75, 0.72, 0.65, 1), Roughness=0.8)
+    box("floor", (0, 0, -0.05), (8, 8, 0.1), material("tiles", (0.15, 0.12, 0.1), (0.7, 0.6, 0.5), 2.0, roughness=0.4))
+    box("ceiling", (0, 0, 4.05), (8, 8, 0.1), plaster)
+    for name, x, y, size in (("back", 0, 4.05, (8, 0.1, 4)), ("left", -4.05, 0, (0.1, 8, 4)),
+                             ("right", 4.05, 0, (0.1, 8, 4))):  # fmt: skip
+        box(name, (x, y, 2), size, plaster)
+    for number in range(14):
+        colours = [[draw.uniform(0.1, 0.8) for _ in range(3)] for _ in range(2)]
+        place = draw.uniform(-3, 3), draw.uniform(-1, 3), 0.5
+        box(f"crate {number}", place, (0.6, 0.6, 1), material(f"crate {number}", *colours, 4.0))
+    bpy.ops.object.light_add(type="AREA", location=(2, -2, 3.9), rotation=(math.radians(40), 0, math.radians(35)))
+    bpy.context.object.data.energy = 200
+    bpy.ops.object.camera_add(location=(0, -3.8, 1.7), rotation=(math.radians(82), 0, 0))
+    scene.camera = bpy.context.object
+    lens = scene.camera.data
+    for number in (0, frames + 1):
+        lens.lens = 24 + 16 * number / (frames + 1)
+        lens.keyframe_insert("lens", frame=number)
+
+
 SETS = {
     "room": build, "still-life": build_still_life, "turntable": build_turntable, "meadow": build_meadow,
-    "flicker": build_flicker, "evening": build_evening,
+    "flicker": build_flicker, "evening": build_evening, "zoom": build_zoom,
 }  # fmt: skip
 
 

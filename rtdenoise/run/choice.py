@@ -6,6 +6,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 from ..data.sequences import Sequence, open_sequence
+from ..errors import InputError
 from .options import AUTO, Options
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
@@ -19,13 +20,15 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
     where none is known, the noise of the first frame tells.
-    Raises InputError as `open_sequence` and reading the first frame do.
+    Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
     """
     auto = options.model == AUTO
     sequence = open_sequence(
         source, signal=options.signal, preset=options.preset, layers=(*layers, *(["samples"] if auto else [])),
         allow_gaps=options.allow_gaps,
     )  # fmt: skip
+    if options.lens:
+        sequence = _with_lens(sequence)
     if not auto:
         return sequence, options, []
     samples = known_samples(sequence, options.samples)
@@ -39,6 +42,14 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     if samples < LEAST:
         return sequence, replace(options, model=few), [f"model: {few}{because}"] if because else []
     return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel{because}"]
+
+
+def _with_lens(sequence: Sequence) -> Sequence:
+    if find_spec("torch") is None:
+        raise InputError("--lens needs PyTorch, which is not installed; leave it out")
+    from .lens_motion import with_lens
+
+    return with_lens(sequence)
 
 
 def _reason(options: Options) -> str:

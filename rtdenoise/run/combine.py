@@ -50,11 +50,13 @@ def combine(
     from ..models import load_combiner
     from ..models.inference import choose_device
     from .correcting import Run
+    from .lens_motion import with_lens
     from .pairs import check_other, check_pairs, check_second, open_denoised, open_second, repeats
 
     source = open_sequence(
         noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
     )
+    source = with_lens(source) if options.lens else source
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
     check_output(source, options.layout, options.recombine, options.keep)
     if options.confidence and options.layout != "plain":
@@ -77,7 +79,9 @@ def combine(
         run = Run(source, estimates, second, out, options, combiner, device, on_frame)
         notes += unread_options(options, combiner) + missing_layers(source, options, combiner)
         notes += told_of_samples(source, options.samples) if _by_evidence(combiner) else []
-        return run.run(overwrite, notes)
+        summary = run.run(overwrite, notes)
+    summary.notes += [source.drifts.told] if options.lens else []
+    return summary
 
 
 def unread_options(options: CombineOptions, combiner: Combiner | Shrinkage) -> list[str]:

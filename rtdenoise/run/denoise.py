@@ -77,7 +77,7 @@ def denoise(
     notes += told_of_missing(sequence, backend.config.motion is not None)
     write = partial(write_frame, layout=options.layout, recombine=options.recombine, keep=options.keep,
                     float32=options.float32)  # fmt: skip
-    read = Sequence.read
+    read = _read
     if in_passes:
         if reads:
             raise InputError(f"--lights, --also: not with {options.model}, which reads {reads[0]}; "
@@ -89,7 +89,8 @@ def denoise(
         summary = _run(sequence, out, options, backend, read, write, overwrite, on_frame, picture)
         if picture:
             picture.remove(sequence)
-    summary.notes = list(dict.fromkeys([*notes, *told_of_output(sequence, options), *summary.notes]))
+    lens = [sequence.drifts.told] if options.lens else []
+    summary.notes = list(dict.fromkeys([*notes, *told_of_output(sequence, options), *summary.notes, *lens]))
     return summary
 
 
@@ -154,6 +155,10 @@ def _run(
     watch.end(len(sequence), len(summary.cuts))
     write_summary(out / SUMMARY, sequence, options, summary)
     return summary
+
+
+def _read(sequence: Sequence, i: int) -> Frame:
+    return sequence.read(i)
 
 
 def _notes(sequence: Sequence, options: Options, backend: Backend) -> list[str]:

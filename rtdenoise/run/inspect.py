@@ -176,18 +176,16 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     those of `inspect` that were not the defaults."""
     if found.convention and found.convention.status == "wrong":
         return "mend the motion vectors as said above: with these, history comes from wrong places"
-    if found.drifts:
-        return "mend the motion vectors as said above: with these, history blurs"
     if 2 * len(found.unmoved) >= len(found.examined):  # not the cuts between still shots
         return "render again without motion blur, or mend the motion: with zeros, what moves leaves trails"
     words = ["rtdenoise", "denoise", found.source, "--out", "clean/"]
     for name, value in options.items():
         words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
-    command = shlex.join(words)
+    command = shlex.join([*words, *(["--lens"] if found.drifts else [])])
     wanted = (*STAND_INS, *(("motion",) if found.files > 1 else ()))
     if absent := [layer for layer in wanted if layer in found.missing]:
         return f"add {absent[0]}: {found.missing[absent[0]]} (without it {COSTS[absent[0]]}); then {command}"
-    if found.convention and found.convention.status == "ambiguous" and found.convention.errors:
+    if found.convention and found.convention.status == "ambiguous" and found.convention.errors and not found.drifts:
         return f"look at the motion vectors first, nothing confirms them; then {command}"
     return command
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -40,6 +41,16 @@ class Drift:
         zooms = f"zooms by {self.zoom:+.{1 if abs(self.zoom) > 1e-3 else 2}%} a frame" if self.zoom else ""
         shifts = f"shifts by ({x:+.1f}, {y:+.1f}) px a frame" if x or y else ""
         return LACKS.format(" and ".join(filter(None, (zooms, shifts))))
+
+    def added_to(
+        self,
+        motion: np.ndarray,  # [1, 2, H, W] pixels, without it
+    ) -> np.ndarray:  # [1, 2, H, W]
+        """The motion with it: to p + motion, about the middle of the picture, by 1 / (1 + zoom), less the shift."""
+        H, W = motion.shape[2:]
+        x, y = np.meshgrid(np.arange(W, dtype=np.float32) - (W - 1) / 2, np.arange(H, dtype=np.float32) - (H - 1) / 2)
+        pixels, shift = np.stack([x, y])[None], np.float32(self.shift)[:, None, None]
+        return ((pixels + motion) / np.float32(1 + self.zoom) - shift - pixels).astype(np.float32)
 
 
 def find_drift(previous: Frame, current: Frame) -> Drift | None:

@@ -84,6 +84,7 @@ def denoise_offline(
         remove_unfinished(out)
         summary = _Run(sequence, out, options, passes, on_frame).run(overwrite)
     summary.notes[:0] = [*notes, *told_of_output(sequence, options)]
+    summary.notes += [sequence.drifts.told] if options.lens else []
     return summary
 
 

@@ -51,6 +51,9 @@ class Options:
     """Accept missing frame numbers; history starts anew after each gap."""
     detect_cuts: bool = True
     """Start history anew where most pixels find another surface than their motion vectors promise."""
+    lens: bool = False
+    """Add the zoom or shift of the picture that motion vectors lack, from frame to frame, found by albedo: those of
+    Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""
     plan: bool = True
     """Leave out work that a frame does not need (`rtdenoise inspect` lists it); off: everything runs."""
     backend: str = "auto"
@@ -131,6 +134,8 @@ class CombineOptions:
     """Accept missing frame numbers; no frame is corrected by frames beyond a gap."""
     detect_cuts: bool = True
     """Use no frames beyond one where most pixels show another surface than their motion vectors promise."""
+    lens: bool = False
+    """Add the zoom or shift of the picture that motion vectors lack: as for denoise."""
     device: str = "auto"
     """'auto', 'cpu' or 'cuda'."""
     precision: str = "auto"

@@ -29,8 +29,8 @@ UNMOVED = (
 PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors are judged, and pixels of each
 WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"
 LACKS = (
-    "the picture {} against its motion vectors, so history blurs: an animated focal length or camera shift? Cycles' "
-    "vectors lack the shift, and before Blender 4.5 the focal length"
+    "the picture {} against its motion vectors, so history blurs: an animated focal length or camera shift, which "
+    "Cycles' vectors lack? `denoise --lens` adds it"
 )
 MOST_CUTS = 0.5  # of the frames: more are no cuts
 CUTS = (

@@ -6,6 +6,7 @@ The Python that runs this has Blender as a module (bpy); PYTHON has rtdenoise. B
 Blender's settings, so that nobody's own are touched.
 """
 
+import json
 import os
 import sys
 import threading
@@ -45,6 +46,7 @@ def build_scene(scene):
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.5, 0.6, 0.8, 1)
     bpy.ops.object.camera_add(location=(0, -5, 0.6), rotation=(1.45, 0, 0))
     scene.camera = bpy.context.object
+    scene.camera.data.keyframe_insert("lens", frame=1)
     scene.render.resolution_x, scene.render.resolution_y = SIZE
     scene.frame_start, scene.frame_end = 1, FRAMES
 
@@ -116,7 +118,7 @@ fails("Pip found no way to the internet", bpy.ops.rtdenoise.environment)
 own.python = str(FOLDER / "nothing")
 fails("is no file")
 own.python = sys.executable
-fails("has no rtdenoise that knows light passes")
+fails("has no rtdenoise that knows")
 own.python = PYTHON
 fails("holds no cancelled job", go_on=True)
 settings.folder = "//film.blend/frames"
@@ -149,6 +151,8 @@ for light in ("PASSES", "BEST"):
     assert not (JOB / "job.blend").exists()
     print(f"{light}: {len(names)} frames, {operators.message}")
     check_node(scene)
+    done = json.loads((JOB / "clean" / "denoise.json").read_text())
+    assert done["options"]["lens"], "the camera's focal length is animated"
     if light == "BEST":
         check_viewer_stays(scene)
     os.rename(JOB / "clean" / names[0], FOLDER / f"{light.lower()}.exr")

@@ -28,8 +28,8 @@ def find(chosen: str, own: Path) -> list[str] | None:
             raise Trouble(f"{path} is no file: choose a Python that has rtdenoise in the add-on's preferences, or none")
         command = _command(path)
         if not _works(command):
-            raise Trouble(f"{path} has no rtdenoise that knows light passes: clear the field in the add-on's "
-                          "preferences, or install rtdenoise there")  # fmt: skip
+            raise Trouble(f"{path} has no rtdenoise that knows what the add-on asks for: clear the field in the "
+                          "add-on's preferences, or install rtdenoise there")  # fmt: skip
         return command
     if (own / READY).is_file() and (own / PYTHON).exists():
         return [str(own / PYTHON), "-m", "rtdenoise"]
@@ -65,14 +65,14 @@ def _command(path: Path) -> list[str]:
 
 
 def _works(command: list[str]) -> bool:
-    """Whether the command is an rtdenoise that knows light passes."""
+    """Whether the command is an rtdenoise that is new enough."""
     try:
         help_text = subprocess.run(
             [*command, "denoise", "--help"], capture_output=True, timeout=60, env=clean_environment(), check=False
         )
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return help_text.returncode == 0 and b"--lights" in help_text.stdout
+    return help_text.returncode == 0 and b"--lens" in help_text.stdout
 
 
 def _about_venv(lines: list[str]) -> str:

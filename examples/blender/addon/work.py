@@ -35,6 +35,7 @@ class Work:
     noisy: str
     clean: str
     finished: bool = False
+    lens: bool = False  # whether a camera's lens may move, which vectors of Cycles do not tell
     source: str = ""  # folder of the .blend file
 
     @property
@@ -45,7 +46,7 @@ class Work:
         else:
             how = ["--lights", "--lookahead", "2", *(("--also", *self.also) if self.also else ())]
         return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}",
-                "--layout", "source", "--progress", "lines", *how]  # fmt: skip
+                "--layout", "source", "--progress", "lines", *(["--lens"] if self.lens else []), *how]  # fmt: skip
 
 
 def folder_of(scene: bpy.types.Scene) -> Path:
@@ -80,6 +81,7 @@ def begin(context: bpy.types.Context) -> Work:
     work = Work(
         scene.name, context.view_layer.name, settings.samples, scene.frame_start, scene.frame_end, settings.light,
         tuple(settings.also.replace(",", " ").split()), str(folder), str(folder / "noisy"), str(folder / "clean"),
+        lens=any(item.type == "CAMERA" and item.data.animation_data is not None for item in scene.objects),
         source=str(Path(bpy.data.filepath).parent),
     )  # fmt: skip
     parts = Path(work.noisy), Path(work.clean)

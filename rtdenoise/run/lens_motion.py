@@ -1,0 +1,62 @@
+"""Motion vectors with the motion of the lens: `--lens` adds the zoom or shift that `lens.find_drift` finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+from ..data.sequences import Sequence
+from ..frame import Frame
+from .lens import Drift, find_drift
+
+
+class Drifts:
+    """What the vectors of each frame lack, found when it is asked for."""
+
+    def __init__(self, sequence: Sequence) -> None:
+        """Of a sequence with albedo and motion."""
+        self._sequence = sequence.only({"radiance", "albedo", "motion"})
+        self._found: dict[int, Drift | None] = {}
+        self._frames: dict[int, Frame] = {}  # the last two that were read
+
+    def of(self, i: int) -> Drift | None:
+        """That of frame i; None where nothing is lacking, and where the frame before is missing."""
+        if i not in self._found:
+            numbers = self._sequence.numbers
+            follows = i > 0 and numbers[i] == numbers[i - 1] + 1
+            self._found[i] = find_drift(self._frame(i - 1), self._frame(i)) if follows else None
+        return self._found[i]
+
+    @property
+    def told(self) -> str:
+        """Of how many frames the vectors lacked something, among those asked for."""
+        lacking = sum(drift is not None for drift in self._found.values())
+        return f"--lens: added what the vectors of {lacking} of {len(self._found)} frames lack"
+
+    def _frame(self, i: int) -> Frame:
+        if i not in self._frames:
+            self._frames = dict([*self._frames.items()][-1:]) | {i: self._sequence[i]}
+        return self._frames[i]
+
+
+@dataclass(frozen=True)
+class WithLens(Sequence):
+    """A sequence whose `motion` has the motion of the lens. Its frames have no `motion_next`: it would take the frame
+    after, and is approximated as where files lack it."""
+
+    drifts: Drifts | None = field(default=None, repr=False, compare=False)
+
+    def read(self, i: int) -> Frame:
+        """As `Sequence.read`."""
+        frame = super().read(i)
+        drift = None if frame.motion is None else self.drifts.of(i)
+        motion = drift.added_to(frame.motion) if drift else frame.motion
+        return replace(frame, motion=motion, motion_next=None)
+
+
+def with_lens(sequence: Sequence) -> WithLens:
+    """Raises InputError where the sequence has no motion, or no albedo to compare."""
+    sequence.require("motion", "albedo")
+    parts = {part.name: getattr(sequence, part.name) for part in fields(sequence)}
+    for layers in ("rules", "available"):
+        parts[layers] = {layer: rule for layer, rule in parts[layers].items() if layer != "motion_next"}
+    return WithLens(**parts, drifts=Drifts(sequence))
