@@ -40,6 +40,7 @@ TURNED_ANGLE = 0.09  # radians (5°) by which history falls to 1 / e
 # Light that has changed since all frames before (`ops.outdated`).
 AGREES_PATIENCE = 1.5  # the bounds of `recall` for a running mean, so many times as high: one test tells of all frames
 OUTDATED_CELL = 8  # side in pixels of the cells in which nothing may agree
+OUTDATED_RIM, OUTDATED_FRAMES = 4, 3  # likewise beside others, where so many frames must agree
 OUTDATED_PICTURE = 0.9  # share from which on the previous picture is as if off the screen
 
 CUT_ALIKE = 1.0  # pixels by which neighbours' motion may differ, if they move as one (`history.mismatch`)

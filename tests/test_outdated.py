@@ -8,7 +8,7 @@ import torch
 from synthetic import make_frames
 
 from rtdenoise import glsl, models, ops
-from rtdenoise.constants import OUTDATED_CELL
+from rtdenoise.constants import OUTDATED_CELL, OUTDATED_FRAMES, OUTDATED_RIM
 from rtdenoise.frame import Known
 from rtdenoise.models import past
 from rtdenoise.ops.agrees import agrees
@@ -67,18 +67,55 @@ def test_sizes_must_fit():
             agrees(image, mean, found > 0)
 
 
-def test_a_cell_is_outdated_where_nothing_in_it_agrees():
-    """The last cells are cut off by the border."""
-    size = 2 * OUTDATED_CELL + 3, OUTDATED_CELL + 1
-    agree, found = torch.zeros(1, 1, *size), torch.ones(1, 1, *size, dtype=torch.bool)
-    agree[0, 0, 0, 2], agree[0, 0, -1, -1] = 0.25, 5.0
-    found[..., OUTDATED_CELL : 2 * OUTDATED_CELL, :-1] = False  # surfaces that are all new
-    share = outdated(found, agree)
-    expected = torch.ones(1, 1, *size)
-    expected[..., :OUTDATED_CELL, :OUTDATED_CELL] = 0.75
-    expected[..., OUTDATED_CELL : 2 * OUTDATED_CELL, :OUTDATED_CELL] = 0.0
-    expected[..., 2 * OUTDATED_CELL :, OUTDATED_CELL:] = 0.0
-    assert torch.equal(share, expected)
+def by_hand(found, agree, frames):
+    """The formula of `outdated`, cell by cell. The last cells are cut off by the border."""
+    few, (H, W) = min(frames, OUTDATED_FRAMES), agree.shape
+
+    def share(side, i, j, enough):
+        there = slice(side * i, side * (i + 1)), slice(side * j, side * (j + 1))
+        return max(0.0, 1 - agree[there].max().item() / enough) if found[there].any() else 0.0
+
+    cells = [(i, j) for i in range(-(-H // OUTDATED_CELL)) for j in range(-(-W // OUTDATED_CELL))]
+    whole = {cell: share(OUTDATED_CELL, *cell, 1) for cell in cells}
+
+    def around(cell):
+        return [(cell[0] + y, cell[1] + x) for y in (-1, 0, 1) for x in (-1, 0, 1)]
+
+    sure = {c: whole[c] * min(1, sum(whole.get(k, 0) for k in around(c)) - whole[c]) for c in cells}
+    expected, scale = torch.zeros(H, W), OUTDATED_CELL // OUTDATED_RIM
+    for i in range(-(-H // OUTDATED_RIM)):
+        for j in range(-(-W // OUTDATED_RIM)):
+            cell = i // scale, j // scale
+            rim = min(max(sure.get(k, 0) for k in around(cell)), share(OUTDATED_RIM, i, j, few))
+            there = slice(OUTDATED_RIM * i, OUTDATED_RIM * (i + 1)), slice(OUTDATED_RIM * j, OUTDATED_RIM * (j + 1))
+            expected[there] = max(whole[cell], rim)
+    return expected
+
+
+@pytest.mark.parametrize("frames", [1, 2, 8])
+def test_the_share_that_is_outdated_is_that_of_the_formula(frames):
+    generator = torch.Generator().manual_seed(frames)
+    cells = 0.3 * torch.rand(13, 17, generator=generator).sub(0.75).clamp(min=0).mul(60).round()
+    cells[4:9, 5:12] = 0  # a shadow
+    agree = cells.repeat_interleave(OUTDATED_RIM, 0).repeat_interleave(OUTDATED_RIM, 1)[:-1, :-2]
+    found = torch.rand(agree.shape, generator=generator) < 0.02
+    expected = by_hand(found, agree, frames)
+    assert ((expected > 0) & (expected < 1)).any() and (expected == 0).any() and (expected == 1).any()
+    assert torch.allclose(outdated(found[None, None], agree[None, None], frames)[0, 0], expected, atol=1e-5)
+
+
+def test_beside_light_that_has_changed_more_frames_must_agree():
+    agree = torch.full((1, 1, 4 * OUTDATED_CELL, 6 * OUTDATED_CELL), 2.0)
+    agree[..., OUTDATED_CELL : 2 * OUTDATED_CELL, OUTDATED_CELL : 2 * OUTDATED_CELL] = 0
+    found = torch.ones_like(agree, dtype=torch.bool)
+    share = outdated(found, agree, 8)
+    assert torch.equal(share, (agree == 0).float()), "one cell may be chance"
+    agree[..., OUTDATED_CELL : 2 * OUTDATED_CELL, 2 * OUTDATED_CELL : 3 * OUTDATED_CELL] = 0
+    share = outdated(found, agree, 8)
+    assert torch.allclose(share[..., : 3 * OUTDATED_CELL, : 4 * OUTDATED_CELL][agree[..., :24, :32] > 0],
+                          torch.tensor(1 - 2 / OUTDATED_FRAMES))  # fmt: skip
+    assert not share[..., 3 * OUTDATED_CELL :, :].any() and not share[..., 4 * OUTDATED_CELL :].any()
+    assert torch.equal(outdated(found, agree, 2), (agree == 0).float()), "all that were asked agree"
 
 
 def flickering(light, still=False):
@@ -92,6 +129,24 @@ def flickering(light, still=False):
         replace(frame, radiance=frame.radiance * of, reference=frame.reference * of)
         for frame, of in zip(frames, (torch.tensor(c).view(1, 3, 1, 1) for c in light), strict=True)
     ]
+
+
+def shaded(count):
+    """A shot in which a slanted shadow moves on by ten pixels a frame."""
+    x, y = torch.arange(96), torch.arange(48)[:, None] // 2
+    frames = []
+    for i, frame in enumerate(make_frames(count, H=48, W=96)):
+        light = torch.where((x + y > 10 * i + 3) & (x + y < 10 * i + 43), 0.1, 1.0)
+        frames.append(replace(frame, radiance=frame.radiance * light, reference=frame.reference * light))
+    return frames
+
+
+def turning(count):
+    """A shot in which a lamp flickers and surfaces turn."""
+    shot = flickering([(1.0,) * 3, (3.0,) * 3, (1.0,) * 3, (3.0,) * 3][:count])
+    angles = [torch.tensor(0.1 * i) for i in range(count)]
+    normals = [torch.stack([a.sin(), 0 * a, a.cos()]).view(1, 3, 1, 1) for a in angles]
+    return [replace(f, normal=n.expand_as(f.normal).contiguous()) for f, n in zip(shot, normals, strict=True)]
 
 
 def error(image, frame):
@@ -113,6 +168,28 @@ def test_a_lamp_that_flickers_leaves_nothing_behind(name, still):
 
 
 @torch.inference_mode()
+def test_a_shadow_that_moves_on_leaves_no_trail():
+    network, history, shot = models.load("hybrid-fast", precision="fp32"), None, shaded(5)
+    for i, frame in enumerate(shot):
+        image, history = network.step(frame, history)
+        if i >= 2:
+            changed = ((frame.reference - shot[i - 1].reference).abs().sum(1, keepdim=True) > 0.3).expand_as(image)
+            both = image, network.step(frame)[0]
+            errors = [(x - frame.reference)[changed].square().mean().sqrt() for x in both]
+            assert errors[0] < 1.16 * errors[1], i
+
+
+@torch.inference_mode()
+def test_where_surfaces_turn_history_gives_way_to_that_alone():
+    """What they reflect always changes."""
+    config, (before, frame) = models.PRESETS["default"], turning(2)
+    _, history = models.create(config).step(before)
+    found = past.reprojected(config, frame, frame.radiance / 2, history)
+    whole = past.reprojected(config, replace(frame, normal=before.normal), frame.radiance / 2, history).outdated
+    assert found.turned.max() > 0.5 and torch.allclose(found.outdated, whole * (1 - found.turned), atol=1e-4)
+
+
+@torch.inference_mode()
 def test_frames_ahead_agree_in_the_place_of_those_before():
     """Light that has just changed, and stays so: the mean is that of the frames after."""
     before, *ahead = flickering([(0.2,) * 3, (1.0,) * 3, (1.0,) * 3, (1.0,) * 3])
@@ -127,14 +204,19 @@ def test_frames_ahead_agree_in_the_place_of_those_before():
 
 
 @torch.inference_mode()
+@pytest.mark.parametrize(
+    "shot",
+    [flickering([(1.0,) * 3, (4.0,) * 3, (4.0, 0.5, 0.5), (1.0,) * 3]), shaded(4), turning(4)],
+    ids=["lamp", "shadow", "turning"],
+)
 @pytest.mark.parametrize("name", KINDS)
-def test_outdated_light_is_that_of_torch_in_the_shaders(name, gl, assert_images_close):
+def test_outdated_light_is_that_of_torch_in_the_shaders(name, shot, gl, assert_images_close):
     network, pipeline = models.read(name), glsl.Pipeline.load(name)
     history = resident = None
-    for i, frame in enumerate(flickering([(1.0,) * 3, (4.0,) * 3, (4.0, 0.5, 0.5), (1.0,) * 3])):
+    for i, frame in enumerate(shot):
         known = Known(still=i == 3)
-        if i == 3:
-            frame = replace(frame, motion=0 * frame.motion, motion_next=0 * frame.motion)
+        if i >= 2:  # in the last one nothing moves
+            frame = replace(frame, motion=frame.motion * (i == 2), motion_next=0 * frame.motion)
         image, history = network.step(frame, history, known)
         found, resident = pipeline.step(frame.map(lambda t: t.numpy()), resident, known)
         assert_images_close(found, image, "frame")

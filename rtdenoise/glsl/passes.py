@@ -8,7 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..constants import AGREES_PATIENCE, BRIGHTNESS_BLOCK, OUTDATED_CELL, RECALL_CELL, SKY_BLOCK, TURNED_CELL
+from ..constants import (
+    AGREES_PATIENCE,
+    BRIGHTNESS_BLOCK,
+    OUTDATED_CELL,
+    OUTDATED_FRAMES,
+    OUTDATED_RIM,
+    RECALL_CELL,
+    SKY_BLOCK,
+    TURNED_CELL,
+)
 from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import BLOCK_GROUP, SELECT_GROUP, dispatch, fill
@@ -55,7 +64,7 @@ class Passes:
         """Sanitise the layers and measure the frame. `into_history`: history will keep light and guide, as it keeps
         surface, so they need buffers of their own."""
         H, W = layers["radiance"].shape[1:]
-        blocks_size = -(-H // BRIGHTNESS_BLOCK), -(-W // BRIGHTNESS_BLOCK)
+        blocks_size = _cells((H, W), BRIGHTNESS_BLOCK)
         count = blocks_size[0] * blocks_size[1]
         scratch, size = self._scratch, (W, H)
         clean, surface = scratch.image("clean", (H, W)), scratch.fresh((H, W))
@@ -137,7 +146,7 @@ class Passes:
     def turned(self, chosen: GpuArray, inputs: Inputs, history: History) -> GpuArray:
         """How far history gives way in each cell, as its surfaces have turned."""
         H, W = inputs.surface.shape[:2]
-        cells = -(-H // TURNED_CELL), -(-W // TURNED_CELL)
+        cells = _cells((H, W), TURNED_CELL)
         sums = {"turns": self._scratch.image("turns", cells), "counts": self._scratch("turns.counts", cells)}
         buffers = {"chosen": chosen, "surface": inputs.surface, "surface_before": history.surface}
         dispatch("accumulated_kpn/turns", (W, H), buffers | sums)
@@ -146,24 +155,28 @@ class Passes:
         return turned
 
     def outdated(
-        self, inputs: Inputs, noisy: GpuArray, before: GpuArray, means: Means, turned: GpuArray | None
+        self, inputs: Inputs, noisy: GpuArray, before: GpuArray, means: Means, turned: GpuArray | None, frames: int
     ) -> tuple[GpuArray, GpuArray]:
-        """The reprojected previous output without what is outdated, and `turned` with it."""
+        """The reprojected previous output without what is outdated, and `turned` with it. `frames`: recent ones."""
         H, W = inputs.surface.shape[:2]
-        past = self._scratch.image("shown", (H, W))
+        past, most = self._scratch.image("shown", (H, W)), self._scratch("most", (*_cells((H, W), OUTDATED_RIM), 2))
         if turned is None:
-            turned = self._scratch("turned", (-(-H // TURNED_CELL), -(-W // TURNED_CELL)))
+            turned = self._scratch("turned", _cells((H, W), TURNED_CELL))
             fill(turned)
         recalls, stays = self._config.recent > 0, means.running  # which is not read
         buffers = {"running": means.running, "mean_albedo": means.mean_albedo}
         if not recalls:
-            cells = -(-H // RECALL_CELL), -(-W // RECALL_CELL)
+            cells = _cells((H, W), RECALL_CELL)
             sums, stays = {"cells": self._scratch.image("cells", cells)}, self._scratch("stays", cells)
             dispatch("accumulated_kpn/compare", (W, H), buffers | sums | {"light": inputs.light})
             dispatch("accumulated_kpn/stays", cells[::-1], sums | {"stays": stays}, {"patience": AGREES_PATIENCE})
-        buffers |= {"stays": stays, "noisy": noisy, "before": before, "past": past, "turned": turned}
-        group = OUTDATED_CELL, OUTDATED_CELL
-        dispatch("accumulated_kpn/outdated", (W, H), buffers, group=group, RECALLS=int(recalls))
+        dispatch(
+            "accumulated_kpn/agreement", most.shape[1::-1], buffers | {"stays": stays, "most": most},
+            {"image_size": (W, H)}, RECALLS=int(recalls),
+        )  # fmt: skip
+        buffers = {"most": most, "noisy": noisy, "before": before, "past": past, "turned": turned}
+        enough, group = float(max(1, min(frames, OUTDATED_FRAMES))), (OUTDATED_CELL, OUTDATED_CELL)
+        dispatch("accumulated_kpn/outdated", (W, H), buffers, {"frames": enough}, group)
         return past, turned
 
     def features(self, inputs: Inputs, past: GpuArray, means: Means, groups: int) -> GpuArray:
@@ -189,7 +202,7 @@ class Passes:
     def keep_even_sky(self, inputs: Inputs, result: GpuArray, denoised: GpuArray) -> None:
         """Write a sky without noise back into the denoised image [3, H, W] and into the same image for history."""
         H, W = inputs.surface.shape[:2]
-        blocks = -(-H // SKY_BLOCK), -(-W // SKY_BLOCK)
+        blocks = _cells((H, W), SKY_BLOCK)
         buffers = {"light": inputs.light, "surface": inputs.surface}
         buffers |= {name: self._scratch.image(name, blocks) for name in ("lowest", "highest")}
         dispatch("frame/sky_blocks", (W, H), buffers, group=(SKY_BLOCK, SKY_BLOCK))
@@ -208,3 +221,8 @@ class Passes:
             dispatch("splat/bid", size[::-1], buffers, CLAIM=claim)
         dispatch("splat/close", size[::-1], buffers | {"vectors_before": before})
         return before
+
+
+def _cells(size: tuple[int, int], side: int) -> tuple[int, int]:
+    """How many cells of so many pixels a side an image (H, W) has, cut-off ones too."""
+    return -(-size[0] // side), -(-size[1] // side)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -85,12 +86,19 @@ def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known
         light, albedo, length = surfaces.split([3, 3, 1], dim=1)
         normal, albedo_length = reproject(history.normal, motion, here, before)[0], length
         agree = agrees(noisy, light, found)
-    old = outdated(found, agree)
+    turn = None if known.still else turned(frame.normal, normal)
+    old = _outdated(found, agree, history.recent, turn)
     output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
     shown = old < OUTDATED_PICTURE
     output, seen = torch.where(shown, output, frame.radiance), seen & shown
-    turn = None if known.still else turned(frame.normal, normal)
     return Past(light, albedo, length, albedo_length, output, seen, uncovered, turn, old, *seen_there)
+
+
+def _outdated(found: Tensor, agree: Tensor, asked: Sequence, turn: Tensor | None) -> Tensor:
+    """`ops.outdated` by the frames that were `asked`, or a running mean, less where surfaces `turn`: what they reflect
+    always changes, and history gives way as far as they turn."""
+    old = outdated(found, agree, max(1, len(asked)))
+    return old if turn is None else old * (1 - turn)
 
 
 def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: Known) -> Past:
@@ -100,7 +108,7 @@ def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: K
     found = _recalled(config, frame, noisy, motion, after, covered, known)
     light, length = joined(past.light, past.length, found.light, found.count)
     turn = _turn(frame, after, motion) if past.turned is None else past.turned
-    old = None if past.outdated is None else outdated(past.outdated > 0, length)
+    old = None if past.outdated is None else _outdated(past.outdated > 0, length, known.ahead, turn)
     past = replace(past, light=light, length=length, later=after, turned=turn, outdated=old)
     seen = found.footprint, found.footprint_count
     if config.footprint and past.footprint is not None:

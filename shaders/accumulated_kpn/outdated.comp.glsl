@@ -1,43 +1,56 @@
 #version 430
-// Where light has changed so much that the frames before do not tell of it (ops.outdated), over cells of OUTDATED_CELL² pixels, a
-// work group each: history gives way by the share
-//
-//     1 - min(1, greatest of what agrees)
-//
-// and from OUTDATED_PICTURE on the previous output is as if it were off the screen. 0 in cells whose surfaces are all new. With
-// RECALLS the count of recent frames tells what agrees, else the test of the running mean.
-#pragma constants RECALLS OUTDATED_PICTURE RECALL_CELL TURNED_CELL
+// Where light has changed so much that the frames before do not tell of it (ops.outdated), and their surfaces do not turn. History
+// gives way by the share, and from OUTDATED_PICTURE on the previous output is as if it were off the screen. A work group is a cell of
+// OUTDATED_CELL² pixels.
+#pragma constants OUTDATED_CELL OUTDATED_PICTURE OUTDATED_RIM TURNED_CELL
 #include "image.glsl"
 #include "past.glsl"
 
-#pragma reads vec4 running      // [H, W] rgb, count
-#pragma reads float stays       // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] how far the running mean agrees
-#pragma reads vec4 mean_albedo  // [H, W] rgb, whether the surface was there
-#pragma reads vec4 noisy        // [H, W] rgb: radiance
-#pragma reads vec4 before       // [H, W] rgb, flags: the previous output, reprojected
-#pragma writes vec4 past        // [H, W] the same, or noisy radiance without ON_SCREEN
-#pragma changes float turned    // [⌈H/TURNED_CELL⌉, ⌈W/TURNED_CELL⌉] the share that gives way
+#pragma reads vec2 most       // [⌈H/OUTDATED_RIM⌉, ⌈W/OUTDATED_RIM⌉] of `agreement`
+#pragma reads vec4 noisy      // [H, W] rgb: radiance
+#pragma reads vec4 before     // [H, W] rgb, flags: the previous output, reprojected
+#pragma writes vec4 past      // [H, W] the same, or noisy radiance without ON_SCREEN
+#pragma changes float turned  // [⌈H/TURNED_CELL⌉, ⌈W/TURNED_CELL⌉] the share that gives way
+#pragma parameters float frames
 
-shared vec2 most[GROUP_X * GROUP_Y];  // what agrees, whether the surface was there
+const int SIDE = OUTDATED_CELL / OUTDATED_RIM, REACH = 5;
+shared float whole[REACH * REACH];  // of the cells up to two from this one
+shared float sure[9];               // of those beside it
 
-float agrees(ivec2 pixel, int i) {
-    return RECALLS == 1 ? running[i].w : stays[at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL)];
+float share_of(vec2 most) { return most.y * max(1.0 - most.x, 0.0); }
+
+float whole_of(ivec2 cell) {
+    ivec2 extent = (size + OUTDATED_RIM - 1) / OUTDATED_RIM;
+    vec2 greatest = vec2(0.0);
+    for (int k = 0; k < SIDE * SIDE; ++k) {
+        ivec2 part = SIDE * cell + ivec2(k % SIDE, k / SIDE);
+        if (inside(part, extent)) greatest = max(greatest, most[at(part, extent)]);
+    }
+    return share_of(greatest);
+}
+
+float sure_of(ivec2 place) {  // 1 to 3 of REACH, either way
+    float around = 0.0, own = whole[at(place, ivec2(REACH))];
+    for (int k = 0; k < 9; ++k) around += whole[at(place + ivec2(k % 3, k / 3) - 1, ivec2(REACH))];
+    return own * min(around - own, 1.0);
 }
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
-    int lane = int(gl_LocalInvocationIndex), i = at(pixel, size);
+    int lane = int(gl_LocalInvocationIndex), cell = at(pixel / TURNED_CELL, (size + TURNED_CELL - 1) / TURNED_CELL);
     bool has = inside(pixel, size);
-    most[lane] = has ? vec2(agrees(pixel, i), mean_albedo[i].w) : vec2(0.0);
-    for (int step = GROUP_X * GROUP_Y / 2; step > 0; step /= 2) {
-        barrier();
-        if (lane < step) most[lane] = max(most[lane], most[lane + step]);
-    }
+    float turn = has ? turned[cell] : 0.0;
+    if (lane < REACH * REACH) whole[lane] = whole_of(ivec2(gl_WorkGroupID.xy) + ivec2(lane % REACH, lane / REACH) - REACH / 2);
+    barrier();
+    if (lane < 9) sure[lane] = sure_of(ivec2(lane % 3, lane / 3) + 1);
     barrier();
     if (!has) return;
-    float share = most[0].y * max(1.0 - most[0].x, 0.0);
+    float near = 0.0;
+    for (int k = 0; k < 9; ++k) near = max(near, sure[k]);
+    vec2 here = most[at(pixel / OUTDATED_RIM, (size + OUTDATED_RIM - 1) / OUTDATED_RIM)];
+    float rim = min(near, share_of(vec2(here.x / frames, here.y)));
+    float share = (1.0 - turn) * max(whole[REACH * REACH / 2], rim);
+    int i = at(pixel, size);
     past[i] = share < OUTDATED_PICTURE ? before[i] : vec4(noisy[i].rgb, float(int(before[i].w) & ~ON_SCREEN));
-    if (pixel.x % TURNED_CELL != 0 || pixel.y % TURNED_CELL != 0) return;
-    int cell = at(pixel / TURNED_CELL, (size + TURNED_CELL - 1) / TURNED_CELL);
-    turned[cell] += (1.0 - turned[cell]) * share;
+    if (pixel.x % TURNED_CELL == 0 && pixel.y % TURNED_CELL == 0) turned[cell] = turn + (1.0 - turn) * share;
 }
