@@ -23,7 +23,7 @@ MODULES = (
     "mltd_memory", "modes", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
     "diagnosis.activity", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor",
     "diagnosis.extremes", "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve",
-    "diagnosis.leftover", "diagnosis.outdated", "diagnosis.turned", "diagnosis.where",
+    "diagnosis.leftover", "diagnosis.lens", "diagnosis.outdated", "diagnosis.turned", "diagnosis.where",
 )  # fmt: skip
 
 
