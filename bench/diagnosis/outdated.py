@@ -65,7 +65,7 @@ def add(rows: list[dict], told: dict, frames: list[Frame], images: list[Tensor],
 def ignored() -> Iterator[None]:
     """Nothing is outdated."""
     use = past.outdated
-    past.outdated = lambda found, agree: torch.zeros_like(agree)
+    past.outdated = lambda found, agree, frames: torch.zeros_like(agree)
     try:
         yield
     finally:
