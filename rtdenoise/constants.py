@@ -37,6 +37,9 @@ TURNED_CELL = 4  # side in pixels of the cells over which normals are compared; 
 TURNED_NOISE = 8.0  # |sum of differences|² / sum of |differences|², 1 on average for noise, from which a surface turns
 TURNED_ANGLE = 0.09  # radians (5°) by which history falls to 1 / e
 
+# Textures that move over their surfaces (`ops.retextured`), in the same cells.
+RETEXTURED_LEAST, RETEXTURED_MOST = 0.05, 0.1  # albedo, beyond all around it: history begins to give way; is gone
+
 # Light that has changed since all frames before (`ops.outdated`).
 AGREES_PATIENCE = 1.5  # the bounds of `recall` for a running mean, so many times as high: one test tells of all frames
 OUTDATED_CELL = 8  # side in pixels of the cells in which nothing may agree

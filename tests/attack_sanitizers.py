@@ -81,6 +81,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.mix import mix
     from rtdenoise.ops.over import over_and_coverage
     from rtdenoise.ops.recall import keep, recall
+    from rtdenoise.ops.retextured import retextured
     from rtdenoise.ops.shares import shares
     from rtdenoise.ops.soften import soften
     from rtdenoise.ops.to_planes import to_planes
@@ -128,6 +129,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
         yield f"recall {len(for_footprints)}", recall(image, motion, (depth, normal), kept, *for_footprints)
     yield "turned", turned(normal, other)
     yield "agrees", agrees(image, other, seen)
+    yield "retextured", retextured(image, other, seen)
     footprint = torch.cat([image, other, normal], dim=1)
     yield "over_and_coverage", over_and_coverage(footprint, footprint, motion, depth, kept)
     shift = torch.zeros(1, 2, -(-H // 16), -(-W // 16))

@@ -142,11 +142,13 @@ def shaded(count):
 
 
 def turning(count):
-    """A shot in which a lamp flickers and surfaces turn."""
+    """A shot in which a lamp flickers and plain surfaces turn."""
     shot = flickering([(1.0,) * 3, (3.0,) * 3, (1.0,) * 3, (3.0,) * 3][:count])
     angles = [torch.tensor(0.1 * i) for i in range(count)]
     normals = [torch.stack([a.sin(), 0 * a, a.cos()]).view(1, 3, 1, 1) for a in angles]
-    return [replace(f, normal=n.expand_as(f.normal).contiguous()) for f, n in zip(shot, normals, strict=True)]
+    grey = torch.full_like(shot[0].albedo, 0.5)
+    return [replace(f, albedo=grey, normal=n.expand_as(f.normal).contiguous())
+            for f, n in zip(shot, normals, strict=True)]  # fmt: skip
 
 
 def error(image, frame):

@@ -143,26 +143,25 @@ class Passes:
         dispatch("accumulated_kpn/reproject", size[::-1], buffers, RECALLS=int(self._config.recent > 0))
         return Means(running, mean_albedo, seen)
 
-    def turned(self, chosen: GpuArray, inputs: Inputs, history: History) -> GpuArray:
-        """How far history gives way in each cell, as its surfaces have turned."""
+    def turned(self, chosen: GpuArray, inputs: Inputs, history: History, still: bool) -> GpuArray:
+        """How far history gives way in each cell, as its surfaces have turned, or textures have moved over them."""
         H, W = inputs.surface.shape[:2]
         cells = _cells((H, W), TURNED_CELL)
-        sums = {"turns": self._scratch.image("turns", cells), "counts": self._scratch("turns.counts", cells)}
+        sums = {name: self._scratch.image(name, cells) for name in ("turns", "counts")}
         buffers = {"chosen": chosen, "surface": inputs.surface, "surface_before": history.surface}
-        dispatch("accumulated_kpn/turns", (W, H), buffers | sums)
+        buffers |= {"guide": inputs.guide, "mean_albedo_before": history.mean_albedo}
+        dispatch("accumulated_kpn/turns", (W, H), buffers | sums, STILL=int(still))
         turned = self._scratch("turned", cells)
         dispatch("accumulated_kpn/turned", cells[::-1], sums | {"turned": turned})
         return turned
 
     def outdated(
-        self, inputs: Inputs, noisy: GpuArray, before: GpuArray, means: Means, turned: GpuArray | None, frames: int
-    ) -> tuple[GpuArray, GpuArray]:
-        """The reprojected previous output without what is outdated, and `turned` with it. `frames`: recent ones."""
+        self, inputs: Inputs, noisy: GpuArray, before: GpuArray, means: Means, turned: GpuArray, frames: int
+    ) -> GpuArray:
+        """The reprojected previous output without what is outdated. The mean of albedo gives way as `turned` says,
+        which then gets the outdated share. `frames`: recent ones."""
         H, W = inputs.surface.shape[:2]
         past, most = self._scratch.image("shown", (H, W)), self._scratch("most", (*_cells((H, W), OUTDATED_RIM), 2))
-        if turned is None:
-            turned = self._scratch("turned", _cells((H, W), TURNED_CELL))
-            fill(turned)
         recalls, stays = self._config.recent > 0, means.running  # which is not read
         buffers = {"running": means.running, "mean_albedo": means.mean_albedo}
         if not recalls:
@@ -174,10 +173,11 @@ class Passes:
             "accumulated_kpn/agreement", most.shape[1::-1], buffers | {"stays": stays, "most": most},
             {"image_size": (W, H)}, RECALLS=int(recalls),
         )  # fmt: skip
-        buffers = {"most": most, "noisy": noisy, "before": before, "past": past, "turned": turned}
+        buffers |= {"guide": inputs.guide, "noisy": noisy, "before": before}
+        buffers |= {"most": most, "past": past, "turned": turned}
         enough, group = float(max(1, min(frames, OUTDATED_FRAMES))), (OUTDATED_CELL, OUTDATED_CELL)
         dispatch("accumulated_kpn/outdated", (W, H), buffers, {"frames": enough}, group)
-        return past, turned
+        return past
 
     def features(self, inputs: Inputs, past: GpuArray, means: Means, groups: int) -> GpuArray:
         """The network's input, padded to whole cells of the network. Models that accumulate read `means` too, and write

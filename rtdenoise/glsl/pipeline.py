@@ -153,9 +153,9 @@ class Pipeline:
             means = Means(inputs.light, inputs.guide)
             if averages:
                 means = passes.reproject(chosen, inputs, history, flagged)
-            turned = passes.turned(chosen, inputs, history) if averages and not known.still else None
+            turned = passes.turned(chosen, inputs, history, known.still) if averages else None
             if averages and bool(history.recent) == (self.config.recent > 0):
-                past, turned = passes.outdated(inputs, noisy, past, means, turned, len(history.recent))
+                past = passes.outdated(inputs, noisy, past, means, turned, len(history.recent))
         with self._stage("features"):
             groups = 4 if first else 6 if dual else 5  # of four features; the others are zero everywhere
             features = passes.features(inputs, past, means, groups)

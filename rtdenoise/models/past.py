@@ -20,6 +20,7 @@ from ..ops.outdated import outdated
 from ..ops.over import over, over_and_coverage
 from ..ops.pixels import accumulate, demodulate, joined
 from ..ops.recall import Recalled, keep, recall
+from ..ops.retextured import retextured
 from ..ops.turned import turned
 from ..shift import picture
 from ..shift.light import light_shift
@@ -40,7 +41,7 @@ class Past:
     output: Tensor  # [B, 3, H, W] the previous output, reprojected; the noisy radiance where there is none
     on_screen: Tensor  # [B, 1, H, W] bool: motion leads onto the previous frame, and its light is not outdated
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
-    turned: Tensor | None = None  # [B, 1, H, W] share that gives way, as surfaces have turned; None: nothing has
+    turned: Tensor | None = None  # [B, 1, H, W] share that gives way, as surfaces or textures have moved; None: unknown
     outdated: Tensor | None = None  # [B, 1, H, W] likewise, as light has changed in all recent frames (`ops.outdated`)
     footprint: Tensor | None = None  # [B, 9, H, W] mean of `footprint` in recent frames, where the history keeps any
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
@@ -86,19 +87,18 @@ def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known
         light, albedo, length = surfaces.split([3, 3, 1], dim=1)
         normal, albedo_length = reproject(history.normal, motion, here, before)[0], length
         agree = agrees(noisy, light, found)
-    turn = None if known.still else turned(frame.normal, normal)
+    turn = _turn(frame, albedo, normal, found, known.still)
     old = _outdated(found, agree, history.recent, turn)
     output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
     shown = old < OUTDATED_PICTURE
     output, seen = torch.where(shown, output, frame.radiance), seen & shown
-    return Past(light, albedo, length, albedo_length, output, seen, uncovered, turn, old, *seen_there)
+    return Past(light, albedo, length, (1 - turn) * albedo_length, output, seen, uncovered, turn, old, *seen_there)
 
 
-def _outdated(found: Tensor, agree: Tensor, asked: Sequence, turn: Tensor | None) -> Tensor:
+def _outdated(found: Tensor, agree: Tensor, asked: Sequence, turn: Tensor) -> Tensor:
     """`ops.outdated` by the frames that were `asked`, or a running mean, less where surfaces `turn`: what they reflect
     always changes, and history gives way as far as they turn."""
-    old = outdated(found, agree, max(1, len(asked)))
-    return old if turn is None else old * (1 - turn)
+    return (1 - turn) * outdated(found, agree, max(1, len(asked)))
 
 
 def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: Known) -> Past:
@@ -107,7 +107,7 @@ def _and_after(past: Past, config: Config, frame: Frame, noisy: Tensor, known: K
     motion, _, covered = history_motion(reverse(frame), after, config.motion, shift)
     found = _recalled(config, frame, noisy, motion, after, covered, known)
     light, length = joined(past.light, past.length, found.light, found.count)
-    turn = _turn(frame, after, motion) if past.turned is None else past.turned
+    turn = _turned(frame, known.ahead[0], motion) if past.turned is None else past.turned
     old = None if past.outdated is None else _outdated(past.outdated > 0, length, known.ahead, turn)
     past = replace(past, light=light, length=length, later=after, turned=turn, outdated=old)
     seen = found.footprint, found.footprint_count
@@ -122,16 +122,24 @@ def later(config: Config, frame: Frame, known: Known) -> History | None:
     if not known.ahead:
         return None
     following, shift = known.ahead[0], None if known.shift is None else -known.shift
-    turns = [_turn(a, b, a.motion_next) for a, b in pairwise(known.ahead)]
+    turns = [_turned(a, b, a.motion_next) for a, b in pairwise(known.ahead)]
     turns.append(torch.zeros_like(frame.depth))  # nothing is beyond the last
     recent = tuple(kept(config, reverse(a), turn, shift=shift) for a, turn in zip(known.ahead, turns, strict=True))
     return History(following.radiance, following.motion, following.depth, following.normal, recent=recent)
 
 
-def _turn(frame: Frame, other: Frame | History, motion: Tensor) -> Tensor:
-    """How far surfaces have turned between a frame and the one that motion leads to (`ops.turned`)."""
+def _turned(frame: Frame, other: Frame, motion: Tensor) -> Tensor:
+    """`_turn` between a frame and the one that motion leads to."""
     here, there = (frame.depth, frame.normal), (other.depth, other.normal)
-    return turned(frame.normal, reproject(other.normal, motion, here, there)[0])
+    seen, found = reproject((other.albedo, other.normal), motion, here, there)
+    return _turn(frame, *seen.split(3, dim=1), found)
+
+
+def _turn(frame: Frame, albedo: Tensor, normal: Tensor, found: Tensor, still: bool = False) -> Tensor:
+    """How far history gives way, as surfaces have turned or textures have moved over them, `[B, 1, H, W]`. `albedo` and
+    `normal`: those of before, where they were `found`. `still`: no surface moves."""
+    texture = retextured(frame.albedo, albedo, found)
+    return texture if still else 1 - (1 - texture) * (1 - turned(frame.normal, normal))
 
 
 def _recalled(

@@ -1,16 +1,19 @@
 #version 430
-// Where light has changed so much that the frames before do not tell of it (ops.outdated), and their surfaces do not turn. History
-// gives way by the share, and from OUTDATED_PICTURE on the previous output is as if it were off the screen. A work group is a cell of
-// OUTDATED_CELL² pixels.
+// Where light has changed so much that the frames before do not tell of it (ops.outdated), and surfaces do not turn. History gives
+// way by the share, and from OUTDATED_PICTURE on the previous output is as if it were off the screen. A work group is a cell of
+// OUTDATED_CELL² pixels. The mean of albedo, of n frames and this one, gives way as far as surfaces turn: n (1 - turned) count.
 #pragma constants OUTDATED_CELL OUTDATED_PICTURE OUTDATED_RIM TURNED_CELL
 #include "image.glsl"
 #include "past.glsl"
 
-#pragma reads vec2 most       // [⌈H/OUTDATED_RIM⌉, ⌈W/OUTDATED_RIM⌉] of `agreement`
-#pragma reads vec4 noisy      // [H, W] rgb: radiance
-#pragma reads vec4 before     // [H, W] rgb, flags: the previous output, reprojected
-#pragma writes vec4 past      // [H, W] the same, or noisy radiance without ON_SCREEN
-#pragma changes float turned  // [⌈H/TURNED_CELL⌉, ⌈W/TURNED_CELL⌉] the share that gives way
+#pragma reads vec2 most          // [⌈H/OUTDATED_RIM⌉, ⌈W/OUTDATED_RIM⌉] of `agreement`
+#pragma reads vec4 noisy         // [H, W] rgb: radiance
+#pragma reads vec4 before        // [H, W] rgb, flags: the previous output, reprojected
+#pragma reads vec4 running       // [H, W] rgb, n
+#pragma reads vec4 guide         // [H, W] rgb: albedo
+#pragma changes vec4 mean_albedo // [H, W] rgb, with this frame; whether the surface was there
+#pragma writes vec4 past         // [H, W] as `before`, or noisy radiance without ON_SCREEN
+#pragma changes float turned     // [⌈H/TURNED_CELL⌉, ⌈W/TURNED_CELL⌉] the share that gives way
 #pragma parameters float frames
 
 const int SIDE = OUTDATED_CELL / OUTDATED_RIM, REACH = 5;
@@ -52,5 +55,7 @@ void main() {
     float share = (1.0 - turn) * max(whole[REACH * REACH / 2], rim);
     int i = at(pixel, size);
     past[i] = share < OUTDATED_PICTURE ? before[i] : vec4(noisy[i].rgb, float(int(before[i].w) & ~ON_SCREEN));
+    float n = mean_albedo[i].w * running[i].w, kept = (1.0 - turn) * (1.0 + n) / (1.0 + (1.0 - turn) * n);
+    mean_albedo[i].rgb = mix(guide[i].rgb, mean_albedo[i].rgb, kept);
     if (pixel.x % TURNED_CELL == 0 && pixel.y % TURNED_CELL == 0) turned[cell] = turn + (1.0 - turn) * share;
 }

@@ -10,6 +10,15 @@ static inline void total_cells(const float *of_pixels, float *cells, int sums, i
         }
 }
 
+// The sums over a cell and the eight around it, from those of all, [rows, sums, columns].
+static inline void sum_around(const float *cells, float *sum, int sums, int row, int column, int rows, int columns) {
+    for (int i = 0; i < sums; i++) sum[i] = 0;
+    for (int y = MAX(row - 1, 0); y <= MIN(row + 1, rows - 1); y++)
+        for (int i = 0; i < sums; i++)
+            for (int x = MAX(column - 1, 0); x <= MIN(column + 1, columns - 1); x++)
+                sum[i] += cells[((int64_t)y * sums + i) * columns + x];
+}
+
 // Give every pixel of a row of cells, of an image [H, W], the value of its cell.
 static inline void spread_cells(const float *value, float *out, int row, int H, int W) {
     for (int y = row * CELL; y < MIN((row + 1) * CELL, H); y++)

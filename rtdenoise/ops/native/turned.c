@@ -34,11 +34,8 @@ static inline void compare(const float *normal, const float *before, float *cell
 // The share of each cell of a row, from its sums and those of the eight around it; `cells` [rows, SUMS, columns].
 static inline void shares(const float *cells, float *share, int row, int rows, int columns) {
     for (int column = 0; column < columns; column++) {
-        float sum[SUMS] = {0};
-        for (int y = MAX(row - 1, 0); y <= MIN(row + 1, rows - 1); y++)
-            for (int i = 0; i < SUMS; i++)
-                for (int x = MAX(column - 1, 0); x <= MIN(column + 1, columns - 1); x++)
-                    sum[i] += cells[((int64_t)y * SUMS + i) * columns + x];
+        float sum[SUMS];
+        sum_around(cells, sum, SUMS, row, column, rows, columns);
         float square = sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2];
         float sure = MAX(1 - (float)NOISE * sum[3] / MAX(square, 1e-30f), 0);
         share[column] = 1 - exp_negative(-(sure * sqrtf(square) / MAX(sum[4], 1)) / (float)ANGLE);
