@@ -21,6 +21,7 @@ from ..frame import Frame
 from ..sanitise import faults
 from .options import add
 from .plan import Plan, make_plan
+from .same_noise import SAME_NOISE, has_same_noise
 from .stand_ins import COSTS, STAND_INS
 from .unmoved import FLAT, UNMOVED, Flatness, is_unmoved
 
@@ -66,6 +67,7 @@ class Inspection:
     flat_albedo: bool  # whether albedo is the same in all pixels of the examined frames
     faults: dict[str, int]  # "layer: fault" -> pixels of the examined frames that denoising will replace
     motion: MotionStatistics | None
+    same_noise: tuple[int, ...]  # numbers of frames with the noise of the frame before
     unmoved: tuple[int, ...]  # numbers of frames whose motion is zero everywhere though the picture changes
     convention: Verdict | None  # None where there is no motion, or no two consecutive frames
     drifts: tuple[Drift, ...]  # zooms and shifts that the vectors lack, of the pairs of frames that have any
@@ -116,6 +118,7 @@ def inspect(
         flat_albedo=flatness.found,
         faults=counts,
         motion=motion,
+        same_noise=tuple(frames[b].number for a, b in chosen if has_same_noise(frames[a], frames[b])),
         unmoved=tuple(now.number for before, now in moving if is_unmoved(before, now)),
         convention=convention,
         drifts=drifts,
@@ -176,6 +179,8 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     those of `inspect` that were not the defaults."""
     if found.convention and found.convention.status == "wrong":
         return "mend the motion vectors as said above: with these, history comes from wrong places"
+    if 2 * len(found.same_noise) >= len(found.examined):
+        return "render again, with another seed in every frame: noise that stands still is not averaged"
     if 2 * len(found.unmoved) >= len(found.examined):  # not the cuts between still shots
         return "render again without motion blur, or mend the motion: with zeros, what moves leaves trails"
     words = ["rtdenoise", "denoise", found.source, "--out", "clean/"]
@@ -225,6 +230,8 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
         ("examined", f"frames {_shorten(found.examined)}"),
         ("bad pixels", bad),
     ]
+    if found.same_noise:
+        lines.append(("noise", SAME_NOISE.format(f"frames {_shorten(found.same_noise)}").removeprefix("the noise ")))
     if found.flat_albedo:
         lines.append(("albedo", FLAT.format("the frames examined").removeprefix("albedo ")))
     lines.append(("dual motion", found.dual_motion))

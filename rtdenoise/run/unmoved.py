@@ -1,6 +1,6 @@
 """Motion that is zero everywhere though the picture changes, as Blender 4 writes it with motion blur, motion of another
-convention, vectors without the motion of the lens, surfaces that are others in each frame, and albedo that tells
-nothing. Needs no torch, but for convention and lens."""
+convention, vectors without the motion of the lens, surfaces that are others in each frame, albedo that tells nothing,
+and noise that stands still. Needs no torch, but for convention and lens."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from ..frame import Frame
 from ..sanitise import FAR
+from .same_noise import SAME_NOISE, has_same_noise
 
 if TYPE_CHECKING:
     from .conventions import Verdict
@@ -26,7 +27,7 @@ UNMOVED = (
     "motion is zero everywhere though the picture changes ({}), so what moves leaves trails: was motion blur on? "
     "render without it"
 )
-PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors are judged, and pixels of each
+PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors, and noise, are judged, and pixels of each
 WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"
 LACKS = (
     "the picture {} against its motion vectors, so history blurs: an animated focal length or camera shift, which "
@@ -35,7 +36,7 @@ LACKS = (
 MOST_CUTS = 0.5  # of the frames: more are no cuts
 CUTS = (
     "most frames find other surfaces than the one before: fog, depth of field or thin things before a moving camera, "
-    "or wrong depth; each is denoised alone"
+    "or wrong depth; each is denoised alone (try --no-detect-cuts)"
 )
 FLAT = "albedo is the same in all pixels of {}, so textures blur: was its pass forgotten?"
 
@@ -80,10 +81,13 @@ class Watch:
         self._verdicts: list[Verdict] = []  # of the first pairs that move
         self._drifts: list[Drift | None] = []  # likewise
         self._albedo = Flatness()
+        self._same: list[bool] = []  # whether noise is the same, likewise
+        self._last: Frame | None = None  # while that is asked
 
     def see(self, frame: Frame, goes_on: bool) -> None:
         """The next frame as it was read; `goes_on`: with the shot of the last one."""
         self._albedo.see(frame)
+        self._compare_noise(frame)
         judges = len(self._verdicts) < PAIRS and find_spec("torch") is not None
         if frame.motion is None or (self._told and not judges):
             return
@@ -102,6 +106,14 @@ class Watch:
             self._notes.append(CUTS)
         if self._albedo.found:
             self._notes.append(FLAT.format("all frames"))
+
+    def _compare_noise(self, frame: Frame) -> None:
+        """Note it where all pairs have the same noise."""
+        last, self._last = self._last, frame if len(self._same) < PAIRS else None
+        if last is not None and frame.number == last.number + 1:
+            self._same.append(has_same_noise(last, frame))
+            if self._same == [True] * PAIRS:
+                self._notes.append(SAME_NOISE.format("every frame"))
 
     def _judge(self, frame: Frame) -> None:
         """Note it where all pairs say that the motion is wrong, and in the same way, or that it lacks something."""
