@@ -285,7 +285,7 @@ def build_evening(scene: bpy.types.Scene, frames: int) -> None:
 
 
 def build_zoom(scene: bpy.types.Scene, frames: int) -> None:
-    """Chequered crates in a room, before a camera whose focal length grows by 4 to 9 % a frame."""
+    """Crates of two colours in a room, before a camera whose focal length grows by 4 to 9 % a frame."""
     draw = random.Random(5)
     plaster = plain_material("plaster", Base_Color=(0.75, 0.72, 0.65, 1), Roughness=0.8)
     box("floor", (0, 0, -0.05), (8, 8, 0.1), material("tiles", (0.15, 0.12, 0.1), (0.7, 0.6, 0.5), 2.0, roughness=0.4))
