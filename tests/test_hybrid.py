@@ -31,7 +31,6 @@ from rtdenoise.ops.dispatch import use
 from rtdenoise.ops.lift import lower
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.pixels import demodulate
-from rtdenoise.ops.recall import reset_of
 from rtdenoise.run.denoise import Options
 from rtdenoise.sanitise import sanitise
 from rtdenoise.splat import history_motion
@@ -128,6 +127,8 @@ def test_light_is_written_by_clean_surfaces(monkeypatch):
 
 
 def test_without_a_share_the_image_is_the_kernels(model, monkeypatch):
+    monkeypatch.setattr("rtdenoise.models.past.outdated", lambda found, agree, frames: torch.zeros_like(agree))
+    monkeypatch.setattr("rtdenoise.models.past.retextured", lambda albedo, before, found: torch.zeros_like(found) * 1.0)
     history = alone = None
     for frame in make_frames(4):
         shares(monkeypatch, 1.0)
@@ -202,7 +203,7 @@ def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model):
         _, onward = model.step(second, history)
         model.step(third, onward)
     _, last, _ = AccumulatedKPN.step_and_kernels(model, third, onward)
-    kernels, onward, _ = AccumulatedKPN.step_and_kernels(model, second, history)
+    kernels, onward, found = AccumulatedKPN.step_and_kernels(model, second, history)
     light = [x / scale_of(model, frame) for x, frame in zip(shown, (first, second, third), strict=True)]
     torch.testing.assert_close(light[0], first.radiance, rtol=1e-5, atol=1e-6)
     assert (last.footprint_count == 1).all()
@@ -212,7 +213,7 @@ def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model):
     count, light = onward.footprint_count, seen(sanitise(second), history, onward)[:, :3]
     assert (count[..., 18:] == 1).all() and count[..., ~right].mean() > 1.2
     _, on_screen, uncovered = history_motion(second, history, "dual")
-    trust = 1 - (on_screen & ~uncovered) * reset_of(onward.recent[0])
+    trust = 1 - (on_screen & ~uncovered) * found.heads.reset
     share = 0.4 * trust * (2 - count).clamp(0, 1) * (count.max() - 1).clamp(0, 1)  # of the image
     torch.testing.assert_close(evened, light + share * (kernels - light), rtol=1e-4, atol=1e-5)
 

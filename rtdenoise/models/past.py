@@ -139,7 +139,7 @@ def _turn(frame: Frame, albedo: Tensor, normal: Tensor, found: Tensor, still: bo
     """How far history gives way, as surfaces have turned or textures have moved over them, `[B, 1, H, W]`. `albedo` and
     `normal`: those of before, where they were `found`. `still`: no surface moves."""
     texture = retextured(frame.albedo, albedo, found)
-    return texture if still else 1 - (1 - texture) * (1 - turned(frame.normal, normal))
+    return texture if still else texture + (1 - texture) * turned(frame.normal, normal)
 
 
 def _recalled(

@@ -226,13 +226,13 @@ class TorchBackend:
             return history
         with torch.inference_mode():
             recent = []
-            for i, frame in enumerate(frames[: self.config.recent]):
+            for i, frame in enumerate(frames[: len(history.recent)]):
                 shift = None
                 if i + 1 < len(frames) and frame.motion is not None:
                     before = frames[i + 1]
                     shift = shift_of(frame, before.radiance, before.depth, history.shifts[i + 1 : i + 2])
                 recent.append(kept(self.config, frame, torch.zeros_like(frame.depth), shift=shift))
-            for its, resets in zip(recent, history.recent, strict=False):
+            for its, resets in zip(recent, history.recent, strict=True):
                 its[:, RECALL_RESET] |= resets[:, RECALL_RESET]
             return replace(history, noisy=frames[0].radiance, recent=tuple(recent))
 

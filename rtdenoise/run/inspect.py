@@ -118,7 +118,7 @@ def inspect(
         flat_albedo=flatness.found,
         faults=counts,
         motion=motion,
-        same_noise=tuple(frames[b].number for a, b in chosen if has_same_noise(frames[a], frames[b])),
+        same_noise=() if drifts else tuple(frames[b].number for a, b in chosen if has_same_noise(frames[a], frames[b])),
         unmoved=tuple(now.number for before, now in moving if is_unmoved(before, now)),
         convention=convention,
         drifts=drifts,
