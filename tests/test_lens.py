@@ -103,6 +103,24 @@ def test_inspect_and_denoise_tell(tmp_path):
     assert not any("lens" in note for note in denoise(str(source), tmp_path / "pan out", OPTIONS).notes)
 
 
+def test_a_zoom_of_a_camera_that_stands_still_is_no_motion_blur(tmp_path):
+    """Its vectors are zero everywhere, though the picture changes."""
+    frames = [replace(f, motion=0 * f.motion, motion_next=0 * f.motion) for f in shot(4, zoom=0.03)]
+    source = write_sequence(tmp_path / "zoom", frames)
+    found = inspect(source)
+    assert next_step(found).endswith("--lens") and "motion blur" not in render_text(found)
+    notes = denoise(str(source), tmp_path / "out", OPTIONS).notes
+    assert sum("zooms by +3.0%" in note for note in notes) == 1 and not any("motion blur" in note for note in notes)
+
+
+def test_what_moves_after_a_still_beginning_is_judged(tmp_path):
+    still, *moving = shot(4, shift=(3.0, 0.0), pan=(0.0, 2.0))
+    held = [replace(still, motion=0 * still.motion, motion_next=0 * still.motion, number=i) for i in range(4)]
+    frames = [*held, *(replace(frame, number=3 + frame.number) for frame in moving)]
+    notes = denoise(str(write_sequence(tmp_path / "shot", frames)), tmp_path / "out", OPTIONS).notes
+    assert sum("shifts by (+3.0, " in note for note in notes) == 1
+
+
 @pytest.mark.parametrize(
     ("zoom", "shift"), [(0.03, (0.0, 0.0)), (-0.02, (0.0, 0.0)), (0.0, (3.0, -1.0)), (0.04, (-2.0, 0.5))]
 )

@@ -119,7 +119,7 @@ def inspect(
         faults=counts,
         motion=motion,
         same_noise=() if drifts else tuple(frames[b].number for a, b in chosen if has_same_noise(frames[a], frames[b])),
-        unmoved=tuple(now.number for before, now in moving if is_unmoved(before, now)),
+        unmoved=() if drifts else tuple(now.number for before, now in moving if is_unmoved(before, now)),
         convention=convention,
         drifts=drifts,
         plan=make_plan(sequence.size, len(sequence), "dual", list(frames.values())),

@@ -8,7 +8,7 @@ from ..frame import Frame
 from ..sanitise import FAR
 
 MOST = 512  # pixels along either side, in the middle of the picture, that are looked at
-MOVES = 0.5  # least motion of a pixel, in pixels, where the surface is another one than in the same place before
+MOVES = 0.5  # pixels along an axis: from this motion on another surface was in the same place before
 LEAST = 500  # pixels that tell
 ROUGH = 0.2  # least difference from the pixel beside, as a share of the greater one, where there is noise
 ALIKE = 0.5  # correlation of noise, or share of rough pixels that are the same to the bit: else 0 to 0.1
@@ -31,7 +31,7 @@ def has_same_noise(before: Frame, now: Frame) -> bool:
     depth = np.ones_like(b) if now.depth is None else now.depth[0, 0, y, x]
     motion = np.zeros((2, *b.shape)) if now.motion is None else np.nan_to_num(now.motion[0, :, y, x])
     inner = slice(1, -1), slice(1, -1)
-    hit, moved = np.isfinite(depth) & (depth > 0), np.hypot(*motion) > MOVES
+    hit, moved = np.isfinite(depth) & (depth > 0), np.abs(motion).max(0) > MOVES
     moves, stands = (hit & moved)[inner], (hit & ~moved)[inner]
     if moves.sum() >= max(LEAST, stands.sum()):
         then, here = _above(a), _above(b)

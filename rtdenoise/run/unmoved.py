@@ -79,7 +79,8 @@ class Watch:
     def __init__(self, notes: list[str]) -> None:
         self._notes, self._before, self._told = notes, None, False
         self._verdicts: list[Verdict] = []  # of the first pairs that move
-        self._drifts: list[Drift | None] = []  # likewise
+        self._drifts: list[Drift | None] = []  # likewise, and of the first pairs with motion 0 that have any
+        self._still = 0  # how many pairs with motion 0 have been asked for theirs
         self._albedo = Flatness()
         self._same: list[bool] = []  # whether noise is the same, likewise
         self._last: Frame | None = None  # while that is asked
@@ -88,16 +89,17 @@ class Watch:
         """The next frame as it was read; `goes_on`: with the shot of the last one."""
         self._albedo.see(frame)
         self._compare_noise(frame)
-        judges = len(self._verdicts) < PAIRS and find_spec("torch") is not None
+        moves = frame.motion is not None and bool(np.asarray(frame.motion).any())
+        judges = (len(self._verdicts) if moves else self._still) < PAIRS and find_spec("torch") is not None
         if frame.motion is None or (self._told and not judges):
             return
         if self._before is not None:
-            if goes_on and not self._told and is_unmoved(self._before, frame):
+            # Wrong motion may look like a cut.
+            if judges and frame.number == self._before.number + 1:
+                self._judge(frame, moves)
+            if goes_on and not (self._told or any(self._drifts)) and is_unmoved(self._before, frame):
                 self._notes.append(UNMOVED.format(f"frame {frame.number}"))
                 self._told = True
-            # Wrong motion may look like a cut.
-            if judges and frame.number == self._before.number + 1 and np.asarray(frame.motion).any():
-                self._judge(frame)
         self._before = frame
 
     def end(self, frames: int, cuts: int) -> None:
@@ -115,7 +117,7 @@ class Watch:
             if self._same == [True] * PAIRS:
                 self._notes.append(SAME_NOISE.format("every frame"))
 
-    def _judge(self, frame: Frame) -> None:
+    def _judge(self, frame: Frame, moves: bool) -> None:
         """Note it where all pairs say that the motion is wrong, and in the same way, or that it lacks something."""
         import torch
 
@@ -123,8 +125,12 @@ class Watch:
         from .lens import find_drift
 
         first, second = (x.map(torch.as_tensor) for x in (self._before, frame))
-        self._verdicts.append(check_motion([(first, second)], PIXELS))
-        self._drifts.append(find_drift(first, second))
+        drift = find_drift(first, second)
+        if moves:
+            self._verdicts.append(check_motion([(first, second)], PIXELS))
+        if moves or drift:
+            self._drifts.append(drift)
+        self._still += not moves
         wrong = [verdict.best for verdict in self._verdicts if verdict.status == "wrong"]
         if len(wrong) == PAIRS and len(set(wrong)) == 1:
             self._notes.append(WRONG.format(wrong[0]))
