@@ -114,11 +114,11 @@ def test_a_zoom_of_a_camera_that_stands_still_is_no_motion_blur(tmp_path):
 
 
 def test_what_moves_after_a_still_beginning_is_judged(tmp_path):
-    still, *moving = shot(4, shift=(3.0, 0.0), pan=(0.0, 2.0))
+    still, *moving = shot(4, zoom=0.04, pan=(0.3, 0.0))
     held = [replace(still, motion=0 * still.motion, motion_next=0 * still.motion, number=i) for i in range(4)]
     frames = [*held, *(replace(frame, number=3 + frame.number) for frame in moving)]
     notes = denoise(str(write_sequence(tmp_path / "shot", frames)), tmp_path / "out", OPTIONS).notes
-    assert sum("shifts by (+3.0, " in note for note in notes) == 1
+    assert sum("the picture zooms by +4.0% a frame" in note for note in notes) == 1
 
 
 @pytest.mark.parametrize(
