@@ -213,8 +213,8 @@ class Pipeline:
                 motion = self.light.followed(motion, moved, False, "motion")
             recent.insert(0, passes.recent.keep(inputs, motion, "motion" in layers))
             before = inputs
-        recent = recent[: self.config.recent]
-        for kept, its in zip(recent, history.recent, strict=False):
+        recent = recent[: len(history.recent)]
+        for kept, its in zip(recent, history.recent, strict=True):
             kept.write_plane(RECALL_RESET, kept.read_plane(RECALL_RESET) | its.read_plane(RECALL_RESET))
         return replace(history, recent=tuple(recent), noisy=noisy)
 

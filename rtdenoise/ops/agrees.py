@@ -25,11 +25,17 @@ def agrees(
 
     Raises ValueError where the shapes do not fit.
     """
-    B, C, H, W = light.shape
-    if C != 3 or mean.shape != light.shape or found.shape != (B, 1, H, W):
-        raise ValueError(f"expected two images [B, 3, H, W] and found {(B, 1, H, W)}, got {tuple(light.shape)}, "
-                         f"{tuple(mean.shape)} and {tuple(found.shape)}")  # fmt: skip
+    check_before(light, mean, found)
     if run := FUSED(light=light, mean=mean, found=found.view(torch.uint8)):
         return run(light, mean, found)
     least = RECALL_ROUNDING * light.square().sum(1, keepdim=True)
     return unchanged(found * (mean - light), found * least, AGREES_PATIENCE)
+
+
+def check_before(image: Tensor, before: Tensor, found: Tensor) -> None:
+    """Raise ValueError unless these are two images `[B, 3, H, W]`, of now and before, and where there is any of before,
+    `[B, 1, H, W]`."""
+    B, C, H, W = image.shape
+    if C != 3 or before.shape != image.shape or found.shape != (B, 1, H, W):
+        raise ValueError(f"expected two images [B, 3, H, W] and found {(B, 1, H, W)}, got {tuple(image.shape)}, "
+                         f"{tuple(before.shape)} and {tuple(found.shape)}")  # fmt: skip

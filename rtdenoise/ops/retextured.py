@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..constants import RETEXTURED_LEAST, RETEXTURED_MOST, TURNED_CELL
+from .agrees import check_before
 from .dispatch import Fused, Support, falls_back
 
 SUPPORT = Support(max_channels=3, channels={"albedo": (3,), "before": (3,), "found": (1,)}, bytes=("found",))
@@ -34,10 +35,8 @@ def retextured(
 
     Raises ValueError where the shapes do not fit. No gradients.
     """
-    B, C, H, W = albedo.shape
-    if C != 3 or before.shape != albedo.shape or found.shape != (B, 1, H, W):
-        raise ValueError(f"expected two images [B, 3, H, W] and found {(B, 1, H, W)}, got {tuple(albedo.shape)}, "
-                         f"{tuple(before.shape)} and {tuple(found.shape)}")  # fmt: skip
+    check_before(albedo, before, found)
+    H, W = albedo.shape[2:]
     if run := FUSED(albedo=albedo, before=before, found=found.view(torch.uint8)):
         return run(albedo, before, found)
     greatest, least = (F.max_pool2d(x, 3, stride=1, padding=1) for x in (albedo, -albedo))

@@ -45,6 +45,15 @@ static inline float unchanged(const float *cells, int row, int column, int side,
     return MIN(MAX((changed - q) / (changed - alike), 0), 1);
 }
 
+// The factor of each cell of a row; `cells` [rows, SUMS, columns].
+static inline void factors(const float *cells, float *factor, int row, int rows, int columns) {
+    float wide = 0;
+    for (int column = 0; column < columns; column++) {
+        if (column % WIDE == 0) wide = unchanged(cells, row, column, WIDE, WIDE_ALIKE, WIDE_CHANGED, rows, columns);
+        factor[column] = wide * unchanged(cells, row, column, 1, ALIKE, CHANGED, rows, columns);
+    }
+}
+
 // light and mean [B, 3, H, W], found and out [B, 1, H, W]; cells [B, rows, SUMS, columns]; space has SUMS · W values for each
 // of `threads` threads.
 void agrees(const float *light, const float *mean, const uint8_t *found, float *out, float *cells, float *space, int B, int H,
@@ -60,18 +69,6 @@ void agrees(const float *light, const float *mean, const uint8_t *found, float *
                 compare(light + b * 3 * plane, mean + b * 3 * plane, found + b * plane, cells + i * row_of_cells,
                         space + (int64_t)t * SUMS * W, i % rows, H, W, columns);
             }
-#pragma omp for schedule(static)
-        for (int t = 0; t < threads; t++)
-            for (int64_t i = count * t / threads; i < count * (t + 1) / threads; i++) {
-                const float *its = cells + i / rows * rows * row_of_cells;
-                float *factor = space + (int64_t)t * SUMS * W, wide = 0;
-                int row = i % rows;
-                for (int column = 0; column < columns; column++) {
-                    if (column % WIDE == 0)
-                        wide = unchanged(its, row, column, WIDE, WIDE_ALIKE, WIDE_CHANGED, rows, columns);
-                    factor[column] = wide * unchanged(its, row, column, 1, ALIKE, CHANGED, rows, columns);
-                }
-                spread_cells(factor, out + i / rows * plane, row, H, W);
-            }
+        spread_values(factors, cells, out, space, (int64_t)SUMS * W, SUMS, B, H, W, threads);
     }
 }

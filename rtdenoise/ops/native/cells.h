@@ -24,3 +24,21 @@ static inline void spread_cells(const float *value, float *out, int row, int H, 
     for (int y = row * CELL; y < MIN((row + 1) * CELL, H); y++)
         for (int x = 0; x < W; x++) out[(int64_t)y * W + x] = value[x / CELL];
 }
+
+// From the sums of all cells, [rows, sums, columns], one value for each cell of a row.
+typedef void values_of_row(const float *cells, float *value, int row, int rows, int columns);
+
+// Give every pixel of images [B, 1, H, W] the value of its cell; `cells` [B, rows, sums, columns]. All `threads` threads call it,
+// each of which has space for `stride` values.
+static inline void spread_values(values_of_row *values, const float *cells, float *out, float *space, int64_t stride, int sums,
+                                 int B, int H, int W, int threads) {
+    int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
+    int64_t plane = (int64_t)H * W, count = (int64_t)B * rows;
+#pragma omp for schedule(static)
+    for (int t = 0; t < threads; t++)
+        for (int64_t i = count * t / threads; i < count * (t + 1) / threads; i++) {
+            int row = i % rows;
+            values(cells + i / rows * rows * sums * columns, space + t * stride, row, rows, columns);
+            spread_cells(space + t * stride, out + i / rows * plane, row, H, W);
+        }
+}

@@ -64,13 +64,6 @@ void retextured(const float *albedo, const float *before, const uint8_t *found, 
             for (int64_t i = count * t / threads; i < count * (t + 1) / threads; i++)
                 compare(albedo + i / rows * 3 * plane, before + i / rows * 3 * plane, found + i / rows * plane,
                         cells + i * row_of_cells, space + (int64_t)t * ROWS * W, i % rows, H, W, columns);
-#pragma omp for schedule(static)
-        for (int t = 0; t < threads; t++)
-            for (int64_t i = count * t / threads; i < count * (t + 1) / threads; i++) {
-                float *share = space + (int64_t)t * ROWS * W;
-                int row = i % rows;
-                shares(cells + i / rows * rows * row_of_cells, share, row, rows, columns);
-                spread_cells(share, out + i / rows * plane, row, H, W);
-            }
+        spread_values(shares, cells, out, space, (int64_t)ROWS * W, SUMS, B, H, W, threads);
     }
 }

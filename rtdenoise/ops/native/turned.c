@@ -55,13 +55,6 @@ void turned(const float *normal, const float *before, float *out, float *cells, 
             for (int64_t i = count * t / threads; i < count * (t + 1) / threads; i++)
                 compare(normal + i / rows * 3 * plane, before + i / rows * 3 * plane, cells + i * row_of_cells,
                         space + (int64_t)t * SUMS * W, i % rows, H, W, columns);
-#pragma omp for schedule(static)
-        for (int t = 0; t < threads; t++)
-            for (int64_t i = count * t / threads; i < count * (t + 1) / threads; i++) {
-                float *share = space + (int64_t)t * SUMS * W;
-                int row = i % rows;
-                shares(cells + i / rows * rows * row_of_cells, share, row, rows, columns);
-                spread_cells(share, out + i / rows * plane, row, H, W);
-            }
+        spread_values(shares, cells, out, space, (int64_t)SUMS * W, SUMS, B, H, W, threads);
     }
 }
