@@ -17,11 +17,14 @@ from importlib import import_module
 from .errors import InputError
 
 __version__ = "0.1.0"
-__all__ = ["Denoiser", "Frame", "History", "InputError", "load", "open_sequence", "pinhole_camera", "screen_motion"]
+__all__ = [
+    "Denoiser", "Frame", "History", "InputError", "denoise_alpha", "load", "open_sequence", "pinhole_camera",
+    "screen_motion",
+]  # fmt: skip
 
 # Imported on first use: `rtdenoise.glsl` runs without torch.
 _HOMES = {
-    "Denoiser": "run.session", "Frame": "frame", "History": "frame", "load": "models",
+    "Denoiser": "run.session", "Frame": "frame", "History": "frame", "denoise_alpha": "data.alpha", "load": "models",
     "open_sequence": "data.sequences", "pinhole_camera": "data.camera", "screen_motion": "data.camera",
 }  # fmt: skip
 

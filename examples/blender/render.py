@@ -327,6 +327,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, help="default: 320, or as in the file")
     parser.add_argument("--height", type=int, help="default: 180, or as in the file")
     parser.add_argument("--samples", type=int, default=1, help="per pixel")
+    parser.add_argument("--transparent", action="store_true", help="no sky in the picture, but alpha")
     parser.add_argument("--seed", type=int, default=1, help="of the noise: another for a reference")
     options = parser.parse_args()
 
@@ -348,6 +349,7 @@ def main() -> None:
         scene.frame_end = scene.frame_start + options.frames - 1
     configure(scene, options.width or width, options.height or height, options.samples, options.seed)
     add_passes(scene)
+    scene.render.film_transparent |= options.transparent
     if options.scene:
         simulate(scene)
     scene.render.filepath = str(options.out.resolve() / "frame.####")

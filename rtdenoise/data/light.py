@@ -32,7 +32,6 @@ class LightPasses:
     colors: Mapping[str, Rule]  # lobe -> its colour
     passed: Mapping[str, Rule]  # without noise: emission and environment
     also: Mapping[str, Rule] = field(default_factory=dict)  # name -> layer to denoise beside them
-    alpha: str = ""  # channel; "": none
 
     @property
     def summands(self) -> list[str]:
@@ -75,7 +74,6 @@ def find_light(sequence: Sequence, lights: bool, also: tuple[str, ...]) -> Light
         colors={k.removesuffix(" Color"): v for k, v in found.items() if k.endswith(" Color")},
         passed={k: v for k, v in found.items() if k in OTHERS},
         also=layers,
-        alpha=sequence.layout.alpha(sequence.header),
     )
 
 

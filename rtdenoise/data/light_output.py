@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError
 from .exr import write_layers, write_like
 from .light import LightPasses
-from .output import PLAIN, attributes_of, beyond_half
+from .output import PLAIN, alpha_of, attributes_of, beyond_half
 from .sequences import Sequence
 
 LEAST_COLOR = 0.01  # of a pixel with light: gloss may have spread to a pixel whose own glossy colour is 0
@@ -25,10 +25,11 @@ def write_light(
     *,
     layout: str = "plain",
     float32: bool = False,
+    alpha: str = "auto",
 ) -> dict[str, int]:
     """Write one frame under the name of its input file. Returns the number of NaNs in each channel that is passed on.
 
-    plain    the beauty in `R,G,B`, alpha as rendered in `A`, and the layers of `also` under their names
+    plain    the beauty in `R,G,B`, its alpha in `A`, and the layers of `also` under their names
     source   a copy of the input with the denoised passes in place of the noisy ones. A light is divided by its colour
              again, so (Direct + Indirect) · Color summed over all lobes and the other passes is the new Combined.
 
@@ -40,14 +41,15 @@ def write_light(
             raise InputError(f"{path}: {name} has {bad} pixels that are not finite after denoising, so nothing was "
                              "written; are the weights of --model sound, and the frame plausible?")  # fmt: skip
     float32 = float32 or any(map(beyond_half, (picture, *parts.values())))
+    coverage = alpha_of(sequence, index, picture, alpha)
     if layout == "source":
-        planes = _source_planes(sequence, passes, picture, parts)
+        planes = _source_planes(sequence, passes, picture, parts) | ({} if alpha == "rendered" else coverage)
         return write_like(out / path.name, path, planes, dtype="float" if float32 else None)
     layers: dict[str, np.ndarray] = {"color": np.moveaxis(picture[0], 0, 2)}
     for name in passes.also:  # by full channel names: a layer may be called `color` or `A`
         layers |= zip((f"{name}.{c}" for c in "RGB"), parts[name][0], strict=True)
-    if passes.alpha:
-        layers["A"] = sequence.files[index].read([passes.alpha])[passes.alpha]
+    if coverage:
+        (layers["A"],) = coverage.values()
     dtypes = dict.fromkeys(layers, "float" if float32 else "half")
     write_layers(out / sequence.names[index], layers, dtypes=dtypes, attributes=attributes_of(sequence, index))
     return {}

@@ -26,19 +26,24 @@ from ..constants import MAX_HALF
 from ..errors import InputError
 from ..frame import Frame
 from ..sanitise import valid
+from .alpha import denoise_alpha
 from .exr import read_attributes, read_channels, write_layers, write_like
 from .layout import Rule
 from .sequences import Sequence, convert
 
 LAYOUTS = ("plain", "source")
+ALPHAS = ("auto", "rendered")
 NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
 PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
 
 
-def check_output(sequence: Sequence, layout: str, recombine: bool, keep: tuple[str, ...]) -> None:
+def check_output(
+    sequence: Sequence, layout: str, recombine: bool, keep: tuple[str, ...], alpha: str = "auto"
+) -> None:
     """Raise `InputError` for output that cannot be written, before anything is denoised."""
-    if layout not in LAYOUTS:
-        raise InputError(f"unknown layout '{layout}': known are {', '.join(LAYOUTS)}")
+    for what, given, known in (("layout", layout, LAYOUTS), ("alpha", alpha, ALPHAS)):
+        if given not in known:
+            raise InputError(f"unknown {what} '{given}': known are {', '.join(known)}")
     if layout == "source" and sequence.paths[0].suffix.lower() != ".exr":
         raise InputError(f"{sequence.paths[0]}: layout 'source' copies EXR files, this is none: choose 'plain'")
     if layout == "source" and keep:
@@ -143,16 +148,17 @@ def write_frame(
     recombine: bool = False,
     keep: tuple[str, ...] = (),  # layers or channels of the input to pass on, or "all"; plain layout only
     float32: bool = False,  # as always where half floats do not hold the result
+    alpha: str = "auto",  # of the beauty: as rendered, or with 'auto' denoised where samples are few
     extra: Mapping[str, np.ndarray] = NOTHING,  # layer -> [1, C, H, W], written too; plain layout only
 ) -> dict[str, int]:
     """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in each
     channel that is passed on unchanged and has some.
 
-    plain    the signal in `R,G,B`, with `recombine` the beauty instead; the beauty's alpha as rendered in `A`; the
-             channels of `keep`; of the attributes those that say something of the picture
+    plain    the signal in `R,G,B`, with `recombine` the beauty instead; the beauty's alpha in `A`; the channels of
+             `keep`; of the attributes those that say something of the picture
     source   every channel of the input under its name and in its part; the denoised signal replaces the noisy one,
-             with `recombine` also the new beauty the renderer's. Where buffers are files of their own, only changed
-             files are written.
+             with `recombine` also the new beauty the renderer's, and where that is new, so is its alpha. Where buffers
+             are files of their own, only changed files are written.
 
     Raises InputError where the result is not finite, and where the file cannot be written.
     """
@@ -163,18 +169,35 @@ def write_frame(
             raise InputError(f"{path}: the result has {bad} pixels that are not finite, so it was not written; are the "
                              "weights of --model sound, and the frame's values plausible?")  # fmt: skip
     float32 = float32 or any(beyond_half(result) for result in (image, beauty) if result is not None)
+    picture = image if sequence.signal == "color" and beauty is None else beauty
+    coverage = {} if picture is None else alpha_of(sequence, index, picture, alpha)
     if layout == "plain":
         result = image if beauty is None else beauty
-        alpha = beauty is not None or sequence.signal == "color"
-        return _write_plain(out / sequence.names[index], sequence, index, result, alpha, keep, float32, extra)
+        return _write_plain(out / sequence.names[index], sequence, index, result, coverage, keep, float32, extra)
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
         planes |= _planes(rule, beauty)
+    if alpha != "rendered":
+        planes |= coverage
     nans = {}
     for file, names in sequence.files[index].locate(planes).items():
         changed = {stored: planes[full] for stored, full in names.items()}
         nans |= write_like(out / _name(file, path), file, changed, dtype="float" if float32 else None)
     return nans
+
+
+def alpha_of(
+    sequence: Sequence,
+    index: int,
+    picture: np.ndarray,  # [1, 3, H, W] the denoised beauty
+    alpha: str,  # of `ALPHAS`
+) -> dict[str, np.ndarray]:
+    """The channel of a frame's alpha and its values `[H, W]` beside the denoised picture; empty where it has none."""
+    stored = sequence.layout.alpha(sequence.header)
+    if not stored or stored not in sequence.files[index].header().channels:
+        return {}
+    plane = sequence.files[index].read([stored], as_stored=True)[stored]
+    return {stored: plane if alpha == "rendered" else denoise_alpha(plane, np.moveaxis(picture[0], 0, 2))}
 
 
 def attributes_of(sequence: Sequence, index: int) -> dict[str, object]:
@@ -209,7 +232,7 @@ def _write_plain(
     sequence: Sequence,
     index: int,
     image: np.ndarray,
-    alpha: bool,  # whether it is the beauty, which may have one
+    alpha: dict[str, np.ndarray],  # as `alpha_of` returns it
     keep: tuple[str, ...],
     float32: bool,
     extra: Mapping[str, np.ndarray],
@@ -217,9 +240,8 @@ def _write_plain(
     layers = {name: np.moveaxis(array[0], 0, 2) for name, array in {"color": image, **extra}.items()}
     dtypes = {"color": "float" if float32 else "half"}
     file, passed = sequence.files[index], {}  # name here -> channel of the input
-    stored = sequence.layout.alpha(sequence.header) if alpha else ""
-    if stored and (kind := file.header().channels.get(stored)):
-        passed["A"], dtypes["A"] = stored, kind
+    for channel, plane in alpha.items():
+        layers["A"], dtypes["A"] = plane, file.header().channels[channel]
     for name in _kept(sequence, keep) if keep else ():
         passed[name], dtypes[name] = name, sequence.header.channels[name]
     planes = file.read(set(passed.values()), as_stored=True) if passed else {}

@@ -58,7 +58,7 @@ def combine(
     )
     source = with_lens(source) if options.lens else source
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
-    check_output(source, options.layout, options.recombine, options.keep)
+    check_output(source, options.layout, options.recombine, options.keep, options.alpha)
     if options.confidence and options.layout != "plain":
         raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
     check_other(source, estimates)

@@ -20,7 +20,7 @@ from ..sanitise import faults
 from ..splat import splat_motion_next
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
-from .options import SUMMARY, CombineOptions, Summary, add
+from .options import SUMMARY, CombineOptions, Summary, add, of_output
 from .pairs import both, read_estimate
 from .state import STATE, read_state, save_state
 from .windows import windows
@@ -86,10 +86,8 @@ class Run:
         with torch.inference_mode(), explained(pair.raw.name, pair.raw.size, self.device):
             combined = self.combiner.combine(Window(frames, estimates, halves if self.second else ()))
         extra = {"confidence": combined.confidence.cpu().numpy()} if self.options.confidence else {}
-        nans = write_frame(
-            self.out, self.source, pair.index, pair.raw, combined.image.cpu().numpy(), layout=self.options.layout,
-            recombine=self.options.recombine, keep=self.options.keep, float32=self.options.float32, extra=extra,
-        )  # fmt: skip
+        image = combined.image.cpu().numpy()
+        nans = write_frame(self.out, self.source, pair.index, pair.raw, image, **of_output(self.options), extra=extra)
         if pair.index >= self.counted:
             lost = int((~pair.estimate.isfinite()).any(1).sum())
             add(self.summary.replaced, faults(pair.raw) | ({"denoised: NaN or Inf": lost} if lost else {}))

@@ -23,7 +23,7 @@ from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
 from .light import in_parts
 from .offline_picture import Picture
-from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples
+from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples, of_output
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, read_state, save_state
 from .unmoved import Watch
@@ -64,7 +64,7 @@ def denoise(
     layers = (*reads, *(["samples"] if options.correct else []))
     sequence, options, notes = open_chosen(source, options, layers)
     sequence.require(*reads)
-    check_output(sequence, options.layout, options.recombine, options.keep)
+    check_output(sequence, options.layout, options.recombine, options.keep, options.alpha)
     backend = open_backend(
         options.backend,
         options.model,
@@ -75,8 +75,7 @@ def denoise(
     )
     notes += told_of_samples(sequence, options.samples)
     notes += told_of_missing(sequence, backend.config.motion is not None)
-    write = partial(write_frame, layout=options.layout, recombine=options.recombine, keep=options.keep,
-                    float32=options.float32)  # fmt: skip
+    write = partial(write_frame, **of_output(options))
     read = _read
     if in_passes:
         if reads:

@@ -64,7 +64,8 @@ def in_parts(
     if not isinstance(backend, TorchBackend):
         raise InputError(f"{told}: goes with --backend torch; {INSTALL_TORCH}")
     lit = LightBackend(backend, passes, told, picture)
-    return lit, lit.read, partial(_write, passes=passes, layout=options.layout, float32=options.float32)
+    chosen = {name: getattr(options, name) for name in ("layout", "float32", "alpha")}
+    return lit, lit.read, partial(_write, passes=passes, **chosen)
 
 
 def _write(

@@ -40,7 +40,7 @@ from .folder import (
     told_of_output,
     write_summary,
 )
-from .options import EXAMINED, SUMMARY, Options, Summary, add
+from .options import EXAMINED, SUMMARY, Options, Summary, add, of_output
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import read_estimate, write_estimate
@@ -73,7 +73,7 @@ def denoise_offline(
     if len(sequence) > 1:
         sequence.require("motion")  # without it no other frame counts
     notes += told_of_samples(sequence, options.samples) + told_of_missing(sequence, motion=False)
-    check_output(sequence, options.layout, options.recombine, options.keep)
+    check_output(sequence, options.layout, options.recombine, options.keep, options.alpha)
     if options.confidence and options.layout != "plain":
         raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
     from .passes import Passes
@@ -169,10 +169,8 @@ class _Run:
         forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.size)
         combined = self.passes.combine(frame, forward, backward)
         extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
-        nans = write_frame(
-            self.out, self.sequence, i, raw, combined.image.cpu().numpy(), layout=self.options.layout,
-            recombine=self.options.recombine, keep=self.options.keep, float32=self.options.float32, extra=extra,
-        )  # fmt: skip
+        image = combined.image.cpu().numpy()
+        nans = write_frame(self.out, self.sequence, i, raw, image, **of_output(self.options), extra=extra)
         add(self.summary.passed_on, nans)
         return history
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral, Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
 
@@ -47,6 +47,9 @@ class Options:
     """Layers of the input to copy into the output ('albedo', 'depth' ...), or 'all'."""
     float32: bool = False
     """Write 32-bit float instead of 16-bit half, as always where a frame is too bright for half."""
+    alpha: str = "auto"
+    """The picture's alpha: 'auto' gives that of fewer than 8 samples a pixel the denoised picture's edges; 'rendered'
+    leaves it."""
     allow_gaps: bool = False
     """Accept missing frame numbers; history starts anew after each gap."""
     detect_cuts: bool = True
@@ -128,6 +131,8 @@ class CombineOptions:
     """Layers of the noisy files to copy into the output ('albedo', 'depth' ...), or 'all'."""
     float32: bool = False
     """Write 32-bit float instead of 16-bit half, as always where a frame is too bright for half."""
+    alpha: str = "auto"
+    """The picture's alpha: as for denoise."""
     confidence: bool = False
     """Also write the size of each pixel's correction, in radiance, as the layer 'confidence'."""
     allow_gaps: bool = False
@@ -140,6 +145,11 @@ class CombineOptions:
     """'auto', 'cpu' or 'cuda'."""
     precision: str = "auto"
     """Precision of the network: 'fp32', 'bf16', or 'auto' (bf16 where the hardware is faster with it)."""
+
+
+def of_output(options: Options | CombineOptions) -> dict[str, Any]:
+    """The options of `data.output.write_frame`."""
+    return {name: getattr(options, name) for name in ("layout", "recombine", "keep", "float32", "alpha")}
 
 
 def check_lookahead(frames: int, told: str = "--lookahead") -> None:

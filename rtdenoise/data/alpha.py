@@ -1,0 +1,91 @@
+"""Alpha of few samples a pixel, smoothed along the edges of the denoised picture. numpy only.
+
+At one sample a pixel alpha is 0 or 1, while the denoised picture has smooth edges: over another background they would
+be jagged, with dark or bright fringes. Before nothing, radiance is alpha times that of the surface. So alpha is, near
+each pixel, a linear function of the picture's colours, and a guided filter (He, Sun and Tang, "Guided Image Filtering",
+2010) finds it: what remains has the edges of the picture (docs/notes/alpha.md).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import InputError
+
+FEW = 8  # values that alpha of fewer samples takes; from as many samples on it is better as rendered
+WINDOW, SMOOTH = (2, 0.7), (1, 0.5)  # radius and standard deviation in pixels: of the fit, and of its coefficients
+RIDGE = 0.15  # of the mean square of the colours: how much less a fit follows them
+
+
+def denoise_alpha(
+    alpha: np.ndarray,  # [H, W] in [0, 1]
+    picture: np.ndarray,  # [H, W, 3] denoised radiance, premultiplied: 0 where alpha is
+) -> np.ndarray:  # [H, W] float32
+    """Alpha of few samples a pixel with the edges of the denoised picture: `[H, W]` float32 in [0, 1].
+
+    `alpha` is `[H, W]` as rendered, `picture` `[H, W, 3]` denoised radiance, multiplied by alpha as renderers do. In
+    windows with Gaussian weights around each pixel
+
+        alpha ≈ k · picture + b,    k = (cov(picture) + RIDGE |mean(picture)|²)⁻¹ cov(picture, alpha)
+
+    and the result is that with the means of k and b around. Where alpha is the same all around it stays to the bit. So
+    it does where it takes more values than fewer than 8 samples a pixel give, or is no coverage: beyond [0, 1], or not
+    finite. Raises InputError for arrays of other shapes.
+    """
+    alpha, picture = np.asarray(alpha), np.asarray(picture)
+    if alpha.ndim != 2 or picture.shape != (*alpha.shape, 3):
+        raise InputError(f"denoise_alpha: expected alpha [H, W] and picture [H, W, 3], got {alpha.shape} and "
+                         f"{picture.shape}")  # fmt: skip
+    out = alpha.astype(np.float32)
+    if not is_noisy(alpha):
+        return out
+    fitted = _varies(out, WINDOW[0])
+    slope, base = np.zeros((*alpha.shape, 3)), out.astype(np.float64)
+    slope[fitted], base[fitted] = _fit(out, picture, fitted)
+    place = np.nonzero(_varies(fitted, SMOOTH[0]) | fitted)
+    values = (_around(slope, place, *SMOOTH) * picture[place][:, None]).sum(-1) + _around(base, place, *SMOOTH)
+    out[place] = (values * _weights(*SMOOTH)).sum(1).clip(0, 1)
+    return out
+
+
+def is_noisy(alpha: np.ndarray) -> bool:
+    """Whether alpha is a coverage of fewer than FEW samples a pixel, and not the same everywhere."""
+    values = np.unique(alpha)
+    return 1 < len(values) <= FEW and bool(values[0] >= 0 and values[-1] <= 1)
+
+
+def _fit(alpha: np.ndarray, picture: np.ndarray, where: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """k `[N, 3]` and b `[N]` of the pixels `where` `[H, W]`."""
+    place, weights = np.nonzero(where), _weights(*WINDOW)
+    colors, values = _around(picture, place, *WINDOW), _around(alpha, place, *WINDOW)
+    mean, level = np.einsum("w,nwc->nc", weights, colors), values @ weights
+    apart = colors - mean[:, None]
+    covariance = np.einsum("w,nwc,nwd->ncd", weights, apart, apart)
+    ridge = RIDGE * np.square(mean).sum(1) + np.finfo(np.float64).tiny
+    along = np.einsum("w,nwc,nw->nc", weights, apart, values - level[:, None])
+    slope = np.linalg.solve(covariance + ridge[:, None, None] * np.eye(3), along[..., None])[..., 0]
+    return slope, level - (slope * mean).sum(1)
+
+
+def _around(image: np.ndarray, place: tuple[np.ndarray, np.ndarray], radius: int, _: float) -> np.ndarray:
+    """The pixels of an image `[H, W, …]` around each place, rows then columns, `[N, (2 radius + 1)², …]` float64."""
+    y, x = (steps.ravel() - radius for steps in np.indices((2 * radius + 1,) * 2))
+    rows, columns = (place[i][:, None] + step for i, step in enumerate((y, x)))
+    return image[rows.clip(0, image.shape[0] - 1), columns.clip(0, image.shape[1] - 1)].astype(np.float64)
+
+
+def _weights(radius: int, deviation: float) -> np.ndarray:
+    """Gaussian weights of the pixels of `_around`, with a sum of 1."""
+    one = np.exp(-0.5 * np.square(np.arange(-radius, radius + 1) / deviation))
+    return np.outer(one, one).ravel() / one.sum() ** 2
+
+
+def _varies(image: np.ndarray, radius: int) -> np.ndarray:
+    """Where the values within `radius` pixels of an image `[H, W]` are not all the same, `[H, W]` bool."""
+    least = greatest = np.pad(image, radius, mode="edge")
+    for axis in (0, 1):
+        least, greatest = (
+            reduce(np.lib.stride_tricks.sliding_window_view(x, 2 * radius + 1, axis), -1)
+            for reduce, x in ((np.min, least), (np.max, greatest))
+        )
+    return least != greatest
