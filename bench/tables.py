@@ -21,9 +21,10 @@ MODULES = (
     "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "combine_papers", "cycles",
     "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis", "missing_layers", "mltd",
     "mltd_memory", "modes", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
-    "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor",
-    "diagnosis.extremes", "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve",
-    "diagnosis.leftover", "diagnosis.lens", "diagnosis.outdated", "diagnosis.turned", "diagnosis.where",
+    "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input",
+    "diagnosis.divisor", "diagnosis.extremes", "diagnosis.generalisation", "diagnosis.ideal_history",
+    "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.outdated", "diagnosis.turned",
+    "diagnosis.where",
 )  # fmt: skip
 
 
