@@ -23,8 +23,8 @@ MODULES = (
     "mltd_memory", "modes", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
     "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input",
     "diagnosis.divisor", "diagnosis.extremes", "diagnosis.generalisation", "diagnosis.ideal_history",
-    "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.outdated", "diagnosis.turned",
-    "diagnosis.where",
+    "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.outdated",
+    "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.where",
 )  # fmt: skip
 
 

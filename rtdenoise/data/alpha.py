@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
+from .around import around, gaussian
 
 FEW = 8  # values that alpha of fewer samples takes; from as many samples on it is better as rendered
 WINDOW, SMOOTH = (2, 0.7), (1, 0.5)  # radius and standard deviation in pixels: of the fit, and of its coefficients
@@ -43,8 +44,8 @@ def denoise_alpha(
     slope, base = np.zeros((*alpha.shape, 3)), out.astype(np.float64)
     slope[fitted], base[fitted] = _fit(out, picture, fitted)
     place = np.nonzero(_varies(fitted, SMOOTH[0]) | fitted)
-    values = (_around(slope, place, *SMOOTH) * picture[place][:, None]).sum(-1) + _around(base, place, *SMOOTH)
-    out[place] = (values * _weights(*SMOOTH)).sum(1).clip(0, 1)
+    values = (around(slope, place, SMOOTH[0]) * picture[place][:, None]).sum(-1) + around(base, place, SMOOTH[0])
+    out[place] = (values * gaussian(*SMOOTH)).sum(1).clip(0, 1)
     return out
 
 
@@ -56,8 +57,8 @@ def is_noisy(alpha: np.ndarray) -> bool:
 
 def _fit(alpha: np.ndarray, picture: np.ndarray, where: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """k `[N, 3]` and b `[N]` of the pixels `where` `[H, W]`."""
-    place, weights = np.nonzero(where), _weights(*WINDOW)
-    colors, values = _around(picture, place, *WINDOW), _around(alpha, place, *WINDOW)
+    place, weights = np.nonzero(where), gaussian(*WINDOW)
+    colors, values = around(picture, place, WINDOW[0]), around(alpha, place, WINDOW[0])
     mean, level = np.einsum("w,nwc->nc", weights, colors), values @ weights
     apart = colors - mean[:, None]
     covariance = np.einsum("w,nwc,nwd->ncd", weights, apart, apart)
@@ -65,19 +66,6 @@ def _fit(alpha: np.ndarray, picture: np.ndarray, where: np.ndarray) -> tuple[np.
     along = np.einsum("w,nwc,nw->nc", weights, apart, values - level[:, None])
     slope = np.linalg.solve(covariance + ridge[:, None, None] * np.eye(3), along[..., None])[..., 0]
     return slope, level - (slope * mean).sum(1)
-
-
-def _around(image: np.ndarray, place: tuple[np.ndarray, np.ndarray], radius: int, _: float) -> np.ndarray:
-    """The pixels of an image `[H, W, …]` around each place, rows then columns, `[N, (2 radius + 1)², …]` float64."""
-    y, x = (steps.ravel() - radius for steps in np.indices((2 * radius + 1,) * 2))
-    rows, columns = (place[i][:, None] + step for i, step in enumerate((y, x)))
-    return image[rows.clip(0, image.shape[0] - 1), columns.clip(0, image.shape[1] - 1)].astype(np.float64)
-
-
-def _weights(radius: int, deviation: float) -> np.ndarray:
-    """Gaussian weights of the pixels of `_around`, with a sum of 1."""
-    one = np.exp(-0.5 * np.square(np.arange(-radius, radius + 1) / deviation))
-    return np.outer(one, one).ravel() / one.sum() ** 2
 
 
 def _varies(image: np.ndarray, radius: int) -> np.ndarray:

@@ -21,6 +21,7 @@ from .noisebase import NOISEBASE, find_archives
 from .scene_file import read_scene
 from .scene_motion import complete
 from .sky import without_stale_sky
+from .soft_edges import with_soft_edges
 
 DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
 
@@ -42,6 +43,7 @@ class Sequence:
     available: dict[str, Rule] = field(repr=False)  # as `rules`, for everything that could be read
     gaps: tuple[tuple[int, int], ...] = ()  # (first, last) missing frame number of each gap
     scene: dict | None = field(default=None, repr=False)  # cameras and transforms beside the frames, as in scene.json
+    soft_edges: bool = False  # frames are read `with_soft_edges`, for denoisers
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -87,6 +89,8 @@ class Sequence:
         frame = Frame(**layers, number=files.number, name=str(files.path))
         if self.layout.name == "cycles":
             frame = without_stale_sky(frame)
+        if self.soft_edges:
+            frame = with_soft_edges(frame)
         check_components(frame)
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
         return complete(frame, self.scene) if missing and self.scene else frame

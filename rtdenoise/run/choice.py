@@ -19,7 +19,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     """The sequence, with these optional layers; the options with a network in place of 'auto'; what to tell about it.
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
-    where none is known, the noise of the first frame tells.
+    where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft edges.
     Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
     """
     auto = options.model == AUTO
@@ -29,6 +29,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     )  # fmt: skip
     if options.lens:
         sequence = _with_lens(sequence)
+    wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter
+    sequence = replace(sequence, soft_edges=wide and (options.samples or sequence.header.samples) == 1)
     if not auto:
         return sequence, options, []
     samples = known_samples(sequence, options.samples)

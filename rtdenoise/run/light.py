@@ -21,6 +21,7 @@ import numpy as np
 from ..data.light import LightPasses, find_light, read_light
 from ..data.light_output import write_light
 from ..data.sequences import Sequence
+from ..data.soft_edges import with_soft_edges
 from ..data.stored import OF
 from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, History
@@ -89,6 +90,7 @@ class LightBackend:
             raise InputError(f"{told}: goes with --model hybrid, default, many or fast, which average light")
         self._inner, self._passes, self._picture = inner, passes, picture
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
+        self._soft = False  # whether frames get soft edges, each light for itself
         self._parts: dict[int, Parts] = {}  # by number, of the frames that are prepared
         self._left_out: dict[str, int] | None = None
         self._checked = False  # whether the passes add up
@@ -109,12 +111,12 @@ class LightBackend:
 
     def read(self, sequence: Sequence, index: int) -> Frame:
         """A frame; its passes are kept for `prepare`, which comes next."""
-        self._stored = read_light(sequence, index, self._passes)
-        return sequence.read(index)
+        self._stored, self._soft = read_light(sequence, index, self._passes), sequence.soft_edges
+        return replace(sequence, soft_edges=False).read(index)
 
     def prepare(self, frame: Frame) -> Frame:
         """The frame; its parts are kept for `step`."""
-        ready, passes = self._inner.prepare(frame), self._passes
+        ready, passes = self._inner.prepare(self._shown(frame, frame.radiance)), self._passes
         for name in passes.also:
             check_sign(ready.name, name, self._stored[name])
         stored = {name: valid(x) for name, x in self._stored.items()}
@@ -122,7 +124,7 @@ class LightBackend:
         picture = valid(np.asarray(frame.radiance))
         summands = {name: stored[name] for name in passes.summands}
         with explained(ready.name, ready.size, self._inner.device):
-            lights = {name: self._inner.prepare(Frame(stored[name])).radiance
+            lights = {name: self._inner.prepare(Frame(self._shown(frame, stored[name]).radiance)).radiance
                       for name in (*passes.lights, *passes.volumes, *passes.also)}  # fmt: skip
             passed = {name: self._on_device(stored[name]) for name in (*passes.colors, *passes.passed)}
         lobes = {name: name.split()[0] for name in passes.lights}
@@ -235,6 +237,11 @@ class LightBackend:
                     for frame in frames[: len(its.recent) + 1]]  # fmt: skip
             remembered[name] = self._inner.remember(its, seen)
         return remembered
+
+    def _shown(self, frame: Frame, light: np.ndarray) -> Frame:
+        """The frame with a light as denoisers take it."""
+        frame = replace(frame, radiance=light)
+        return with_soft_edges(frame) if self._soft else frame
 
     @property
     def _streams(self) -> list[str]:

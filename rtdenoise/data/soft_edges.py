@@ -1,0 +1,62 @@
+"""Edges before nothing, of one sample a pixel. numpy only.
+
+One sample hits a surface or passes it: a silhouette before the sky, or before nothing, is a staircase. History makes it
+smooth where both move alike. Otherwise networks keep the staircase, as they take it for the picture's. The samples
+around tell how far the surface covers a pixel, so that radiance can be that of both (docs/notes/soft_edges.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..frame import Frame
+from .around import around, gaussian
+
+COVERAGE, SIDES = (1, 0.5), (2, 1.0)  # radius and standard deviation in pixels: of coverage, and of each side's light
+APART = 0.5  # pixels a frame: below, history follows both
+
+
+def with_soft_edges(frame: Frame) -> Frame:
+    """A frame of one sample a pixel (numpy arrays) with radiance of the surface and of what is behind it where edges
+    move before nothing, as those of `depth` 0 do:
+
+        radiance + (surface - behind) (coverage - hit)
+
+    with the means of both sides' radiance around, of logarithms, so that single bright samples do not spread; hit is 1
+    or 0, and coverage its mean around, both with Gaussian weights. So what varies on a surface stays, and so does its
+    noise. Without `motion` all such edges are meant. To the bit the frame where there are none.
+    """
+    if frame.depth is None:
+        return frame
+    hit = frame.depth[0, 0] != 0
+    place = np.nonzero(_moving_edges(hit, None if frame.motion is None else frame.motion[0]))
+    if not place[0].size:
+        return frame
+    radiance = np.moveaxis(frame.radiance[0], 0, 2)
+    light = np.nan_to_num(radiance, nan=0, posinf=0, neginf=0).clip(0)
+    lights, hits = around(light, place, SIDES[0]), around(hit, place, SIDES[0])[..., None]
+    scale = np.median(lights[lights > 0]) if lights.any() else 1.0
+    logs = np.log1p(lights / scale)
+    surface, behind = (
+        scale * np.expm1((gaussian(*SIDES) @ (share * logs)) / (gaussian(*SIDES) @ share)) for share in (hits, 1 - hits)
+    )
+    coverage = around(hit, place, COVERAGE[0]) @ gaussian(*COVERAGE)
+    soft = radiance.copy()
+    soft[place] = (light[place] + (surface - behind) * (coverage - hit[place])[:, None]).clip(0)
+    return replace(frame, radiance=np.ascontiguousarray(np.moveaxis(soft, 2, 0))[None])
+
+
+def _moving_edges(hit: np.ndarray, motion: np.ndarray | None) -> np.ndarray:
+    """Pixels `[H, W]` beside, or across a corner from, one of the other side that moves otherwise."""
+    found, (H, W) = np.zeros_like(hit), hit.shape
+    there = np.pad(hit, 1, mode="edge")
+    moves = None if motion is None else np.pad(motion, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    for y, x in np.ndindex(3, 3):
+        other = there[y : y + H, x : x + W] != hit
+        if moves is not None and other.any():
+            with np.errstate(invalid="ignore", over="ignore"):
+                other &= ~(np.square(moves[:, y : y + H, x : x + W] - motion).sum(0) <= APART**2)
+        found |= other
+    return found
