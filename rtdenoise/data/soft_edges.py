@@ -14,7 +14,8 @@ import numpy as np
 from ..frame import Frame
 from .around import around, gaussian
 
-COVERAGE, SIDES = (1, 0.5), (2, 1.0)  # radius and standard deviation in pixels: of coverage, and of each side's light
+COVERAGE, SIDES = (1, 0.6), (2, 1.0)  # radius and standard deviation in pixels: of coverage, and of each side's light
+BESIDE = (0, 1), (1, 0), (1, 2), (2, 1)  # of a pixel at (1, 1)
 APART = 0.5  # pixels a frame: below, history follows both
 
 
@@ -49,11 +50,11 @@ def with_soft_edges(frame: Frame) -> Frame:
 
 
 def _moving_edges(hit: np.ndarray, motion: np.ndarray | None) -> np.ndarray:
-    """Pixels `[H, W]` beside, or across a corner from, one of the other side that moves otherwise."""
+    """Pixels `[H, W]` beside one of the other side that moves otherwise."""
     found, (H, W) = np.zeros_like(hit), hit.shape
     there = np.pad(hit, 1, mode="edge")
     moves = None if motion is None else np.pad(motion, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    for y, x in np.ndindex(3, 3):
+    for y, x in BESIDE:
         other = there[y : y + H, x : x + W] != hit
         if moves is not None and other.any():
             with np.errstate(invalid="ignore", over="ignore"):
