@@ -78,7 +78,7 @@ def test_a_firefly_does_not_spread():
     loud = with_soft_edges(frame).radiance
     changed = np.abs(loud - quiet).max((0, 1))
     changed[y, x] = 0
-    assert changed.max() < 50  # of 100000: a mean would spread some 5000
+    assert changed.max() < 20  # of 100000: a mean would spread some 5000
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, 3e38])
@@ -87,8 +87,9 @@ def test_broken_pixels_break_no_others(bad):
     y, x = np.argwhere(frame.depth[0, 0] > 0)[0]
     frame.radiance[..., y, x] = bad
     soft = with_soft_edges(frame).radiance
+    assert np.array_equal(soft[..., y, x], frame.radiance[..., y, x], equal_nan=True) or bad == np.float32(3e38)
     soft[..., y, x] = 0
-    assert np.isfinite(soft).all() and (soft >= 0).all()
+    assert (soft >= 0).all() and soft.max() < 20
 
 
 @pytest.mark.parametrize("scale", [1e-20, 1e-3, 1e9])

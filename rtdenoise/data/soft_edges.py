@@ -16,6 +16,7 @@ from .around import around, gaussian
 
 COVERAGE, SIDES = (1, 0.6), (2, 1.0)  # radius and standard deviation in pixels: of coverage, and of each side's light
 BESIDE = (0, 1), (1, 0), (1, 2), (2, 1)  # of a pixel at (1, 1)
+BRIGHT = 100.0  # times the median: brighter samples count as that
 APART = 0.5  # pixels a frame: below, history follows both
 
 
@@ -27,19 +28,20 @@ def with_soft_edges(frame: Frame) -> Frame:
 
     with the means of both sides' radiance around, of logarithms, so that single bright samples do not spread; hit is 1
     or 0, and coverage its mean around, both with Gaussian weights. So what varies on a surface stays, and so does its
-    noise. Without `motion` all such edges are meant. To the bit the frame where there are none.
+    noise. Without `motion` all such edges are meant. Broken pixels stay, for `sanitise`. To the bit the frame where
+    there are no such edges.
     """
     if frame.depth is None:
         return frame
-    hit = frame.depth[0, 0] != 0
-    place = np.nonzero(_moving_edges(hit, None if frame.motion is None else frame.motion[0]))
+    hit, radiance = frame.depth[0, 0] != 0, np.moveaxis(frame.radiance[0], 0, 2)
+    edges = _moving_edges(hit, None if frame.motion is None else frame.motion[0])
+    place = np.nonzero(edges & (np.isfinite(radiance) & (radiance >= 0)).all(2))
     if not place[0].size:
         return frame
-    radiance = np.moveaxis(frame.radiance[0], 0, 2)
     light = np.nan_to_num(radiance, nan=0, posinf=0, neginf=0).clip(0)
     lights, hits = around(light, place, SIDES[0]), around(hit, place, SIDES[0])[..., None]
     scale = np.median(lights[lights > 0]) if lights.any() else 1.0
-    logs = np.log1p(lights / scale)
+    logs = np.log1p(np.minimum(lights / scale, BRIGHT))
     surface, behind = (
         scale * np.expm1((gaussian(*SIDES) @ (share * logs)) / (gaussian(*SIDES) @ share)) for share in (hits, 1 - hits)
     )
