@@ -55,11 +55,13 @@ def test_all_else_stays_to_the_bit():
     assert all(np.array_equal(getattr(soft, name), getattr(frame, name)) for name in ("depth", "motion"))
 
 
-@pytest.mark.parametrize("kind", ["one speed", "no sky", "no depth"])
+@pytest.mark.parametrize("kind", ["one speed", "no sky", "no depth", "fur"])
 def test_frames_without_such_edges_come_back_as_they_are(kind):
     frame, *_ = disc(speed=0.3 if kind == "one speed" else OFF_SCREEN)
     if kind == "no sky":
         frame = replace(frame, depth=np.ones_like(frame.depth))
+    if kind == "fur":
+        frame = replace(frame, depth=np.indices((H, W))[1][None, None].astype(np.float32) % 3)
     if kind == "no depth":
         frame = replace(frame, depth=None)
     assert with_soft_edges(frame) is frame

@@ -28,14 +28,14 @@ def with_soft_edges(frame: Frame) -> Frame:
 
     with the means of both sides' radiance around, of logarithms, so that single bright samples do not spread; hit is 1
     or 0, and coverage its mean around, both with Gaussian weights. So what varies on a surface stays, and so does its
-    noise. Without `motion` all such edges are meant. Broken pixels stay, for `sanitise`. To the bit the frame where
-    there are no such edges.
+    noise. Edges of what is narrower than 3 pixels, as fur, stay, and so do broken pixels, for `sanitise`. Without
+    `motion` all other edges are meant. To the bit the frame where there are none.
     """
     if frame.depth is None:
         return frame
     hit, radiance = frame.depth[0, 0] != 0, np.moveaxis(frame.radiance[0], 0, 2)
     edges = _moving_edges(hit, None if frame.motion is None else frame.motion[0])
-    place = np.nonzero(edges & (np.isfinite(radiance) & (radiance >= 0)).all(2))
+    place = _between_bodies(hit, np.nonzero(edges & (np.isfinite(radiance) & (radiance >= 0)).all(2)))
     if not place[0].size:
         return frame
     light = np.nan_to_num(radiance, nan=0, posinf=0, neginf=0).clip(0)
@@ -49,6 +49,14 @@ def with_soft_edges(frame: Frame) -> Frame:
     soft = radiance.copy()
     soft[place] = (light[place] + (surface - behind) * (coverage - hit[place])[:, None]).clip(0)
     return replace(frame, radiance=np.ascontiguousarray(np.moveaxis(soft, 2, 0))[None])
+
+
+def _between_bodies(hit: np.ndarray, place: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """Of the places those with 3×3 pixels nearby that all are hit, and others of which none is: not those in fur."""
+    near = around(hit, place, 3).reshape(-1, 7, 7)
+    share = np.lib.stride_tricks.sliding_window_view(near, (3, 3), axis=(1, 2)).mean((3, 4))
+    between = (share == 1).any((1, 2)) & (share == 0).any((1, 2))
+    return tuple(indices[between] for indices in place)
 
 
 def _moving_edges(hit: np.ndarray, motion: np.ndarray | None) -> np.ndarray:
