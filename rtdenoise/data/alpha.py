@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
-from .around import around, gaussian
+from .around import around, gaussian, shifted
 
 FEW = 8  # values that alpha of fewer samples takes; from as many samples on it is better as rendered
 WINDOW, SMOOTH = (2, 0.7), (1, 0.5)  # radius and standard deviation in pixels: of the fit, and of its coefficients
@@ -61,19 +61,14 @@ def _fit(alpha: np.ndarray, picture: np.ndarray, where: np.ndarray) -> tuple[np.
     colors, values = around(picture, place, WINDOW[0]), around(alpha, place, WINDOW[0])
     mean, level = np.einsum("w,nwc->nc", weights, colors), values @ weights
     apart = colors - mean[:, None]
-    covariance = np.einsum("w,nwc,nwd->ncd", weights, apart, apart)
+    weighted = (weights[:, None] * apart).transpose(0, 2, 1)
     ridge = RIDGE * np.square(mean).sum(1) + np.finfo(np.float64).tiny
-    along = np.einsum("w,nwc,nw->nc", weights, apart, values - level[:, None])
-    slope = np.linalg.solve(covariance + ridge[:, None, None] * np.eye(3), along[..., None])[..., 0]
+    along = weighted @ (values - level[:, None])[..., None]
+    slope = np.linalg.solve(weighted @ apart + ridge[:, None, None] * np.eye(3), along)[..., 0]
     return slope, level - (slope * mean).sum(1)
 
 
 def _varies(image: np.ndarray, radius: int) -> np.ndarray:
     """Where the values within `radius` pixels of an image `[H, W]` are not all the same, `[H, W]` bool."""
-    least = greatest = np.pad(image, radius, mode="edge")
-    for axis in (0, 1):
-        least, greatest = (
-            reduce(np.lib.stride_tricks.sliding_window_view(x, 2 * radius + 1, axis), -1)
-            for reduce, x in ((np.min, least), (np.max, greatest))
-        )
-    return least != greatest
+    steps = np.argwhere(np.ones((2 * radius + 1,) * 2)) - radius
+    return np.logical_or.reduce([there != image for there in shifted(image, steps, radius)])

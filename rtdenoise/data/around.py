@@ -1,8 +1,19 @@
-"""The pixels around some of an image, and their weights. numpy only."""
+"""The pixels around those of an image, and their weights. numpy only."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
+
+
+def shifted(image: np.ndarray, steps: Iterable[tuple[int, int]], radius: int) -> Iterator[np.ndarray]:
+    """For each step (y, x), of `radius` pixels at most, what is there from every pixel of an image `[…, H, W]`; beyond
+    its border what is at it."""
+    H, W = image.shape[-2:]
+    wide = np.pad(image, [(0, 0)] * (image.ndim - 2) + [(radius, radius)] * 2, mode="edge")
+    for y, x in steps:
+        yield wide[..., radius + y : radius + y + H, radius + x : radius + x + W]
 
 
 def around(image: np.ndarray, place: tuple[np.ndarray, np.ndarray], radius: int) -> np.ndarray:

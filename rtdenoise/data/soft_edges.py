@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..frame import Frame
-from .around import around, gaussian
+from .around import around, gaussian, shifted
 
 COVERAGE, SIDES = (1, 0.6), (2, 1.0)  # radius and standard deviation in pixels: of coverage, and of each side's light
-BESIDE = (0, 1), (1, 0), (1, 2), (2, 1)  # of a pixel at (1, 1)
+BESIDE = (-1, 0), (0, -1), (0, 1), (1, 0)  # (y, x)
 BRIGHT = 100.0  # times the median: brighter samples count as that
 APART = 0.5  # pixels a frame: below, history follows both
 
@@ -61,13 +61,9 @@ def _between_bodies(hit: np.ndarray, place: tuple[np.ndarray, ...]) -> tuple[np.
 
 def _moving_edges(hit: np.ndarray, motion: np.ndarray | None) -> np.ndarray:
     """Pixels `[H, W]` beside one of the other side that moves otherwise."""
-    found, (H, W) = np.zeros_like(hit), hit.shape
-    there = np.pad(hit, 1, mode="edge")
-    moves = None if motion is None else np.pad(motion, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    for y, x in BESIDE:
-        other = there[y : y + H, x : x + W] != hit
-        if moves is not None and other.any():
-            with np.errstate(invalid="ignore", over="ignore"):
-                other &= ~(np.square(moves[:, y : y + H, x : x + W] - motion).sum(0) <= APART**2)
-        found |= other
-    return found
+    other = [there != hit for there in shifted(hit, BESIDE, 1)]
+    if motion is not None:
+        with np.errstate(invalid="ignore", over="ignore"):
+            moves = (np.square(there - motion).sum(0) for there in shifted(motion, BESIDE, 1))
+            other = [edge & ~(apart <= APART**2) for edge, apart in zip(other, moves, strict=True)]
+    return np.logical_or.reduce(other)
