@@ -30,7 +30,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     if options.lens:
         sequence = _with_lens(sequence)
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter
-    sequence = replace(sequence, soft_edges=wide and (options.samples or sequence.header.samples) == 1)
+    sequence = replace(sequence, soft_edges=wide and known_samples(sequence, options.samples) == 1)
     if not auto:
         return sequence, options, []
     samples = known_samples(sequence, options.samples)

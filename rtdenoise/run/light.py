@@ -64,7 +64,7 @@ def in_parts(
     passes = find_light(sequence, options.lights, options.also)
     if not isinstance(backend, TorchBackend):
         raise InputError(f"{told}: goes with --backend torch; {INSTALL_TORCH}")
-    lit = LightBackend(backend, passes, told, picture)
+    lit = LightBackend(backend, passes, told, picture, sequence.soft_edges)
     chosen = {name: getattr(options, name) for name in ("layout", "float32", "alpha")}
     return lit, lit.read, partial(_write, passes=passes, **chosen)
 
@@ -81,16 +81,20 @@ class LightBackend:
     history is `Histories`."""
 
     def __init__(
-        self, inner: TorchBackend, passes: LightPasses, told: str = "--lights", picture: Picture | None = None
+        self,
+        inner: TorchBackend,
+        passes: LightPasses,
+        told: str = "--lights",
+        picture: Picture | None = None,
+        soft_edges: bool = False,  # frames get them, each light for itself
     ) -> None:
         from ..models.accumulated_kpn import AccumulatedKPN
 
         self._network = inner.network
         if not isinstance(self._network, AccumulatedKPN):
             raise InputError(f"{told}: goes with --model hybrid, default, many or fast, which average light")
-        self._inner, self._passes, self._picture = inner, passes, picture
+        self._inner, self._passes, self._picture, self._soft = inner, passes, picture, soft_edges
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
-        self._soft = False  # whether frames get soft edges, each light for itself
         self._parts: dict[int, Parts] = {}  # by number, of the frames that are prepared
         self._left_out: dict[str, int] | None = None
         self._checked = False  # whether the passes add up
@@ -111,7 +115,7 @@ class LightBackend:
 
     def read(self, sequence: Sequence, index: int) -> Frame:
         """A frame; its passes are kept for `prepare`, which comes next."""
-        self._stored, self._soft = read_light(sequence, index, self._passes), sequence.soft_edges
+        self._stored = read_light(sequence, index, self._passes)
         return replace(sequence, soft_edges=False).read(index)
 
     def prepare(self, frame: Frame) -> Frame:
