@@ -72,7 +72,7 @@ def over(plate: float, frames: list, truth: list) -> float:
 
 
 def shown(light: np.ndarray) -> np.ndarray:
-    """Light as a display shows it, compressed, in [0, 1]."""
+    """Light as a display shows it, compressed, in [0, 1]: `color.display` would cut off what shines over a plate."""
     light = light.clip(0)
     return (light / (1 + light)) ** (1 / 2.2)
 

@@ -307,9 +307,31 @@ def build_zoom(scene: bpy.types.Scene, frames: int) -> None:
         lens.keyframe_insert("lens", frame=number)
 
 
+def build_hair(scene: bpy.types.Scene, frames: int) -> None:
+    """A ball of fur that turns by 2° a frame before a sky of one colour."""
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.7, location=(0, 0, 1))
+    creature = bpy.context.object
+    creature.data.materials.append(plain_material("skin", Base_Color=(0.5, 0.25, 0.12, 1), Roughness=0.6))
+    fur = creature.modifiers.new("fur", "PARTICLE_SYSTEM").particle_system.settings
+    fur.type, fur.count, fur.hair_length, fur.use_advanced_hair = "HAIR", 1500, 0.35, True
+    fur.brownian_factor, fur.child_type, fur.rendered_child_count = 0.05, "SIMPLE", 4
+    fur.root_radius, fur.tip_radius, fur.radius_scale = 0.012, 0.0, 1.0
+    for number in (0, frames + 1):
+        creature.rotation_euler = (0, 0, math.radians(2 * number))
+        creature.keyframe_insert("rotation_euler", frame=number)
+    bpy.ops.object.light_add(type="AREA", location=(2.5, -2.0, 4.0), rotation=(math.radians(35), math.radians(25), 0))
+    bpy.context.object.data.energy, bpy.context.object.data.size = 350, 1.0
+    sky(scene, (0.35, 0.50, 0.75))
+    bpy.ops.object.camera_add(rotation=(math.radians(86), 0, 0))
+    scene.camera = bpy.context.object
+    scene.camera.data.angle = math.radians(40)
+    keyframe(scene.camera, frames, (-0.1, -3.6, 1.25), (0.2, -3.6, 1.25))
+
+
 SETS = {
     "room": build, "still-life": build_still_life, "turntable": build_turntable, "meadow": build_meadow,
     "flicker": build_flicker, "evening": build_evening, "zoom": build_zoom,
+    "hair": build_hair,
 }  # fmt: skip
 
 
