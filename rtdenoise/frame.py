@@ -104,6 +104,11 @@ class Frame:
         """(H, W)."""
         return self.radiance.shape[2], self.radiance.shape[3]
 
+    def divided(self, gain: Tensor | float) -> Frame:
+        """The frame with its light, and the parts of it, over `gain`, `[B, 1, 1, 1]` or one number."""
+        parts = None if self.components is None else self.components / gain
+        return replace(self, radiance=self.radiance / gain, components=parts)
+
     def with_samples(self, count: int) -> Frame:
         """The frame with `count` samples a pixel; itself where it has `samples` already or `count` is 0: unknown."""
         if not count or self.samples is not None:

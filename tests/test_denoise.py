@@ -281,8 +281,10 @@ def test_damaged_state(shot, tmp_path, model, capsys):
     "damage",
     [
         {"done": "x"}, {"so_far": "[]"}, {"so_far": "[" * 10_000}, {"so_far": "{}"}, {"options": "[1]"},
-        {"so_far": '{"replaced": [], "passed_on": {}, "cuts": [], "left_out": {}}'},
-        {"so_far": '{"replaced": {"a": "b"}, "passed_on": {}, "cuts": [], "left_out": {}}'},
+        {"so_far": '{"replaced": [], "passed_on": {}, "cuts": [], "left_out": {}, "exposure": []}'},
+        {"so_far": '{"replaced": {"a": "b"}, "passed_on": {}, "cuts": [], "left_out": {}, "exposure": []}'},
+        {"so_far": '{"replaced": {}, "passed_on": {}, "cuts": [], "left_out": {}, "exposure": [1, "a"]}'},
+        {"so_far": '{"replaced": {}, "passed_on": {}, "cuts": [], "left_out": {}, "exposure": [0.0, 1.0]}'},
     ],
     ids=repr,
 )  # fmt: skip

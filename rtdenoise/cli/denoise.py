@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from glob import glob, has_magic
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -184,6 +185,8 @@ def told(summary: Summary, stage: str = "denoiser") -> list[str]:
         f"passed on as in the input: NaN in {count} pixels of {name}" for name, count in summary.passed_on.items()
     ]
     lines += [f"work saved: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
+    if changes := sum(gain not in (1, before) for before, gain in pairwise((1.0, *summary.exposure))):
+        lines.append(f"exposure: all light changes in {changes} of {frames} frames, and history with it")
     if summary.cuts:
         lines.append(f"cuts: history starts anew at frame {', '.join(map(str, summary.cuts))}")
     if summary.gaps:

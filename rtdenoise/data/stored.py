@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -22,6 +23,8 @@ CHANNELS = {  # field of `History` -> channels; hidden features have any number 
 OF = "/"  # between the number of a light and the field of its history (`run.light`)
 FOUND = "found"  # the field of shifts, of cells of pixels as `SHIFTS`
 OF_ESTIMATES = {"surface_count": 1}  # fields of the offline mode's estimates that a history lacks
+BRIGHTNESS = "brightness"  # in the state of a run: `brightness.Brightness`
+SEEN = 60_000  # about so many pixels of a frame are compared there
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
 OF_MOTION = 8, 9, 13, 14  # channels of a kept frame (`ops.recall`) that may be any finite number
 LARGEST = 1e20  # no denoiser writes more, since radiance is at most 1e15; motion may be any finite number
@@ -45,7 +48,7 @@ def read_history(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str
             fields = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that numpy lacks
         raise InputError(f"{path}: not a readable history ({error})") from None
-    one = "|".join({*CHANNELS, *OF_ESTIMATES, RESETS, FOUND})
+    one = "|".join({*CHANNELS, *OF_ESTIMATES, RESETS, FOUND, BRIGHTNESS})
     known = re.compile(rf"(\d{{1,4}}{OF})?({one}|({HIDDEN}|{RECENT}|{SHIFTS})\d{{1,4}})")
     unknown = [name for name in fields if not known.fullmatch(name)]
     if unknown or (fields and "radiance" not in fields):
@@ -70,6 +73,11 @@ def with_resets(fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return fields
 
 
+def seen_step(size: tuple[int, ...]) -> int:
+    """Of so many pixels of a row, and so many rows, `brightness` compares one in frames of this size (H, W)."""
+    return max(1, math.isqrt(math.prod(size) // SEEN))
+
+
 def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> None:
     recent, resets = name.startswith(RECENT), name == RESETS
     expected_type = np.int32 if recent else np.int16 if resets else np.float32
@@ -82,6 +90,8 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
     size = like[2:]
     if name == FOUND or name.startswith(SHIFTS):
         channels, size = 2, tuple(-(-n // SHIFT_CELL) for n in size)
+    if name == BRIGHTNESS:
+        channels, size = 6, tuple(-(-n // seen_step(size)) for n in size)
     if channels is not None:
         expected = (*like[:1], channels, *size)
         fits = len(like) == 4 and array.shape == expected

@@ -27,6 +27,7 @@ from ..frame import MAX_CUT_MISMATCH, Frame, reverse
 from ..models.weights import bytes_beside, files_of, find
 from ..sanitise import faults
 from .choice import open_chosen, told_of_samples
+from .coming import follows_exposure
 from .folder import (
     Written,
     are_finished,
@@ -47,6 +48,7 @@ from .stored_estimate import read_estimate, write_estimate
 from .unmoved import Watch
 
 if TYPE_CHECKING:
+    from ..brightness import Brightness
     from .passes import Passes
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
@@ -97,6 +99,7 @@ class _Run:
     options: Options
     passes: Passes
     on_frame: Callable[[int, int], None]
+    brightness: Brightness | None = None  # after the last frame of the first pass
 
     def run(self, overwrite: bool) -> Summary:
         from .pixel_filter import MODEL
@@ -123,6 +126,7 @@ class _Run:
         if self.options.plan:  # tiles for large frames
             self.passes.backend.plan(self.sequence.size, count, self._examined(), {})
 
+        self.follows = follows_exposure(self.options, self.passes.backend)
         if history is not None:
             history = self.passes.backend.remember(history, self._recent(done))
         self.on_frame(done, 2 * count)
@@ -156,6 +160,12 @@ class _Run:
             self.summary.cuts.append(frame.number)
             history = None
         self.watch.see(frame, history is not None)
+        if self.follows:
+            from ..brightness import followed
+
+            self.brightness = followed(prepared, None if history is None else self.brightness)
+            prepared = self.brightness.divided(prepared)
+        self.summary.exposure[i:] = [self.brightness.value if self.brightness else 1.0]
         estimate, history = self.passes.step(prepared, history)
         write_estimate(self._path(i), estimate)
         return history
@@ -167,9 +177,9 @@ class _Run:
         raw, frame = self.sequence.read(i), self._completed(i)
         backward, history = self.passes.step(reverse(frame), history)
         forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.size)
-        combined = self.passes.combine(frame, forward, backward)
-        extra = {"confidence": combined.spread.cpu().numpy()} if self.options.confidence else {}
-        image = combined.image.cpu().numpy()
+        combined, gain = self.passes.combine(frame, forward, backward), self.summary.exposure[i]
+        extra = {"confidence": combined.spread.cpu().numpy() * gain} if self.options.confidence else {}
+        image = combined.image.cpu().numpy() * gain
         nans = write_frame(self.out, self.sequence, i, raw, image, **of_output(self.options), extra=extra)
         add(self.summary.passed_on, nans)
         return history
@@ -178,7 +188,7 @@ class _Run:
         """The last frames of the shot that the pass at work has finished, as it saw them, the newest first."""
         count, most = len(self.sequence), self.passes.backend.config.recent + 1
         if done < count:
-            return [self._prepared(i) for i in last_of_shot(self.sequence, done, self.summary.cuts, most)]
+            return [self._divided(i) for i in last_of_shot(self.sequence, done, self.summary.cuts, most)]
         first = end = 2 * count - done
         while end < min(first + most, count) and (end == first or self._linked(end)):
             end += 1
@@ -187,11 +197,15 @@ class _Run:
     def _prepared(self, i: int) -> Frame:
         return self.passes.backend.prepare(with_stand_ins(self.sequence.read(i)))
 
+    def _divided(self, i: int) -> Frame:
+        """Frame i, prepared, as the first pass has denoised it."""
+        return self._prepared(i).divided(self.summary.exposure[i])
+
     def _completed(self, i: int) -> Frame:
-        """Frame i, prepared; where the files lack `motion_next`, with that of the next frame of the shot."""
+        """`_divided`; where the files lack `motion_next`, with that of the next frame of the shot."""
         from ..splat import completed
 
-        frame = self._prepared(i)
+        frame = self._divided(i)
         if frame.motion_next is not None or i + 1 == len(self.sequence) or not self._linked(i + 1):
             return frame
         return completed(frame, self._prepared(i + 1))
@@ -232,6 +246,7 @@ class _Run:
             refuse_foreign(self.out, self.names)
             return 0, None, Summary()
         done, history, summary, state = read_state(path, self.passes.backend)
+        self.brightness = state["brightness"]
         if done <= 0:
             return 0, None, Summary()
         refuse_other(self.out, state, self.options, self.fingerprint)
@@ -239,12 +254,15 @@ class _Run:
         waiting = range(done) if done < count else range(2 * count - done)
         finished = self.names[: max(0, done - count)]
         complete = are_finished(self.out, finished, self.sequence.size, state["written"])
-        if not complete or not all(self._path(i).exists() for i in waiting):
+        known = complete and len(summary.exposure) == min(done, count)
+        if not known or not all(self._path(i).exists() for i in waiting):
             return 0, None, Summary()
         return done, history, summary
 
     def _save(self, done: int, history: Any) -> None:
         fields = {} if history is None or done == 2 * len(self.sequence) else self.passes.backend.save(history)
+        if fields and self.brightness and done < len(self.sequence):
+            fields |= self.brightness.stored()
         save_state(
             self.out / STATE, fields, done, self.fingerprint, self.summary, self.options, self.written.digest
         )  # fmt: skip

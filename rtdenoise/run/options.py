@@ -54,6 +54,9 @@ class Options:
     """Accept missing frame numbers; history starts anew after each gap."""
     detect_cuts: bool = True
     """Start history anew where most pixels find another surface than their motion vectors promise."""
+    detect_exposure: bool = True
+    """Find out how much brighter or darker the picture as a whole becomes from frame to frame, as by a fade or an
+    animated exposure, and make history as bright; not with --lights and --also."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack, from frame to frame, found by albedo: those of
     Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""
@@ -93,6 +96,7 @@ class Summary:
     replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`sanitise.faults`)
     passed_on: dict[str, int] = field(default_factory=dict)  # channel copied from the input -> NaNs in it
     cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
+    exposure: list[float] = field(default_factory=list)  # brightness of each frame over that of its shot's first one
     gaps: list[tuple[int, int]] = field(default_factory=list)  # (first, last) missing frame number of each gap
     left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
     notes: list[str] = field(default_factory=list)  # what else the user should know

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import deque
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,8 @@ from .threads import set_defaults
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from ..brightness import Brightness
 
 
 class Denoiser:
@@ -54,6 +57,7 @@ class Denoiser:
         device: str = "auto",
         precision: str = "auto",
         detect_cuts: bool = True,
+        detect_exposure: bool = True,
         correct: bool = False,
         samples: int = 0,
         lookahead: int = 0,
@@ -65,10 +69,11 @@ class Denoiser:
         `backend` is 'torch', 'glsl' (OpenGL shaders, without PyTorch; one picture at a time), or 'auto': torch where it
         is installed. `device` is torch's, 'cpu', 'cuda' or 'auto', and the network's `precision` 'fp32', 'bf16', 'int8'
         (with glsl 'fp16') or 'auto'. `detect_cuts` starts history anew where most pixels find another surface than
-        their motion promises. `correct` corrects each frame by the noisy ones before it, for 4 samples a pixel and
-        more; `samples` says how many there are, so that edges are corrected, too. With `lookahead` each frame is
-        denoised with so many frames after it: a call returns the picture of the frame so many calls before, None at
-        first, and `flush` the last ones.
+        their motion promises; `detect_exposure` finds out how much brighter or darker the picture becomes as a whole,
+        and makes history as bright (with PyTorch). `correct` corrects each frame by the noisy ones before it, for 4
+        samples a pixel and more; `samples` says how many there are, so that edges are corrected, too. With `lookahead`
+        each frame is denoised with so many frames after it: a call returns the picture of the frame so many calls
+        before, None at first, and `flush` the last ones.
 
         Raises InputError for an unknown model, backend, device or precision, a correction without torch, `samples`
         beyond all sense or that nothing goes by, and a `lookahead` out of range or with a model that averages no light.
@@ -85,13 +90,16 @@ class Denoiser:
         self._detect_cuts = detect_cuts
         check_lookahead(lookahead, "lookahead")
         self._backend = open_backend(backend, str(model), device, precision, correct, lookahead=lookahead)
+        carries = self._backend.config.motion is not None and find_spec("torch") is not None
+        self._detect_exposure = detect_exposure and carries
         self._samples, self._history = samples if correct else 0, None
+        self._brightness: Brightness | None = None  # of the last frame, if its history is used
         self._delayed = None  # with `lookahead`; then the history is that of cuts alone
         if lookahead:
             from .lookahead import Delayed
 
             self._delayed = Delayed(self._backend.denoise, lookahead)
-        self._forms: deque[Form] = deque()  # of the frames whose picture is yet to come
+        self._forms: deque[tuple[Form, Any]] = deque()  # with the gain, of the frames whose picture is yet to come
         self._shape: tuple[int, ...] = ()  # of the frame before
         self._count = 0  # frames so far
         self._said: set[str] = set()
@@ -123,26 +131,41 @@ class Denoiser:
         if self._detect_cuts and history is not None and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             history = None
         self.started, self._shape, self._count = history is None, tuple(radiance.shape), self._count + 1
+        prepared, gain = self._divided(prepared, goes_on=history is not None)
         if self._delayed is None:
             image, self._history = self._backend.denoise(prepared, history)
-            return from_planes(image, form)
+            return from_planes(image * gain, form)
         if history is None:
             self._delayed.end_shot()
         image = self._delayed.add(prepared)
         self._history = geometry(prepared)
-        self._forms.append(form)
-        return None if image is None else from_planes(image, self._forms.popleft())
+        self._forms.append((form, gain))
+        return None if image is None else self._delivered(image)
 
     def flush(self) -> list[np.ndarray | Tensor]:
         """With `lookahead`, the frames that are yet to come, in order, at the end of an animation. The next frame
         starts a new shot."""
         self._history = None
         images = self._delayed.flush() if self._delayed else []
-        return [from_planes(image, self._forms.popleft()) for image in images]
+        return [self._delivered(image) for image in images]
 
     def reset(self) -> None:
         """Forget the frames so far: the next one starts a new shot. What `lookahead` has delayed still comes."""
         self._history = None
+
+    def _divided(self, frame: Frame, goes_on: bool) -> tuple[Frame, Any]:
+        """A prepared frame over its brightness, and that. `goes_on`: with the shot of the frame before."""
+        if not self._detect_exposure:
+            return frame, 1.0
+        from ..brightness import followed
+
+        self._brightness = followed(frame, self._brightness if goes_on else None)
+        return self._brightness.divided(frame), self._brightness.of(frame)
+
+    def _delivered(self, image: Any) -> np.ndarray | Tensor:
+        """The image of the first frame that waits for one."""
+        form, gain = self._forms.popleft()
+        return from_planes(image * gain, form)
 
     def _completed(self, radiance: np.ndarray | Tensor, layers: dict[str, np.ndarray | Tensor]) -> Frame:
         """The frame, with each missing layer that the networks read replaced by a constant."""
