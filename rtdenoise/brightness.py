@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from .color import luminance
-from .data.stored import BRIGHTNESS, seen_step
+from .data.stored import seen_step
 from .frame import Frame
 from .motion import on_screen, same_surface
 from .ops import fetch
@@ -52,17 +52,17 @@ class Brightness:
         """The gain of a single picture."""
         return self.gain.item()
 
-    def of(self, frame: Frame) -> Tensor | float:
-        """The gain as what goes with the frame's light: a tensor, or for arrays a number."""
-        return self.gain if isinstance(frame.radiance, Tensor) else self.value
+    def of(self, frame: Frame) -> Tensor | np.ndarray:
+        """The gain as what the frame's light is: a tensor, or an array."""
+        return self.gain if isinstance(frame.radiance, Tensor) else self.gain.cpu().numpy()
 
     def divided(self, frame: Frame) -> Frame:
         """The frame as it is denoised."""
         return frame.divided(self.of(frame))
 
-    def stored(self) -> dict[str, np.ndarray]:
-        """All but the gain: a field of the state of a run (`data.stored`)."""
-        return {BRIGHTNESS: torch.cat([self.light, self.count, self.depth, self.normal], 1).cpu().numpy()}
+    def stored(self) -> np.ndarray:
+        """All but the gain, `[B, 6, h, w]`."""
+        return torch.cat([self.light, self.count, self.depth, self.normal], 1).cpu().numpy()
 
     @classmethod
     def restored(cls, stored: np.ndarray, gain: float, device: str) -> Brightness:

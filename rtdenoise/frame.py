@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 from .errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
     from torch import Tensor
 
 OFF_SCREEN = 1e4  # pixels: the motion of a point that is not on the other frame; half floats can hold it
@@ -104,7 +105,7 @@ class Frame:
         """(H, W)."""
         return self.radiance.shape[2], self.radiance.shape[3]
 
-    def divided(self, gain: Tensor | float) -> Frame:
+    def divided(self, gain: Tensor | np.ndarray | float) -> Frame:
         """The frame with its light, and the parts of it, over `gain`, `[B, 1, 1, 1]` or one number."""
         parts = None if self.components is None else self.components / gain
         return replace(self, radiance=self.radiance / gain, components=parts)

@@ -29,6 +29,7 @@ from rtdenoise.evaluate.document import NAME, Document
 from rtdenoise.models.weights import read_model
 from rtdenoise.run import denoise as run
 from rtdenoise.run.backends import TorchBackend
+from rtdenoise.run.following import Following
 
 FINGERPRINT = "0" * 64
 LONGEST_MESSAGE = 2000  # characters
@@ -184,7 +185,7 @@ def _resumable() -> tuple:
         (out / "later").mkdir()
     sequence, seed = open_sequence(_shot()), unpacked((out / run.STATE).read_bytes())
     seed = seed.replace(run.digest(sequence, options)[2].encode(), FINGERPRINT.encode())
-    return sequence, options, TorchBackend(options.model, "cpu", "auto"), out, seed
+    return sequence, options, Following(TorchBackend(options.model, "cpu", "auto"), True), out, seed
 
 
 ODD = (None, True, False, 0, 1, -1, 2, 2**31, 2**63, -(2**63), 10**400, 0.5, -0.0, 1e30, 1e308, "", "x", "1", "\n",

@@ -254,6 +254,31 @@ def test_frames_after_serve_every_light(tmp_path, source):
             assert not np.array_equal(image(path, name), image(other, name)) or path == ahead[-1]
 
 
+def tiled(folder, gains):
+    """The first frames, 4×4 times beside one another, with their light multiplied by the gains."""
+    folder.mkdir()
+    for path, gain in zip(sorted(SHOT.glob("*.exr")), gains, strict=False):
+        stored = read_channels(path, list(read_header(path).channels))
+        planes = {name: np.tile(plane, (4, 4)) for name, plane in stored.items()}
+        for name in planes:
+            if name.split(".")[1].endswith(("Combined", "Direct", "Indirect", "Emission", "Environment")):
+                planes[name] = planes[name] * np.float32(gain)
+        write_layers(folder / path.name, planes, dtypes=dict.fromkeys(planes, "float"))
+    return folder
+
+
+def test_each_light_of_a_fade_is_denoised_as_steady_light(tmp_path):
+    gains = 0.8 ** np.arange(3)
+    steady, fading = tiled(tmp_path / "steady", [1, 1, 1]), tiled(tmp_path / "fading", gains)
+    wanted, found = lit(tmp_path / "wanted", steady), lit(tmp_path / "found", fading)
+    without = lit(tmp_path / "without", fading, detect_exposure=False)
+    for name in ("Combined", "Diffuse Direct", "Diffuse Indirect"):
+        errors = [np.abs(image(path, name) / gains[2] - image(wanted[2], name)).mean() / image(wanted[2], name).mean()
+                  for path in (found[2], without[2])]  # fmt: skip
+        assert errors[0] < 0.6 * errors[1], (name, errors)
+    assert np.abs(image(found[2], "Diffuse Color") - image(wanted[2], "Diffuse Color")).mean() < 1e-3
+
+
 def test_a_light_that_is_nowhere_costs_nothing(tmp_path, monkeypatch):
     seen = []
     inner = TorchBackend.denoise

@@ -9,8 +9,9 @@ ROOT = Path(__file__).parent.parent / "rtdenoise"
 # A room (a folder, or a module of the top level) may import the rooms above it in this list, and its own modules.
 ORDER = [
     ("errors", "constants"), ("color", "files", "frame"), ("ops",), ("exposure", "motion"),
-    ("sanitise",), ("data",), ("splat", "history", "shift"), ("models",), ("baselines", "glsl", "metrics"),
-    ("run",), ("evaluate",), ("render", "training", "report"), ("cli",), ("__main__",),
+    ("sanitise",), ("data",), ("splat", "history", "shift", "brightness"), ("models",),
+    ("baselines", "glsl", "metrics"), ("run",), ("evaluate",), ("render", "training", "report"), ("cli",),
+    ("__main__",),
 ]  # fmt: skip
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 

@@ -23,7 +23,7 @@ CHANNELS = {  # field of `History` -> channels; hidden features have any number 
 OF = "/"  # between the number of a light and the field of its history (`run.light`)
 FOUND = "found"  # the field of shifts, of cells of pixels as `SHIFTS`
 OF_ESTIMATES = {"surface_count": 1}  # fields of the offline mode's estimates that a history lacks
-BRIGHTNESS = "brightness"  # in the state of a run: `brightness.Brightness`
+BRIGHTNESS, GAINS = "brightness", "gains"  # in the state of a run: `run.following.Followed`
 SEEN = 60_000  # about so many pixels of a frame are compared there
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16
 OF_MOTION = 8, 9, 13, 14  # channels of a kept frame (`ops.recall`) that may be any finite number
@@ -48,7 +48,7 @@ def read_history(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str
             fields = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that numpy lacks
         raise InputError(f"{path}: not a readable history ({error})") from None
-    one = "|".join({*CHANNELS, *OF_ESTIMATES, RESETS, FOUND, BRIGHTNESS})
+    one = "|".join({*CHANNELS, *OF_ESTIMATES, RESETS, FOUND, BRIGHTNESS, GAINS})
     known = re.compile(rf"(\d{{1,4}}{OF})?({one}|({HIDDEN}|{RECENT}|{SHIFTS})\d{{1,4}})")
     unknown = [name for name in fields if not known.fullmatch(name)]
     if unknown or (fields and "radiance" not in fields):
@@ -92,6 +92,8 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
         channels, size = 2, tuple(-(-n // SHIFT_CELL) for n in size)
     if name == BRIGHTNESS:
         channels, size = 6, tuple(-(-n // seen_step(size)) for n in size)
+    if name == GAINS:
+        channels, size = array.size, (1, 1)
     if channels is not None:
         expected = (*like[:1], channels, *size)
         fits = len(like) == 4 and array.shape == expected
@@ -106,5 +108,7 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
         array = np.delete(array, [c for c in OF_MOTION if c < 2 * words], axis=1)
     if resets:
         array = (array.astype(np.int32) << 16).view(np.float32)
+    if name == GAINS and not (array > 0).all():
+        raise InputError(f"{label} holds gains that are not positive")
     if not np.isfinite(array).all() or (name != "motion_next" and float(np.abs(array).max()) > LARGEST):
         raise InputError(f"{label} holds values that no denoiser writes (NaN, Inf or beyond {LARGEST:g})")

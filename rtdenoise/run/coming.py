@@ -5,23 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..frame import MAX_CUT_MISMATCH, Frame, geometry
 from .backends import Backend
-from .options import Options
 from .stand_ins import with_stand_ins
-
-if TYPE_CHECKING:
-    from ..brightness import Brightness
-
-
-def follows_exposure(options: Options, backend: Backend) -> bool:
-    """Whether frames are divided by their brightness (`brightness`)."""
-    in_parts = options.lights or options.also
-    wanted = options.detect_exposure and not in_parts and backend.config.motion is not None
-    return wanted and find_spec("torch") is not None
 
 
 @dataclass(frozen=True)
@@ -29,33 +17,21 @@ class Coming:
     """A frame that has been read."""
 
     raw: Frame  # as it was read
-    prepared: Any  # by the backend, and divided by its brightness
+    prepared: Any  # by the backend
     goes_on: bool  # with the shot of the frame before
     cut: bool  # it would, but for what it shows
-    brightness: Brightness | None  # None where it is not asked for
-
-    @property
-    def gain(self) -> float:
-        """What the frame was divided by."""
-        return self.brightness.value if self.brightness else 1.0
 
 
 class Reader:
     """Reads on `lookahead` frames beyond the one to denoise. `seconds`: how long the backend took to prepare them."""
 
     def __init__(
-        self,
-        read: Callable[[int], Frame],
-        numbers: list[int],
-        backend: Backend,
-        options: Options,
-        brightness: Brightness | None = None,
+        self, read: Callable[[int], Frame], numbers: list[int], backend: Backend, lookahead: int, detect_cuts: bool
     ) -> None:
-        """`numbers`: those of all frames. `brightness`: after the last frame that an earlier run has denoised."""
+        """`numbers`: those of all frames."""
         self.seconds = 0.0
         self._read, self._numbers, self._backend = read, numbers, backend
-        self._lookahead, self._detect_cuts = options.lookahead, options.detect_cuts
-        self._follows, self._brightness = follows_exposure(options, backend), brightness
+        self._lookahead, self._detect_cuts = lookahead, detect_cuts
         self._waiting: list[Coming] = []
 
     def take(self, i: int, history: Any) -> tuple[Coming, tuple[Frame, ...]]:
@@ -77,15 +53,9 @@ class Reader:
         follows = i > 0 and raw.number == self._numbers[i - 1] + 1
         goes_on = follows and history is not None and raw.motion is not None
         cut = goes_on and self._detect_cuts and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH
-        goes_on = goes_on and not cut
-        if self._follows:
-            from ..brightness import followed
-
-            self._brightness = followed(prepared, self._brightness if goes_on else None)
-            prepared = self._brightness.divided(prepared)
-        if last is not None and goes_on:
+        if last is not None and goes_on and not cut:
             from ..splat import completed
 
             self._waiting[-1] = replace(last, prepared=completed(last.prepared, prepared))
-        self._waiting.append(Coming(raw, prepared, goes_on, cut, self._brightness))
+        self._waiting.append(Coming(raw, prepared, goes_on and not cut, cut))
         self.seconds += time.perf_counter() - started

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..constants import SOFTWARE_RENDERER
 from ..data.output import check_output, output_names, write_frame
@@ -21,15 +21,13 @@ from .backends import Backend, open_backend
 from .choice import open_chosen, told_of_samples
 from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
+from .following import Following
 from .light import in_parts
 from .offline_picture import Picture
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples, of_output
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, read_state, save_state
 from .unmoved import Watch
-
-if TYPE_CHECKING:
-    from ..brightness import Brightness
 
 
 def denoise(
@@ -80,7 +78,9 @@ def denoise(
     notes += told_of_missing(sequence, backend.config.motion is not None)
     write = partial(write_frame, **of_output(options))
     read = _read
-    if in_passes:
+    if not in_passes:
+        backend = Following(backend, options.detect_exposure)
+    else:
         if reads:
             raise InputError(f"--lights, --also: not with {options.model}, which reads {reads[0]}; "
                              "leave them out, or take --model default")  # fmt: skip
@@ -110,8 +110,8 @@ def _run(
     fingerprints = digest(sequence, options)
     if options.lookahead:  # appended frames change what the frames before them look like
         fingerprints = [fingerprints[-1]] * len(fingerprints)
-    done, history, brightness, summary = (
-        (0, None, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend, options)
+    done, history, summary = (
+        (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend, options)
     )
     if not done:  # so that the next run knows the first frame for its own
         save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
@@ -127,8 +127,7 @@ def _run(
         summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
     if history is not None:
         recent = last_of_shot(sequence, done, summary.cuts, backend.config.recent + 1)
-        seen = [backend.prepare(with_stand_ins(read(sequence, i))) for i in recent]
-        history = backend.remember(history, [f.divided(summary.exposure[i]) for f, i in zip(seen, recent, strict=True)])
+        history = backend.remember(history, [backend.prepare(with_stand_ins(read(sequence, i))) for i in recent])
     if summary.plan:
         sequence = sequence.only({*summary.plan.layers, *(("samples",) if options.correct else ())})
 
@@ -138,7 +137,7 @@ def _run(
         found = read(sequence, i)
         return found.with_samples(options.samples or sequence.header.samples) if options.correct else found
 
-    reader = Reader(frame, sequence.numbers, backend, options, brightness)
+    reader = Reader(frame, sequence.numbers, backend, options.lookahead, options.detect_cuts)
     spent, watch = summary.seconds, Watch(summary.notes)
     for i in range(done, len(sequence)):
         this, ahead = reader.take(i, history)
@@ -148,14 +147,12 @@ def _run(
             summary.cuts.append(this.raw.number)
         started = time.perf_counter()
         image, history = backend.step(this.prepared, history if this.goes_on else None, ahead)
-        if this.brightness:
-            image = image * this.gain
         spent += time.perf_counter() - started
-        summary.seconds, summary.exposure = spent + reader.seconds, [*summary.exposure[:i], this.gain]
+        summary.seconds = spent + reader.seconds
+        summary.exposure[i:] = [backend.gain(history)]
         add(summary.passed_on, write(out, sequence, i, this.raw, image))
         written.add(names[i])
-        fields = backend.save(history) | (this.brightness.stored() if this.brightness else {})
-        save_state(out / STATE, fields, i + 1, fingerprints[i + 1], summary, options, written.digest)
+        save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options, written.digest)
         summary.written += 1
         on_frame(i + 1, len(sequence))
     watch.end(len(sequence), len(summary.cuts))
@@ -197,16 +194,16 @@ def _check(options: Options) -> None:
 
 def _resume(
     out: Path, sequence: Sequence, fingerprints: list[str], backend: Backend, options: Options
-) -> tuple[int, Any, Brightness | None, Summary]:
-    """How many frames are finished, the history and brightness after them, and what there was to say about them."""
+) -> tuple[int, Any, Summary]:
+    """How many frames are finished, the history after them, and what there was to say about them."""
     names = output_names(sequence, options.layout, options.recombine)
     if not (out / STATE).exists():
         refuse_foreign(out, names)
-        return 0, None, None, Summary()
+        return 0, None, Summary()
     done, history, summary, metadata = read_state(out / STATE, backend)
     if done <= 0:  # whatever is there is of a run that did not come as far as its second frame
-        return 0, None, None, Summary()
+        return 0, None, Summary()
     refuse_other(out, metadata, options, fingerprints[done] if done <= len(sequence) else "")
-    if len(summary.exposure) != done or not are_finished(out, names[:done], sequence.size, metadata["written"]):
-        return 0, None, None, Summary()
-    return done, history, metadata["brightness"], summary
+    if not are_finished(out, names[:done], sequence.size, metadata["written"]):
+        return 0, None, Summary()
+    return done, history, summary

@@ -27,6 +27,7 @@ from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, History
 from ..sanitise import GREATEST_ALBEDO
 from .backends import Backend, TorchBackend
+from .following import Following, unfollowed
 from .memory import explained
 from .offline_picture import Picture
 from .options import Options
@@ -43,7 +44,7 @@ OWN = "Diffuse", "Glossy"  # lobes whose colour is their albedo; in glass the fr
 SHARES = 0.5, 0.0, 0.0  # of `mix`: usually half of the picture as a whole, half of the sum of its lights
 GROUP = "Combined_"  # how the names of Cycles' light groups begin
 
-Histories = dict[str, History]  # of the picture, and of each light by name that was ever there in the shot
+Histories = dict[str, Any]  # of the picture, and of each light by name that was ever there in the shot
 
 
 def in_parts(
@@ -64,7 +65,7 @@ def in_parts(
     passes = find_light(sequence, options.lights, options.also)
     if not isinstance(backend, TorchBackend):
         raise InputError(f"{told}: goes with --backend torch; {INSTALL_TORCH}")
-    lit = LightBackend(backend, passes, told, picture, sequence.soft_edges)
+    lit = LightBackend(backend, passes, told, picture, sequence.soft_edges, options.detect_exposure)
     chosen = {name: getattr(options, name) for name in ("layout", "float32", "alpha")}
     return lit, lit.read, partial(_write, passes=passes, **chosen)
 
@@ -87,13 +88,15 @@ class LightBackend:
         told: str = "--lights",
         picture: Picture | None = None,
         soft_edges: bool = False,  # frames get them, each light for itself
+        detect_exposure: bool = False,  # likewise each light's brightness is followed
     ) -> None:
         from ..models.accumulated_kpn import AccumulatedKPN
 
         self._network = inner.network
         if not isinstance(self._network, AccumulatedKPN):
             raise InputError(f"{told}: goes with --model hybrid, default, many or fast, which average light")
-        self._inner, self._passes, self._picture, self._soft = inner, passes, picture, soft_edges
+        self._passes, self._picture, self._soft, self._device = passes, picture, soft_edges, inner.device
+        self._inner = Following(inner, detect_exposure)
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
         self._parts: dict[int, Parts] = {}  # by number, of the frames that are prepared
         self._left_out: dict[str, int] | None = None
@@ -127,7 +130,7 @@ class LightBackend:
         stored |= passes.radiance(stored)
         picture = valid(np.asarray(frame.radiance))
         summands = {name: stored[name] for name in passes.summands}
-        with explained(ready.name, ready.size, self._inner.device):
+        with explained(ready.name, ready.size, self._device):
             lights = {name: self._inner.prepare(Frame(self._shown(frame, stored[name]).radiance)).radiance
                       for name in (*passes.lights, *passes.volumes, *passes.also)}  # fmt: skip
             passed = {name: self._on_device(stored[name]) for name in (*passes.colors, *passes.passed)}
@@ -145,6 +148,10 @@ class LightBackend:
         """As the inner backend's; `history` may be a frame's `geometry` alone."""
         return self._inner.mismatch(frame, history if isinstance(history, History) else history[PICTURE])
 
+    def gain(self, history: Histories) -> float:
+        """That of the picture."""
+        return self._inner.gain(history[PICTURE])
+
     def step(
         self, frame: Frame, history: Histories | None, ahead: tuple[Frame, ...] = ()
     ) -> tuple[dict[str, np.ndarray], Histories]:
@@ -157,7 +164,7 @@ class LightBackend:
         import torch
 
         before, parts = history or {}, self._parts[frame.number]
-        with torch.inference_mode(), explained(frame.name, frame.size, self._inner.device):
+        with torch.inference_mode(), explained(frame.name, frame.size, self._device):
             picture, passed, after = self._whole(frame, parts, before.get(PICTURE), ahead)
             if self._picture:
                 picture = self._on_device(self._picture.read(frame.number))
@@ -182,19 +189,23 @@ class LightBackend:
 
         from ..models import noiseless
 
-        known = NOTHING_KNOWN
+        known, its = NOTHING_KNOWN, unfollowed(history)
         if self._left_out is not None:
-            known = look(frame, history and history.motion_next, history is not None)
+            known = look(frame, its and its.motion_next, history is not None)
             count(self._left_out, known, keeps_means=True)
         if not parts.passed:
             picture, after = self._inner.denoise(frame, history, ahead)
             return picture, {}, after
-        known = replace(known, first=known.first and not ahead, sanitised=True, ahead=ahead)
+        given = self._inner.enter(frame, history, ahead)
+        known = replace(known, first=known.first and not ahead, sanitised=True, ahead=given.ahead)
         layers = dict(parts.passed)
         if not parts.background:
             layers[BACKGROUND] = torch.zeros_like(layers[BACKGROUND])
-        picture, smooth, after = noiseless.step(self._network, frame, torch.cat([*layers.values()], 1), history, known)
-        return picture, dict(zip(layers, smooth.split(3, dim=1), strict=True)), after
+        gains = {name: 1.0 if name in self._passes.colors else given.gain for name in layers}
+        shown = torch.cat([layers[name] / gains[name] for name in layers], 1)
+        picture, smooth, after = noiseless.step(self._network, given.frame, shown, given.history, known)
+        smooth = zip(layers, smooth.split(3, dim=1), strict=True)
+        return picture * given.gain, {name: image * gains[name] for name, image in smooth}, given.left(after)
 
     def _added_up(
         self, frame: Frame, found: dict[str, Tensor], picture: Tensor, parts: Parts
@@ -238,7 +249,7 @@ class LightBackend:
         remembered = {}
         for name, its in history.items():
             seen = [frame if name == PICTURE else self._parts[frame.number].lit(frame, name)
-                    for frame in frames[: len(its.recent) + 1]]  # fmt: skip
+                    for frame in frames[: len(unfollowed(its).recent) + 1]]  # fmt: skip
             remembered[name] = self._inner.remember(its, seen)
         return remembered
 
@@ -254,4 +265,4 @@ class LightBackend:
     def _on_device(self, image: np.ndarray) -> Tensor:
         import torch
 
-        return torch.from_numpy(image).to(self._inner.device)
+        return torch.from_numpy(image).to(self._device)

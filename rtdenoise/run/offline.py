@@ -27,7 +27,6 @@ from ..frame import MAX_CUT_MISMATCH, Frame, reverse
 from ..models.weights import bytes_beside, files_of, find
 from ..sanitise import faults
 from .choice import open_chosen, told_of_samples
-from .coming import follows_exposure
 from .folder import (
     Written,
     are_finished,
@@ -41,6 +40,7 @@ from .folder import (
     told_of_output,
     write_summary,
 )
+from .following import Following
 from .options import EXAMINED, SUMMARY, Options, Summary, add, of_output
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, linked, read_state, save_state
@@ -48,7 +48,6 @@ from .stored_estimate import read_estimate, write_estimate
 from .unmoved import Watch
 
 if TYPE_CHECKING:
-    from ..brightness import Brightness
     from .passes import Passes
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
@@ -99,7 +98,6 @@ class _Run:
     options: Options
     passes: Passes
     on_frame: Callable[[int, int], None]
-    brightness: Brightness | None = None  # after the last frame of the first pass
 
     def run(self, overwrite: bool) -> Summary:
         from .pixel_filter import MODEL
@@ -114,7 +112,7 @@ class _Run:
         done, history, summary = (0, None, Summary()) if overwrite else self._resume()
         self.summary, self.written = summary, Written(self.out, self.names[: max(0, done - count)])
         summary.skipped, summary.gaps, summary.notes = max(0, done - count), list(self.sequence.gaps), self._notes()
-        summary.ran, self.watch = self.passes.backend.ran, Watch(summary.notes)
+        summary.ran, self.watch = self.backend.ran, Watch(summary.notes)
         refuse_no_folder(self.estimates)
         if not done:
             clear(self.estimates, OF_ESTIMATE.fullmatch)
@@ -124,11 +122,10 @@ class _Run:
             self.estimates.mkdir(exist_ok=True)
             remove_unfinished(self.estimates)
         if self.options.plan:  # tiles for large frames
-            self.passes.backend.plan(self.sequence.size, count, self._examined(), {})
+            self.backend.plan(self.sequence.size, count, self._examined(), {})
 
-        self.follows = follows_exposure(self.options, self.passes.backend)
         if history is not None:
-            history = self.passes.backend.remember(history, self._recent(done))
+            history = self.backend.remember(history, self._recent(done))
         self.on_frame(done, 2 * count)
         for step in range(done, 2 * count):
             started = time.perf_counter()
@@ -150,7 +147,7 @@ class _Run:
 
     def _forward(self, i: int, history: Any) -> Any:
         """Estimate frame i from the frames before; store the estimate."""
-        backend, frame = self.passes.backend, self.sequence.read(i)
+        backend, frame = self.backend, self.sequence.read(i)
         add(self.summary.replaced, faults(frame))
         prepared = backend.prepare(with_stand_ins(frame))
         if i and frame.number != self.sequence.numbers[i - 1] + 1:
@@ -160,14 +157,11 @@ class _Run:
             self.summary.cuts.append(frame.number)
             history = None
         self.watch.see(frame, history is not None)
-        if self.follows:
-            from ..brightness import followed
-
-            self.brightness = followed(prepared, None if history is None else self.brightness)
-            prepared = self.brightness.divided(prepared)
-        self.summary.exposure[i:] = [self.brightness.value if self.brightness else 1.0]
-        estimate, history = self.passes.step(prepared, history)
+        given = backend.enter(prepared, history, ())
+        estimate, after = self.passes.step(given.frame, given.history)
         write_estimate(self._path(i), estimate)
+        history = given.left(after)
+        self.summary.exposure[i:] = [backend.gain(history)]
         return history
 
     def _backward(self, i: int, history: Any) -> Any:
@@ -186,26 +180,23 @@ class _Run:
 
     def _recent(self, done: int) -> list[Frame]:
         """The last frames of the shot that the pass at work has finished, as it saw them, the newest first."""
-        count, most = len(self.sequence), self.passes.backend.config.recent + 1
+        count, most = len(self.sequence), self.backend.config.recent + 1
         if done < count:
-            return [self._divided(i) for i in last_of_shot(self.sequence, done, self.summary.cuts, most)]
+            return [self._prepared(i) for i in last_of_shot(self.sequence, done, self.summary.cuts, most)]
         first = end = 2 * count - done
         while end < min(first + most, count) and (end == first or self._linked(end)):
             end += 1
         return [reverse(self._completed(i)) for i in range(first, end)]
 
     def _prepared(self, i: int) -> Frame:
-        return self.passes.backend.prepare(with_stand_ins(self.sequence.read(i)))
-
-    def _divided(self, i: int) -> Frame:
-        """Frame i, prepared, as the first pass has denoised it."""
-        return self._prepared(i).divided(self.summary.exposure[i])
+        return self.backend.prepare(with_stand_ins(self.sequence.read(i)))
 
     def _completed(self, i: int) -> Frame:
-        """`_divided`; where the files lack `motion_next`, with that of the next frame of the shot."""
+        """Frame i, prepared, and divided as in the first pass; where the files lack `motion_next`, with that of the
+        next frame of the shot."""
         from ..splat import completed
 
-        frame = self._divided(i)
+        frame = self._prepared(i).divided(self.summary.exposure[i])
         if frame.motion_next is not None or i + 1 == len(self.sequence) or not self._linked(i + 1):
             return frame
         return completed(frame, self._prepared(i + 1))
@@ -233,6 +224,11 @@ class _Run:
                              "GB are free; choose another --out or fewer frames at a time")  # fmt: skip
 
     @property
+    def backend(self) -> Following:
+        """That of the passes; forward it follows the brightness, and backward frames are divided by the same."""
+        return Following(self.passes.backend, self.options.detect_exposure)
+
+    @property
     def estimates(self) -> Path:
         return self.out / ESTIMATES
 
@@ -245,8 +241,7 @@ class _Run:
         if not path.exists():
             refuse_foreign(self.out, self.names)
             return 0, None, Summary()
-        done, history, summary, state = read_state(path, self.passes.backend)
-        self.brightness = state["brightness"]
+        done, history, summary, state = read_state(path, self.backend)
         if done <= 0:
             return 0, None, Summary()
         refuse_other(self.out, state, self.options, self.fingerprint)
@@ -260,9 +255,7 @@ class _Run:
         return done, history, summary
 
     def _save(self, done: int, history: Any) -> None:
-        fields = {} if history is None or done == 2 * len(self.sequence) else self.passes.backend.save(history)
-        if fields and self.brightness and done < len(self.sequence):
-            fields |= self.brightness.stored()
+        fields = {} if history is None or done == 2 * len(self.sequence) else self.backend.save(history)
         save_state(
             self.out / STATE, fields, done, self.fingerprint, self.summary, self.options, self.written.digest
         )  # fmt: skip

@@ -56,7 +56,7 @@ class Options:
     """Start history anew where most pixels find another surface than their motion vectors promise."""
     detect_exposure: bool = True
     """Find out how much brighter or darker the picture as a whole becomes from frame to frame, as by a fade or an
-    animated exposure, and make history as bright; not with --lights and --also."""
+    animated exposure, and make history as bright; each light of --lights and --also for itself."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack, from frame to frame, found by albedo: those of
     Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections import deque
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +14,13 @@ from ..frame import CHANNELS, MAX_CUT_MISMATCH, Frame, geometry
 from .arrays import Form, from_planes, to_planes
 from .backends import open_backend
 from .choice import LEAST, candidates
+from .following import Following
 from .options import AUTO, check_lookahead, check_samples
 from .stand_ins import COSTS, STAND_INS, with_stand_ins
 from .threads import set_defaults
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-    from ..brightness import Brightness
 
 
 class Denoiser:
@@ -89,17 +87,15 @@ class Denoiser:
         """Whether the last call started history anew."""
         self._detect_cuts = detect_cuts
         check_lookahead(lookahead, "lookahead")
-        self._backend = open_backend(backend, str(model), device, precision, correct, lookahead=lookahead)
-        carries = self._backend.config.motion is not None and find_spec("torch") is not None
-        self._detect_exposure = detect_exposure and carries
+        opened = open_backend(backend, str(model), device, precision, correct, lookahead=lookahead)
+        self._backend = Following(opened, detect_exposure)
         self._samples, self._history = samples if correct else 0, None
-        self._brightness: Brightness | None = None  # of the last frame, if its history is used
         self._delayed = None  # with `lookahead`; then the history is that of cuts alone
         if lookahead:
             from .lookahead import Delayed
 
             self._delayed = Delayed(self._backend.denoise, lookahead)
-        self._forms: deque[tuple[Form, Any]] = deque()  # with the gain, of the frames whose picture is yet to come
+        self._forms: deque[Form] = deque()  # of the frames whose picture is yet to come
         self._shape: tuple[int, ...] = ()  # of the frame before
         self._count = 0  # frames so far
         self._said: set[str] = set()
@@ -131,41 +127,26 @@ class Denoiser:
         if self._detect_cuts and history is not None and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             history = None
         self.started, self._shape, self._count = history is None, tuple(radiance.shape), self._count + 1
-        prepared, gain = self._divided(prepared, goes_on=history is not None)
         if self._delayed is None:
             image, self._history = self._backend.denoise(prepared, history)
-            return from_planes(image * gain, form)
+            return from_planes(image, form)
         if history is None:
             self._delayed.end_shot()
         image = self._delayed.add(prepared)
         self._history = geometry(prepared)
-        self._forms.append((form, gain))
-        return None if image is None else self._delivered(image)
+        self._forms.append(form)
+        return None if image is None else from_planes(image, self._forms.popleft())
 
     def flush(self) -> list[np.ndarray | Tensor]:
         """With `lookahead`, the frames that are yet to come, in order, at the end of an animation. The next frame
         starts a new shot."""
         self._history = None
         images = self._delayed.flush() if self._delayed else []
-        return [self._delivered(image) for image in images]
+        return [from_planes(image, self._forms.popleft()) for image in images]
 
     def reset(self) -> None:
         """Forget the frames so far: the next one starts a new shot. What `lookahead` has delayed still comes."""
         self._history = None
-
-    def _divided(self, frame: Frame, goes_on: bool) -> tuple[Frame, Any]:
-        """A prepared frame over its brightness, and that. `goes_on`: with the shot of the frame before."""
-        if not self._detect_exposure:
-            return frame, 1.0
-        from ..brightness import followed
-
-        self._brightness = followed(frame, self._brightness if goes_on else None)
-        return self._brightness.divided(frame), self._brightness.of(frame)
-
-    def _delivered(self, image: Any) -> np.ndarray | Tensor:
-        """The image of the first frame that waits for one."""
-        form, gain = self._forms.popleft()
-        return from_planes(image * gain, form)
 
     def _completed(self, radiance: np.ndarray | Tensor, layers: dict[str, np.ndarray | Tensor]) -> Frame:
         """The frame, with each missing layer that the networks read replaced by a constant."""

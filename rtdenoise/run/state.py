@@ -6,18 +6,13 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..data.sequences import Sequence
-from ..data.stored import BRIGHTNESS, read_history, write_history
+from ..data.stored import read_history, write_history
 from ..errors import InputError
 from .backends import Backend
 from .options import Options, Summary
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ..brightness import Brightness
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
 COUNTS = ("replaced", "passed_on", "cuts", "left_out", "exposure")  # of the summary, which a state keeps
@@ -25,27 +20,16 @@ COUNTS = ("replaced", "passed_on", "cuts", "left_out", "exposure")  # of the sum
 
 def read_state(path: Path, backend: Backend | None = None) -> tuple[int, Any, Summary, dict]:
     """What `save_state` wrote: frames done, the history (None without a backend to restore it), the summary so far, and
-    the rest; there the brightness after the last frame, None where it was not asked for. Raises InputError where the
-    file is damaged."""
+    the rest. Raises InputError where the file is damaged."""
     try:
         stored, metadata = read_history(path)
         done, summary = int(metadata["done"]), _counts(json.loads(metadata["so_far"]))
         recorded = {key: metadata[key] for key in ("fingerprint", "written")}
         recorded["options"] = dict(json.loads(metadata["options"]))
-        seen = stored.pop(BRIGHTNESS, None)
-        recorded["brightness"] = None if seen is None or backend is None else _brightness(seen, summary, backend)
         history = backend.restore(stored) if stored and backend else None
-    except (InputError, ImportError, LookupError, ValueError, TypeError, AttributeError, RecursionError) as error:
+    except (InputError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: not readable ({error}); pass --overwrite to start anew") from None
     return done, history, summary, recorded
-
-
-def _brightness(seen: np.ndarray, summary: Summary, backend: Backend) -> Brightness:
-    """As `Brightness.stored` has stored it."""
-    from ..brightness import Brightness
-
-    device = backend.ran["device"] if backend.ran["backend"] == "torch" else "cpu"
-    return Brightness.restored(seen, summary.exposure[-1], device)
 
 
 def _counts(so_far: dict) -> Summary:

@@ -1,0 +1,135 @@
+"""A backend whose history is as bright as the newest frame, where all light changes from frame to frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..data.stored import BRIGHTNESS, GAINS
+from ..errors import INSTALL_TORCH, InputError
+from ..frame import Frame
+from ..models.presets import Config
+from .backends import Backend
+from .plan import Plan
+
+if TYPE_CHECKING:
+    from ..brightness import Brightness
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A history of frames that were divided by their brightness."""
+
+    inner: Any  # of the backend
+    brightness: Brightness  # after the last frame
+    gains: tuple[Any, ...]  # of the last frames of the shot, the newest first
+
+
+def unfollowed(history: Any) -> Any:
+    """The history of the backend alone."""
+    return history.inner if isinstance(history, Followed) else history
+
+
+@dataclass(frozen=True)
+class Entered:
+    """A step to take: what is given, divided by its brightness."""
+
+    frame: Frame
+    history: Any
+    ahead: tuple[Frame, ...]
+    gain: Any = 1.0  # `[B, 1, 1, 1]` or a number: the image of the step times this is that of the frame
+    followed: tuple[Brightness, tuple[Any, ...]] | None = None
+
+    def left(self, history: Any) -> Any:
+        """The history after the step."""
+        return Followed(history, *self.followed) if self.followed else history
+
+
+class Following:
+    """A `Backend` around another. Where nothing is followed its histories are those of the other."""
+
+    def __init__(self, inner: Backend, follows: bool) -> None:
+        """It follows if it may, has PyTorch, and the network has a history."""
+        self._inner = inner
+        self._follows = follows and inner.config.motion is not None and find_spec("torch") is not None
+
+    @property
+    def config(self) -> Config:
+        return self._inner.config
+
+    @property
+    def ran(self) -> dict[str, str]:
+        return self._inner.ran
+
+    def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
+        return self._inner.plan(size, frames, first, left_out)
+
+    def prepare(self, frame: Frame) -> Frame:
+        return self._inner.prepare(frame)
+
+    def mismatch(self, frame: Frame, history: Any) -> float:
+        return self._inner.mismatch(frame, unfollowed(history))
+
+    def enter(self, frame: Frame, history: Any, ahead: tuple[Frame, ...]) -> Entered:
+        """A prepared frame, its history, and frames `ahead`, for a step of the backend."""
+        if not self._follows:
+            return Entered(frame, history, ahead)
+        from ..brightness import followed
+
+        inner, before, gains = (history.inner, history.brightness, history.gains) if history else (None, None, ())
+        found = [followed(frame, before)]
+        for following in ahead:
+            found.append(followed(following, found[-1]))
+        first, *others = (its.divided(each) for its, each in zip(found, (frame, *ahead), strict=True))
+        gain = found[0].of(frame)
+        return Entered(first, inner, tuple(others), gain, (found[0], (gain, *gains[: self.config.recent])))
+
+    def step(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[np.ndarray, Any]:
+        given = self.enter(frame, history, ahead)
+        image, after = self._inner.step(given.frame, given.history, given.ahead)
+        return image * _number(given.gain), given.left(after)
+
+    def denoise(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[Any, Any]:
+        given = self.enter(frame, history, ahead)
+        image, after = self._inner.denoise(given.frame, given.history, given.ahead)
+        return image * given.gain, given.left(after)
+
+    def gain(self, history: Any) -> float:
+        """What the last frame, a single picture, was divided by."""
+        return history.brightness.value if isinstance(history, Followed) else 1.0
+
+    def save(self, history: Any) -> dict[str, np.ndarray]:
+        if not isinstance(history, Followed):
+            return self._inner.save(history)
+        gains = np.float32([_number(gain) for gain in history.gains]).reshape(1, -1, 1, 1)
+        return self._inner.save(history.inner) | {BRIGHTNESS: history.brightness.stored(), GAINS: gains}
+
+    def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
+        own = {name: fields[name] for name in (BRIGHTNESS, GAINS) if name in fields}
+        inner = self._inner.restore({name: array for name, array in fields.items() if name not in own})
+        if not own:
+            return inner
+        if len(own) < 2:
+            raise InputError(f"it holds {BRIGHTNESS} or {GAINS} alone")
+        if not self._follows:
+            raise InputError(f"its light was followed; {INSTALL_TORCH}")
+        from ..brightness import Brightness
+
+        gains = tuple(own[GAINS].flatten().tolist())
+        device = self.ran["device"] if self.ran["backend"] == "torch" else "cpu"
+        return Followed(inner, Brightness.restored(own[BRIGHTNESS], gains[0], device), gains)
+
+    def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
+        if not isinstance(history, Followed):
+            return self._inner.remember(history, frames)
+        seen = [frame.divided(gain) for frame, gain in zip(frames, history.gains, strict=False)]
+        return Followed(self._inner.remember(history.inner, seen), history.brightness, history.gains)
+
+
+def _number(gain: Any) -> float:
+    """That of a single picture."""
+    return gain if isinstance(gain, float) else gain.item()
