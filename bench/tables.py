@@ -22,9 +22,9 @@ MODULES = (
     "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis", "missing_layers", "mltd",
     "mltd_memory", "modes", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
     "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input",
-    "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.generalisation", "diagnosis.ideal_history",
-    "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.outdated",
-    "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.where",
+    "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.generalisation",
+    "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens",
+    "diagnosis.outdated", "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.where",
 )  # fmt: skip
 
 
