@@ -255,11 +255,11 @@ def test_frames_after_serve_every_light(tmp_path, source):
 
 
 def tiled(folder, gains):
-    """The first frames, 4×4 times beside one another, with their light multiplied by the gains."""
+    """The first frames, four times beside one another, with their light multiplied by the gains."""
     folder.mkdir()
     for path, gain in zip(sorted(SHOT.glob("*.exr")), gains, strict=False):
         stored = read_channels(path, list(read_header(path).channels))
-        planes = {name: np.tile(plane, (4, 4)) for name, plane in stored.items()}
+        planes = {name: np.tile(plane, (2, 2)) for name, plane in stored.items()}
         for name in planes:
             if name.split(".")[1].endswith(("Combined", "Direct", "Indirect", "Emission", "Environment")):
                 planes[name] = planes[name] * np.float32(gain)
