@@ -60,15 +60,26 @@ def test_the_samples_that_cycles_notes_are_read(tmp_path):
 
 
 def test_the_network_is_that_of_the_samples(shot, tmp_path):
-    assert chosen(shot, Options()) == (Options(model="hybrid"), [])
+    assert chosen(shot, Options()) == (Options(model="hybrid", lookahead=2), [])
     for samples, model in ((3, "hybrid"), (4, "hybrid-many"), (16, "hybrid-many")):
         assert chosen(shot, Options(samples=samples))[0].model == model
     assert chosen(shot, Options(model="fast"))[0].model == "fast"
     assert chosen(shot, Options(offline=True))[0].model == "hybrid"
     for file in shot.glob("*.exr"):
         write_again(file, {}, **{"cycles.ViewLayer.samples": "8"})
-    assert chosen(shot, Options()) == (Options(model="hybrid-many"), ["model: hybrid-many, for 8 samples a pixel"])
+    eight = "model: hybrid-many, for 8 samples a pixel"
+    assert chosen(shot, Options()) == (Options(model="hybrid-many", lookahead=2), [eight])
     assert chosen(shot, Options(samples=2))[0].model == "hybrid"  # what the user says counts
+
+
+def test_how_many_frames_ahead(shot):
+    """Two where the network is chosen, and can; else as many as the user says."""
+    for options, ahead in (
+        ({}, 2), ({"samples": 16}, 2), ({"lookahead": 0}, 0), ({"lookahead": 4}, 4), ({"model": "hybrid"}, 0),
+        ({"model": "fast", "lookahead": 1}, 1), ({"backend": "glsl"}, 0), ({"correct": True}, 0),
+        ({"offline": True}, 0),
+    ):  # fmt: skip
+        assert chosen(shot, Options(**options))[0].lookahead == ahead, options
 
 
 def test_noise_tells_where_nothing_else_does(shot):
@@ -77,7 +88,8 @@ def test_noise_tells_where_nothing_else_does(shot):
     for file, planes in albedo.items():
         write_again(file, {c: planes[f"albedo.{c}"] for c in "RGB"})
     assert chosen(shot, Options()) == (
-        Options(model="hybrid-many"), ["model: hybrid-many, for frames of little noise; --samples 1 says otherwise"]
+        Options(model="hybrid-many", lookahead=2),
+        ["model: hybrid-many, for frames of little noise; --samples 1 says otherwise"],
     )  # fmt: skip
     assert chosen(shot, Options(samples=1))[0].model == "hybrid"
     for file, planes in albedo.items():  # black: unknown
@@ -125,7 +137,7 @@ def test_samples_that_contradict_the_headers_are_told(tmp_path, command, capsys)
 def test_a_run_with_many_samples_is_that_of_its_network(shot, tmp_path, capsys):
     main(["denoise", str(shot), "--out", str(tmp_path / "auto"), "--samples", "16", "--float32"])
     assert "model: hybrid-many, for 16 samples a pixel" in capsys.readouterr().out
-    denoise(str(shot), tmp_path / "named", Options(model="hybrid-many", float32=True))
+    denoise(str(shot), tmp_path / "named", Options(model="hybrid-many", lookahead=2, float32=True))
     for file in (tmp_path / "named").glob("*.exr"):
         for name, plane in read_channels(file, ["R", "G", "B"]).items():
             assert np.array_equal(read_channels(tmp_path / "auto" / file.name, [name])[name], plane)

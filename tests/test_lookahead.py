@@ -145,7 +145,8 @@ def test_an_interrupted_run_goes_on_to_the_same_result(tmp_path, weights, killed
     for count in killed:
         with pytest.raises(Stop):
             denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(count))
-    assert denoise(str(shot), tmp_path / "out", options).skipped == killed[-1]
+    again = denoise(str(shot), tmp_path / "out", options)
+    assert again.skipped == min(killed[-1], 4)  # the last two lack frames after them, and are denoised again
     for i in range(6):
         name = f"frame.{i:04d}.exr"
         assert np.array_equal(pixels(tmp_path / "out" / name), pixels(tmp_path / "whole" / name)), name
@@ -225,15 +226,47 @@ def test_files_without_motion_next(tmp_path, weights):
     assert waiting[1].motion_next is None
 
 
-def test_appended_frames_need_a_new_run(tmp_path, weights):
-    """They change what the last ones look like."""
-    frames, options = make_frames(5), Options(model=weights, lookahead=1)
-    shot = write_sequence(tmp_path / "shot", frames[:4])
-    denoise(str(shot), tmp_path / "out", options)
-    write_sequence(shot, frames)
+@pytest.mark.parametrize("lookahead", [1, 2])
+def test_appended_frames_continue_a_finished_run(tmp_path, weights, lookahead):
+    """As if all had been there at once: the last ones are denoised again, as there are frames after them now."""
+    frames, options = make_frames(7), Options(model=weights, lookahead=lookahead, float32=True)
+    denoise(str(write_sequence(tmp_path / "whole", frames)), tmp_path / "once", options)
+    shot, before = tmp_path / "shot", 0
+    for count in (1, 2, 5, 7):
+        write_sequence(shot, frames[before:count])
+        summary = denoise(str(shot), tmp_path / "out", options)
+        again = denoise(str(shot), tmp_path / "out", options)  # nothing is left to do
+        assert (again.written, again.skipped) == (0, count) and again.exposure == summary.exposure
+        assert summary.skipped == max(0, before - lookahead) and summary.written == count - summary.skipped
+        before = count
+    for path in (tmp_path / "once").glob("*.exr"):
+        assert path.read_bytes() == (tmp_path / "out" / path.name).read_bytes(), path.name
+
+
+def test_what_a_finished_run_is_told_of(tmp_path, weights):
+    frames, options = make_frames(5), Options(model=weights, lookahead=2)
+    shot, out = write_sequence(tmp_path / "shot", frames), tmp_path / "out"
+    denoise(str(shot), out, options)
+    (out / "frame.0004.exr").unlink()  # one of the last
+    assert denoise(str(shot), out, options).written == 2 and (out / "frame.0004.exr").exists()
+    for other in (replace(options, float32=True), replace(options, lookahead=1)):
+        with pytest.raises(InputError, match="other options"):
+            denoise(str(shot), out, other)
+    (shot / "frame.0004.exr").unlink()  # fewer than were denoised
     with pytest.raises(InputError, match="another input, layout or weights"):
-        denoise(str(shot), tmp_path / "out", options)
-    assert denoise(str(shot), tmp_path / "out", options, overwrite=True).written == 5
+        denoise(str(shot), out, options)
+    short = write_sequence(tmp_path / "short", frames[:2])
+    denoise(str(short), tmp_path / "short-out", options)
+    with pytest.raises(InputError, match="other options"):
+        denoise(str(short), tmp_path / "short-out", replace(options, float32=True))
+
+
+def test_where_nothing_is_named_two_frames_are_ahead(tmp_path, monkeypatch):
+    shot = write_sequence(tmp_path / "shot", make_frames(4))
+    denoise(str(shot), tmp_path / "auto", Options(float32=True))
+    denoise(str(shot), tmp_path / "named", Options(model="hybrid", lookahead=2, float32=True))
+    for path in (tmp_path / "auto").glob("*.exr"):
+        assert path.read_bytes() == (tmp_path / "named" / path.name).read_bytes(), path.name
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Which network for which frames, where the user names none. Needs no torch."""
+"""Which network for which frames, and how many frames ahead, where the user names none. Needs no torch."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
-from .options import AUTO, Options
+from .options import AHEAD, AUTO, Options
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
 KERNELS = "default", "many"  # kernels alone, for all that goes with these only
@@ -16,7 +16,8 @@ LITTLE = 0.08  # `exposure.noise_level`: below, a frame of unknown samples has m
 
 
 def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> tuple[Sequence, Options, list[str]]:
-    """The sequence, with these optional layers; the options with a network in place of 'auto'; what to tell about it.
+    """The sequence, with these optional layers; the options with a network, and frames ahead, in place of 'auto'; what
+    to tell about it.
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
     where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft edges.
@@ -32,11 +33,12 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter
     sequence = replace(sequence, soft_edges=wide and known_samples(sequence, options.samples) == 1)
     if not auto:
-        return sequence, options, []
+        return sequence, _looking(options, 0), []
     samples = known_samples(sequence, options.samples)
     if "samples" not in layers:
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
     few, many = candidates(options.backend, options.correct)
+    options = _looking(options, 0 if options.offline or (few, many) == KERNELS else AHEAD)
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
@@ -44,6 +46,11 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     if samples < LEAST:
         return sequence, replace(options, model=few), [f"model: {few}{because}"] if because else []
     return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel{because}"]
+
+
+def _looking(options: Options, ahead: int) -> Options:
+    """The options with so many frames ahead where that is 'auto'."""
+    return replace(options, lookahead=ahead) if options.lookahead == AUTO else options
 
 
 def _with_lens(sequence: Sequence) -> Sequence:

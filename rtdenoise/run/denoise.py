@@ -26,7 +26,7 @@ from .light import in_parts
 from .offline_picture import Picture
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples, of_output
 from .stand_ins import told_of_missing, with_stand_ins
-from .state import STATE, last_of_shot, read_state, save_state
+from .state import STATE, finish_state, last_of_shot, read_state, save_state
 from .unmoved import Watch
 
 
@@ -44,8 +44,9 @@ def denoise(
     state, so the outcome is that of one undisturbed run: also where it was interrupted, and where frames have been
     appended to the input since. `on_frame(done, total)` is called at the start and after each frame.
 
-    With `options.lookahead` or `offline` appended frames change what those before them look like, so that a finished
-    run is not continued: `overwrite` starts anew.
+    With `options.lookahead` the last frames that lacked some of those after them are denoised again once frames have
+    been appended. With `offline` appended frames change all before them, so that a finished run is not continued:
+    `overwrite` starts anew.
 
     With `options.offline` see `offline.denoise_offline`: there `total` counts the frames of both passes. With light in
     parts, too, see `offline_picture`: it counts the frames three times.
@@ -107,8 +108,8 @@ def _run(
     on_frame: Callable[[int, int], None],
     picture: Picture | None,
 ) -> Summary:
-    fingerprints = digest(sequence, options)
-    if options.lookahead:  # appended frames change what the frames before them look like
+    fingerprints, reach = digest(sequence, options), options.lookahead
+    if picture:  # appended frames change what all before them look like
         fingerprints = [fingerprints[-1]] * len(fingerprints)
     done, history, summary = (
         (0, None, Summary()) if overwrite else _resume(out, sequence, fingerprints, backend, options)
@@ -152,9 +153,13 @@ def _run(
         summary.exposure[i:] = [backend.gain(history)]
         add(summary.passed_on, write(out, sequence, i, this.raw, image))
         written.add(names[i])
-        save_state(out / STATE, backend.save(history), i + 1, fingerprints[i + 1], summary, options, written.digest)
         summary.written += 1
+        if i + reach < len(sequence):  # no frame that is appended changes this one
+            mark = fingerprints[i + 1 + reach]
+            save_state(out / STATE, backend.save(history), i + 1, mark, summary, options, written.digest)
         on_frame(i + 1, len(sequence))
+    if reach and done < len(sequence):
+        finish_state(out / STATE, fingerprints[-1], summary, written.digest)
     watch.end(len(sequence), len(summary.cuts))
     write_summary(out / SUMMARY, sequence, options, summary)
     return summary
@@ -181,10 +186,11 @@ def _check(options: Options) -> None:
         raise InputError("--correct: goes without --offline, --lights and --also; `rtdenoise combine` corrects their "
                          "frames")  # fmt: skip
     check_samples(options.samples)
-    check_lookahead(options.lookahead)
+    if options.lookahead != AUTO:
+        check_lookahead(options.lookahead)
     if options.offline and options.backend == "glsl":
         raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
-    if options.lookahead and options.offline:
+    if options.lookahead not in (0, AUTO) and options.offline:
         raise InputError("--lookahead: goes without --offline, which looks at all frames")
     if options.confidence and (not options.offline or options.lights or options.also):
         raise InputError("--confidence: goes with --offline, and without --lights and --also")
@@ -201,9 +207,13 @@ def _resume(
         refuse_foreign(out, names)
         return 0, None, Summary()
     done, history, summary, metadata = read_state(out / STATE, backend)
-    if done <= 0:  # whatever is there is of a run that did not come as far as its second frame
-        return 0, None, Summary()
-    refuse_other(out, metadata, options, fingerprints[done] if done <= len(sequence) else "")
-    if not are_finished(out, names[:done], sequence.size, metadata["written"]):
+    finished = metadata["finished"]
+    same = finished and finished["fingerprint"] == fingerprints[-1]
+    if same and are_finished(out, names, sequence.size, finished["written"]):
+        return len(sequence), None, finished["summary"]
+    if done > 0 or finished:  # else whatever is there is of a run that did not come as far as its second frame
+        needed = done and done + options.lookahead  # frames that the finished ones have been made from
+        refuse_other(out, metadata, options, fingerprints[needed] if needed <= len(sequence) else "")
+    if done <= 0 or not are_finished(out, names[:done], sequence.size, metadata["written"]):
         return 0, None, Summary()
     return done, history, summary

@@ -16,11 +16,10 @@ from ..data.output import output_names, read_result
 from ..data.sequences import Sequence
 from ..files import LOCK
 from .folder import clear, refuse_no_folder
-from .options import SUMMARY, Options, Summary
+from .options import AHEAD, SUMMARY, Options, Summary
 from .state import STATE
 
 FOLDER = ".rtdenoise-picture"
-AHEAD = 2  # frames
 
 
 class Picture:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ..errors import InputError
 
@@ -16,6 +16,7 @@ SUMMARY = "denoise.json"
 AUTO = "auto"
 EXAMINED = 3  # frames that the plan examines
 MAX_LOOKAHEAD = 16  # frames; beyond 4 little is gained
+AHEAD = 2  # frames, with 'auto'
 MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
 
 
@@ -70,8 +71,9 @@ class Options:
     """The best picture for frames on disk: uses the frames after as well as those before, and OIDN or networks
     like its own. Takes 25 to 45 times as long as without. With --lights and --also it serves
     the picture; its lights look two frames ahead."""
-    lookahead: int = 0
-    """Denoise each frame with so many of those after it: 2 gain 0.2 to 0.5 dB for little time."""
+    lookahead: int | Literal["auto"] = AUTO
+    """Denoise each frame with so many of those after it: 2 gain 0.2 to 0.5 dB for little time. 'auto': 2 with the
+    networks that the model 'auto' takes with torch, 0 with others."""
     correct: bool = False
     """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
     samples: int = 0
@@ -156,7 +158,7 @@ def of_output(options: Options | CombineOptions) -> dict[str, Any]:
     return {name: getattr(options, name) for name in ("layout", "recombine", "keep", "float32", "alpha")}
 
 
-def check_lookahead(frames: int, told: str = "--lookahead") -> None:
+def check_lookahead(frames: int | str, told: str = "--lookahead") -> None:
     """Raise InputError for a number of frames to look ahead that is out of range."""
     whole = isinstance(frames, Integral) and not isinstance(frames, bool)
     if not (whole and 0 <= frames <= MAX_LOOKAHEAD):

@@ -15,6 +15,8 @@ from .backends import Backend
 from .options import Options, Summary
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
+MARKS = ("fingerprint", "written")  # of the input, and of the finished files
+FINISHED = "finished"  # of a whole run whose state is that before its last frames
 COUNTS = ("replaced", "passed_on", "cuts", "left_out", "exposure")  # of the summary, which a state keeps
 
 
@@ -24,8 +26,12 @@ def read_state(path: Path, backend: Backend | None = None) -> tuple[int, Any, Su
     try:
         stored, metadata = read_history(path)
         done, summary = int(metadata["done"]), _counts(json.loads(metadata["so_far"]))
-        recorded = {key: metadata[key] for key in ("fingerprint", "written")}
+        recorded = {key: metadata[key] for key in MARKS}
         recorded["options"] = dict(json.loads(metadata["options"]))
+        recorded["finished"] = None
+        if FINISHED in metadata:
+            finished = json.loads(metadata[FINISHED])
+            recorded["finished"] = {"summary": _counts(finished["so_far"])} | {key: str(finished[key]) for key in MARKS}
         history = backend.restore(stored) if stored and backend else None
     except (InputError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: not readable ({error}); pass --overwrite to start anew") from None
@@ -47,9 +53,19 @@ def save_state(
     path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options, written: str = ""
 ) -> None:
     """Write the state of a run: `history` is a backend's `save`, `written` a `folder.Written.digest`."""
-    so_far = {key: getattr(summary, key) for key in COUNTS}
-    metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": json.dumps(so_far), "written": written}
+    metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": _so_far(summary), "written": written}
     write_history(path, history, metadata | {"options": json.dumps(asdict(options))})
+
+
+def finish_state(path: Path, fingerprint: str, summary: Summary, written: str) -> None:
+    """Note in the state of a run that it has come to its end, with frames that lacked some of those after them."""
+    history, metadata = read_history(path)
+    finished = {"fingerprint": fingerprint, "so_far": json.loads(_so_far(summary)), "written": written}
+    write_history(path, history, metadata | {FINISHED: json.dumps(finished)})
+
+
+def _so_far(summary: Summary) -> str:
+    return json.dumps({key: getattr(summary, key) for key in COUNTS})
 
 
 def linked(sequence: Sequence, i: int, cuts: list[int]) -> bool:
