@@ -48,15 +48,15 @@ METHODS = {
     "rtdenoise denoise --offline": Options(offline=True),
     "rtdenoise denoise --offline --lights": Options(offline=True, lights=True, layout="source"),
     "rtdenoise denoise --lights": Options(lights=True, layout="source"),
-    "rtdenoise denoise --lights --lookahead 2": Options(lights=True, layout="source", lookahead=2),
-    "rtdenoise denoise --lookahead 2": Options(lookahead=2),
+    "rtdenoise denoise --lights --lookahead 0": Options(lights=True, layout="source", lookahead=0),
     "rtdenoise denoise": Options(),
+    "rtdenoise denoise --lookahead 0": Options(lookahead=0),
     "rtdenoise denoise --signal indirect --recombine": Options(signal="indirect", recombine=True),
 }
 WHOLE, OIDN = "Intel OIDN 2", "Intel OIDN 2, each pass by itself"
 OF_LIGHTS = {
     "rtdenoise denoise --lights": Options(lights=True, layout="source", float32=True),
-    "rtdenoise denoise --lights --lookahead 2": Options(lights=True, layout="source", float32=True, lookahead=2),
+    "rtdenoise denoise --lights --lookahead 0": Options(lights=True, layout="source", float32=True, lookahead=0),
     "rtdenoise denoise --lights --model default": Options(
         lights=True, layout="source", float32=True, model="default"
     ),

@@ -40,8 +40,8 @@ AHEAD, ALL = "two frames later", "all frames"
 MODES = (
     Mode("`--model default`", "default int8"),
     Mode("`--model hybrid-fast`", "hybrid-fast int8"),
-    Mode("**nothing: `hybrid`**", "hybrid int8"),
-    Mode("`--lookahead 2`", "hybrid-ahead2 int8", AHEAD),
+    Mode("`--lookahead 0`: `hybrid` in real time", "hybrid int8"),
+    Mode("**nothing: `hybrid`, two frames ahead**", "hybrid-ahead2 int8", AHEAD),
     Mode("`--model hybrid-large`", "hybrid-large int8"),
     Mode("`--model hybrid-large --lookahead 2`", "hybrid-large-ahead2 int8", AHEAD),
     Mode("`--offline`", "offline-without-oidn", ALL),
