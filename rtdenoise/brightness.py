@@ -3,15 +3,17 @@ dim together.
 
 History is light of other frames. Where all light changes from frame to frame it is too dark or too bright, by less than
 the noise of any pixel, so that nothing there tells. But all pixels together do: over blocks, the light of a frame is
-compared with the mean of those before, looked up along motion on the same surfaces, and the median of the ratios is how
+compared with that of an earlier one, looked up along motion on the same surfaces, and the median of the ratios is how
 much brighter the picture has become. Frames are denoised divided by that, so that history is as bright as they are,
 and denoised pictures are multiplied by it. Networks scale with the exposure, and need not know.
 
-    gain(i) = gain(i - 1) · exp(m)   where |m| > BRIGHTER · σ,    m = median over blocks of log(Σ frame / Σ mean)
+    gain(i) = gain(i - 1) · exp(m)   where |m| > BRIGHTER · σ,    m = median over blocks of log(Σ frame / Σ earlier)
 
-where Σ frame is of a frame divided by gain(i - 1), and σ is the standard error of the median. Elsewhere the gain stays,
-to the bit. What is too small to be told from noise is told once it has grown, since the mean lags behind. Black frames
-leave the mean as it is.
+where both frames are divided by their gains, and σ is the standard error of the median. Elsewhere the gain stays, to
+the bit; so it does where a quarter of the picture says otherwise: one lamp of several is not all light. The earlier
+frame is one, up to `OLDEST` frames old: noise is skewed, so that the median ratio of a frame and a mean of several is
+not 1 where light stays, but that of two frames is. A slow change is told once it has grown, if it grows beyond noise in
+so many frames. A black frame is compared with nothing.
 """
 
 from __future__ import annotations
@@ -28,11 +30,14 @@ from .data.stored import seen_step
 from .frame import Frame
 from .motion import on_screen, same_surface
 from .ops import fetch
+from .ops.replace_invalid import replace_invalid
+from .sanitise import VALID
 
 BLOCK = 16  # pixels, of those that are compared (`data.stored.seen_step`)
 LEAST_BLOCKS = 16
-BRIGHTER = 3.0  # standard errors
-LONGEST = 6  # frames in the mean, at most
+BRIGHTER = 3.5  # standard errors
+LIKE = 3.0  # standard errors of a quarter's median that may lie between it and that of the whole
+OLDEST = 6  # frames
 LARGEST = 1e15  # gain, and one over the smallest
 STANDARD_ERROR = 1.4826 * 1.2533  # of a median, over √n times the median distance from it
 
@@ -42,8 +47,8 @@ class Brightness:
     """What is known after a frame. Of pictures there is every `seen_step`-th pixel."""
 
     gain: Tensor  # [B, 1, 1, 1] the frame's brightness over that of the first of its shot
-    light: Tensor  # [B, 1, h, w] mean luminance, of frames divided by their gain
-    count: Tensor  # [B, 1, h, w] frames in it
+    light: Tensor  # [B, 1, h, w] luminance of an earlier frame, or of this one, divided by its gain
+    age: Tensor  # [B, 1, h, w] frames since then, and 1; 0 where there is no light
     depth: Tensor  # [B, 1, h, w]
     normal: Tensor  # [B, 3, h, w]
 
@@ -62,7 +67,7 @@ class Brightness:
 
     def stored(self) -> np.ndarray:
         """All but the gain, `[B, 6, h, w]`."""
-        return torch.cat([self.light, self.count, self.depth, self.normal], 1).cpu().numpy()
+        return torch.cat([self.light, self.age, self.depth, self.normal], 1).cpu().numpy()
 
     @classmethod
     def restored(cls, stored: np.ndarray, gain: float, device: str) -> Brightness:
@@ -75,39 +80,59 @@ class Brightness:
 def followed(frame: Frame, before: Brightness | None) -> Brightness:
     """That of a frame with radiance, depth and normal. `before`: that of the frame before in its shot, None where it is
     the first; then the frame needs motion."""
-    step = seen_step(frame.size)
-    light, depth, normal = (_seen(x, step) for x in (frame.radiance, frame.depth, frame.normal))
-    light = luminance(light)
+    light, depth, normal, motion = _seen(frame)
     if before is None:
-        return Brightness(light.new_ones(len(light), 1, 1, 1), light, torch.ones_like(light), depth, normal)
-    motion = _seen(frame.motion, step) / step
-    mean, count = fetch(torch.cat([before.light, before.count], 1), motion).split(1, 1)
-    found = on_screen(motion) & same_surface(depth, normal, before.depth, before.normal, motion)
-    light = light / before.gain
-    change, compared = _change(light, mean, found & (depth > 0))
+        return Brightness(torch.ones_like(light[:, :, :1, :1]), light, torch.ones_like(light), depth, normal)
+    earlier, age = fetch(torch.cat([before.light, before.age], 1), motion).split(1, 1)
+    found = on_screen(motion) & same_surface(depth, normal, before.depth, before.normal, motion) & (age > 0)
+    change = _change(light / before.gain, earlier, found & (depth > 0))
     gain = (before.gain * change).clamp(1 / LARGEST, LARGEST)
-    light, count = light / (gain / before.gain), torch.where(found, count, 0).clamp(max=LONGEST - 1)
-    averaged = torch.where(compared, (mean * count + light) / (count + 1), torch.maximum(mean * found, light))
-    return Brightness(gain, averaged, count + 1, depth, normal)
+    dark, was_dark = (x.amax((1, 2, 3), keepdim=True) <= 0 for x in (light, before.light))
+    kept = found & (dark | (age < OLDEST) & ~was_dark)
+    now, new = light / gain, (~dark).to(light.dtype)  # where a black frame has found nothing there is nothing
+    return Brightness(gain, torch.where(kept, earlier, now), torch.where(kept, age + 1, new), depth, normal)
 
 
-def _change(light: Tensor, mean: Tensor, found: Tensor) -> tuple[Tensor, Tensor]:
-    """How much brighter light is than its mean where that was found, as a whole, 1 where noise hides that; and whether
-    there was enough of either to compare: both `[B, 1, 1, 1]`."""
+def _change(light: Tensor, earlier: Tensor, found: Tensor) -> Tensor:
+    """How much brighter light is than earlier light where that was found, as a whole, `[B, 1, 1, 1]`; 1 where noise
+    hides that, where there is too little to compare, and where not all four quarters of the picture say so."""
     found = found.to(light.dtype)
-    now, before, share = (F.avg_pool2d(x, min(BLOCK, *x.shape[2:])).flatten(1) for x in
-                          (light * found, mean * found, found))  # fmt: skip
-    known = (share >= 0.5) & (now > 0) & (before > 0)
-    ratios = torch.where(known, (now / before).log(), torch.nan)
-    middle = ratios.nanmedian(1, keepdim=True).values
-    blocks = known.sum(1, keepdim=True)
-    error = STANDARD_ERROR * (ratios - middle).abs().nanmedian(1, keepdim=True).values / blocks.sqrt()
-    compared = blocks >= LEAST_BLOCKS
-    told = compared & (middle.abs() > BRIGHTER * error)
-    change = torch.where(told, middle, 0).exp()
-    return change[..., None, None], compared[..., None, None]
+    now, then, share = (F.avg_pool2d(x, min(BLOCK, *x.shape[2:])) for x in (light * found, earlier * found, found))
+    ratios = torch.where((share >= 0.5) & (now > 0) & (then > 0), (now / then).log(), torch.nan)
+    change, error, blocks = _median(ratios)
+    told = (blocks >= LEAST_BLOCKS) & (change.abs() > BRIGHTER * error)
+    for quarter in (part for rows in ratios.chunk(2, 2) for part in rows.chunk(2, 3)):
+        its, its_error, its_blocks = _median(quarter)
+        apart = (its - change).abs() > torch.maximum(LIKE * its_error, change.abs() / 2)
+        told &= ~apart | (its_blocks < LEAST_BLOCKS / 4)
+    return torch.where(told, change, 0).exp()
 
 
-def _seen(layer: Tensor, step: int) -> Tensor:
-    """Every `step`-th pixel, without values that are not finite."""
-    return torch.nan_to_num(torch.as_tensor(layer)[..., ::step, ::step], nan=0.0, posinf=0.0, neginf=0.0).float()
+def _median(ratios: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The median of a picture's values that are not NaN, its standard error, and how many they are: `[B, 1, 1, 1]`."""
+    ratios = ratios.flatten(1)
+    known = ~ratios.isnan()
+    count = known.sum(1, keepdim=True)
+
+    def middle(values: Tensor) -> Tensor:
+        """Without torch.nanmedian, which is not deterministic on a GPU."""
+        ordered = torch.where(known, values, torch.inf).sort(1).values
+        places = torch.stack([count - 1, count], 0).clamp(min=0).div(2, rounding_mode="floor")
+        return sum(ordered.gather(1, place) for place in places) / 2
+
+    median = middle(ratios)
+    error = STANDARD_ERROR * middle((ratios - median).abs()) / count.sqrt()
+    return median[..., None, None], error[..., None, None], count[..., None, None]
+
+
+def _seen(frame: Frame) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+    """Luminance, depth, normal and motion of the pixels that are compared, sanitised."""
+    step = seen_step(frame.size)
+    layers = {name: getattr(frame, name) for name in ("radiance", "depth", "normal", "motion")}
+    layers = {
+        name: torch.as_tensor(layer)[..., ::step, ::step].contiguous() for name, layer in layers.items()
+        if layer is not None
+    }  # fmt: skip
+    layers = replace_invalid(layers, VALID)
+    motion = layers["motion"] / step if "motion" in layers else None
+    return luminance(layers["radiance"]), layers["depth"], layers["normal"], motion

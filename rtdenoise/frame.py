@@ -107,8 +107,11 @@ class Frame:
 
     def divided(self, gain: Tensor | np.ndarray | float) -> Frame:
         """The frame with its light, and the parts of it, over `gain`, `[B, 1, 1, 1]` or one number."""
-        parts = None if self.components is None else self.components / gain
-        return replace(self, radiance=self.radiance / gain, components=parts)
+        import numpy as np
+
+        with np.errstate(over="ignore"):  # arrays may hold values that no filter can use, which are replaced later
+            parts = None if self.components is None else self.components / gain
+            return replace(self, radiance=self.radiance / gain, components=parts)
 
     def with_samples(self, count: int) -> Frame:
         """The frame with `count` samples a pixel; itself where it has `samples` already or `count` is 0: unknown."""

@@ -13,6 +13,7 @@ from rtdenoise import models
 from rtdenoise.brightness import followed
 from rtdenoise.cli.denoise import told
 from rtdenoise.data.stored import BRIGHTNESS, read_history, write_history
+from rtdenoise.errors import InputError
 from rtdenoise.models import AccumulatedKPNConfig
 from rtdenoise.run.denoise import STATE, Options, denoise
 
@@ -50,6 +51,24 @@ def test_light_that_stays_has_a_gain_of_exactly_one(seed):
     assert gains_of(shot([1.0] * 6, seed=seed)) == [1.0] * 6
 
 
+TAILS = {
+    "lognormal": lambda shape: (2 * torch.randn(shape)).exp(),
+    "Pareto": lambda shape: torch.rand(shape).clamp(min=1e-6).pow(-1 / 1.2),
+    "caustics": lambda shape: torch.empty(shape).exponential_() + 400 * (torch.rand(shape) < 1e-3),
+    "sparse": lambda shape: 200.0 * (torch.rand(shape) < 5e-3),
+}
+
+
+@pytest.mark.parametrize("tail", TAILS)
+def test_skewed_noise_is_no_change(tail):
+    """The median ratio of a frame and a mean of several would be one."""
+    torch.manual_seed(0)
+    like = make_frames(1, H=256, W=320, noise=0.0)[0]
+    still = replace(like, motion=torch.zeros_like(like.motion))
+    frames = [replace(still, radiance=still.radiance * TAILS[tail]((1, 1, 256, 320))) for _ in range(12)]
+    assert gains_of(frames) == [1.0] * 12
+
+
 @pytest.mark.parametrize(
     "gains",
     [FADE, [1 / gain for gain in FADE], [1.0, 1.0, 2.0, 2.0, 2.0], [1.0, 0.3, 1.3, 0.4, 1.0], [1.0, 1e4, 1e-4, 1.0]],
@@ -60,17 +79,18 @@ def test_what_all_light_does_is_found(gains):
 
 
 def test_what_is_less_than_noise_is_found_once_it_has_grown():
-    gains = [1.01**i for i in range(24)]
-    found = gains_of(shot(gains))
-    assert found[1] == 1.0 and found[-1] > 1.15
-    np.testing.assert_allclose(found, gains, rtol=0.1)
+    gains = [1.02**i for i in range(24)]
+    found = gains_of(shot(gains, noise=0.5))
+    assert found[1] == 1.0 and found[-1] > 1.3
+    np.testing.assert_allclose(found, gains, rtol=0.12)
 
 
-def test_one_light_of_several_is_not_all_light():
-    frames = shot([1.0] * 6)
+@pytest.mark.parametrize("columns", [64, 100, 124])
+def test_one_light_of_several_is_not_all_light(columns):
+    frames = make_frames(6, H=128, W=224)
     for i, frame in enumerate(frames):
-        frame.radiance[..., :32] *= 0.8**i  # of 112 columns
-    np.testing.assert_allclose(gains_of(frames), 1.0, atol=0.1)
+        frame.radiance[..., :columns] *= 0.8**i
+    assert gains_of(frames) == [1.0] * 6
 
 
 def test_a_camera_that_turns_to_the_light_sees_no_change():
@@ -100,7 +120,7 @@ def test_pictures_of_a_batch_have_gains_of_their_own():
     before = None
     for frame in together:
         before = followed(frame, before)
-    np.testing.assert_allclose(before.gain.flatten(), [gains_of(shots[0])[-1], 1.0], rtol=1e-6)
+    assert before.gain.flatten().tolist() == [gains_of(shots[0])[-1], 1.0]
 
 
 def test_bad_pixels_and_pictures_of_few_blocks_say_nothing():
@@ -187,6 +207,30 @@ def test_steady_light_is_denoised_to_the_bit_as_without(tmp_path, weights):
         denoise(str(source), tmp_path / name, Options(model=str(weights), detect_exposure=detect))
     for path in sorted((tmp_path / "with").glob("*.exr")):
         assert path.read_bytes() == (tmp_path / "without" / path.name).read_bytes()
+
+
+def test_a_run_that_began_without_torch_goes_on_with_it(tmp_path, recent, monkeypatch):
+    """Its frames have not been followed."""
+    source, options = write_sequence(tmp_path / "shot", shot(FADE)), Options(model=str(recent), backend="glsl")
+    for count, has_torch in ((2, False), (4, True)):
+        monkeypatch.setattr("rtdenoise.run.following.find_spec", lambda name, found=has_torch: found or None)
+        with pytest.raises(Stop):
+            denoise(str(source), tmp_path / "out", options, on_frame=stop_after(count))
+    summary = denoise(str(source), tmp_path / "out", options)
+    assert summary.skipped == 4 and summary.exposure[:3] == [1.0] * 3
+    np.testing.assert_allclose(summary.exposure[3:], np.array(FADE[3:]) / FADE[2], rtol=0.1)
+    with pytest.raises(InputError, match="other options: detect-exposure True, now False"):
+        denoise(str(source), tmp_path / "out", replace(options, detect_exposure=False))
+
+
+@pytest.mark.parametrize("backend", ["torch", "glsl"])
+def test_a_shot_with_misses_and_bad_pixels_goes_on(tmp_path, recent, backend):
+    frames = shot(FADE)
+    for frame in frames:
+        frame.depth[..., :9], frame.radiance[..., 40, 40], frame.motion[..., 30, 30] = 3.4e38, 3e38, np.nan
+        frame.radiance[..., 20, 20] = np.nan
+    source = write_sequence(tmp_path / "shot", frames)
+    assert_goes_on(source, tmp_path, Options(model=str(recent), backend=backend), 3)
 
 
 def test_a_damaged_state_is_told(tmp_path, weights):

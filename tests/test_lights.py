@@ -276,6 +276,7 @@ def test_each_light_of_a_fade_is_denoised_as_steady_light(tmp_path):
         errors = [np.abs(image(path, name) / gains[2] - image(wanted[2], name)).mean() / image(wanted[2], name).mean()
                   for path in (found[2], without[2])]  # fmt: skip
         assert errors[0] < 0.6 * errors[1], (name, errors)
+    np.testing.assert_allclose(image(found[2], "Emission"), image(without[2], "Emission"), rtol=0.02, atol=1e-4)
     assert np.abs(image(found[2], "Diffuse Color") - image(wanted[2], "Diffuse Color")).mean() < 1e-3
 
 

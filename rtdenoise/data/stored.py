@@ -75,7 +75,7 @@ def with_resets(fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def seen_step(size: tuple[int, ...]) -> int:
     """Of so many pixels of a row, and so many rows, `brightness` compares one in frames of this size (H, W)."""
-    return max(1, math.isqrt(math.prod(size) // SEEN))
+    return max(1, round(math.sqrt(math.prod(size) / SEEN)))
 
 
 def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> None:

@@ -214,6 +214,7 @@ def _resume(
     if done > 0 or finished:  # else whatever is there is of a run that did not come as far as its second frame
         needed = done and done + options.lookahead  # frames that the finished ones have been made from
         refuse_other(out, metadata, options, fingerprints[needed] if needed <= len(sequence) else "")
-    if done <= 0 or not are_finished(out, names[:done], sequence.size, metadata["written"]):
+    known = done > 0 and len(summary.exposure) == done
+    if not known or not are_finished(out, names[:done], sequence.size, metadata["written"]):
         return 0, None, Summary()
     return done, history, summary

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import chain, repeat
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,12 +42,23 @@ class Entered:
     frame: Frame
     history: Any
     ahead: tuple[Frame, ...]
-    gain: Any = 1.0  # `[B, 1, 1, 1]` or a number: the image of the step times this is that of the frame
-    followed: tuple[Brightness, tuple[Any, ...]] | None = None
+    brightness: Brightness | None = None  # None: as it was
+    gains: tuple[Any, ...] = (1.0,)
+
+    @property
+    def gain(self) -> Any:
+        """What the frame was divided by, `[B, 1, 1, 1]` or 1."""
+        return self.gains[0]
+
+    def shown(self, image: Any) -> Any:
+        """The image of the frame, of that of the step: a tensor or an array."""
+        if self.brightness is None:
+            return image
+        return image * (self.brightness.value if isinstance(image, np.ndarray) else self.gain)
 
     def left(self, history: Any) -> Any:
         """The history after the step."""
-        return Followed(history, *self.followed) if self.followed else history
+        return history if self.brightness is None else Followed(history, self.brightness, self.gains)
 
 
 class Following:
@@ -80,23 +92,25 @@ class Following:
             return Entered(frame, history, ahead)
         from ..brightness import followed
 
-        inner, before, gains = (history.inner, history.brightness, history.gains) if history else (None, None, ())
+        inner, before, gains = unfollowed(history), None, ()
+        if isinstance(history, Followed):
+            before, gains = history.brightness, history.gains
         found = [followed(frame, before)]
         for following in ahead:
             found.append(followed(following, found[-1]))
         first, *others = (its.divided(each) for its, each in zip(found, (frame, *ahead), strict=True))
-        gain = found[0].of(frame)
-        return Entered(first, inner, tuple(others), gain, (found[0], (gain, *gains[: self.config.recent])))
+        gains = found[0].of(frame), *gains[: self.config.recent]
+        return Entered(first, inner, tuple(others), found[0], gains)
 
     def step(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[np.ndarray, Any]:
         given = self.enter(frame, history, ahead)
         image, after = self._inner.step(given.frame, given.history, given.ahead)
-        return image * _number(given.gain), given.left(after)
+        return given.shown(image), given.left(after)
 
     def denoise(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[Any, Any]:
         given = self.enter(frame, history, ahead)
         image, after = self._inner.denoise(given.frame, given.history, given.ahead)
-        return image * given.gain, given.left(after)
+        return given.shown(image), given.left(after)
 
     def gain(self, history: Any) -> float:
         """What the last frame, a single picture, was divided by."""
@@ -105,31 +119,31 @@ class Following:
     def save(self, history: Any) -> dict[str, np.ndarray]:
         if not isinstance(history, Followed):
             return self._inner.save(history)
-        gains = np.float32([_number(gain) for gain in history.gains]).reshape(1, -1, 1, 1)
+        gains = np.float32([gain.item() for gain in history.gains]).reshape(1, -1, 1, 1)
         return self._inner.save(history.inner) | {BRIGHTNESS: history.brightness.stored(), GAINS: gains}
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Any:
         own = {name: fields[name] for name in (BRIGHTNESS, GAINS) if name in fields}
         inner = self._inner.restore({name: array for name, array in fields.items() if name not in own})
-        if not own:
+        if not (own and self._follows):
+            if own and find_spec("torch") is None:
+                raise InputError(f"its light was followed; {INSTALL_TORCH}")
             return inner
         if len(own) < 2:
             raise InputError(f"it holds {BRIGHTNESS} or {GAINS} alone")
-        if not self._follows:
-            raise InputError(f"its light was followed; {INSTALL_TORCH}")
+        import torch
+
         from ..brightness import Brightness
 
-        gains = tuple(own[GAINS].flatten().tolist())
-        device = self.ran["device"] if self.ran["backend"] == "torch" else "cpu"
-        return Followed(inner, Brightness.restored(own[BRIGHTNESS], gains[0], device), gains)
+        on_device = self.ran["backend"] == "torch"
+        device = self.ran["device"] if on_device else "cpu"
+        gains = np.split(own[GAINS], own[GAINS].shape[1], axis=1)
+        brightness = Brightness.restored(own[BRIGHTNESS], float(gains[0].item()), device)
+        return Followed(inner, brightness, tuple(torch.from_numpy(g).to(device) if on_device else g for g in gains))
 
     def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
         if not isinstance(history, Followed):
             return self._inner.remember(history, frames)
-        seen = [frame.divided(gain) for frame, gain in zip(frames, history.gains, strict=False)]
+        gains = chain(history.gains, repeat(1.0))  # frames before were not followed
+        seen = [frame.divided(gain) for frame, gain in zip(frames, gains, strict=False)]
         return Followed(self._inner.remember(history.inner, seen), history.brightness, history.gains)
-
-
-def _number(gain: Any) -> float:
-    """That of a single picture."""
-    return gain if isinstance(gain, float) else gain.item()

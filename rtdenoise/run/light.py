@@ -201,11 +201,9 @@ class LightBackend:
         layers = dict(parts.passed)
         if not parts.background:
             layers[BACKGROUND] = torch.zeros_like(layers[BACKGROUND])
-        gains = {name: 1.0 if name in self._passes.colors else given.gain for name in layers}
-        shown = torch.cat([layers[name] / gains[name] for name in layers], 1)
+        shown = torch.cat([*layers.values()], 1)
         picture, smooth, after = noiseless.step(self._network, given.frame, shown, given.history, known)
-        smooth = zip(layers, smooth.split(3, dim=1), strict=True)
-        return picture * given.gain, {name: image * gains[name] for name, image in smooth}, given.left(after)
+        return given.shown(picture), dict(zip(layers, smooth.split(3, dim=1), strict=True)), given.left(after)
 
     def _added_up(
         self, frame: Frame, found: dict[str, Tensor], picture: Tensor, parts: Parts

@@ -102,6 +102,8 @@ class _Run:
     def run(self, overwrite: bool) -> Summary:
         from .pixel_filter import MODEL
 
+        # It follows forward; backward frames are divided by the same gains.
+        self.backend = Following(self.passes.backend, self.options.detect_exposure)
         # Frames with and without OIDN must not be mixed, nor estimates that are stored otherwise.
         files = files_of(find(MODEL))
         files += bytes_beside(files)
@@ -222,11 +224,6 @@ class _Run:
         if needed > free:
             raise InputError(f"{self.out}: --offline keeps {needed / 1e9:.1f} GB there while it runs, {free / 1e9:.1f} "
                              "GB are free; choose another --out or fewer frames at a time")  # fmt: skip
-
-    @property
-    def backend(self) -> Following:
-        """That of the passes; forward it follows the brightness, and backward frames are divided by the same."""
-        return Following(self.passes.backend, self.options.detect_exposure)
 
     @property
     def estimates(self) -> Path:

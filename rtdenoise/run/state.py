@@ -44,7 +44,8 @@ def _counts(so_far: dict) -> Summary:
     counts = (summary.replaced, summary.left_out, summary.passed_on)
     if not all(type(n) is int for n in (*summary.cuts, *(n for count in counts for n in count.values()))):
         raise ValueError("counts that are no integers")
-    if not all(type(gain) is float and 0 < gain < math.inf for gain in summary.exposure):
+    gains = summary.exposure
+    if not (isinstance(gains, list) and all(type(gain) is float and 0 < gain < math.inf for gain in gains)):
         raise ValueError("brightness that is not positive")
     return summary
 
