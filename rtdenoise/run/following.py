@@ -28,6 +28,7 @@ class Followed:
     inner: Any  # of the backend
     brightness: Brightness  # after the last frame
     gains: tuple[Any, ...]  # of the last frames of the shot, the newest first
+    ahead: tuple[tuple[int, Brightness], ...] = ()  # number and brightness of frames that were ahead
 
 
 def unfollowed(history: Any) -> Any:
@@ -44,6 +45,7 @@ class Entered:
     ahead: tuple[Frame, ...]
     brightness: Brightness | None = None  # None: as it was
     gains: tuple[Any, ...] = (1.0,)
+    coming: tuple[tuple[int, Brightness], ...] = ()  # number and brightness of the frames ahead
 
     @property
     def gain(self) -> Any:
@@ -58,7 +60,7 @@ class Entered:
 
     def left(self, history: Any) -> Any:
         """The history after the step."""
-        return history if self.brightness is None else Followed(history, self.brightness, self.gains)
+        return history if self.brightness is None else Followed(history, self.brightness, self.gains, self.coming)
 
 
 class Following:
@@ -92,15 +94,17 @@ class Following:
             return Entered(frame, history, ahead)
         from ..brightness import followed
 
-        inner, before, gains = unfollowed(history), None, ()
+        last, gains, known = None, (), {}
         if isinstance(history, Followed):
-            before, gains = history.brightness, history.gains
-        found = [followed(frame, before)]
-        for following in ahead:
-            found.append(followed(following, found[-1]))
-        first, *others = (its.divided(each) for its, each in zip(found, (frame, *ahead), strict=True))
+            last, gains, known = history.brightness, history.gains, dict(history.ahead)
+        found, frames = [], (frame, *ahead)
+        for each in frames:
+            last = known.get(each.number) or followed(each, last)
+            found.append(last)
+        first, *others = (its.divided(each) for its, each in zip(found, frames, strict=True))
         gains = found[0].of(frame), *gains[: self.config.recent]
-        return Entered(first, inner, tuple(others), found[0], gains)
+        coming = tuple((each.number, its) for each, its in zip(ahead, found[1:], strict=True))
+        return Entered(first, unfollowed(history), tuple(others), found[0], gains, coming)
 
     def step(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[np.ndarray, Any]:
         given = self.enter(frame, history, ahead)
