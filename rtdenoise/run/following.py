@@ -44,19 +44,14 @@ class Entered:
     history: Any
     ahead: tuple[Frame, ...]
     brightness: Brightness | None = None  # None: as it was
-    gains: tuple[Any, ...] = (1.0,)
+    gains: tuple[Any, ...] = ()  # as in `Followed`
     coming: tuple[tuple[int, Brightness], ...] = ()  # number and brightness of the frames ahead
-
-    @property
-    def gain(self) -> Any:
-        """What the frame was divided by, `[B, 1, 1, 1]` or 1."""
-        return self.gains[0]
 
     def shown(self, image: Any) -> Any:
         """The image of the frame, of that of the step: a tensor or an array."""
         if self.brightness is None:
             return image
-        return image * (self.brightness.value if isinstance(image, np.ndarray) else self.gain)
+        return image * (self.brightness.value if isinstance(image, np.ndarray) else self.gains[0])
 
     def left(self, history: Any) -> Any:
         """The history after the step."""
