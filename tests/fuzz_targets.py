@@ -170,7 +170,7 @@ def _model() -> Path:
 @functools.cache
 def _resumable() -> tuple:
     """A sequence of three frames of which two are done."""
-    options, out = run.Options(model=str(_model())), folder() / "out"
+    options, out = run.Options(model=str(_model()), lookahead=0), folder() / "out"
 
     class Stop(Exception):
         pass
