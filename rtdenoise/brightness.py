@@ -30,6 +30,7 @@ from .data.stored import seen_step
 from .frame import Frame
 from .motion import on_screen, same_surface
 from .ops import fetch
+from .ops.ranks import median
 from .ops.replace_invalid import replace_invalid
 from .sanitise import VALID
 
@@ -111,18 +112,14 @@ def _change(light: Tensor, earlier: Tensor, found: Tensor) -> Tensor:
 def _median(ratios: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The median of a picture's values that are not NaN, its standard error, and how many they are: `[B, 1, 1, 1]`."""
     ratios = ratios.flatten(1)
-    known = ~ratios.isnan()
-    count = known.sum(1, keepdim=True)
+    count = (~ratios.isnan()).sum(1).view(-1, 1, 1, 1)
+    middle = _middle(ratios)
+    return middle, STANDARD_ERROR * _middle((ratios - middle.flatten(1)).abs()) / count.sqrt(), count
 
-    def middle(values: Tensor) -> Tensor:
-        """Without torch.nanmedian, which is not deterministic on a GPU."""
-        ordered = torch.where(known, values, torch.inf).sort(1).values
-        places = torch.stack([count - 1, count], 0).clamp(min=0).div(2, rounding_mode="floor")
-        return sum(ordered.gather(1, place) for place in places) / 2
 
-    median = middle(ratios)
-    error = STANDARD_ERROR * middle((ratios - median).abs()) / count.sqrt()
-    return median[..., None, None], error[..., None, None], count[..., None, None]
+def _middle(values: Tensor) -> Tensor:
+    """The mean of the lower and the upper median, `[B, N] -> [B, 1, 1, 1]`; NaN where there is nothing else."""
+    return (median(values) - median(-values)) / 2
 
 
 def _seen(frame: Frame) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:

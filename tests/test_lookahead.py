@@ -261,7 +261,7 @@ def test_what_a_finished_run_is_told_of(tmp_path, weights):
         denoise(str(short), tmp_path / "short-out", replace(options, float32=True))
 
 
-def test_where_nothing_is_named_two_frames_are_ahead(tmp_path, monkeypatch):
+def test_where_nothing_is_named_two_frames_are_ahead(tmp_path):
     shot = write_sequence(tmp_path / "shot", make_frames(4))
     denoise(str(shot), tmp_path / "auto", Options(float32=True))
     denoise(str(shot), tmp_path / "named", Options(model="hybrid", lookahead=2, float32=True))

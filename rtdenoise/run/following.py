@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import chain, repeat
 from typing import TYPE_CHECKING, Any
@@ -145,4 +145,4 @@ class Following:
             return self._inner.remember(history, frames)
         gains = chain(history.gains, repeat(1.0))  # frames before were not followed
         seen = [frame.divided(gain) for frame, gain in zip(frames, gains, strict=False)]
-        return Followed(self._inner.remember(history.inner, seen), history.brightness, history.gains)
+        return replace(history, inner=self._inner.remember(history.inner, seen))
