@@ -23,8 +23,8 @@ import numpy as np
 import tyro
 from torch import Tensor
 
-from bench.diagnosis.outdated import offline, singles
-from bench.diagnosis.turned import errors, pictures, with_references
+from bench.diagnosis.outdated import METHODS
+from bench.diagnosis.turned import errors, with_references
 from rtdenoise.brightness import followed
 from rtdenoise.frame import Frame
 
@@ -37,12 +37,8 @@ CURVES = {
     "±15 %, to and fro": lambda i: 1 + 0.15 * math.sin(2.4 * i),
     "twice as bright at once": lambda i: 1.0 if i < 4 else 2.0,
 }
-METHODS = {
-    "`default`": lambda frames: pictures(frames, "default", 0),
-    "`hybrid`": lambda frames: pictures(frames, "hybrid", 0),
-    "`hybrid` with `--lookahead 2`": lambda frames: pictures(frames, "hybrid", 2),
-    "`--offline`": offline,
-}
+COMPARED = "`default`", "`hybrid`", "`hybrid` with `--lookahead 2`", "`--offline`"
+ALONE = "`hybrid`, single frames"
 LONG = {"`--offline`": ("steady", "-8 % a frame")}  # what takes long, with these alone
 AS_IT_IS, FOLLOWS = "as it is", "follows"
 
@@ -51,15 +47,15 @@ def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     rows = []
     for folder in sequences:
         steady = with_references(folder, "color")[:FRAMES]
-        alone = errors(steady, singles(steady, "hybrid"))["frame"]
-        rows.append({"sequence": folder.name, "method": "`hybrid`, single frames", "curve": "steady", AS_IT_IS: alone})
+        alone = errors(steady, METHODS[ALONE](steady))["frame"]
+        rows.append({"sequence": folder.name, "method": ALONE, "curve": "steady", AS_IT_IS: alone})
         for curve, gain in CURVES.items():
             gains = [gain(i) for i in range(len(steady))]
             frames = [frame.divided(1 / g) for frame, g in zip(steady, gains, strict=True)]
-            for method, run in METHODS.items():
+            for method in COMPARED:
                 if curve not in LONG.get(method, CURVES):
                     continue
-                psnr = {}
+                run, psnr = METHODS[method], {}
                 for kind, images in ((AS_IT_IS, run(frames)), (FOLLOWS, following(frames, run))):
                     psnr[kind] = errors(steady, [x / g for x, g in zip(images, gains, strict=True)])["frame"]
                 rows.append({"sequence": folder.name, "method": method, "curve": curve} | psnr)

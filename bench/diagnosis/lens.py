@@ -22,21 +22,15 @@ from bench import DOCS, RESULTS, harness
 # isort: split
 import tyro
 
-from bench.diagnosis.outdated import offline, singles
-from bench.diagnosis.turned import errors, pictures, pictures_of_oidn, with_references
+from bench.diagnosis.outdated import METHODS
+from bench.diagnosis.turned import errors, with_references
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.run.lens_motion import with_lens
 from rtdenoise.sanitise import sanitise
 from rtdenoise.splat import completed
 
 RESULT, PAGES = RESULTS / "lens.json", (DOCS / "use" / "motion.md",)
-METHODS = {
-    "OIDN, albedo and normal filtered first": lambda frames: pictures_of_oidn(frames, clean=True),
-    "`hybrid`, single frames": lambda frames: singles(frames, "hybrid"),
-    "`hybrid`": lambda frames: pictures(frames, "hybrid", 0),
-    "`hybrid` with `--lookahead 2`": lambda frames: pictures(frames, "hybrid", 2),
-    "`--offline`": offline,
-}
+COMPARED = [method for method in METHODS if method not in ("`default`", "`hybrid-large`")]
 
 
 def main(shot: tyro.conf.Positional[Path]) -> None:
@@ -45,7 +39,8 @@ def main(shot: tyro.conf.Positional[Path]) -> None:
     lens = [replace(a, motion=b.motion, motion_next=None) for a, b in zip(frames, moved, strict=True)]
     lens = [completed(a, b) for a, b in zip_longest(lens, lens[1:])]
     rows = []
-    for method, run in METHODS.items():
+    for method in COMPARED:
+        run = METHODS[method]
         psnr = {name: errors(seen, run(seen))["frame"] for name, seen in (("as they are", frames), ("--lens", lens))}
         rows.append({"sequence": shot.name, "method": method} | psnr)
         print(rows[-1], flush=True)

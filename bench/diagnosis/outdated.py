@@ -25,7 +25,7 @@ import torch
 import tyro
 from torch import Tensor
 
-from bench.diagnosis.turned import cases, errors, leads, pictures, table
+from bench.diagnosis.turned import cases, errors, leads, pictures, pictures_of_oidn, table
 from rtdenoise.frame import Frame
 from rtdenoise.models import load, past
 from rtdenoise.run.passes import InMemory, Passes
@@ -86,6 +86,17 @@ def offline(frames: list[Frame]) -> list[Tensor]:
         image, history = passes.step(None, history)
         images.append(image)
     return images
+
+
+METHODS = {  # of other scripts: what runs over frames, a picture each
+    "OIDN, albedo and normal filtered first": lambda frames: pictures_of_oidn(frames, clean=True),
+    "`hybrid`, single frames": lambda frames: singles(frames, "hybrid"),
+    "`default`": lambda frames: pictures(frames, "default", 0),
+    "`hybrid`": lambda frames: pictures(frames, "hybrid", 0),
+    "`hybrid` with `--lookahead 2`": lambda frames: pictures(frames, "hybrid", 2),
+    "`hybrid-large`": lambda frames: pictures(frames, "hybrid-large", 0),
+    "`--offline`": offline,
+}
 
 
 def tables(document: dict) -> dict[str, str]:

@@ -26,8 +26,7 @@ import tyro
 from torch import Tensor
 from torch.nn import functional as F
 
-from bench.diagnosis.outdated import offline
-from bench.diagnosis.turned import pictures, pictures_of_oidn
+from bench.diagnosis.outdated import METHODS
 from rtdenoise.color import display_exposure
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
@@ -35,14 +34,7 @@ from rtdenoise.metrics import psnr
 from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "soft_edges.json", (DOCS / "notes" / "soft_edges.md",)
-METHODS = {
-    "OIDN, albedo and normal filtered first": lambda frames: pictures_of_oidn(frames, clean=True),
-    "`default`": lambda frames: pictures(frames, "default", 0),
-    "`hybrid`": lambda frames: pictures(frames, "hybrid", 0),
-    "`hybrid` with `--lookahead 2`": lambda frames: pictures(frames, "hybrid", 2),
-    "`hybrid-large`": lambda frames: pictures(frames, "hybrid-large", 0),
-    "`--offline`": offline,
-}
+COMPARED = [method for method in METHODS if "single" not in method]
 EDGES = "as rendered", "softened"
 
 
@@ -54,9 +46,9 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
         noisy = open_sequence(shot)
         for edges, sequence in zip(EDGES, (noisy, replace(noisy, soft_edges=True)), strict=True):
             frames = [replace(sanitise(frame), reference=best) for frame, best in zip(sequence, truth, strict=True)]
-            for method, run in METHODS.items():
+            for method in COMPARED:
                 row = {"sequence": shot.name, "method": method, "edges": edges}
-                rows.append(row | errors(frames, run(frames)))
+                rows.append(row | errors(frames, METHODS[method](frames)))
                 print(rows[-1], flush=True)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
 
@@ -78,7 +70,7 @@ def tables(document: dict) -> dict[str, str]:
     rows = {(row["sequence"], row["method"], row["edges"]): row for row in document["rows"]}
     shots = list(dict.fromkeys(row["sequence"] for row in document["rows"]))
     lines = ["| | " + " | ".join(shots) + " |", "|---|" + "---|" * len(shots)]
-    for method in METHODS:
+    for method in COMPARED:
         cells = []
         for shot in shots:
             before, after = (rows[shot, method, edges] for edges in EDGES)
