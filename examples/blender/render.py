@@ -116,6 +116,13 @@ def keyframe(item: bpy.types.Object, last: int, start: tuple, end: tuple) -> Non
         item.keyframe_insert("location", frame=number)
 
 
+def lamp_and_sky(scene: bpy.types.Scene) -> None:
+    """A lamp above, to the right, and a sky of one colour."""
+    bpy.ops.object.light_add(type="AREA", location=(2.5, -2.0, 4.0), rotation=(math.radians(35), math.radians(25), 0))
+    bpy.context.object.data.energy, bpy.context.object.data.size = 350, 1.0
+    sky(scene, (0.35, 0.50, 0.75))
+
+
 def sky(scene: bpy.types.Scene, colour: tuple) -> None:
     """Light of one colour from everywhere."""
     scene.world = bpy.data.worlds.new("sky")
@@ -176,9 +183,7 @@ def build_still_life(scene: bpy.types.Scene, frames: int) -> None:
     reach = 0.1 * (frames - 1)
     keyframe(rolling, frames, (-1.5, -0.3, 0.45), (-1.5 + reach, -0.3, 0.45))
 
-    bpy.ops.object.light_add(type="AREA", location=(2.5, -2.0, 4.0), rotation=(math.radians(35), math.radians(25), 0))
-    bpy.context.object.data.energy, bpy.context.object.data.size = 350, 1.0
-    sky(scene, (0.35, 0.50, 0.75))
+    lamp_and_sky(scene)
     bpy.ops.object.camera_add(rotation=(math.radians(82), 0, 0))
     scene.camera = bpy.context.object
     scene.camera.data.angle = math.radians(50)
@@ -319,9 +324,7 @@ def build_hair(scene: bpy.types.Scene, frames: int) -> None:
     for number in (0, frames + 1):
         creature.rotation_euler = (0, 0, math.radians(2 * number))
         creature.keyframe_insert("rotation_euler", frame=number)
-    bpy.ops.object.light_add(type="AREA", location=(2.5, -2.0, 4.0), rotation=(math.radians(35), math.radians(25), 0))
-    bpy.context.object.data.energy, bpy.context.object.data.size = 350, 1.0
-    sky(scene, (0.35, 0.50, 0.75))
+    lamp_and_sky(scene)
     bpy.ops.object.camera_add(rotation=(math.radians(86), 0, 0))
     scene.camera = bpy.context.object
     scene.camera.data.angle = math.radians(40)
