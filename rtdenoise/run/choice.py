@@ -12,6 +12,7 @@ from .options import AHEAD, AUTO, Options
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
 KERNELS = "default", "many"  # kernels alone, for all that goes with these only
 LEAST = 4  # samples a pixel from which those for many are better (docs/results/held.md)
+MIXED = 8  # samples a pixel from which paths are means of what a pane reflects and shows (docs/notes/virtual_motion.md)
 LITTLE = 0.08  # `exposure.noise_level`: below, a frame of unknown samples has many (docs/notes/lookahead.md)
 
 
@@ -20,7 +21,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     to tell about it.
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
-    where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft edges.
+    where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft
+    edges, and with `options.virtual_motion` what is seen in mirrors moves as it does in frames of few.
     Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
     """
     auto = options.model == AUTO
@@ -31,10 +33,11 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     if options.lens:
         sequence = _with_lens(sequence)
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter
-    sequence = replace(sequence, soft_edges=wide and known_samples(sequence, options.samples) == 1)
+    samples = known_samples(sequence, options.samples)
+    virtual = options.virtual_motion and sequence.signal == "color"  # indirect light ends at mirrors and panes
+    sequence = replace(sequence, soft_edges=wide and samples == 1, virtual_motion=virtual and samples < MIXED)
     if not auto:
         return sequence, _looking(options, 0), []
-    samples = known_samples(sequence, options.samples)
     if "samples" not in layers:
         sequence = sequence.only(sequence.rules.keys() - {"samples"})
     few, many = candidates(options.backend, options.correct)

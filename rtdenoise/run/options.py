@@ -58,6 +58,9 @@ class Options:
     detect_exposure: bool = True
     """Find out how much brighter or darker the picture as a whole becomes from frame to frame, as by a fade or an
     animated exposure, and make history as bright; each light of --lights and --also for itself."""
+    virtual_motion: bool = True
+    """Follow what is seen in flat mirrors and through panes, where files tell how far away it is, as those of Cycles do
+    with Denoising Data: motion vectors are those of mirror and pane."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack, from frame to frame, found by albedo: those of
     Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""

@@ -1,0 +1,67 @@
+"""What is it worth that history follows what is seen in flat mirrors and through panes?
+
+    render="bpyenv/bin/python examples/blender/render.py"
+    $render shots/shop --set shop --frames 8
+    $render shots/shop-reference --set shop --frames 8 --samples 256 --seed 77
+    python bench/diagnosis/virtual_motion.py shots/shop shots/mirror
+
+PSNR at 1 sample a pixel, of all frames but the first: with the motion of surfaces, and of what is seen. Writes
+bench/results/virtual_motion.json and the table of docs/notes/virtual_motion.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
+import tyro
+
+from bench.diagnosis.outdated import METHODS
+from bench.diagnosis.turned import errors
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.frame import Frame
+from rtdenoise.sanitise import sanitise
+
+RESULT, PAGES = RESULTS / "virtual_motion.json", (DOCS / "notes" / "virtual_motion.md",)
+OIDN = next(iter(METHODS))
+BY = "surfaces", "what is seen"
+
+
+def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
+    """`shots`: folders of frames of Cycles, each with its references in the folder of its name and "-reference"."""
+    rows = []
+    for shot in shots:
+        frames = {motion: read(shot, motion == BY[1]) for motion in BY}
+        for method, run in METHODS.items():
+            for motion in BY[: 1 if method == OIDN else 2]:
+                psnr = errors(frames[motion], run(frames[motion]))["frame"]
+                rows.append({"shot": shot.name, "method": method, "motion": motion, "psnr": psnr})
+                print(rows[-1], flush=True)
+    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+
+
+def read(shot: Path, virtual: bool) -> list[Frame]:
+    """Sanitised frames with references."""
+    noisy = replace(open_sequence(shot), soft_edges=True, virtual_motion=virtual)
+    pairs = zip(noisy, open_sequence(f"{shot}-reference"), strict=True)
+    return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
+
+
+def tables(document: dict) -> dict[str, str]:
+    """Section `virtual-motion`: PSNR of each method and shot, with either motion."""
+    found = {(row["shot"], row["method"], row["motion"]): row["psnr"] for row in document["rows"]}
+    shots = list(dict.fromkeys(shot for shot, _, _ in found))
+    lines = [f"| | {' | '.join(shots)} |", "|---" * (len(shots) + 1) + "|"]
+    for method in dict.fromkeys(method for _, method, _ in found):
+        cells = [[found[key] for motion in BY if (key := (shot, method, motion)) in found] for shot in shots]
+        lines.append(f"| {method} | {' | '.join(' → '.join(f'{x:.2f}' for x in cell) for cell in cells)} |")
+    return {"virtual-motion": "\n".join(lines)}
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)

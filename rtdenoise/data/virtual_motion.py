@@ -1,0 +1,195 @@
+"""Virtual motion: how what is seen in flat mirrors and through panes moves. numpy only.
+
+A renderer's motion is that of the surface which a ray hits first. What is seen in a flat mirror or through a pane lies
+deeper, as far along the ray as the path to it is long, and if both stand still it moves as a surface at that depth
+would. So the camera's motion, which gives that of any depth, is fitted to all that stands still
+(docs/notes/virtual_motion.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..frame import Frame
+from .around import shifted
+
+DRAWN = 3000  # pixels to which paths and camera are fitted
+FIELDS = np.append(0, np.geomspace(0.05, 12, 120))  # (width of the picture / focal length)² that are tried: to 120°
+AGREES = 2e-3  # of a depth: what paths are measured to
+LEAST = 0.1  # share of the drawn pixels that must agree
+TRIALS, POINTS = 300, 8  # cameras that are tried, and pixels to which each is fitted
+MOVES_ALIKE, STANDS = 0.05, 1e-3  # pixels a frame
+DISTINCT = 1e-3  # how far from ambiguous a fit must be, as where all surfaces lie in one plane
+CELL, FLAT = 16, 0.01  # pixels; how far normals differ in a cell of a mirror that is flat
+LONGER = 1.01  # times the depth of the surface: from then on a path goes on behind it
+FAR = 1e4  # median depths: of what is infinitely far
+SAME_DEPTH, SAME_ALBEDO = 0.1, 0.2  # pixels are alike: relative; of each channel
+LEAST_ALIKE = 3  # of the pixels around, for one to be no stray
+AROUND = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
+
+
+def with_virtual_motion(
+    frame: Frame,  # numpy arrays with albedo, normal, depth and motion, of one picture
+    seen: np.ndarray,  # [1, 4, H, W]: length of the path from the camera to what is seen; its normal, 0 for a sky
+) -> Frame:
+    """The frame with `motion` and `motion_next` of what is seen in flat mirrors and through panes that stand still.
+
+    A path has the length of all its parts, up to the first surface that is neither mirror nor glass. It may be measured
+    along the ray where depth is measured along the view, and begin at a near plane: the frame tells. What is seen has
+    the albedo of the pixel. Where that and the depth are unlike those around, as where one sample in 20 is reflected by
+    a pane, both are taken from a pixel beside it.
+
+    The frame itself where there is nothing to be seen so, where the camera stands still or is none that maps straight
+    lines to straight lines, and where what stands still lies in one plane, so that it does not tell of other depths.
+    """
+    motions = {name: motion for name in ("motion", "motion_next") if (motion := getattr(frame, name)) is not None}
+    if len(frame.radiance) != 1 or any(x is None for x in (frame.albedo, frame.normal, frame.depth, frame.motion)):
+        return frame
+    depth, length = frame.depth[0, 0], seen[0, 0]
+    known = (depth > 0) & (length > 0) & np.isfinite(depth) & np.isfinite(length)
+    drawn = _draw(known)
+    if len(drawn) < POINTS:
+        return frame
+    unit = np.median(depth.flat[drawn])
+    depth, length = depth / unit, length / unit
+    fit = _fit_paths(depth, length, drawn)
+    if fit is None:
+        return frame
+    field, near = fit
+    x, y = _axes(depth.shape)
+    behind = length / np.sqrt(1 + np.float32(field) * (x * x + y * y)) + np.float32(near)
+    goes_on = behind > LONGER * depth
+    sky = (behind > (1 + AGREES) * depth) & ~goes_on & (seen[0, 1:] == 0).all(0)
+    through = known & (goes_on | sky)
+    if not through.any():
+        return frame
+    through &= _is_flat(frame.normal[0], through)
+    behind = np.where(sky, np.float32(FAR), behind)
+    plain = drawn[np.abs(behind - depth).flat[drawn] < AGREES * depth.flat[drawn]]
+    cameras = {name: _fit_camera(depth, motion[0], plain) for name, motion in motions.items()}
+    cameras = {name: camera for name, camera in cameras.items() if camera is not None}
+    if not cameras:
+        return frame
+    place = np.nonzero(through)
+    for name, camera in cameras.items():
+        through[place] &= np.abs(_moved(camera, place, depth) - motions[name][0][:, *place]).max(0) < 2 * MOVES_ALIKE
+    place, albedo = np.nonzero(through), frame.albedo.copy()
+    strays, beside = _strays(through, behind, albedo[0])
+    behind[strays], albedo[0][:, *strays] = behind[beside], albedo[0][:, *beside]
+    for name, camera in cameras.items():
+        motions[name] = motions[name].copy()
+        motions[name][0][:, *place] = _moved(camera, place, behind)
+    return replace(frame, albedo=albedo, **motions)
+
+
+def _fit_paths(depth: np.ndarray, length: np.ndarray, drawn: np.ndarray) -> tuple[float, float] | None:
+    """(k, c), so that a path which ends at its first surface has the length sqrt(1 + k r²) (depth - c), with r from the
+    middle of the picture in widths: as most of the pixels can agree on. None where too few do."""
+    x, y = _axes(depth.shape)
+    r2 = (x * x + y * y).flat[drawn].astype(np.float64)
+    z, d = (image.flat[drawn].astype(np.float64) for image in (depth, length))
+    near = np.sort(z - d / np.sqrt(1 + FIELDS[:, None] * r2), axis=1)  # what c each pixel asks for
+    counts = np.stack([np.searchsorted(row, row + AGREES) for row in near]) - np.arange(len(drawn))
+    row, first = np.unravel_index(counts.argmax(), counts.shape)
+    k, c = FIELDS[row], np.median(near[row, first : first + counts[row, first]])
+    for _ in range(5):
+        stretch = np.sqrt(1 + k * r2)
+        left = d - stretch * (z - c)
+        agree = np.abs(left) < 2 * AGREES * d
+        slopes = np.stack([r2 * (z - c) / (2 * stretch), -stretch], 1)
+        step = np.linalg.lstsq(slopes[agree], left[agree], rcond=None)[0]
+        k, c = max(k + step[0], 0.0), c + step[1]
+    return (k, c) if agree.mean() > LEAST else None
+
+
+def _fit_camera(depth: np.ndarray, motion: np.ndarray, drawn: np.ndarray) -> np.ndarray | None:
+    """The matrix `[3, 4]` that takes (x, y, 1, 1 / depth) of what stands still, x and y in widths from the middle of
+    the picture, to its place on the other frame, in homogeneous coordinates. Direct linear transform of the pixels on
+    which most agree (Hartley and Zisserman, "Multiple View Geometry in Computer Vision", 2004, 4.1 and 4.7). None where
+    too few do, where that is ambiguous, and where most stand still on the picture."""
+    W = depth.shape[1]
+    step = motion.reshape(2, -1)[:, drawn].T.astype(np.float64) / W
+    here = _points(np.unravel_index(drawn, depth.shape), depth).T.astype(np.float64)
+    finite = np.isfinite(step).all(1)
+    here, step = here[finite], step[finite]
+    if len(here) < POINTS or np.median(np.abs(step).max(1)) * W < STANDS:
+        return None
+    there, none = here[:, :2] + step, np.zeros_like(here)
+    rows = np.stack([np.concatenate([here, none, -there[:, :1] * here], 1),
+                     np.concatenate([none, here, -there[:, 1:] * here], 1)], 1)  # fmt: skip
+    chance = np.random.default_rng(0).integers(len(here), size=(TRIALS, POINTS))
+    cameras = np.linalg.svd(rows[chance].reshape(TRIALS, 2 * POINTS, 12))[2][:, -1].reshape(TRIALS, 3, 4)
+    agree = _off(cameras, here, there) * W < MOVES_ALIKE
+    agree = agree[agree.sum(1).argmax()]
+    for _ in range(3):
+        if agree.sum() < max(POINTS, LEAST * len(here)):
+            return None
+        _, sizes, vectors = np.linalg.svd(rows[agree].reshape(-1, 12), full_matrices=False)
+        camera = vectors[-1].reshape(3, 4)
+        agree = _off(camera[None], here, there)[0] * W < MOVES_ALIKE
+    return camera.astype(np.float32) if sizes[-2] > DISTINCT * sizes[0] else None
+
+
+def _off(cameras: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """How far each of the cameras `[K, 3, 4]` takes points `[N, 4]` from places `[N, 2]`: `[K, N]` widths."""
+    x, y, w = np.moveaxis(here @ cameras.transpose(0, 2, 1), 2, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(np.hypot(x / w - there[:, 0], y / w - there[:, 1]), nan=np.inf, posinf=np.inf)
+
+
+def _moved(camera: np.ndarray, place: tuple[np.ndarray, np.ndarray], depth: np.ndarray) -> np.ndarray:
+    """The motion `[2, N]` in pixels of what stands still, at places (rows, columns) of a depth `[H, W]`."""
+    points = _points(place, depth)
+    x, y, w = camera @ points
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(np.stack([x / w - points[0], y / w - points[1]]) * np.float32(depth.shape[1]))
+
+
+def _points(place: tuple[np.ndarray, np.ndarray], depth: np.ndarray) -> np.ndarray:
+    """(x, y, 1, 1 / depth) at places (rows, columns), `[4, N]`; x and y as `_axes`."""
+    x, y = _axes(depth.shape)
+    return np.stack([x[0, place[1]], y[place[0], 0], np.ones(len(place[0]), np.float32), 1 / depth[place]])
+
+
+def _axes(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """x `[1, W]` and y `[H, 1]` of the pixels' centres: in widths, from the middle of the picture."""
+    H, W = size
+    x, y = ((np.arange(n, dtype=np.float32) + np.float32(0.5 - n / 2)) / np.float32(W) for n in (W, H))
+    return x[None], y[:, None]
+
+
+def _draw(where: np.ndarray) -> np.ndarray:
+    """Up to DRAWN pixels of an image, by chance and always the same, of which those count that are meant: indices."""
+    drawn = np.random.default_rng(0).integers(where.size, size=DRAWN)
+    return drawn[where.flat[drawn]]
+
+
+def _is_flat(normal: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """The cells `[H, W]` in which the normals `[3, H, W]` of the pixels that are meant differ by FLAT at most."""
+    (H, W), cells = where.shape, []
+    for fill, pick in ((-np.inf, np.max), (np.inf, np.min)):
+        edged = np.pad(np.where(where, normal, np.float32(fill)), [(0, 0), (0, -H % CELL), (0, -W % CELL)], "edge")
+        cells.append(pick(pick(edged.reshape(3, -1, CELL, edged.shape[2]), 2).reshape(3, -(-H // CELL), -1, CELL), 3))
+    flat = (cells[0] - cells[1] <= FLAT).all(0)
+    return flat.repeat(CELL, 0).repeat(CELL, 1)[:H, :W]
+
+
+def _strays(where: np.ndarray, depth: np.ndarray, albedo: np.ndarray) -> tuple[tuple, tuple]:
+    """The pixels that show otherwise than those around, and the pixel beside each that is most like those around: rows
+    and columns of both. A line as thin as a pixel is no stray."""
+    depth, like = np.where(where, depth, np.float32(-1)), []
+    least = np.float32(SAME_DEPTH) * depth
+    for its_depth, *its_albedo in shifted(np.concatenate([depth[None], albedo]), AROUND, 1):
+        alike = (its_depth > 0) & (np.abs(its_depth - depth) < least)
+        for its, own in zip(its_albedo, albedo, strict=True):
+            alike &= np.abs(its - own) < SAME_ALBEDO
+        like.append(alike)
+    line = np.logical_or.reduce([like[i] & like[-1 - i] for i in range(4)])
+    count = np.where(where, np.sum(like, axis=0, dtype=np.int8), 0)
+    strays = np.nonzero(where & (count < LEAST_ALIKE) & ~line)
+    beside = np.stack([there[strays] for there in shifted(count, AROUND, 1)])
+    better = beside.max(0) > count[strays]
+    strays, steps = tuple(at[better] for at in strays), np.array(AROUND)[beside.argmax(0)[better]].T
+    return strays, tuple((at + step).clip(0, n - 1) for at, step, n in zip(strays, steps, where.shape, strict=True))
