@@ -38,8 +38,8 @@ def with_virtual_motion(
 
     A path has the length of all its parts, up to the first surface that is neither mirror nor glass. It may be measured
     along the ray where depth is measured along the view, and begin at a near plane: the frame tells. What is seen has
-    the albedo of the pixel. Where that and the depth are unlike those around, as where one sample in 20 is reflected by
-    a pane, both are taken from a pixel beside it.
+    the albedo of the pixel. Where that and the depth are unlike those around, as where a pane reflects one sample
+    of many, both are taken from a pixel beside it.
 
     The frame itself where there is nothing to be seen so, where the camera stands still or is none that maps straight
     lines to straight lines, and where what stands still lies in one plane, so that it does not tell of other depths.
