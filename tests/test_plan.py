@@ -226,10 +226,14 @@ def test_light_that_moves_into_the_dark_is_followed(denoiser):
 @pytest.mark.parametrize("layer", ["motion", "motion_next"])
 def test_a_single_frame_needs_no_motion(denoiser, layer):
     (frame,) = make_frames(1)
-    plan = make_plan(frame.size, 1, "dual", [frame])
-    assert layer not in plan.layers
     image = denoiser.step(frame)[0]
     assert torch.equal(denoiser.step(replace(frame, **{layer: None}))[0], image)
+
+
+@pytest.mark.parametrize(("motion", "read"), [("dual", {"motion_next"}), ("traditional", set()), (None, set())])
+def test_of_a_single_frame_only_what_a_frame_after_it_needs_is_read(motion, read):
+    (frame,) = make_frames(1)
+    assert {"motion", "motion_next"} & {*make_plan(frame.size, 1, motion, [frame]).layers} == read
 
 
 def test_traditional_motion_needs_no_motion_next():

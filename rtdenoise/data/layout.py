@@ -56,7 +56,7 @@ class Layout:
     buffers: Mapping[str, tuple[str, ...]] = field(default_factory=dict, repr=False)  # buffer -> patterns, see files.py
     cameras: str = "scene.json"  # the file beside the frames that may hold cameras and transforms
     beauty: tuple[Rule, ...] = ()  # where the finished picture belongs; empty: where `color` is read from
-    seen: Rule | None = None  # path length and normal of what is seen in mirrors and through glass (`virtual_motion`)
+    path: Rule | None = None  # length of the path to what is seen in mirrors and through glass (`virtual_motion`)
 
     def resolve(self, header: ExrHeader, signal: str) -> dict[str, Rule]:
         """The layers of `Frame` that this file has for a signal, each with the rule that makes it."""

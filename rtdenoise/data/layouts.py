@@ -104,7 +104,7 @@ def cycles(view_layer: str) -> Layout:
         _CYCLES_HINTS,
         demodulated=frozenset({"indirect"}),
         beauty=rules(f"{p}Combined", "RGB"),
-        seen=Rule((f"{p}Denoising Depth.Z", *(f"{p}Denoising Normal.{c}" for c in "XYZ")), (1,) * 4),
+        path=Rule((f"{p}Denoising Depth.Z",), (1,)),
     )
 
 

@@ -24,7 +24,8 @@ from .sky import without_stale_sky
 from .soft_edges import with_soft_edges
 from .virtual_motion import with_virtual_motion
 
-DEFAULT_LAYERS = ("radiance", "albedo", "normal", "depth", "motion", "motion_next")
+MOVED = "albedo", "normal", "depth", "motion", "motion_next"  # the last one may be missing
+DEFAULT_LAYERS = ("radiance", *MOVED)
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Sequence:
     gaps: tuple[tuple[int, int], ...] = ()  # (first, last) missing frame number of each gap
     scene: dict | None = field(default=None, repr=False)  # cameras and transforms beside the frames, as in scene.json
     soft_edges: bool = False  # frames are read `with_soft_edges`, for denoisers
-    virtual_motion: bool = False  # and `with_virtual_motion`, where the files know what is seen in mirrors
+    virtual_motion: bool = False  # frames are read `with_virtual_motion` where files hold the length of paths
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -86,25 +87,29 @@ class Sequence:
     def read(self, i: int) -> Frame:
         """`self[i]` with numpy arrays, without torch."""
         files = self.files[i]
-        seen = self._seen(files.header()) if self.virtual_motion else None
-        rules = [*self.rules.values(), *([seen] if seen else [])]
-        channels = files.read({name for rule in rules for name in rule.channels})
-        layers = {layer: convert(rule, channels, layer) for layer, rule in self.rules.items()}
+        rules, path = self.rules, self._path(files.header()) if self.virtual_motion else None
+        if path:  # whatever is wanted of the frame, it is the same
+            rules = rules | {layer: self.available[layer] for layer in MOVED if layer in self.available}
+        channels = files.read({name for rule in (*rules.values(), *([path] if path else ())) for name in rule.channels})
+        layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
         if self.layout.name == "cycles":
             frame = without_stale_sky(frame)
-        if seen:
-            frame = with_virtual_motion(frame, convert(seen, channels, "seen"))
+        if path:
+            frame = with_virtual_motion(frame, convert(path, channels, "path"))
+            frame = replace(frame, **dict.fromkeys(rules.keys() - self.rules.keys()))
         if self.soft_edges:
             frame = with_soft_edges(frame)
         check_components(frame)
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
         return complete(frame, self.scene) if missing and self.scene else frame
 
-    def _seen(self, header: ExrHeader) -> Rule | None:
-        """What a file tells of mirrors and glass; None where that, or what goes with it, is not there or not read."""
-        known = self.layout.seen and header.channels.keys() >= {*self.layout.seen.channels}
-        return self.layout.seen if known and self.rules.keys() >= {"albedo", "normal", "depth", "motion"} else None
+    def _path(self, header: ExrHeader) -> Rule | None:
+        """The path length of a file; None where it, or what goes with it, is not there, and where nothing of it is
+        read."""
+        known = self.layout.path and {*self.layout.path.channels} <= header.channels.keys()
+        moves = {"albedo", "motion", "motion_next"} & self.rules.keys() and self.available.keys() >= {*MOVED[:4]}
+        return self.layout.path if known and moves else None
 
     def only(self, layers: Collection[str]) -> Sequence:
         """The sequence with only these layers of `Frame` and the layers that they are computed from.

@@ -8,6 +8,7 @@ would. So the camera's motion, which gives that of any depth, is fitted to all t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,54 +20,55 @@ DRAWN = 3000  # pixels to which paths and camera are fitted
 FIELDS = np.append(0, np.geomspace(0.05, 12, 120))  # (width of the picture / focal length)² that are tried: to 120°
 AGREES = 2e-3  # of a depth: what paths are measured to
 LEAST = 0.1  # share of the drawn pixels that must agree
-TRIALS, POINTS = 300, 8  # cameras that are tried, and pixels to which each is fitted
+MOST_SHORT = 0.01  # share of the pixels whose path may be shorter than its first part, as after a wrong fit
+TRIALS, POINTS = 300, 6  # cameras that are tried, and pixels to which each is fitted: 11 unknowns
 MOVES_ALIKE, STANDS = 0.05, 1e-3  # pixels a frame
 DISTINCT = 1e-3  # how far from ambiguous a fit must be, as where all surfaces lie in one plane
-CELL, FLAT = 16, 0.01  # pixels; how far normals differ in a cell of a mirror that is flat
+CELL, CELLS, LEAST_FLAT = 16, 20, 16  # pixels at least, or a part of the width: of a cell; pixels of a mirror in it
+FLAT = 0.01  # how far normals differ in a cell of a mirror that is flat
 LONGER = 1.01  # times the depth of the surface: from then on a path goes on behind it
-FAR = 1e4  # median depths: of what is infinitely far
 SAME_DEPTH, SAME_ALBEDO = 0.1, 0.2  # pixels are alike: relative; of each channel
 LEAST_ALIKE = 3  # of the pixels around, for one to be no stray
 AROUND = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
 
 
+@np.errstate(all="ignore")  # broken pixels are compared, and count for nothing
 def with_virtual_motion(
     frame: Frame,  # numpy arrays with albedo, normal, depth and motion, of one picture
-    seen: np.ndarray,  # [1, 4, H, W]: length of the path from the camera to what is seen; its normal, 0 for a sky
+    length: np.ndarray,  # [1, 1, H, W] of the path from the camera to what is seen
 ) -> Frame:
-    """The frame with `motion` and `motion_next` of what is seen in flat mirrors and through panes that stand still.
+    """The frame with `motion` and `motion_next` of what is seen in flat mirrors and through panes that stand still, and
+    with the albedo of that.
 
-    A path has the length of all its parts, up to the first surface that is neither mirror nor glass. It may be measured
-    along the ray where depth is measured along the view, and begin at a near plane: the frame tells. What is seen has
-    the albedo of the pixel. Where that and the depth are unlike those around, as where a pane reflects one sample
-    of many, both are taken from a pixel beside it.
+    A path leads to the first surface that is neither mirror nor glass. Its length may be measured along the ray where
+    depth is measured along the view, and begin at a near plane: the frame tells. What is seen has the pixel's albedo.
+    Where that and the path are unlike those around, as where a pane reflects one sample of many, both are taken from a
+    pixel beside it.
 
-    The frame itself where there is nothing to be seen so, where the camera stands still or is none that maps straight
-    lines to straight lines, and where what stands still lies in one plane, so that it does not tell of other depths.
+    The frame itself where nothing is seen so, where the camera stands still, where no camera that maps straight lines
+    to straight lines fits, and where what stands still lies in one plane, so that it does not tell of other depths.
     """
     motions = {name: motion for name in ("motion", "motion_next") if (motion := getattr(frame, name)) is not None}
     if len(frame.radiance) != 1 or any(x is None for x in (frame.albedo, frame.normal, frame.depth, frame.motion)):
         return frame
-    depth, length = frame.depth[0, 0], seen[0, 0]
+    depth, length = frame.depth[0, 0], length[0, 0]
     known = (depth > 0) & (length > 0) & np.isfinite(depth) & np.isfinite(length)
     drawn = _draw(known)
     if len(drawn) < POINTS:
         return frame
     unit = np.median(depth.flat[drawn])
-    depth, length = depth / unit, length / unit
+    depth, length = (np.where(known, image, 0) / unit for image in (depth, length))
     fit = _fit_paths(depth, length, drawn)
     if fit is None:
         return frame
     field, near = fit
     x, y = _axes(depth.shape)
     behind = length / np.sqrt(1 + np.float32(field) * (x * x + y * y)) + np.float32(near)
-    goes_on = behind > LONGER * depth
-    sky = (behind > (1 + AGREES) * depth) & ~goes_on & (seen[0, 1:] == 0).all(0)
-    through = known & (goes_on | sky)
-    if not through.any():
+    through = known & (behind > LONGER * depth)
+    short = known & (behind < depth / LONGER)
+    if not through.any() or short.sum() > MOST_SHORT * known.sum():
         return frame
     through &= _is_flat(frame.normal[0], through)
-    behind = np.where(sky, np.float32(FAR), behind)
     plain = drawn[np.abs(behind - depth).flat[drawn] < AGREES * depth.flat[drawn]]
     cameras = {name: _fit_camera(depth, motion[0], plain) for name, motion in motions.items()}
     cameras = {name: camera for name, camera in cameras.items() if camera is not None}
@@ -98,10 +100,12 @@ def _fit_paths(depth: np.ndarray, length: np.ndarray, drawn: np.ndarray) -> tupl
         stretch = np.sqrt(1 + k * r2)
         left = d - stretch * (z - c)
         agree = np.abs(left) < 2 * AGREES * d
+        if not agree.any():
+            return None
         slopes = np.stack([r2 * (z - c) / (2 * stretch), -stretch], 1)
         step = np.linalg.lstsq(slopes[agree], left[agree], rcond=None)[0]
         k, c = max(k + step[0], 0.0), c + step[1]
-    return (k, c) if agree.mean() > LEAST else None
+    return (k, c) if agree.mean() > LEAST and -AGREES < c < z.min() else None
 
 
 def _fit_camera(depth: np.ndarray, motion: np.ndarray, drawn: np.ndarray) -> np.ndarray | None:
@@ -135,16 +139,14 @@ def _fit_camera(depth: np.ndarray, motion: np.ndarray, drawn: np.ndarray) -> np.
 def _off(cameras: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:
     """How far each of the cameras `[K, 3, 4]` takes points `[N, 4]` from places `[N, 2]`: `[K, N]` widths."""
     x, y, w = np.moveaxis(here @ cameras.transpose(0, 2, 1), 2, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num(np.hypot(x / w - there[:, 0], y / w - there[:, 1]), nan=np.inf, posinf=np.inf)
+    return np.nan_to_num(np.hypot(x / w - there[:, 0], y / w - there[:, 1]), nan=np.inf, posinf=np.inf)
 
 
 def _moved(camera: np.ndarray, place: tuple[np.ndarray, np.ndarray], depth: np.ndarray) -> np.ndarray:
     """The motion `[2, N]` in pixels of what stands still, at places (rows, columns) of a depth `[H, W]`."""
     points = _points(place, depth)
     x, y, w = camera @ points
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num(np.stack([x / w - points[0], y / w - points[1]]) * np.float32(depth.shape[1]))
+    return np.nan_to_num(np.stack([x / w - points[0], y / w - points[1]]) * np.float32(depth.shape[1]))
 
 
 def _points(place: tuple[np.ndarray, np.ndarray], depth: np.ndarray) -> np.ndarray:
@@ -167,22 +169,27 @@ def _draw(where: np.ndarray) -> np.ndarray:
 
 
 def _is_flat(normal: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """The cells `[H, W]` in which the normals `[3, H, W]` of the pixels that are meant differ by FLAT at most."""
-    (H, W), cells = where.shape, []
-    for fill, pick in ((-np.inf, np.max), (np.inf, np.min)):
-        edged = np.pad(np.where(where, normal, np.float32(fill)), [(0, 0), (0, -H % CELL), (0, -W % CELL)], "edge")
-        cells.append(pick(pick(edged.reshape(3, -1, CELL, edged.shape[2]), 2).reshape(3, -(-H // CELL), -1, CELL), 3))
-    flat = (cells[0] - cells[1] <= FLAT).all(0)
-    return flat.repeat(CELL, 0).repeat(CELL, 1)[:H, :W]
+    """The cells `[H, W]` with enough pixels that are meant, whose normals `[3, H, W]` differ by FLAT at most. Of a part
+    of the picture's width, so that a curve is one at every size."""
+    H, W = where.shape
+    n = max(CELL, W // CELLS)
+
+    def cells(image: np.ndarray, fill: float, pick: Callable) -> np.ndarray:
+        edged = np.pad(image, [(0, 0), (0, -H % n), (0, -W % n)], constant_values=fill)
+        return pick(pick(edged.reshape(len(image), -1, n, edged.shape[2]), 2).reshape(len(image), -(-H // n), -1, n), 3)
+
+    most = cells(np.where(where, normal, np.float32(-np.inf)), -np.inf, np.max)
+    least = cells(np.where(where, normal, np.float32(np.inf)), np.inf, np.min)
+    flat = (most - least <= FLAT).all(0) & (cells(where[None], False, np.sum)[0] >= LEAST_FLAT)
+    return flat.repeat(n, 0).repeat(n, 1)[:H, :W]
 
 
-def _strays(where: np.ndarray, depth: np.ndarray, albedo: np.ndarray) -> tuple[tuple, tuple]:
+def _strays(where: np.ndarray, behind: np.ndarray, albedo: np.ndarray) -> tuple[tuple, tuple]:
     """The pixels that show otherwise than those around, and the pixel beside each that is most like those around: rows
     and columns of both. A line as thin as a pixel is no stray."""
-    depth, like = np.where(where, depth, np.float32(-1)), []
-    least = np.float32(SAME_DEPTH) * depth
-    for its_depth, *its_albedo in shifted(np.concatenate([depth[None], albedo]), AROUND, 1):
-        alike = (its_depth > 0) & (np.abs(its_depth - depth) < least)
+    behind, like = np.where(where, behind, np.float32(-1)), []
+    for its_depth, *its_albedo in shifted(np.concatenate([behind[None], albedo]), AROUND, 1):
+        alike = (its_depth > 0) & (np.abs(its_depth - behind) < SAME_DEPTH * behind)
         for its, own in zip(its_albedo, albedo, strict=True):
             alike &= np.abs(its - own) < SAME_ALBEDO
         like.append(alike)

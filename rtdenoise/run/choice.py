@@ -22,7 +22,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
     where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft
-    edges, and with `options.virtual_motion` what is seen in mirrors moves as it does in frames of few.
+    edges, and those of less than MIXED are read `with_virtual_motion` unless the option is off.
     Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
     """
     auto = options.model == AUTO

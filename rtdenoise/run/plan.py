@@ -3,7 +3,7 @@ frames, checked again in every frame, and counted.
 
 | left out                    | where                                                                | output  |
 |-----------------------------|----------------------------------------------------------------------|---------|
-| layers that no step reads   | one frame; a model without dual motion                               | same    |
+| layers that no step reads   | motion of one frame; a model without dual motion                     | same    |
 | the warp of history         | motion, and motion_next before it, are zero everywhere               | same    |
 | dual motion                 | motion + motion_next before it: short, whichever pixels are compared | same    |
 | running means               | no history: a first frame, a frame after a cut, a single picture     | rounded |
@@ -67,12 +67,12 @@ def make_plan(
 ) -> Plan:
     """The plan for a sequence."""
     unread = {}
-    if frames == 1:
-        unread = dict.fromkeys(("motion", "motion_next"), "a single frame has no history")
-    elif model_motion is None:
+    if model_motion is None:
         unread = dict.fromkeys(("motion", "motion_next"), "the model denoises each frame alone")
-    elif model_motion == "traditional":
-        unread = {"motion_next": "the model fetches history with traditional motion"}
+    elif frames == 1:
+        unread = {"motion": "a single frame has no history"}  # its motion_next is that of a frame which may be appended
+    if model_motion == "traditional":
+        unread |= {"motion_next": "the model fetches history with traditional motion"}
     decisions = [Decision(f"layer {layer}", "always", why) for layer, why in unread.items()]
     where = "always" if frames == 1 else "in first frames"
     decisions.append(Decision("running means", where, "where there is no history"))
