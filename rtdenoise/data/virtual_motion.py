@@ -116,7 +116,7 @@ def _fit_camera(depth: np.ndarray, motion: np.ndarray, drawn: np.ndarray) -> np.
     W = depth.shape[1]
     step = motion.reshape(2, -1)[:, drawn].T.astype(np.float64) / W
     here = _points(np.unravel_index(drawn, depth.shape), depth).T.astype(np.float64)
-    finite = np.isfinite(step).all(1)
+    finite = np.isfinite(here).all(1) & np.isfinite(step).all(1)
     here, step = here[finite], step[finite]
     if len(here) < POINTS or np.median(np.abs(step).max(1)) * W < STANDS:
         return None
