@@ -24,7 +24,7 @@ from .sky import without_stale_sky
 from .soft_edges import with_soft_edges
 from .virtual_motion import with_virtual_motion
 
-MOVED = "albedo", "normal", "depth", "motion", "motion_next"  # the last one may be missing
+MOVED = "albedo", "normal", "depth", "motion", "motion_next"  # what virtual motion takes
 DEFAULT_LAYERS = ("radiance", *MOVED)
 
 
@@ -87,7 +87,7 @@ class Sequence:
     def read(self, i: int) -> Frame:
         """`self[i]` with numpy arrays, without torch."""
         files = self.files[i]
-        rules, path = self.rules, self._path(files.header()) if self.virtual_motion else None
+        rules, path = self.rules, self._path(files)
         if path:  # whatever is wanted of the frame, it is the same
             rules = rules | {layer: self.available[layer] for layer in MOVED if layer in self.available}
         channels = files.read({name for rule in (*rules.values(), *([path] if path else ())) for name in rule.channels})
@@ -104,12 +104,14 @@ class Sequence:
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
         return complete(frame, self.scene) if missing and self.scene else frame
 
-    def _path(self, header: ExrHeader) -> Rule | None:
-        """The path length of a file; None where it, or what goes with it, is not there, and where nothing of it is
-        read."""
-        known = self.layout.path and {*self.layout.path.channels} <= header.channels.keys()
-        moves = {"albedo", "motion", "motion_next"} & self.rules.keys() and self.available.keys() >= {*MOVED[:4]}
-        return self.layout.path if known and moves else None
+    def _path(self, files: FrameFiles) -> Rule | None:
+        """The path length that virtual motion of a frame takes; None without that, where nothing of it is read, and
+        where the path length, or what goes with it, is missing."""
+        path = self.layout.path if self.virtual_motion else None
+        if not path or self.rules.keys().isdisjoint({"albedo", "motion", "motion_next"}):
+            return None
+        complete = self.available.keys() >= {*MOVED} - {"motion_next"}
+        return path if complete and files.header().channels.keys() >= {*path.channels} else None
 
     def only(self, layers: Collection[str]) -> Sequence:
         """The sequence with only these layers of `Frame` and the layers that they are computed from.
