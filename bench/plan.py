@@ -8,10 +8,10 @@ motion, each also without motion_next. In `night` and `sky`, twice as high again
 evenly lit. Each scene is timed with everything and with the plan, in CPU time, in rotation. Their outputs are compared
 first, to the bit or within float32's tolerance; a difference ends the run.
 
-Layers: time to read a multi-part file, one part per layer, with and without the layers that a single frame does not
-need. Direct light without noise: the beauty denoised as a whole, against its indirect part alone. Two omissions that
-the plan does not make: folding constant input channels (the most it could save), and coarse scales without weight
-(their number).
+Layers: time to read a multi-part file, one part per layer, with and without the layers that a network without history
+does not need. Direct light without noise: the beauty denoised as a whole, against its indirect part alone. Two
+omissions that the plan does not make: folding constant input channels (the most it could save), and coarse scales
+without weight (their number).
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def direct_light() -> dict[str, float]:
 
 
 def read_layers(frame: Frame) -> dict[str, object]:
-    """Time to read a single frame of a multi-part file: with all default layers, and without its needless motion."""
+    """Time to read a single frame of a multi-part file: with all default layers, and without motion."""
     parts = [
         OpenEXR.Part({"compression": OpenEXR.ZIP_COMPRESSION}, channels, name)
         for name, channels in {
@@ -136,7 +136,7 @@ def read_layers(frame: Frame) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         OpenEXR.File(parts).write(str(Path(folder) / "frame.0000.exr"))
         sequence = open_sequence(folder, preset="native")
-        less = sequence.only(make_plan(sequence.size, 1, "dual", [sequence[0]]).layers)
+        less = sequence.only(make_plan(sequence.size, 1, None, [sequence[0]]).layers)
         for layer, tensor in less[0].layers():
             harness.check(layer, tensor.numpy(), getattr(sequence[0], layer).numpy(), "exact")
         timings = harness.measure(
