@@ -27,6 +27,10 @@ RECALL_SAME = 2.0**-7  # values that differ by this share are the same: kept fra
 RECALL_NOISY = 0.25  # noise (`exposure.noise_level`) from which on lookups off the pixel count as far as they cover it
 RECALL_MISPLACED = 2.0  # below that the square of their distance counts so many times 1 / noise - 1 / RECALL_NOISY, too
 
+# Surfaces that are hit here and there, as they are out of focus (`ops.scattered`).
+SCATTERED_ALIKE = 1  # of the eight pixels around a lone sample, so many at most show its surface
+SCATTERED_REACH = 3  # pixels along either axis around a lone sample, in which its surface may be seen
+
 # Edges that move against what is behind them (`ops.over`).
 OVER_APART = 0.05  # least difference of distances, as a share of the greater one
 OVER_SPEED = 0.5  # least motion against what is behind, in pixels a frame

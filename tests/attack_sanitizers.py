@@ -82,6 +82,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.over import over_and_coverage
     from rtdenoise.ops.recall import keep, recall
     from rtdenoise.ops.retextured import retextured
+    from rtdenoise.ops.scattered import scattered
     from rtdenoise.ops.shares import shares
     from rtdenoise.ops.soften import soften
     from rtdenoise.ops.to_planes import to_planes
@@ -130,6 +131,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     yield "turned", turned(normal, other)
     yield "agrees", agrees(image, other, seen)
     yield "retextured", retextured(image, other, seen)
+    yield "scattered", scattered(depth)
     footprint = torch.cat([image, other, normal], dim=1)
     yield "over_and_coverage", over_and_coverage(footprint, footprint, motion, depth, kept)
     shift = torch.zeros(1, 2, -(-H // 16), -(-W // 16))

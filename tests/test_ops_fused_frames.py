@@ -56,6 +56,7 @@ def test_recall(both, backend, assert_images_close, size, count):
         motion[:, :, :, 300:] = 1.0  # whole blocks move together
         light = torch.empty(2, 3, *size).exponential_() * (1 + 3 * torch.rand(2, 1, 1, size[1]).round())
         depth = 1 + 0.1 * torch.rand(2, 1, *size) - 2 * (torch.rand(2, 1, *size) < 0.1).float()
+        depth += 2 * (torch.rand(2, 1, *size) < 0.05).float()  # hit here and there
         normal = torch.randn(2, 3, *size) + torch.tensor([0, 0, 3.0])[:, None, None]
         return light, depth.clamp(min=0), normal, torch.rand(2, 1, *size), motion
 

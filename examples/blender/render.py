@@ -15,7 +15,10 @@ import argparse
 from pathlib import Path
 
 import bpy
+from lens_sets import LENS_SETS
 from sets import SETS
+
+ALL_SETS = SETS | LENS_SETS
 
 LIGHT_PASSES = ("diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_direct", "glossy_indirect",
                 "glossy_color", "transmission_direct", "transmission_indirect", "transmission_color", "emit",
@@ -80,7 +83,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path, help="folder for frame.0001.exr …")
     parser.add_argument("--scene", type=Path, help="a .blend file to render instead of the room")
-    parser.add_argument("--set", choices=SETS, default="room", help="what to build without --scene")
+    parser.add_argument("--set", choices=ALL_SETS, default="room", help="what to build without --scene")
     parser.add_argument("--frames", type=int, help="default: 12, or as in the file")
     parser.add_argument("--width", type=int, help="default: 320, or as in the file")
     parser.add_argument("--height", type=int, help="default: 180, or as in the file")
@@ -101,7 +104,7 @@ def main() -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         scene, width, height = bpy.context.scene, 320, 180
         straighten()
-        SETS[options.set](scene, options.frames or 12)
+        ALL_SETS[options.set](scene, options.frames or 12)
         scene.frame_start, scene.frame_end = 1, 12
     if options.frames:
         scene.frame_end = scene.frame_start + options.frames - 1

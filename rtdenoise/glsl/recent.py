@@ -55,6 +55,7 @@ class Recent:
             seen = self._scratch("seen", (3, *size, 4))
             through = {"surface": inputs.surface, "chosen": chosen, "stays": stays, "seen": seen}
             through |= {"edge": self._scratch.image("edge", size), "misplaced": self._misplaced(inputs)}
+            through["lone"] = self._scattered(inputs)
         if not recent:
             fill(running)
             if seen is not None:
@@ -88,6 +89,14 @@ class Recent:
             at = {"FIRST": int(i == 0), "LAST": int(i == len(recent) - 1)}
             dispatch("hybrid/over", size[::-1], buffers | {"kept": kept}, **at)
         return over
+
+    def _scattered(self, inputs: Inputs) -> GpuArray:
+        """The depths of what is scattered around each pixel, [H, W]: `rtdenoise.ops.scattered`."""
+        size = inputs.surface.shape[:2]
+        alone, lone = self._scratch("alone", size), self._scratch.image("lone", size)
+        dispatch("hybrid/alone", size[::-1], {"surface": inputs.surface, "alone": alone})
+        dispatch("hybrid/scattered", size[::-1], {"alone": alone, "lone": lone})
+        return lone
 
     def _misplaced(self, inputs: Inputs) -> GpuArray:
         """How much less lookups off the pixel count, [1]: `models.past.misplaced`."""

@@ -28,6 +28,7 @@ from torch.nn import functional as F
 from ..color import albedo_divisor
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import reproject
+from ..ops.scattered import scattered
 from ..sanitise import sanitise
 from .window import Combined, Window, aligned, box, changed, comparable, completed, current_of
 
@@ -173,12 +174,14 @@ def few_samples(frame: Frame) -> Tensor:
 
 
 def edges(frame: Frame) -> Tensor:  # [B, 1, H, W] bool
-    """Pixels next to another surface, of a frame with valid features. A single sample of such a pixel shows one of the
-    two, and the neighbour frames that pass the test show the same one: their residuals agree although z is right."""
+    """Pixels next to another surface, or to one that is hit here and there (`scattered`), of a frame with valid
+    features. A single sample of such a pixel shows one of them, and the neighbour frames that pass the test show the
+    same one: their residuals agree although z is right."""
     far, near = (_extreme(frame.depth, which) for which in (torch.maximum, torch.minimum))
     length = _squares(frame.normal)
     agreement = _squares(box(frame.normal * length.clamp(min=1e-12).rsqrt(), 3))
-    return (far - near > MAX_DEPTH_STEP * near.clamp(min=1e-6)) | ((agreement < MIN_AGREEMENT**2) & (length > 0))
+    beside = (far - near > MAX_DEPTH_STEP * near.clamp(min=1e-6)) | ((agreement < MIN_AGREEMENT**2) & (length > 0))
+    return beside | scattered(frame.depth)[:, :1].isfinite()
 
 
 def _extreme(image: Tensor, which: Callable[[Tensor, Tensor], Tensor]) -> Tensor:

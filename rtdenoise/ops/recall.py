@@ -31,6 +31,7 @@ from ..constants import (
 )
 from .alike import alike
 from .dispatch import Fused, Support, falls_back
+from .scattered import scattered
 
 CHANNELS = 3, 1, 3, 1, 2, 3, 2, 1  # of a kept frame: those of `Kept`, and nothing
 FOOTPRINT = 3, 3, 3  # channels of a footprint: radiance, albedo, normal
@@ -76,9 +77,10 @@ def recall(
     With `uncovered` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
     converged picture both: so the surface there need only be that of p or of a pixel beside it. An edge moves with what
     is in front, so these paths begin with `edge_motion` and follow it, and what is in front of the surface that they
-    follow does not belong to the pixel. What was just uncovered has no footprint yet: its path would lead through what
-    covered it. A lookup at the nearest pixel that is off by δ counts as much as the two pixels cover each other, and
-    less where there is little noise to average (`misplaced`, m):
+    follow does not belong to the pixel, unless it is hit here and there around (`scattered`): what is out of focus
+    counts wherever it was hit. What was just uncovered has no footprint yet: its path would lead through what covered
+    it. A lookup at the nearest pixel that is off by δ counts as much as the two pixels cover each other, and less where
+    there is little noise to average (`misplaced`, m):
 
         w_j = not uncovered · surface of the pixel · u_j · Π_(i<j) (1 - reset_i(p_i)) · c(δ),
         c(δ) = (1 - |δ_x|) (1 - |δ_y|) / (1 + m |δ|²)
@@ -89,8 +91,9 @@ def recall(
     check_kept(recent, (B, RECALL_WORDS if uncovered is None else RECALL_FOOTPRINT_WORDS, H, W))
     if uncovered is not None and (uncovered.shape != (B, 1, H, W) or uncovered.dtype is not torch.bool):
         raise ValueError(f"expected uncovered {(B, 1, H, W)} bool, got {tuple(uncovered.shape)} {uncovered.dtype}")
+    lone = None if uncovered is None else scattered(surface[0])
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
-        return Recalled(*run(light, motion, *surface, recent, uncovered, misplaced))
+        return Recalled(*run(light, motion, *surface, recent, uncovered, misplaced, lone))
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
     seen, seen_count = light.new_zeros(B, sum(FOOTPRINT), H, W), torch.zeros_like(count)
     path, edge, root = Path(motion), None, _root(light)
@@ -108,8 +111,9 @@ def recall(
         if edge is not None:
             there = edge.look(kept)
             other = there.depth, there.normal
-            beside = _beside(surface, other) & (distance(there.depth) >= (1 - DEPTH_TOLERANCE) * nearest)
-            weight = (beside & edge.inside & ~uncovered) * stays * edge.left * edge.cover
+            shown = _beside(surface, other) & (distance(there.depth) >= (1 - DEPTH_TOLERANCE) * nearest)
+            shown |= (there.depth >= lone[:, :1]) & (there.depth <= lone[:, 1:])
+            weight = (shown & edge.inside & ~uncovered) * stays * edge.left * edge.cover
             if misplaced is not None:
                 weight = weight / (1 + misplaced * edge.off)
             radiance = there.light * albedo_divisor(there.albedo, there.depth)

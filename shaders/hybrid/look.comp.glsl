@@ -13,6 +13,7 @@
 #pragma reads vec4 chosen      // [H, W] motion to the frame before, uncovered
 #pragma reads float stays      // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉]
 #pragma reads float misplaced  // [1]
+#pragma reads vec4 lone        // [H, W] least and greatest depth of what is scattered around (`scattered`)
 #pragma changes vec4 edge      // [H, W] motion to the kept frame, share that resets left, distance of what is followed
 #pragma changes vec4 seen      // [3, H, W] rgb, frames · albedo · normal
 
@@ -50,7 +51,8 @@ void main() {
         vec2 apart = motion - roundEven(motion);
         bool uncovered = DUAL == 1 && chosen[i].z != 0.0;
         bool in_front = distance_of(there.surface.w) < (1.0 - DEPTH_TOLERANCE) * come.w;
-        if (!uncovered && !in_front && shown_beside(pixel, there.surface)) {
+        bool is_lone = there.surface.w >= lone[i].x && there.surface.w <= lone[i].y;
+        if (!uncovered && (is_lone || !in_front && shown_beside(pixel, there.surface))) {
             float weight = come.z * stays[at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL)] * cover(motion) /
                            (1.0 + misplaced[0] * dot(apart, apart));
             vec3 radiance = there.light * divisor(vec4(at_edge.albedo, there.surface.w));

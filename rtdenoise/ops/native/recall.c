@@ -22,6 +22,7 @@
 typedef struct {
     const float *light, *motion, *depth, *normal;  // planes of the current frame
     const uint8_t *uncovered;                      // whether a pixel was just uncovered, for footprints
+    const float *lone;                             // likewise, two planes: least and greatest depth of what is scattered
     const uint32_t *const *kept;                   // K frames [H, W, words], two bfloat16 in each
     float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
     uint32_t *found;  // of a thread: [FOUND, K, 3 (red, green; blue, 1 or 0: same surface; s as float32), CELL, BLOCK]
@@ -269,9 +270,11 @@ static inline void surroundings(Job j, int y, int from, int n, Surroundings *s) 
 }
 
 // Add to n sums what pixels of a kept frame hold, for footprints of pixels from `p` on of a block, and go on along their
-// paths. `nearest`: the least distance of what belongs to each pixel, NaN where nothing does.
+// paths. `nearest`: the least distance of what belongs to each pixel, `least` and `greatest`: depths of what is scattered there;
+// the first two are NaN where nothing belongs to it.
 static inline void see(Job j, uint32_t (*pixels)[PART], int n, const int *inside, Paths *paths, int p,
-                       const Surroundings *around, const float *nearest, const float *weight, float sum[][BLOCK]) {
+                       const Surroundings *around, const float *nearest, const float *least, const float *greatest,
+                       const float *weight, float sum[][BLOCK]) {
     float *mx = paths->mx + p, *my = paths->my + p, *s = paths->s + p;
 #pragma omp simd
     for (int x = 0; x < n; x++) {
@@ -287,7 +290,9 @@ static inline void see(Job j, uint32_t (*pixels)[PART], int n, const int *inside
                             around->square[row][column]};
             beside |= alike(here, its, j.depth_tolerance, j.normal_tolerance);
         }
-        beside &= in & (distance(its.depth) >= nearest[p + x]);
+        beside &= distance(its.depth) >= nearest[p + x];
+        beside |= (its.depth >= least[p + x]) & (its.depth <= greatest[p + x]);
+        beside &= in;
         float cover_x = covered(mx[x]), cover_y = covered(my[x]);
         float off = (1 - cover_x) * (1 - cover_x) + (1 - cover_y) * (1 - cover_y);
         float w = beside ? weight[p + x] * (s[x] * cover_x * cover_y) / (1 + j.misplaced * off) : 0;
@@ -313,12 +318,14 @@ static inline void footprints(Job j, int y, int from, int n, float weight[][BLOC
     int64_t first = (int64_t)y * j.W + from;
     Paths paths;
     Surroundings around;
-    float nearest[BLOCK], sum[SUMMED][BLOCK] = {{0}};
+    const float *greatest = j.lone + j.plane + first;
+    float nearest[BLOCK], least[BLOCK], sum[SUMMED][BLOCK] = {{0}};
     surroundings(j, y, from, n, &around);
     edges(j.motion, j.depth, j.plane, j.H, j.W, y, from, n, j.depth_tolerance, j.speed, paths.mx, paths.my, nearest);
     for (int x = 0; x < n; x++) {
         paths.s[x] = 1;
         nearest[x] = j.uncovered[first + x] ? NAN : (1 - j.depth_tolerance) * nearest[x];
+        least[x] = j.uncovered[first + x] ? NAN : j.lone[first + x];
     }
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
@@ -329,10 +336,10 @@ static inline void footprints(Job j, int y, int from, int n, float weight[][BLOC
             ahead(j.kept[k], WORDS, at[part] + (int64_t)j.W);
             if (size == PART) {
                 fetch(j.kept[k], j.plane, WORDS, PART, at + part, pixels);
-                see(j, pixels, PART, inside + part, &paths, part, &around, nearest, weight[k], sum);
+                see(j, pixels, PART, inside + part, &paths, part, &around, nearest, least, greatest, weight[k], sum);
             } else {
                 fetch(j.kept[k], j.plane, WORDS, size, at + part, pixels);
-                see(j, pixels, size, inside + part, &paths, part, &around, nearest, weight[k], sum);
+                see(j, pixels, size, inside + part, &paths, part, &around, nearest, least, greatest, weight[k], sum);
             }
         }
     }
@@ -386,10 +393,10 @@ static void strip(Job j, int top, int bottom, int left, int n) {
 }
 
 // light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], misplaced [B], kept: B × K
-// times [H, W, words], mean like light, count like depth; uncovered like depth, footprint [B, 9, H, W] and footprint_count like
-// depth, or all three NULL; all contiguous. found and cells hold the scratch of `threads` threads.
+// times [H, W, words], mean like light, count like depth; uncovered like depth, lone [B, 2, H, W], footprint [B, 9, H, W] and
+// footprint_count like depth, or all four NULL; all contiguous. found and cells hold the scratch of `threads` threads.
 void recall(const float *light, const float *motion, const float *depth, const float *normal,
-            const uint8_t *uncovered, const float *misplaced, const uint32_t *const *kept, float *mean, float *count,
+            const uint8_t *uncovered, const float *lone, const float *misplaced, const uint32_t *const *kept, float *mean, float *count,
             float *footprint, float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W, int words,
             float depth_tolerance, float normal_tolerance, float alike, float changed, float wide_alike, float wide_changed,
             float speed, int threads) {
@@ -399,7 +406,7 @@ void recall(const float *light, const float *motion, const float *depth, const f
     for (int t = 0; t < threads; t++)
         for (int b = 0; b < B; b++) {
             Job j = {light + 3 * b * plane, motion + 2 * b * plane, depth + b * plane, normal + 3 * b * plane,
-                     footprint ? uncovered + b * plane : NULL, kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
+                     footprint ? uncovered + b * plane : NULL, footprint ? lone + 2 * b * plane : NULL, kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
                      footprint ? footprint + 9 * b * plane : NULL, footprint ? footprint_count + b * plane : NULL,
                      found + (int64_t)t * FOUND * K * 3 * CELL * BLOCK, cells + (int64_t)t * SUMS * K * BLOCK,
                      depth_tolerance, normal_tolerance, alike, changed, wide_alike, wide_changed, speed, misplaced[b],

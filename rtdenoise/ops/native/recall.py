@@ -37,6 +37,7 @@ def recall(
     recent: Sequence[Tensor],
     uncovered: Tensor | None,
     misplaced: Tensor | None,
+    lone: Tensor | None,
 ) -> tuple[Tensor, ...]:
     now = [t.contiguous() for t in (light, motion, depth, normal)]
     words = min(t.shape[1] for t in recent)  # frames of a history that another network began may have more
@@ -44,7 +45,7 @@ def recall(
     B, _, H, W = light.shape
     footprint = uncovered is not None
     threads, K = torch.get_num_threads(), len(recent)
-    where = uncovered.contiguous() if footprint else None
+    masks = [uncovered.contiguous(), lone.contiguous()] if footprint else [None, None]
     less = light.new_zeros(B) if misplaced is None else misplaced.expand(B, 1, 1, 1).contiguous()
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
     found = light.new_empty(threads, FOUND, K, WORDS, RECALL_CELL, BLOCK, dtype=torch.int32)
@@ -55,7 +56,7 @@ def recall(
     tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, *tests, RECALL_EDGE_SPEED))
     _compiled().recall(
         *map(pointer, now),
-        where if where is None else pointer(where),
+        *(mask if mask is None else pointer(mask) for mask in masks),
         pointer(less),
         kept,
         *outputs,

@@ -87,9 +87,9 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
 
 
 @triton.jit
-def _sum(depth, normal, motion, uncovered, misplaced, recent, stays, mean, count, seen, seen_count, H, W, B, frames,
-         words, depth_tolerance, normal_tolerance, edge_speed, gloss, FOOTPRINT: tl.constexpr, MISPLACED: tl.constexpr,
-         CELL: tl.constexpr, BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
+def _sum(depth, normal, motion, uncovered, misplaced, lone, recent, stays, mean, count, seen, seen_count, H, W, B,
+         frames, words, depth_tolerance, normal_tolerance, edge_speed, gloss, FOOTPRINT: tl.constexpr,
+         MISPLACED: tl.constexpr, CELL: tl.constexpr, BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
     """The means of what has not changed: of light, and with FOOTPRINT of all that was seen in the pixel."""
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
@@ -110,6 +110,8 @@ def _sum(depth, normal, motion, uncovered, misplaced, recent, stays, mean, count
         edge_u, edge_v, nearest = edge_motion(motion, depth, plane, y, x, exists, H, W, depth_tolerance, edge_speed)
         belongs = exists & (tl.load(uncovered + b * plane + at, mask=exists, other=1) == 0)
         less = tl.load(misplaced + b) if MISPLACED else 0.0
+        least = tl.load(lone + b * 2 * plane + at, mask=exists, other=0.0)
+        greatest = tl.load(lone + (b * 2 + 1) * plane + at, mask=exists, other=0.0)
         edge_left, edge_total = left, total
         s0, s1, s2, s3, s4, s5, s6, s7, s8 = total, total, total, total, total, total, total, total, total
         above = surface_at(depth, normal, plane, beside(y, x, 1, H, W), exists)
@@ -140,7 +142,9 @@ def _sum(depth, normal, motion, uncovered, misplaced, recent, stays, mean, count
             shown |= _of(before, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
             shown |= _of(after, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
             shown |= _of(below, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
-            shown &= inside & belongs & (distance(its) >= (1 - depth_tolerance) * nearest)
+            shown &= distance(its) >= (1 - depth_tolerance) * nearest
+            shown |= (its >= least) & (its <= greatest)
+            shown &= inside & belongs
             du, dv = tl.abs(edge_u - whole(edge_u)), tl.abs(edge_v - whole(edge_v))
             weight = same_light * edge_left * (1 - du) * (1 - dv)
             if MISPLACED:
@@ -186,6 +190,7 @@ def recall(
     recent: Sequence[Tensor],
     uncovered: Tensor | None,
     misplaced: Tensor | None,
+    lone: Tensor | None,
 ) -> tuple[Tensor, ...]:
     light, motion, depth, normal = (t.contiguous() for t in (light, motion, depth, normal))
     B, _, H, W = light.shape
@@ -200,10 +205,10 @@ def recall(
     )  # fmt: skip
     stays = unchanged(cells)
     results = torch.empty_like(light), torch.empty_like(depth)
-    masks = depth, depth  # not read
+    masks = depth, depth, depth  # not read
     if uncovered is not None:
         less = depth if misplaced is None else of_images(misplaced, B)
-        masks = uncovered.contiguous().view(torch.uint8), less
+        masks = uncovered.contiguous().view(torch.uint8), less, lone.contiguous()
         results += light.new_empty(B, 9, H, W), torch.empty_like(depth)
     _sum[grid(B, H, W)](
         depth, normal, motion, *masks, recent, stays, *results, *results[:4 - len(results)], *counts, *tolerances,

@@ -1,0 +1,44 @@
+"""Surfaces that one sample a pixel hits here and there, as the lens scatters rays over what is out of focus.
+
+In a blurred lamp one pixel in four or ten shows the lamp, and the others what is behind it. A history that is tested by
+what a pixel and those beside it show now would keep the lamp's samples only where it is hit again, and lose its light
+(docs/notes/scattered.md).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..constants import DEPTH_TOLERANCE, SCATTERED_ALIKE, SCATTERED_REACH
+from .dispatch import Fused, Support, falls_back
+
+FUSED = Fused("scattered", native=Support(channels={"depth": (1,)}))
+
+
+@falls_back
+def scattered(depth: Tensor) -> Tensor:  # [B, 1, H, W], 0 where nothing was hit -> [B, 2, H, W]
+    """The least and the greatest depth that a sample of a scattered surface around each pixel may have, infinite and 0
+    where there is none.
+
+    They are the extremes of lone samples within SCATTERED_REACH pixels along either axis, by DEPTH_TOLERANCE less and
+    more. A sample is alone that hit something, and whose depth is that of SCATTERED_ALIKE of the eight pixels around it
+    at most, by DEPTH_TOLERANCE; a border is repeated.
+
+    Raises ValueError where the shape does not fit. No gradients.
+    """
+    if depth.ndim != 4 or depth.shape[1] != 1:
+        raise ValueError(f"expected depth [B, 1, H, W], got {tuple(depth.shape)}")
+    if run := FUSED(depth=depth):
+        return run(depth)
+    H, W = depth.shape[2:]
+    padded = F.pad(depth, (1, 1, 1, 1), mode="replicate")
+    around = torch.stack([padded[..., k // 3 : k // 3 + H, k % 3 : k % 3 + W] for k in range(9) if k != 4])
+    near = (around - depth).abs() <= DEPTH_TOLERANCE * torch.maximum(around, depth)
+    alone = (near.sum(0) <= SCATTERED_ALIKE) & (depth > 0)
+    least, greatest = (
+        F.max_pool2d(torch.where(alone, sign * depth, nothing), 2 * SCATTERED_REACH + 1, 1, SCATTERED_REACH)
+        for sign, nothing in ((-1, -torch.inf), (1, 0.0))
+    )
+    return torch.cat([(1 - DEPTH_TOLERANCE) * -least, greatest / (1 - DEPTH_TOLERANCE)], dim=1)
