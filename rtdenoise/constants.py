@@ -30,6 +30,7 @@ RECALL_MISPLACED = 2.0  # below that the square of their distance counts so many
 # Surfaces that are hit here and there, as they are out of focus (`ops.scattered`).
 SCATTERED_ALIKE = 1  # of the eight pixels around a lone sample, so many at most show its surface
 SCATTERED_REACH = 3  # pixels along either axis around a lone sample, in which its surface may be seen
+SCATTERED_APART = 1.6  # times the nearest of these: where the farthest is more, what lies between passes unnoticed
 
 # Edges that move against what is behind them (`ops.over`).
 OVER_APART = 0.05  # least difference of distances, as a share of the greater one

@@ -126,7 +126,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     yield "block_luminance", block_luminance(image, 8)
     kept = [keep(image, depth, normal, share, _motion(H, W, kind), other) for _ in range(3)]
     yield "keep", keep(image, depth, normal, share, None)
-    for for_footprints in ((), (seen,), (seen, one)):
+    for for_footprints in ((), (seen,), (seen, one), (seen, one, scattered(depth))):
         yield f"recall {len(for_footprints)}", recall(image, motion, (depth, normal), kept, *for_footprints)
     yield "turned", turned(normal, other)
     yield "agrees", agrees(image, other, seen)

@@ -13,6 +13,7 @@ from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.ops.off_pixel import off_pixel
 from rtdenoise.ops.over import over, over_and_coverage
 from rtdenoise.ops.recall import keep, recall
+from rtdenoise.ops.scattered import scattered
 from rtdenoise.shift.displacement import compressed, displacement, displacement_sums
 from rtdenoise.shift.light import light_shift, one_surface
 from rtdenoise.shift.picture import find, moved
@@ -72,7 +73,7 @@ def test_recall(both, backend, assert_images_close, size, count):
     uncovered, misplaced = torch.rand(2, 1, *size) < 0.3, torch.tensor([0.0, 9.0]).view(2, 1, 1, 1)
     mixed = kept(*frame()), *recent, kept(*frame())  # as where one network takes another's history
     cases = [(recent,), (mixed,), (recent, uncovered), (recent, uncovered, misplaced)]
-    cases.append((recent, uncovered, misplaced[1:]))  # of all pictures
+    cases.append((recent, uncovered, misplaced[1:], scattered(depth)))  # of all pictures
     for frames, *footprints in cases if backend[0] == "native" else cases[1::3] if count > 1 else cases[2:3]:
         plain, fused = both(
             lambda frames, *now: tuple(

@@ -29,21 +29,24 @@ def wall(size=SIZE):
 
 def reach(depth):
     """The rows and columns where there is anything scattered."""
-    there = scattered(depth)[0, 0].isfinite()
+    least, greatest = scattered(depth)[0]
+    there = least <= greatest
     return there.any(1).nonzero().flatten().tolist(), there.any(0).nonzero().flatten().tolist()
 
 
 def test_a_lone_sample_tells_all_around_it(choice):
     depth = wall()
-    assert reach(depth) == ([], []) and (scattered(depth)[:, 1] == 0).all()
+    assert reach(depth) == ([], []) and (scattered(depth) == torch.tensor([1.0, 0.0]).view(1, 2, 1, 1)).all()
     depth[..., 20, 30] = NEAR
     around = range(-SCATTERED_REACH, SCATTERED_REACH + 1)
     assert reach(depth) == ([20 + i for i in around], [30 + i for i in around])
     least, greatest = scattered(depth)[0, :, 20, 30].tolist()
     assert least == pytest.approx((1 - DEPTH_TOLERANCE) * NEAR) and greatest == pytest.approx(NEAR / 0.9)
-    depth[..., 22, 30] = 2 * FAR
+    depth[..., 22, 30] = 1.4 * NEAR
     least, greatest = scattered(depth)[0, :, 21, 30].tolist()
-    assert least == pytest.approx((1 - DEPTH_TOLERANCE) * NEAR) and greatest == pytest.approx(2 * FAR / 0.9)
+    assert least == pytest.approx((1 - DEPTH_TOLERANCE) * NEAR) and greatest == pytest.approx(1.4 * NEAR / 0.9)
+    depth[..., 22, 30] = 1.5 * FAR  # more than SCATTERED_APART times as far
+    assert scattered(depth)[0, :, 21, 30].tolist() == [1, 0], "what passes between both would leave a trail"
 
 
 def test_what_has_neighbours_is_not_alone(choice):
@@ -90,15 +93,16 @@ def blurred(number, size=SIZE, speed=0, share=SHARE):
 @pytest.mark.parametrize("speed", [0, 1])
 @pytest.mark.parametrize("share", [0.05, SHARE])
 def test_what_is_out_of_focus_keeps_its_light(choice, speed, share):
-    """The mean over recent frames is that of the samples, however seldom they hit."""
+    """The mean over recent frames is that of the samples; nearly so where one in twenty hits."""
     *frames, frame = (blurred(i, speed=speed, share=share) for i in range(9))
     nothing = torch.zeros_like(frame.depth)
     recent = [keep(f.radiance / 1.08, f.depth, f.normal, nothing, f.motion, f.albedo) for f in frames[::-1]]
-    found = recall(frame.radiance / 1.08, frame.motion, (frame.depth, frame.normal), recent, nothing > 0)
+    masks = nothing > 0, None, scattered(frame.depth)
+    found = recall(frame.radiance / 1.08, frame.motion, (frame.depth, frame.normal), recent, *masks)
     inside = (..., slice(12, -12))  # what came into the picture has fewer frames
     mean = (found.footprint[:, :3] * found.footprint_count)[inside].mean() / found.footprint_count[inside].mean()
     seen = torch.stack([f.radiance for f in frames]).mean()
-    assert mean == pytest.approx(seen.item(), rel=0.08)
+    assert mean == pytest.approx(seen.item(), rel=0.05 if share == SHARE else 0.2)
 
 
 @torch.inference_mode()
@@ -129,3 +133,26 @@ def test_the_shaders_do_so_too(gl, assert_images_close):
         image, history = network.step(frame, history)
         found, resident = pipeline.step(frame.map(lambda t: t.numpy()), resident)
         assert_images_close(found, image, "frame")
+
+
+def passing(number, size=SIZE, speed=8):
+    """Thin blades here and there before a bright object that passes, and behind it; a wall behind all."""
+    draw = torch.Generator().manual_seed(0)
+    near, far = (torch.rand(1, 1, *size, generator=draw) < 0.05 for _ in range(2))
+    x = torch.arange(size[1])
+    there = ((x >= speed * number) & (x < speed * number + 16)).expand(1, 1, *size)
+    depth = torch.where(near, 2.0, torch.where(there, 5.0, torch.where(far, 8.0, 12.0)))
+    light = torch.where(there & ~near, 4.0, 0.4).expand(1, 3, *size).contiguous()
+    motion = torch.cat([torch.where(there & ~near, -float(speed), 0.0), torch.zeros_like(depth)], dim=1)
+    normal = torch.tensor([0, 0, 1.0]).view(1, 3, 1, 1).expand(1, 3, *size).contiguous()
+    return Frame(light, albedo=torch.ones_like(light), normal=normal, depth=depth, motion=motion, motion_next=-motion)
+
+
+def test_what_passes_between_lone_samples_leaves_no_trail(choice):
+    frames = [passing(i) for i in range(5)]
+    frame, nothing = frames[-1], torch.zeros_like(frames[0].depth)
+    recent = [keep(f.radiance / 1.08, f.depth, f.normal, nothing, f.motion, f.albedo) for f in frames[-2::-1]]
+    masks = nothing > 0, None, scattered(frame.depth)
+    found = recall(frame.radiance / 1.08, frame.motion, (frame.depth, frame.normal), recent, *masks)
+    trail = found.footprint[..., :24] * (found.footprint_count[..., :24] > 0)
+    assert trail[:, :3].max() < 0.5

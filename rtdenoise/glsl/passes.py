@@ -54,7 +54,8 @@ class Passes:
     def __init__(self, scratch: Scratch, config: Config, tensors: Mapping[str, np.ndarray]) -> None:
         self._scratch, self._config = scratch, config
         self._accumulates = isinstance(config, AccumulatedKPNConfig)
-        self.recent = Recent(scratch, config.architecture == "hybrid")
+        hybrid = config.architecture == "hybrid"
+        self.recent = Recent(scratch, hybrid, hybrid and not config.many)
         if self._accumulates:
             self._network = HalfSizeUNet(scratch, tensors, FEATURE_ORDER, config.widths)
         else:

@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 
 
 class Recent:
-    """The passes of kept frames. With `footprints` these hold what was seen in each pixel, too (`hybrid`)."""
+    """The passes of kept frames. With `footprints` these hold what was seen in each pixel, too (`hybrid`), with
+    `lone` wherever it was hit (`rtdenoise.ops.scattered`)."""
 
-    def __init__(self, scratch: Scratch, footprints: bool) -> None:
-        self._scratch, self._footprints = scratch, footprints
+    def __init__(self, scratch: Scratch, footprints: bool, lone: bool = False) -> None:
+        self._scratch, self._footprints, self._lone = scratch, footprints, lone
 
     @property
     def words(self) -> int:
@@ -55,7 +56,7 @@ class Recent:
             seen = self._scratch("seen", (3, *size, 4))
             through = {"surface": inputs.surface, "chosen": chosen, "stays": stays, "seen": seen}
             through |= {"edge": self._scratch.image("edge", size), "misplaced": self._misplaced(inputs)}
-            through["lone"] = self._scattered(inputs)
+            through["lone"] = self._scattered(inputs) if self._lone and recent else inputs.surface
         if not recent:
             fill(running)
             if seen is not None:
@@ -67,7 +68,8 @@ class Recent:
             buffers, at = {"found": found, "stays": stays, "running": running}, at | {"LAST": int(i == last)}
             dispatch("accumulated_kpn/add", size[::-1], buffers, **at)
             if seen is not None:
-                dispatch("hybrid/look", size[::-1], through | {"kept": kept}, DUAL=int(dual), **at)
+                at |= {"DUAL": int(dual), "LONE": int(self._lone)}
+                dispatch("hybrid/look", size[::-1], through | {"kept": kept}, **at)
         return seen
 
     def see(self, inputs: Inputs, past: GpuArray, seen: GpuArray | None, reset: GpuArray | None) -> GpuArray:

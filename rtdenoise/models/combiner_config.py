@@ -103,8 +103,8 @@ class CombinerConfig(NetworkConfig):
 
     @property
     def network_reach(self) -> int:
-        """As `NetworkConfig.network_reach`, without motion between frames. The statistics reach 7 pixels."""
-        return rounded_up(3 * 2 ** (len(self.widths) + self.half_size) + 8) + self.light_reach
+        """As `NetworkConfig.network_reach`, without motion between frames. The statistics reach 10 pixels."""
+        return rounded_up(3 * 2 ** (len(self.widths) + self.half_size) + 10) + self.light_reach
 
     @property
     def light_reach(self) -> int:

@@ -21,6 +21,7 @@ from ..ops.over import over, over_and_coverage
 from ..ops.pixels import accumulate, demodulate, joined
 from ..ops.recall import Recalled, keep, recall
 from ..ops.retextured import retextured
+from ..ops.scattered import scattered
 from ..ops.turned import turned
 from ..shift import picture
 from ..shift.light import light_shift
@@ -147,6 +148,8 @@ def _recalled(
 ) -> Recalled:
     """`recall` of the history's recent frames."""
     for_footprints = (uncovered, misplaced(frame, known)) if config.footprint else ()
+    if config.footprint and not getattr(config, "many", False):  # depth of many samples is a mean: alone at every edge
+        for_footprints += (scattered(frame.depth),)
     return recall(noisy, motion, (frame.depth, frame.normal), history.recent, *for_footprints)
 
 

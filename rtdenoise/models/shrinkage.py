@@ -35,6 +35,7 @@ from .window import Combined, Window, aligned, box, changed, comparable, complet
 Step = Callable[..., tuple[Tensor, History]]
 
 SIDE = 9  # of the neighbourhood in pixels, odd
+LEAST_USABLE = 0.25  # share of the neighbourhood that must tell
 SMOOTH = 5  # side of the neighbourhood over which the weights w are averaged
 # t: with these no case of data/combiner-held got worse than 1.02 times z's error (bench/combine.py).
 SHARE_OF_HALVES = 5.0  # for two halves
@@ -151,10 +152,12 @@ def agreement(
     usable: Tensor,  # [B, 1, H, W] in {0, 1}
 ) -> Tensor:  # [B, 1, H, W] in [0, 1], 0 where not usable
     """w of a = `own` and b = `mean`, weighted as a mean of all frames."""
-    known = box(usable, SIDE).clamp(min=1e-6)
+    tells, known = usable, box(usable, SIDE)
+    usable = usable * (known >= LEAST_USABLE)
+    known = known.clamp(min=1e-6)
     # a - b has (count + 1) / count of a frame's variance, the mean of all frames 1 / (count + 1) of it
     error, variance = (
-        box(usable * x.mean(1, keepdim=True), SIDE) / known
+        box(tells * x.mean(1, keepdim=True), SIDE) / known
         for x in (own * mean, (own - mean).square() * count / (count + 1).square())
     )
     return weight(error, variance, SHARE_OF_FRAMES) * usable
@@ -181,7 +184,8 @@ def edges(frame: Frame) -> Tensor:  # [B, 1, H, W] bool
     length = _squares(frame.normal)
     agreement = _squares(box(frame.normal * length.clamp(min=1e-12).rsqrt(), 3))
     beside = (far - near > MAX_DEPTH_STEP * near.clamp(min=1e-6)) | ((agreement < MIN_AGREEMENT**2) & (length > 0))
-    return beside | scattered(frame.depth)[:, :1].isfinite()
+    least, greatest = scattered(frame.depth).split(1, dim=1)
+    return beside | (least <= greatest)
 
 
 def _extreme(image: Tensor, which: Callable[[Tensor, Tensor], Tensor]) -> Tensor:

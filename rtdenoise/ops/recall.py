@@ -31,7 +31,6 @@ from ..constants import (
 )
 from .alike import alike
 from .dispatch import Fused, Support, falls_back
-from .scattered import scattered
 
 CHANNELS = 3, 1, 3, 1, 2, 3, 2, 1  # of a kept frame: those of `Kept`, and nothing
 FOOTPRINT = 3, 3, 3  # channels of a footprint: radiance, albedo, normal
@@ -60,6 +59,7 @@ def recall(
     recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`keep`), the frame before first; 8 channels for footprints
     uncovered: Tensor | None = None,  # [B, 1, H, W] bool: for footprints, what a moving object has just uncovered
     misplaced: Tensor | None = None,  # [B, 1, 1, 1] ≥ 0, for footprints: how much less lookups off the pixel count
+    lone: Tensor | None = None,  # [B, 2, H, W] `scattered`, for footprints: depths of what is hit here and there
 ) -> Recalled:
     """The weighted mean of the frames' light:
 
@@ -77,8 +77,8 @@ def recall(
     With `uncovered` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
     converged picture both: so the surface there need only be that of p or of a pixel beside it. An edge moves with what
     is in front, so these paths begin with `edge_motion` and follow it, and what is in front of the surface that they
-    follow does not belong to the pixel, unless it is hit here and there around (`scattered`): what is out of focus
-    counts wherever it was hit. What was just uncovered has no footprint yet: its path would lead through what covered
+    follow does not belong to the pixel, unless it is hit here and there around (`lone`): what is out of focus counts
+    wherever it was hit. What was just uncovered has no footprint yet: its path would lead through what covered
     it. A lookup at the nearest pixel that is off by δ counts as much as the two pixels cover each other, and less where
     there is little noise to average (`misplaced`, m):
 
@@ -91,7 +91,6 @@ def recall(
     check_kept(recent, (B, RECALL_WORDS if uncovered is None else RECALL_FOOTPRINT_WORDS, H, W))
     if uncovered is not None and (uncovered.shape != (B, 1, H, W) or uncovered.dtype is not torch.bool):
         raise ValueError(f"expected uncovered {(B, 1, H, W)} bool, got {tuple(uncovered.shape)} {uncovered.dtype}")
-    lone = None if uncovered is None else scattered(surface[0])
     if recent and (run := FUSED(light=light, motion=motion, surface=surface)):
         return Recalled(*run(light, motion, *surface, recent, uncovered, misplaced, lone))
     mean, count = torch.zeros_like(light), torch.zeros_like(light[:, :1])
@@ -112,7 +111,8 @@ def recall(
             there = edge.look(kept)
             other = there.depth, there.normal
             shown = _beside(surface, other) & (distance(there.depth) >= (1 - DEPTH_TOLERANCE) * nearest)
-            shown |= (there.depth >= lone[:, :1]) & (there.depth <= lone[:, 1:])
+            if lone is not None:
+                shown |= (there.depth >= lone[:, :1]) & (there.depth <= lone[:, 1:])
             weight = (shown & edge.inside & ~uncovered) * stays * edge.left * edge.cover
             if misplaced is not None:
                 weight = weight / (1 + misplaced * edge.off)

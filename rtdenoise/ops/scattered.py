@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..constants import DEPTH_TOLERANCE, SCATTERED_ALIKE, SCATTERED_REACH
+from ..constants import DEPTH_TOLERANCE, SCATTERED_ALIKE, SCATTERED_APART, SCATTERED_REACH
 from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused("scattered", native=Support(channels={"depth": (1,)}))
@@ -19,12 +19,13 @@ FUSED = Fused("scattered", native=Support(channels={"depth": (1,)}))
 
 @falls_back
 def scattered(depth: Tensor) -> Tensor:  # [B, 1, H, W], 0 where nothing was hit -> [B, 2, H, W]
-    """The least and the greatest depth that a sample of a scattered surface around each pixel may have, infinite and 0
-    where there is none.
+    """The least and the greatest depth that a sample of a scattered surface around each pixel may have, 1 and 0 where
+    there is none.
 
     They are the extremes of lone samples within SCATTERED_REACH pixels along either axis, by DEPTH_TOLERANCE less and
     more. A sample is alone that hit something, and whose depth is that of SCATTERED_ALIKE of the eight pixels around it
-    at most, by DEPTH_TOLERANCE; a border is repeated.
+    at most, by DEPTH_TOLERANCE; a border is repeated. There is none where the farthest is SCATTERED_APART times as far
+    as the nearest: an object that passed between them would leave a trail.
 
     Raises ValueError where the shape does not fit. No gradients.
     """
@@ -34,11 +35,16 @@ def scattered(depth: Tensor) -> Tensor:  # [B, 1, H, W], 0 where nothing was hit
         return run(depth)
     H, W = depth.shape[2:]
     padded = F.pad(depth, (1, 1, 1, 1), mode="replicate")
-    around = torch.stack([padded[..., k // 3 : k // 3 + H, k % 3 : k % 3 + W] for k in range(9) if k != 4])
-    near = (around - depth).abs() <= DEPTH_TOLERANCE * torch.maximum(around, depth)
-    alone = (near.sum(0) <= SCATTERED_ALIKE) & (depth > 0)
-    least, greatest = (
+    alike = torch.zeros_like(depth)
+    for k in (0, 1, 2, 3, 5, 6, 7, 8):
+        other = padded[..., k // 3 : k // 3 + H, k % 3 : k % 3 + W]
+        alike += (other - depth).abs() <= DEPTH_TOLERANCE * torch.maximum(other, depth)
+    alone = (alike <= SCATTERED_ALIKE) & (depth > 0)
+    nearest, farthest = (
         F.max_pool2d(torch.where(alone, sign * depth, nothing), 2 * SCATTERED_REACH + 1, 1, SCATTERED_REACH)
         for sign, nothing in ((-1, -torch.inf), (1, 0.0))
     )
-    return torch.cat([(1 - DEPTH_TOLERANCE) * -least, greatest / (1 - DEPTH_TOLERANCE)], dim=1)
+    some = farthest <= SCATTERED_APART * -nearest
+    some &= farthest > 0
+    least, greatest = (1 - DEPTH_TOLERANCE) * -nearest, farthest / (1 - DEPTH_TOLERANCE)
+    return torch.cat([torch.where(some, least, 1.0), torch.where(some, greatest, 0.0)], dim=1)

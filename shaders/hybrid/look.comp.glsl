@@ -2,8 +2,8 @@
 // Add to each pixel's footprint what a kept frame saw in it (ops.recall): along the path of the edge in it, as far as light has
 // stayed as it is (`accumulated_kpn/stays`). The FIRST dispatch starts from nothing, the LAST divides by the weights.
 //
-// With DUAL 0 nothing has been uncovered.
-#pragma constants FIRST LAST DUAL RECALL_CELL MIN_NORMAL_COSINE
+// With DUAL 0 nothing has been uncovered, with LONE 0 nothing is scattered.
+#pragma constants FIRST LAST DUAL LONE RECALL_CELL MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "albedo.glsl"
 #include "alike.glsl"
@@ -51,7 +51,7 @@ void main() {
         vec2 apart = motion - roundEven(motion);
         bool uncovered = DUAL == 1 && chosen[i].z != 0.0;
         bool in_front = distance_of(there.surface.w) < (1.0 - DEPTH_TOLERANCE) * come.w;
-        bool is_lone = there.surface.w >= lone[i].x && there.surface.w <= lone[i].y;
+        bool is_lone = LONE == 1 && there.surface.w >= lone[i].x && there.surface.w <= lone[i].y;
         if (!uncovered && (is_lone || !in_front && shown_beside(pixel, there.surface))) {
             float weight = come.z * stays[at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL)] * cover(motion) /
                            (1.0 + misplaced[0] * dot(apart, apart));

@@ -1,10 +1,10 @@
 #version 430
 // The least and the greatest depth that a sample of a scattered surface around each pixel may have (ops.scattered).
-#pragma constants DEPTH_TOLERANCE SCATTERED_REACH
+#pragma constants DEPTH_TOLERANCE SCATTERED_APART SCATTERED_REACH
 #include "image.glsl"
 
 #pragma reads float alone  // [H, W] depth of lone samples, 0 elsewhere
-#pragma writes vec4 lone   // [H, W] least, greatest; the least above the greatest where there is none
+#pragma writes vec4 lone   // [H, W] least, greatest; 1, 0 where there is none
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -17,5 +17,7 @@ void main() {
             if (depth > 0.0) least = min(least, depth);
             greatest = max(greatest, depth);
         }
-    lone[at(pixel, size)] = vec4((1.0 - DEPTH_TOLERANCE) * least, greatest / (1.0 - DEPTH_TOLERANCE), 0.0, 0.0);
+    bool some = greatest > 0.0 && greatest <= SCATTERED_APART * least;
+    vec2 range = vec2((1.0 - DEPTH_TOLERANCE) * least, greatest / (1.0 - DEPTH_TOLERANCE));
+    lone[at(pixel, size)] = vec4(some ? range : vec2(1.0, 0.0), 0.0, 0.0);
 }

@@ -22,7 +22,7 @@
 typedef struct {
     const float *light, *motion, *depth, *normal;  // planes of the current frame
     const uint8_t *uncovered;                      // whether a pixel was just uncovered, for footprints
-    const float *lone;                             // likewise, two planes: least and greatest depth of what is scattered
+    const float *lone;                             // likewise, two planes: least and greatest depth of what is scattered, or NULL
     const uint32_t *const *kept;                   // K frames [H, W, words], two bfloat16 in each
     float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
     uint32_t *found;  // of a thread: [FOUND, K, 3 (red, green; blue, 1 or 0: same surface; s as float32), CELL, BLOCK]
@@ -318,14 +318,14 @@ static inline void footprints(Job j, int y, int from, int n, float weight[][BLOC
     int64_t first = (int64_t)y * j.W + from;
     Paths paths;
     Surroundings around;
-    const float *greatest = j.lone + j.plane + first;
-    float nearest[BLOCK], least[BLOCK], sum[SUMMED][BLOCK] = {{0}};
+    float nearest[BLOCK], least[BLOCK], greatest[BLOCK], sum[SUMMED][BLOCK] = {{0}};
     surroundings(j, y, from, n, &around);
     edges(j.motion, j.depth, j.plane, j.H, j.W, y, from, n, j.depth_tolerance, j.speed, paths.mx, paths.my, nearest);
     for (int x = 0; x < n; x++) {
         paths.s[x] = 1;
         nearest[x] = j.uncovered[first + x] ? NAN : (1 - j.depth_tolerance) * nearest[x];
-        least[x] = j.uncovered[first + x] ? NAN : j.lone[first + x];
+        least[x] = j.uncovered[first + x] || !j.lone ? NAN : j.lone[first + x];
+        greatest[x] = j.lone ? j.lone[j.plane + first + x] : 0;
     }
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
@@ -393,11 +393,11 @@ static void strip(Job j, int top, int bottom, int left, int n) {
 }
 
 // light [B, 3, H, W], motion [B, 2, H, W], depth [B, 1, H, W], normal [B, 3, H, W], misplaced [B], kept: B × K
-// times [H, W, words], mean like light, count like depth; uncovered like depth, lone [B, 2, H, W], footprint [B, 9, H, W] and
-// footprint_count like depth, or all four NULL; all contiguous. found and cells hold the scratch of `threads` threads.
+// times [H, W, words], mean like light, count like depth; uncovered like depth, footprint [B, 9, H, W] and footprint_count like
+// depth, or all three NULL; lone [B, 2, H, W] or NULL; all contiguous. found and cells hold the scratch of `threads` threads.
 void recall(const float *light, const float *motion, const float *depth, const float *normal,
-            const uint8_t *uncovered, const float *lone, const float *misplaced, const uint32_t *const *kept, float *mean, float *count,
-            float *footprint, float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W, int words,
+            const uint8_t *uncovered, const float *lone, const float *misplaced, const uint32_t *const *kept, float *mean,
+            float *count, float *footprint, float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W, int words,
             float depth_tolerance, float normal_tolerance, float alike, float changed, float wide_alike, float wide_changed,
             float speed, int threads) {
     int64_t plane = (int64_t)H * W;
@@ -406,7 +406,8 @@ void recall(const float *light, const float *motion, const float *depth, const f
     for (int t = 0; t < threads; t++)
         for (int b = 0; b < B; b++) {
             Job j = {light + 3 * b * plane, motion + 2 * b * plane, depth + b * plane, normal + 3 * b * plane,
-                     footprint ? uncovered + b * plane : NULL, footprint ? lone + 2 * b * plane : NULL, kept + (int64_t)b * K, mean + 3 * b * plane, count + b * plane,
+                     footprint ? uncovered + b * plane : NULL, lone ? lone + 2 * b * plane : NULL, kept + (int64_t)b * K,
+                     mean + 3 * b * plane, count + b * plane,
                      footprint ? footprint + 9 * b * plane : NULL, footprint ? footprint_count + b * plane : NULL,
                      found + (int64_t)t * FOUND * K * 3 * CELL * BLOCK, cells + (int64_t)t * SUMS * K * BLOCK,
                      depth_tolerance, normal_tolerance, alike, changed, wide_alike, wide_changed, speed, misplaced[b],

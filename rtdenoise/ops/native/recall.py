@@ -45,7 +45,7 @@ def recall(
     B, _, H, W = light.shape
     footprint = uncovered is not None
     threads, K = torch.get_num_threads(), len(recent)
-    masks = [uncovered.contiguous(), lone.contiguous()] if footprint else [None, None]
+    masks = [mask if mask is None else mask.contiguous() for mask in (uncovered, lone)]
     less = light.new_zeros(B) if misplaced is None else misplaced.expand(B, 1, 1, 1).contiguous()
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
     found = light.new_empty(threads, FOUND, K, WORDS, RECALL_CELL, BLOCK, dtype=torch.int32)

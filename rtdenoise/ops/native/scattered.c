@@ -1,5 +1,5 @@
-// The depths of surfaces that are hit here and there. The specification is ops/scattered.py; TOLERANCE, ALIKE and REACH are
-// DEPTH_TOLERANCE, SCATTERED_ALIKE and SCATTERED_REACH of constants.py.
+// The depths of surfaces that are hit here and there. The specification is ops/scattered.py; TOLERANCE is DEPTH_TOLERANCE of
+// constants.py, ALIKE, REACH and APART are SCATTERED_ALIKE and so on.
 #include "common.h"
 
 static inline int near(float depth, float other) { return fabsf(depth - other) <= (float)TOLERANCE * MAX(depth, other); }
@@ -61,7 +61,11 @@ void scattered(const float *depth, float *rows, float *out, int B, int H, int W,
                     greatest[x] = MAX(greatest[x], high[i * W + x]);
                 }
 #pragma omp simd
-            for (int x = 0; x < W; x++) least[x] *= 1 - (float)TOLERANCE, greatest[x] /= 1 - (float)TOLERANCE;
+            for (int x = 0; x < W; x++) {
+                int some = (greatest[x] > 0) & (greatest[x] <= (float)APART * least[x]);
+                least[x] = some ? (1 - (float)TOLERANCE) * least[x] : 1;
+                greatest[x] = some ? greatest[x] / (1 - (float)TOLERANCE) : 0;
+            }
         }
     }
 }

@@ -89,7 +89,8 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
 @triton.jit
 def _sum(depth, normal, motion, uncovered, misplaced, lone, recent, stays, mean, count, seen, seen_count, H, W, B,
          frames, words, depth_tolerance, normal_tolerance, edge_speed, gloss, FOOTPRINT: tl.constexpr,
-         MISPLACED: tl.constexpr, CELL: tl.constexpr, BLOCK: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
+         MISPLACED: tl.constexpr, LONE: tl.constexpr, CELL: tl.constexpr, BLOCK: tl.constexpr,
+         FAR_AWAY: tl.constexpr):  # fmt: skip
     """The means of what has not changed: of light, and with FOOTPRINT of all that was seen in the pixel."""
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
@@ -110,8 +111,10 @@ def _sum(depth, normal, motion, uncovered, misplaced, lone, recent, stays, mean,
         edge_u, edge_v, nearest = edge_motion(motion, depth, plane, y, x, exists, H, W, depth_tolerance, edge_speed)
         belongs = exists & (tl.load(uncovered + b * plane + at, mask=exists, other=1) == 0)
         less = tl.load(misplaced + b) if MISPLACED else 0.0
-        least = tl.load(lone + b * 2 * plane + at, mask=exists, other=0.0)
-        greatest = tl.load(lone + (b * 2 + 1) * plane + at, mask=exists, other=0.0)
+        if LONE:
+            lone += b * 2 * plane + at
+            least = tl.load(lone, mask=exists, other=1.0)
+            greatest = tl.load(lone + plane, mask=exists, other=0.0)
         edge_left, edge_total = left, total
         s0, s1, s2, s3, s4, s5, s6, s7, s8 = total, total, total, total, total, total, total, total, total
         above = surface_at(depth, normal, plane, beside(y, x, 1, H, W), exists)
@@ -143,7 +146,8 @@ def _sum(depth, normal, motion, uncovered, misplaced, lone, recent, stays, mean,
             shown |= _of(after, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
             shown |= _of(below, its, its_x, its_y, its_z, depth_tolerance, normal_tolerance)
             shown &= distance(its) >= (1 - depth_tolerance) * nearest
-            shown |= (its >= least) & (its <= greatest)
+            if LONE:
+                shown |= (its >= least) & (its <= greatest)
             shown &= inside & belongs
             du, dv = tl.abs(edge_u - whole(edge_u)), tl.abs(edge_v - whole(edge_v))
             weight = same_light * edge_left * (1 - du) * (1 - dv)
@@ -208,11 +212,11 @@ def recall(
     masks = depth, depth, depth  # not read
     if uncovered is not None:
         less = depth if misplaced is None else of_images(misplaced, B)
-        masks = uncovered.contiguous().view(torch.uint8), less, lone.contiguous()
+        masks = uncovered.contiguous().view(torch.uint8), less, depth if lone is None else lone.contiguous()
         results += light.new_empty(B, 9, H, W), torch.empty_like(depth)
     _sum[grid(B, H, W)](
         depth, normal, motion, *masks, recent, stays, *results, *results[:4 - len(results)], *counts, *tolerances,
-        RECALL_EDGE_SPEED, GLOSS, FOOTPRINT=uncovered is not None, MISPLACED=misplaced is not None, BLOCK=BLOCK, **far,
-        **FEW_REGISTERS,
+        RECALL_EDGE_SPEED, GLOSS, FOOTPRINT=uncovered is not None, MISPLACED=misplaced is not None,
+        LONE=lone is not None, BLOCK=BLOCK, **far, **FEW_REGISTERS,
     )  # fmt: skip
     return results
