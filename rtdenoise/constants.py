@@ -51,7 +51,9 @@ OUTDATED_CELL = 8  # side in pixels of the cells in which nothing may agree
 OUTDATED_RIM, OUTDATED_FRAMES = 4, 3  # likewise beside others, where so many frames must agree
 OUTDATED_PICTURE = 0.9  # share from which on the previous picture is as if off the screen
 
-CUT_ALIKE = 1.0  # pixels by which neighbours' motion may differ, if they move as one (`history.mismatch`)
+# Whether a frame belongs to another shot (`history.mismatch`).
+CUT_ALIKE = 1.0  # pixels by which neighbours' motion may differ, if they move as one
+CUT_AROUND = 3.0  # a mismatch is so many times the share of pixels whose surface is nowhere around, at most
 
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
 

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .constants import CUT_ALIKE, SHIFT_CELL
+from .constants import CUT_ALIKE, CUT_AROUND, SHIFT_CELL
 from .data.stored import FOUND, read_history, write_history
 from .errors import InputError
-from .frame import RECENT, SHIFTS, Frame, History
+from .frame import MAX_CUT_MISMATCH, RECENT, SHIFTS, Frame, History
 from .motion import on_screen, same_surface
 from .ops.alike import alike
 
@@ -37,21 +37,27 @@ def mismatch(frame: Frame, history: History) -> Tensor:
 
         max(0, m - b) / (1 - b)
 
-    In fog, out of focus or among thin leaves one sample a pixel finds another surface everywhere, within a shot, too.
-    Where nothing moves that is no harm; where neighbours move apart, history is from elsewhere indeed. Above
-    `frame.MAX_CUT_MISMATCH` the frame belongs to another shot, whatever its motion vectors say. 0 where nothing was on
-    the screen: such a history leaves no trace anyway."""
-    seen = on_screen(frame.motion)
-    wrong = seen & ~_alike(frame, history)
-    share = wrong.sum((1, 2, 3)) / seen.sum((1, 2, 3)).clamp(min=1)
-    usual = _unlike_beside(frame)
-    return (share - usual).clamp(min=0) / (1 - usual).clamp(min=1e-6)
+    Through a veil, in fog, out of focus or among thin leaves one sample a pixel finds another surface everywhere,
+    within a shot, too. So where this exceeds `frame.MAX_CUT_MISMATCH` it is CUT_AROUND times the share of those that
+    find their surface in none of the eight pixels around, either, if that is less. Above it still, the frame belongs to
+    another shot, whatever its motion vectors say. 0 where nothing was on the screen: such a history leaves no trace
+    anyway."""
+    seen, usual = on_screen(frame.motion), _unlike_beside(frame)
+    count = seen.sum((1, 2, 3)).clamp(min=1)
+    share = (seen & ~_alike(frame, history)).sum((1, 2, 3)) / count
+    found = (share - usual).clamp(min=0) / (1 - usual).clamp(min=1e-6)
+    if not (found > MAX_CUT_MISMATCH).any():
+        return found
+    around = found.new_tensor([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]).view(-1, 1, 2, 1, 1)
+    somewhere = sum(_alike(frame, history, offset) for offset in around) > 0
+    return torch.minimum(found, CUT_AROUND * (seen & ~somewhere).sum((1, 2, 3)) / count)
 
 
-def _alike(frame: Frame, history: History) -> Tensor:
+def _alike(frame: Frame, history: History, offset: Tensor | float = 0.0) -> Tensor:
+    """Whether the surface is alike at the end of the motion, or so many pixels beside."""
     if any(layer is None for layer in (frame.depth, frame.normal, history.depth, history.normal)):
         return torch.ones_like(frame.motion[:, :1], dtype=torch.bool)
-    return same_surface(frame.depth, frame.normal, history.depth, history.normal, frame.motion)
+    return same_surface(frame.depth, frame.normal, history.depth, history.normal, frame.motion + offset)
 
 
 def _unlike_beside(frame: Frame) -> Tensor:

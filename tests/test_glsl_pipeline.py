@@ -450,10 +450,16 @@ def test_stages_are_timed(gl, weights):
     assert min(seconds.values()) > 0 and pipeline.clock.read() == {}
 
 
-@pytest.mark.parametrize("shift", [0, 5])  # pixels by which the previous frame's surfaces are another's
+@pytest.mark.parametrize("shift", [0, 5, "noise"])  # pixels by which the previous frame's surfaces are another's
 def test_mismatch_is_that_of_torch(weights, shift):
     denoiser, pipeline, frames = models.read(weights(TINY)), Pipeline.load(weights(TINY)), make_frames(2)
-    moved = replace(frames[1], depth=frames[1].depth.roll(shift, -1), motion=frames[1].motion + 0.3)
+    moved = replace(frames[1], motion=frames[1].motion + 0.3)
+    if shift == "noise":  # another surface in most pixels, and the right one beside many of them
+        torch.manual_seed(0)
+        depth, motion = torch.rand_like(moved.depth) + 0.5, moved.motion + 4 * torch.randn_like(moved.motion)
+        moved = replace(moved, depth=moved.depth * depth, motion=motion)
+    else:
+        moved = replace(moved, depth=moved.depth.roll(shift, -1))
     _, history = denoiser.step(frames[0])
     _, resident = pipeline.step(arrays(frames[0]))
     expected = mismatch(sanitise(moved), history).item()

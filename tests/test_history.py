@@ -12,6 +12,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.frame import MAX_CUT_MISMATCH, History, geometry
 from rtdenoise.history import load_history, mismatch, resize, save_history, usable
 from rtdenoise.models import TemporalKPN
+from rtdenoise.motion import on_screen
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +54,27 @@ def test_depth_that_is_noise_is_no_cut_unless_it_moves():
             for frame, other in zip(make_frames(2, H=72, W=96), fog, strict=True)]  # fmt: skip
     assert mismatch(half[1], geometry(half[0])) < 0.2 * MAX_CUT_MISMATCH
     assert mismatch(half[1], geometry(replace(half[0], depth=3 * half[0].depth))) > MAX_CUT_MISMATCH
+
+
+def test_a_veil_is_no_cut():
+    """One sample a pixel shows the veil or what is behind it, which moves otherwise. Another shot shows neither."""
+    before, now = veiled(make_frames(2, H=72, W=96))
+    seen = on_screen(now.motion)
+    assert (seen & ~usable(now, geometry(before))).sum() > 0.35 * seen.sum(), "pixel by pixel it looks like a cut"
+    assert mismatch(now, geometry(before)) < 0.5 * MAX_CUT_MISMATCH
+    for factor in (0.6, 2.5):
+        assert mismatch(now, geometry(replace(before, depth=factor * before.depth))) > MAX_CUT_MISMATCH
+
+
+def veiled(frames):
+    """Frames behind a veil at depth 1.5 that moves by three pixels more a frame, and hides half of the pixels."""
+    g, drawn = torch.Generator().manual_seed(0), []
+    for frame in frames:
+        veil = torch.rand(frame.depth.shape, generator=g) < 0.5
+        still = torch.tensor([3.0, 0.0]).view(1, 2, 1, 1)
+        drawn.append(replace(frame, depth=torch.where(veil, 1.5, 3 + 0 * frame.depth),
+                             motion=torch.where(veil, still, 0 * frame.motion)))  # fmt: skip
+    return drawn
 
 
 def test_two_halves_are_one_pass_to_the_bit(tmp_path, denoiser):

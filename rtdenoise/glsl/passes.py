@@ -11,6 +11,7 @@ import numpy as np
 from ..constants import (
     AGREES_PATIENCE,
     BRIGHTNESS_BLOCK,
+    CUT_AROUND,
     OUTDATED_CELL,
     OUTDATED_FRAMES,
     OUTDATED_RIM,
@@ -18,6 +19,7 @@ from ..constants import (
     SKY_BLOCK,
     TURNED_CELL,
 )
+from ..frame import MAX_CUT_MISMATCH
 from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import BLOCK_GROUP, SELECT_GROUP, dispatch, fill
@@ -101,12 +103,19 @@ class Passes:
     def mismatch(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> float:
         """As `history.mismatch`."""
         counts, (H, W) = self._scratch("mismatch", (3,), np.uint32), surface.shape[:2]
-        fill(counts)
         buffers = {"vectors": vectors, "surface": surface, "surface_before": surface_before, "counts": counts}
-        dispatch("frame/mismatch", (W, H), buffers)
-        seen, wrong, beside = map(int, counts.read())
+
+        def counted(around: int) -> tuple[int, ...]:
+            fill(counts)
+            dispatch("frame/mismatch", (W, H), buffers, AROUND=around)
+            return tuple(map(int, counts.read()))
+
+        seen, wrong, beside = counted(0)
         usual = beside / max(1, H * (W - 1))
-        return max(0.0, wrong / max(1, seen) - usual) / max(1 - usual, 1e-6)
+        found = max(0.0, wrong / max(1, seen) - usual) / max(1 - usual, 1e-6)
+        if found <= MAX_CUT_MISMATCH:
+            return found
+        return min(found, CUT_AROUND * counted(1)[1] / max(1, seen))
 
     def history_motion(self, vectors: GpuArray, surface: GpuArray, history: History) -> GpuArray:
         """The motion that fetches history: traditional, or dual, with a flag, where a pixel has been uncovered."""

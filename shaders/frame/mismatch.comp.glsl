@@ -1,8 +1,8 @@
 #version 430
 // Whether history still belongs to this shot (history.mismatch): count the pixels whose surface was on the screen, those among
 // them for which the nearest pixel of the previous frame shows another surface, and the pixels that differ from the one beside
-// and move as it does.
-#pragma constants CUT_ALIKE DEPTH_TOLERANCE MIN_NORMAL_COSINE
+// and move as it does. AROUND 1: the second number is of those for which the eight pixels around that one do so, too.
+#pragma constants AROUND CUT_ALIKE DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "on_screen.glsl"
 #include "alike.glsl"
@@ -22,7 +22,10 @@ void main() {
     vec2 target = vec2(pixel) + vectors[i].xy;
     if (!on_screen(target)) return;
     atomicAdd(counts[0], 1u);
-    if (!alike(surface[i], surface_before[at(nearest(target), size)], DEPTH_TOLERANCE, MIN_NORMAL_COSINE)) {
-        atomicAdd(counts[1], 1u);
-    }
+    for (int y = -AROUND; y <= AROUND; ++y)
+        for (int x = -AROUND; x <= AROUND; ++x) {
+            vec4 before = surface_before[at(nearest(target + vec2(x, y)), size)];
+            if (alike(surface[i], before, DEPTH_TOLERANCE, MIN_NORMAL_COSINE)) return;
+        }
+    atomicAdd(counts[1], 1u);
 }
