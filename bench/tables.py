@@ -22,7 +22,7 @@ MODULES = (
     "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis", "missing_layers", "mltd",
     "mltd_memory", "modes", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
     "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input",
-    "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.generalisation",
+    "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fog", "diagnosis.generalisation",
     "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens",
     "diagnosis.outdated", "diagnosis.scattered", "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion",
     "diagnosis.where",

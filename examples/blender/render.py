@@ -17,8 +17,9 @@ from pathlib import Path
 import bpy
 from lens_sets import LENS_SETS
 from sets import SETS
+from veil_sets import VEIL_SETS
 
-ALL_SETS = SETS | LENS_SETS
+ALL_SETS = SETS | LENS_SETS | VEIL_SETS
 
 LIGHT_PASSES = ("diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_direct", "glossy_indirect",
                 "glossy_color", "transmission_direct", "transmission_indirect", "transmission_color", "emit",

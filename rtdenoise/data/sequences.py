@@ -14,6 +14,7 @@ from ..frame import CHANNELS, Frame
 from .components import check_components
 from .exr_format import ExrHeader
 from .files import FrameFiles, find_frames, find_gaps
+from .fog import with_fog
 from .layers import SIGNALS
 from .layout import Layout, Rule
 from .layouts import choose, find, samples
@@ -47,6 +48,8 @@ class Sequence:
     scene: dict | None = field(default=None, repr=False)  # cameras and transforms beside the frames, as in scene.json
     soft_edges: bool = False  # frames are read `with_soft_edges`, for denoisers
     virtual_motion: bool = False  # frames are read `with_virtual_motion` where files hold the length of paths
+    fog: bool = False  # frames are read `with_fog` where files hold the light of volumes
+    few_samples: bool = False  # in which albedo is noise, too
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -87,17 +90,22 @@ class Sequence:
     def read(self, i: int) -> Frame:
         """`self[i]` with numpy arrays, without torch."""
         files = self.files[i]
-        rules, path = self.rules, self._path(files)
-        if path:  # whatever is wanted of the frame, it is the same
+        rules, path, fog = self.rules, self._path(files), self._fog(files)
+        if path or fog:  # whatever is wanted of the frame, it is the same
             rules = rules | {layer: self.available[layer] for layer in MOVED if layer in self.available}
-        channels = files.read({name for rule in (*rules.values(), *([path] if path else ())) for name in rule.channels})
+        read = *rules.values(), *([path] if path else ()), *fog.values()
+        channels = files.read({name for rule in read for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
         if self.layout.name == "cycles":
             frame = without_stale_sky(frame)
         if path:
             frame = with_virtual_motion(frame, convert(path, channels, "path"))
-            frame = replace(frame, **dict.fromkeys(rules.keys() - self.rules.keys()))
+        if fog:
+            light = {name: convert(rule, channels, name) for name, rule in fog.items()}
+            sky = light.pop("sky", None)
+            frame = with_fog(frame, sum(light.values()), sky, self.few_samples)
+        frame = replace(frame, **dict.fromkeys(rules.keys() - self.rules.keys()))
         if self.soft_edges:
             frame = with_soft_edges(frame)
         check_components(frame)
@@ -112,6 +120,15 @@ class Sequence:
             return None
         complete = self.available.keys() >= {*MOVED} - {"motion_next"}
         return path if complete and files.header().channels.keys() >= {*path.channels} else None
+
+    def _fog(self, files: FrameFiles) -> dict[str, Rule]:
+        """The light of volumes, and of the sky, that a frame has; none without `fog`, where nothing that it changes is
+        read, and where there are no volumes or no depth."""
+        if not (self.fog and self.layout.fog and "depth" in self.available) or self.rules.keys().isdisjoint(MOVED):
+            return {}
+        names = files.header().channels.keys()
+        found = {k: m for k, rules in self.layout.fog.items() for m in [rule.match(names) for rule in rules] if m}
+        return found if found.keys() - {"sky"} else {}
 
     def only(self, layers: Collection[str]) -> Sequence:
         """The sequence with only these layers of `Frame` and the layers that they are computed from.

@@ -22,7 +22,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
     where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft
-    edges, and those of less than MIXED are read `with_virtual_motion` unless the option is off.
+    edges, those of less than MIXED are read `with_virtual_motion`, and all `with_fog`, unless the options are off.
     Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
     """
     auto = options.model == AUTO
@@ -35,7 +35,11 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter
     samples = known_samples(sequence, options.samples)
     virtual = options.virtual_motion and sequence.signal == "color"  # indirect light ends at mirrors and panes
-    sequence = replace(sequence, soft_edges=wide and samples == 1, virtual_motion=virtual and samples < MIXED)
+    fog = options.fog and sequence.signal == "color"  # indirect light is divided by the colour of what was hit
+    sequence = replace(
+        sequence, soft_edges=wide and samples == 1, virtual_motion=virtual and samples < MIXED, fog=fog,
+        few_samples=0 < samples < MIXED,
+    )  # fmt: skip
     if not auto:
         return sequence, _looking(options, 0), []
     if "samples" not in layers:

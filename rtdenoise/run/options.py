@@ -61,6 +61,9 @@ class Options:
     virtual_motion: bool = True
     """Follow what is seen in flat mirrors and through panes, where files tell how far away it is, as those of Cycles do
     with Denoising Data: motion vectors are those of mirror and pane."""
+    fog: bool = True
+    """Give pixels whose sample is scattered in fog the surface and the motion of what is behind, where files tell which
+    they are, as those of Cycles do with the Volume passes."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack, from frame to frame, found by albedo: those of
     Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""
