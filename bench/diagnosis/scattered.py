@@ -30,8 +30,7 @@ from bench.diagnosis.outdated import METHODS
 from bench.diagnosis.turned import SKIP, errors
 from bench.diagnosis.virtual_motion import OIDN, read
 from rtdenoise.frame import Frame
-from rtdenoise.models import shrinkage
-from rtdenoise.ops import recall
+from rtdenoise.models import past, shrinkage
 
 RESULT, PAGES = RESULTS / "scattered.json", (DOCS / "notes" / "scattered.md",)
 ALONE = OIDN, "`hybrid`, single frames"  # what has no history
@@ -57,13 +56,13 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
 @contextmanager
 def nothing_scattered(so: bool) -> Iterator[None]:
     """Surfaces count beside a pixel alone, if `so`."""
-    use = recall.scattered
+    use = past.scattered
     if so:
-        recall.scattered = shrinkage.scattered = lambda depth: torch.cat([depth + torch.inf, 0 * depth], dim=1)
+        past.scattered = shrinkage.scattered = lambda depth: torch.cat([1 + 0 * depth, 0 * depth], dim=1)
     try:
         yield
     finally:
-        recall.scattered = shrinkage.scattered = use
+        past.scattered = shrinkage.scattered = use
 
 
 def light_of_lamps(frames: list[Frame], images: list[Tensor]) -> float | None:
