@@ -100,11 +100,15 @@ def _mixed(
     """(1 - f) surface + f fog, `[1, 3, H, W]`."""
     known = (hit | fog).astype(np.float32)
     sums = np.concatenate([known[None], fog[None] * np.float32(1), fog * albedo[0]])
+    apart = SAME_DEPTH * depth
     for step in STEPS:
         steps = [(step * y, step * x) for y in range(-2, 3) for x in range(-2, 3)]
-        total = np.zeros_like(sums)
-        for its in shifted(np.concatenate([depth[None], sums]), steps, 2 * step):
-            total += (np.abs(its[0] - depth) <= SAME_DEPTH * np.maximum(its[0], depth)) * its[1:]
+        total, same, part = np.zeros_like(sums), np.empty_like(depth), np.empty_like(depth)
+        for its_depth, *its in shifted(np.concatenate([depth[None], sums]), steps, 2 * step):
+            np.abs(np.subtract(its_depth, depth, out=same), out=same)
+            np.less_equal(same, apart, out=same, casting="unsafe")
+            for plane, added in zip(total, its, strict=True):
+                plane += np.multiply(added, same, out=part)
         sums = total
     count, foggy, light = sums[0], sums[1], sums[2:]
     f = foggy / np.maximum(count, 1)
