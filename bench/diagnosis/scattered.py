@@ -42,7 +42,7 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of frames of Cycles, each with its references in the folder of its name and "-reference"."""
     rows = []
     for shot in shots:
-        frames = read(shot, virtual=True)
+        frames = read(shot, virtual_motion=True)
         for method, run in METHODS.items():
             for tested in (WITH,) if method in ALONE else (BESIDE, WITH):
                 with nothing_scattered(tested == BESIDE):

@@ -36,7 +36,7 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of frames of Cycles, each with its references in the folder of its name and "-reference"."""
     rows = []
     for shot in shots:
-        frames = {motion: read(shot, motion == BY[1]) for motion in BY}
+        frames = {motion: read(shot, virtual_motion=motion == BY[1]) for motion in BY}
         for method, run in METHODS.items():
             for motion in BY[: 1 if method == OIDN else 2]:
                 psnr = errors(frames[motion], run(frames[motion]))["frame"]
@@ -45,22 +45,27 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
 
 
-def read(shot: Path, virtual: bool) -> list[Frame]:
-    """Sanitised frames with references."""
-    noisy = replace(open_sequence(shot), soft_edges=True, virtual_motion=virtual)
+def read(shot: Path, **how: bool) -> list[Frame]:
+    """Sanitised frames with references. `how`: fields of `Sequence`."""
+    noisy = replace(open_sequence(shot), soft_edges=True, **how)
     pairs = zip(noisy, open_sequence(f"{shot}-reference"), strict=True)
     return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
 
 
 def tables(document: dict) -> dict[str, str]:
     """Section `virtual-motion`: PSNR of each method and shot, with either motion."""
-    found = {(row["shot"], row["method"], row["motion"]): row["psnr"] for row in document["rows"]}
+    return {"virtual-motion": table(document, "motion", BY)}
+
+
+def table(document: dict, of: str, values: tuple[str, ...]) -> str:
+    """PSNR of each method and shot, for each value that `of` has there."""
+    found = {(row["shot"], row["method"], row[of]): row["psnr"] for row in document["rows"]}
     shots = list(dict.fromkeys(shot for shot, _, _ in found))
     lines = [f"| | {' | '.join(shots)} |", "|---" * (len(shots) + 1) + "|"]
     for method in dict.fromkeys(method for _, method, _ in found):
-        cells = [[found[key] for motion in BY if (key := (shot, method, motion)) in found] for shot in shots]
+        cells = [[found[key] for value in values if (key := (shot, method, value)) in found] for shot in shots]
         lines.append(f"| {method} | {' | '.join(' → '.join(f'{x:.2f}' for x in cell) for cell in cells)} |")
-    return {"virtual-motion": "\n".join(lines)}
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":
