@@ -73,7 +73,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
         counts["recent"] = pointers
         build(_compare, dict(CELL=4, COLUMNS=32, FAR_AWAY=1e6, **one, **images), rounding="fp32", **near, **counts)
         for yes in (False, True):
-            build(_sum, dict(CELL=4, FOOTPRINT=yes, MISPLACED=yes, BLOCK=128, FAR_AWAY=1e6, **one, **images),
+            build(_sum, dict(CELL=4, FOOTPRINT=yes, MISPLACED=yes, LONE=yes, BLOCK=128, FAR_AWAY=1e6, **one, **images),
                   uncovered="*u8", edge_speed="fp32", gloss="fp32", **near, **counts)
         build(_over, dict(BLOCK=128, FAR_AWAY=1e6, **{n: v for n, v in {**one, **images}.items() if n != "B"}),
               **sizes, **counts, **dict.fromkeys(["apart", "speed", "same", "light", "gloss", "tolerance"], "fp32"))

@@ -112,9 +112,8 @@ def _sum(depth, normal, motion, uncovered, misplaced, lone, recent, stays, mean,
         belongs = exists & (tl.load(uncovered + b * plane + at, mask=exists, other=1) == 0)
         less = tl.load(misplaced + b) if MISPLACED else 0.0
         if LONE:
-            lone += b * 2 * plane + at
-            least = tl.load(lone, mask=exists, other=1.0)
-            greatest = tl.load(lone + plane, mask=exists, other=0.0)
+            least = tl.load(lone + b * 2 * plane + at, mask=exists, other=1.0)
+            greatest = tl.load(lone + (b * 2 + 1) * plane + at, mask=exists, other=0.0)
         edge_left, edge_total = left, total
         s0, s1, s2, s3, s4, s5, s6, s7, s8 = total, total, total, total, total, total, total, total, total
         above = surface_at(depth, normal, plane, beside(y, x, 1, H, W), exists)
