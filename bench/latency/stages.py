@@ -19,7 +19,7 @@ STAGES = {
     "features + kernel prediction": ("demodulate", "features", "predict", "forward"),  # forward: of `hybrid`'s pixels
     "kernel application": ("apply_kernel", "downsample", "compose", "pick", "blend_history"),
     "blending": ("accumulate", "modulate", "blend", "evened", "expand_within", "mix"),
-    "reprojection": ("history_motion", "warp", "reproject", "recall", "keep", "over", "over_and_coverage"),
+    "reprojection": ("history_motion", "warp", "reproject", "scattered", "recall", "keep", "over", "over_and_coverage"),
 }
 
 
