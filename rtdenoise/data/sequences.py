@@ -90,7 +90,7 @@ class Sequence:
     def read(self, i: int) -> Frame:
         """`self[i]` with numpy arrays, without torch."""
         files = self.files[i]
-        rules, path, fog = self.rules, self._path(files), self._fog(files)
+        rules, (path, fog) = self.rules, self._besides(files)
         if path or fog:  # whatever is wanted of the frame, it is the same
             rules = rules | {layer: self.available[layer] for layer in MOVED if layer in self.available}
         read = *rules.values(), *([path] if path else ()), *fog.values()
@@ -112,23 +112,20 @@ class Sequence:
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
         return complete(frame, self.scene) if missing and self.scene else frame
 
-    def _path(self, files: FrameFiles) -> Rule | None:
-        """The path length that virtual motion of a frame takes; None without that, where nothing of it is read, and
-        where the path length, or what goes with it, is missing."""
-        path = self.layout.path if self.virtual_motion else None
-        if not path or self.rules.keys().isdisjoint({"albedo", "motion", "motion_next"}):
-            return None
-        complete = self.available.keys() >= {*MOVED} - {"motion_next"}
-        return path if complete and files.header().channels.keys() >= {*path.channels} else None
-
-    def _fog(self, files: FrameFiles) -> dict[str, Rule]:
-        """The light of volumes, and of the sky, that a frame has; none without `fog`, where nothing that it changes is
-        read, and where there are no volumes or no depth."""
-        if not (self.fog and self.layout.fog and "depth" in self.available) or self.rules.keys().isdisjoint(MOVED):
-            return {}
+    def _besides(self, files: FrameFiles) -> tuple[Rule | None, dict[str, Rule]]:
+        """What is read of a frame beside its layers: the path length for virtual motion, None without; and the light of
+        volumes and of the sky for fog, none without. Neither where nothing that it changes is read, nor where it is
+        missing, or what goes with it."""
+        path = self.layout.path if self.virtual_motion and self.available.keys() >= {*MOVED} - {"motion_next"} else None
+        fog = self.layout.fog if self.fog and "depth" in self.available else {}
+        if self.rules.keys().isdisjoint({"albedo", "motion", "motion_next"}):
+            path = None
+        if self.rules.keys().isdisjoint(MOVED) or not (path or fog):
+            return None, {}
         names = files.header().channels.keys()
-        found = {k: m for k, rules in self.layout.fog.items() for m in [rule.match(names) for rule in rules] if m}
-        return found if found.keys() - {"sky"} else {}
+        found = {light: m for light, rules in fog.items() for m in [rule.match(names) for rule in rules] if m}
+        path = path if path and names >= {*path.channels} else None
+        return path, found if found.keys() - {"sky"} else {}
 
     def only(self, layers: Collection[str]) -> Sequence:
         """The sequence with only these layers of `Frame` and the layers that they are computed from.
