@@ -21,6 +21,7 @@ from .layouts import choose, find, samples
 from .noisebase import NOISEBASE, find_archives
 from .scene_file import read_scene
 from .scene_motion import complete
+from .shutter import Surfaces
 from .sky import without_stale_sky
 from .soft_edges import with_soft_edges
 from .virtual_motion import with_virtual_motion
@@ -50,6 +51,7 @@ class Sequence:
     virtual_motion: bool = False  # frames are read `with_virtual_motion` where files hold the length of paths
     fog: bool = False  # frames are read `with_fog` where files hold the light of volumes
     few_samples: bool = False  # in which albedo is noise, too
+    surfaces: Surfaces | None = field(default=None, repr=False)  # without motion blur: layers that these give
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -110,7 +112,8 @@ class Sequence:
             frame = with_soft_edges(frame)
         check_components(frame)
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
-        return complete(frame, self.scene) if missing and self.scene else frame
+        frame = complete(frame, self.scene) if missing and self.scene else frame
+        return self.surfaces.give(frame) if self.surfaces else frame
 
     def _besides(self, files: FrameFiles) -> tuple[Rule | None, dict[str, Rule]]:
         """What is read of a frame beside its layers: the path length for virtual motion, None without; and the light of
@@ -134,7 +137,8 @@ class Sequence:
         """
         computed = [layer for layer in layers if layer in DEFAULT_LAYERS and layer not in self.available]
         wanted = {*layers, *(("position", "id") if computed else ())}
-        return replace(self, rules={layer: rule for layer, rule in self.rules.items() if layer in wanted})
+        rules = {layer: rule for layer, rule in self.rules.items() if layer in wanted}
+        return replace(self, rules=rules, surfaces=self.surfaces and self.surfaces.only(wanted))
 
     def require(self, *layers: str) -> Sequence:
         """The sequence itself, if it has these layers of `Frame`.
@@ -154,7 +158,9 @@ class Sequence:
                                  f"{what} needs; the file has {header.summary}")  # fmt: skip
 
     def has(self, layer: str) -> bool:
-        """Whether its frames have a layer of `Frame`: the files have it, or what it is computed from."""
+        """Whether its frames have a layer of `Frame`: the files have it, or what it is computed from, or `surfaces`."""
+        if self.surfaces and self.surfaces.has(layer):
+            return True
         if layer in self.available or not self.scene or "position" not in self.available:
             return layer in self.available
         return layer in ("depth", "motion", "motion_next") and ("id" in self.available or not self.scene["objects"])

@@ -7,12 +7,12 @@ from importlib.util import find_spec
 
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
-from .options import AHEAD, AUTO, Options
+from .options import AHEAD, AUTO, MIXED, Options
+from .surfaces import with_surfaces
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
 KERNELS = "default", "many"  # kernels alone, for all that goes with these only
 LEAST = 4  # samples a pixel from which those for many are better (docs/results/held.md)
-MIXED = 8  # samples a pixel from which paths are means of what a pane reflects and shows (docs/notes/virtual_motion.md)
 LITTLE = 0.08  # `exposure.noise_level`: below, a frame of unknown samples has many (docs/notes/lookahead.md)
 
 
@@ -22,7 +22,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
     where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft
-    edges, those of less than MIXED are read `with_virtual_motion`, and all `with_fog`, unless the options are off.
+    edges, but for motion blur; those of less than MIXED are read `with_virtual_motion`, and all `with_fog`, unless the
+    options are off.
     Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
     """
     auto = options.model == AUTO
@@ -30,6 +31,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         source, signal=options.signal, preset=options.preset, layers=(*layers, *(["samples"] if auto else [])),
         allow_gaps=options.allow_gaps,
     )  # fmt: skip
+    sequence = with_surfaces(sequence, options)
     if options.lens:
         sequence = _with_lens(sequence)
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter
@@ -37,8 +39,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     virtual = options.virtual_motion and sequence.signal == "color"  # indirect light ends at mirrors and panes
     fog = options.fog and sequence.signal == "color"  # indirect light is divided by the colour of what was hit
     sequence = replace(
-        sequence, soft_edges=wide and samples == 1, virtual_motion=virtual and samples < MIXED, fog=fog,
-        few_samples=0 < samples < MIXED,
+        sequence, soft_edges=wide and samples == 1 and not sequence.surfaces,
+        virtual_motion=virtual and samples < MIXED, fog=fog, few_samples=0 < samples < MIXED,
     )  # fmt: skip
     if not auto:
         return sequence, _looking(options, 0), []

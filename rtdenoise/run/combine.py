@@ -19,6 +19,7 @@ from ..files import lock, remove_unfinished
 from .choice import told_of_samples
 from .folder import prepare
 from .options import CombineOptions, Summary, check_samples
+from .surfaces import with_surfaces
 
 if TYPE_CHECKING:
     from ..models import Combiner, Shrinkage
@@ -56,6 +57,7 @@ def combine(
     source = open_sequence(
         noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
     )
+    source = with_surfaces(source, options)
     source = with_lens(source) if options.lens else source
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
     check_output(source, options.layout, options.recombine, options.keep, options.alpha)

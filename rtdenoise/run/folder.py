@@ -75,10 +75,12 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
     cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
+    others = sequence.surfaces.files if sequence.surfaces else {}
     running = hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode())
     found = [running.hexdigest()]
     for frame in sequence.files:
-        inputs = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in frame.files.values()]
+        paths = *frame.files.values(), *others.get(frame.number, ())
+        inputs = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
         seen = [cameras.get(frame.number + step) for step in (-1, 0, 1)]  # what its motion is computed from
         running.update(json.dumps([inputs, seen], sort_keys=True).encode())
         found.append(running.hexdigest())

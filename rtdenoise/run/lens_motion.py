@@ -59,4 +59,6 @@ def with_lens(sequence: Sequence) -> WithLens:
     parts = {part.name: getattr(sequence, part.name) for part in fields(sequence)}
     for layers in ("rules", "available"):
         parts[layers] = {layer: rule for layer, rule in parts[layers].items() if layer != "motion_next"}
+    if sequence.surfaces:
+        parts["surfaces"] = sequence.surfaces.only({*sequence.surfaces.layers} - {"motion_next"})
     return WithLens(**parts, drifts=Drifts(sequence))

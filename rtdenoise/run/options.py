@@ -18,6 +18,7 @@ EXAMINED = 3  # frames that the plan examines
 MAX_LOOKAHEAD = 16  # frames; beyond 4 little is gained
 AHEAD = 2  # frames, with 'auto'
 MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
+MIXED = 8  # samples a pixel from which paths are means of what a pane reflects and shows (docs/notes/virtual_motion.md)
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,13 @@ class Options:
     fog: bool = True
     """Give pixels whose sample is scattered in fog the surface and the motion of what is behind, where files tell which
     they are, as those of Cycles do with the Volume passes."""
+    surfaces: str = ""
+    """A second render of frames that have motion blur (folder or glob), without it: albedo, normal, depth and motion
+    are taken from there, and what moves is blurred in albedo and normal as the shutter blurs it."""
+    shutter: float = 0.5
+    """With --surfaces: frames that the shutter is open, Blender's Shutter."""
+    shutter_position: Literal["start", "center", "end"] = "center"
+    """With --surfaces: when the time of a frame is while the shutter is open, Blender's Position."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack, from frame to frame, found by albedo: those of
     Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""
@@ -151,6 +159,12 @@ class CombineOptions:
     """Accept missing frame numbers; no frame is corrected by frames beyond a gap."""
     detect_cuts: bool = True
     """Use no frames beyond one where most pixels show another surface than their motion vectors promise."""
+    surfaces: str = ""
+    """A second render of frames that have motion blur, without it: as for denoise."""
+    shutter: float = 0.5
+    """With --surfaces: frames that the shutter is open."""
+    shutter_position: Literal["start", "center", "end"] = "center"
+    """With --surfaces: when the time of a frame is while the shutter is open."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack: as for denoise."""
     device: str = "auto"

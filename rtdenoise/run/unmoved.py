@@ -25,7 +25,7 @@ DEPTH_CHANGE, ALBEDO_CHANGE, LEAST = 0.02, 0.05, 0.005
 MOST = 100_000  # about so many pixels of a frame are looked at
 UNMOVED = (
     "motion is zero everywhere though the picture changes ({}), so what moves leaves trails: was motion blur on? "
-    "render without it"
+    "render without it, or name a second render without it by --surfaces"
 )
 PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors, and noise, are judged, and pixels of each
 WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"

@@ -1,0 +1,54 @@
+"""Frames with motion blur: `--surfaces` takes albedo, normal, depth and motion of a second render without it. Needs no
+torch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ..data.sequences import Sequence, open_sequence
+from ..data.shutter import GIVEN, POSITIONS, Surfaces
+from ..errors import InputError
+from .options import MIXED, CombineOptions, Options
+
+MOST = 4.0  # frames that a shutter may be open; more is a slip
+
+
+def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequence:
+    """The sequence with the layers of `options.surfaces`; itself without.
+
+    Albedo stays the frame's own where it says what indirect light was divided by. Raises InputError where the second
+    render cannot be opened, has no depth or motion, other frames or another size, or is the first one; and for a
+    shutter that there is not.
+    """
+    if not options.surfaces:
+        return sequence
+    if not 0 < options.shutter <= MOST:
+        raise InputError(f"--shutter: expected more than 0 and up to {MOST:g} frames, got {options.shutter:g}")
+    if options.shutter_position not in POSITIONS:
+        raise InputError(f"--shutter-position: expected {', '.join(POSITIONS)}, got {options.shutter_position}")
+    surfaces = open_sequence(
+        options.surfaces, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps
+    )
+    surfaces.require("depth", "motion")
+    _check(surfaces, sequence)
+    if isinstance(options, Options) and options.signal == "color":
+        samples = surfaces.header.samples
+        surfaces = replace(
+            surfaces, virtual_motion=options.virtual_motion and samples < MIXED, fog=options.fog,
+            few_samples=0 < samples < MIXED,
+        )  # fmt: skip
+    middle, half = options.shutter * POSITIONS[options.shutter_position], options.shutter / 2
+    layers = GIVEN if options.signal == "color" else tuple(layer for layer in GIVEN if layer != "albedo")
+    return replace(sequence, surfaces=Surfaces(surfaces, middle - half, middle + half, layers))
+
+
+def _check(surfaces: Sequence, sequence: Sequence) -> None:
+    """Raise InputError unless both have the same frames, in other files."""
+    if surfaces.size != sequence.size:
+        (h, w), (H, W) = surfaces.size, sequence.size
+        raise InputError(f"{surfaces.paths[0]}: is {w}×{h}, the frames are {W}×{H}; "
+                         "--surfaces is another render of them")  # fmt: skip
+    if surfaces.paths[0] == sequence.paths[0]:
+        raise InputError(f"{surfaces.paths[0]}: was named twice; --surfaces is another render, without motion blur")
+    if missing := sorted(set(sequence.numbers) - set(surfaces.numbers)):
+        raise InputError(f"{surfaces.paths[0].parent}: has no frame {missing[0]}; --surfaces needs one for each frame")
