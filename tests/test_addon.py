@@ -216,7 +216,7 @@ def test_a_python_with_rtdenoise_is_found(parts, tmp_path, monkeypatch):
     (own / environment.READY).unlink()
     assert environment.find("", own) is None, "an installation that did not end well"
     program = tmp_path / "rtdenoise"
-    program.write_text("#!/bin/sh\necho 'usage: --lens'\n")
+    program.write_text("#!/bin/sh\necho 'usage: --surfaces'\n")
     program.chmod(0o755)
     assert environment.find("", own) == [str(program)] == environment.find(str(program), own)
     program.write_text("#!/bin/sh\necho 'usage: an older one'\n")

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import bpy
 from lens_sets import LENS_SETS
+from motion_sets import MOTION_SETS
 from sets import SETS
 from veil_sets import VEIL_SETS
 
-ALL_SETS = SETS | LENS_SETS | VEIL_SETS
+ALL_SETS = SETS | LENS_SETS | VEIL_SETS | MOTION_SETS
 
 LIGHT_PASSES = ("diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_direct", "glossy_indirect",
                 "glossy_color", "transmission_direct", "transmission_indirect", "transmission_color", "emit",
@@ -62,6 +63,12 @@ def configure(scene: bpy.types.Scene, width: int, height: int, samples: int, see
     scene.frame_step = 1
 
 
+def surfaces_only(scene: bpy.types.Scene) -> None:
+    """What `rtdenoise denoise --surfaces` reads: no motion blur, and little light."""
+    scene.render.use_motion_blur = False
+    scene.cycles.samples, scene.cycles.diffuse_bounces = 4, 0
+
+
 def simulate(scene: bpy.types.Scene) -> None:
     """Run through the frames once, so that physics are in Blender's cache: motion vectors take the frame after, to
     which they would jump."""
@@ -91,6 +98,8 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=1, help="per pixel")
     parser.add_argument("--transparent", action="store_true", help="no sky in the picture, but alpha")
     parser.add_argument("--seed", type=int, default=1, help="of the noise: another for a reference")
+    parser.add_argument("--surfaces", type=Path, help="folder for a second render without motion blur, with which "
+                        "`rtdenoise denoise --surfaces` takes frames that have it: as in the file, in a --set always")
     options = parser.parse_args()
 
     if options.scene:
@@ -100,10 +109,10 @@ def main() -> None:
         scene = bpy.context.scene
         if scene.camera is None:
             parser.error(f"{options.scene}: the scene has no camera")
-        width, height = own_size(scene)
+        (width, height), blurs = own_size(scene), scene.render.use_motion_blur
     else:
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        scene, width, height = bpy.context.scene, 320, 180
+        scene, width, height, blurs = bpy.context.scene, 320, 180, True
         straighten()
         ALL_SETS[options.set](scene, options.frames or 12)
         scene.frame_start, scene.frame_end = 1, 12
@@ -114,8 +123,13 @@ def main() -> None:
     scene.render.film_transparent |= options.transparent
     if options.scene:
         simulate(scene)
+    scene.render.use_motion_blur = bool(options.surfaces) and blurs
     scene.render.filepath = str(options.out.resolve() / "frame.####")
     bpy.ops.render.render(animation=True)
+    if options.surfaces:
+        surfaces_only(scene)
+        scene.render.filepath = str(options.surfaces.resolve() / "frame.####")
+        bpy.ops.render.render(animation=True)
 
 
 if __name__ == "__main__":

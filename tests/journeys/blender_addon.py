@@ -145,6 +145,7 @@ assert scene.view_layers[0].use_pass_vector, "the scene's passes are on"
 for light in ("PASSES", "BEST"):
     if light == "BEST":
         settings.light = light
+        scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 0.8
         assert bpy.ops.rtdenoise.animation() == {"FINISHED"}
     names = [f"frame.{number:04d}.exr" for number in range(1, FRAMES + 1)]
     assert [path.name for path in frames("noisy")] == [path.name for path in frames("clean")] == names
@@ -153,8 +154,12 @@ for light in ("PASSES", "BEST"):
     check_node(scene)
     done = json.loads((JOB / "clean" / "denoise.json").read_text())
     assert done["options"]["lens"], "the camera's focal length is animated"
+    assert bool(done["options"]["surfaces"]) == (light == "BEST")
     if light == "BEST":
         check_viewer_stays(scene)
+        assert round(done["options"]["shutter"], 3) == 0.8
+        assert [path.name for path in frames("surfaces")] == names
+        assert not any("motion is zero" in note for note in done["notes"])
     os.rename(JOB / "clean" / names[0], FOLDER / f"{light.lower()}.exr")
 bpy.ops.preferences.addon_disable(module=NAME)
 assert not hasattr(bpy.types.Scene, "rtdenoise")

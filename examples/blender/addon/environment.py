@@ -72,7 +72,7 @@ def _works(command: list[str]) -> bool:
         )
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return help_text.returncode == 0 and b"--lens" in help_text.stdout
+    return help_text.returncode == 0 and b"--surfaces" in help_text.stdout
 
 
 def _about_venv(lines: list[str]) -> str:

@@ -74,7 +74,7 @@ class Panel:
             _sentence(layout, f"{len(off)} passes are off, the job switches them on: {', '.join(off[:3])} …", "INFO")
             layout.operator("rtdenoise.passes", text="Switch On Now")
         if scene.render.use_motion_blur:
-            _sentence(layout, "Motion blur is left out: with it Cycles writes no usable motion vectors", "INFO")
+            _sentence(layout, "Motion blur is on: a second, short render without it tells where surfaces are", "INFO")
         layout.operator("rtdenoise.animation", icon="RENDER_ANIMATION")
         if work.can_go_on(work.folder_of(scene)):
             layout.operator("rtdenoise.animation", text="Continue", icon="PLAY").go_on = True

@@ -27,7 +27,6 @@ def configure(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int) 
     for other in scene.view_layers:
         other.use = other == layer
     render, cycles = scene.render, scene.cycles
-    render.use_motion_blur = False  # with it Cycles writes no vectors, or zeros
     render.use_compositing = render.use_sequencer = render.use_border = render.use_multiview = False
     render.use_persistent_data = True
     cycles.samples, cycles.time_limit, layer.samples = samples, 0, 0
@@ -37,6 +36,25 @@ def configure(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int) 
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "MULTI_LAYER_IMAGE"
     settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "16", "ZIP"
+
+
+def render_frame(scene: bpy.types.Scene, out: Path, number: int) -> None:
+    """Render a frame unless it is there."""
+    final, unfinished = out / f"frame.{number:04d}.exr", out / "unfinished.exr"
+    if not final.exists():
+        scene.frame_set(number)
+        scene.render.filepath = str(unfinished)
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+        os.replace(unfinished, final)
+
+
+def render_surfaces(scene: bpy.types.Scene, out: Path, number: int) -> None:
+    """Render a frame without motion blur, with which Cycles writes no vectors, or zeros, and with little light."""
+    render, cycles = scene.render, scene.cycles
+    before = cycles.samples, cycles.diffuse_bounces
+    render.use_motion_blur, (cycles.samples, cycles.diffuse_bounces) = False, (max(4, cycles.samples), 0)
+    render_frame(scene, out, number)
+    render.use_motion_blur, (cycles.samples, cycles.diffuse_bounces) = True, before
 
 
 def simulate(scene: bpy.types.Scene, first: int, last: int) -> None:
@@ -72,8 +90,9 @@ def main() -> None:
     if not bpy.data.filepath:
         bpy.ops.wm.open_mainfile(filepath=before[0])
     job = json.loads(Path(file).read_text(encoding="utf-8"))
-    scene, out = bpy.data.scenes[job["scene"]], Path(job["noisy"])
-    out.mkdir(parents=True, exist_ok=True)
+    scene, out, surfaces = bpy.data.scenes[job["scene"]], Path(job["noisy"]), job.get("surfaces")
+    for folder in filter(None, (out, surfaces)):
+        Path(folder).mkdir(parents=True, exist_ok=True)
     configure(scene, scene.view_layers[job["view_layer"]], job["samples"])
     if job.get("source"):
         find_bakes(Path(job["source"]))
@@ -81,13 +100,9 @@ def main() -> None:
     numbers = range(job["first"], job["last"] + 1)
     for done, number in enumerate(numbers):
         print(f"{done}/{len(numbers)}", flush=True)
-        final, unfinished = out / f"frame.{number:04d}.exr", out / "unfinished.exr"
-        if final.exists():
-            continue
-        scene.frame_set(number)
-        scene.render.filepath = str(unfinished)
-        bpy.ops.render.render(write_still=True, scene=scene.name)
-        os.replace(unfinished, final)
+        render_frame(scene, out, number)
+        if surfaces:
+            render_surfaces(scene, Path(surfaces), number)
     print(f"{len(numbers)}/{len(numbers)}", flush=True)
 
 

@@ -1,4 +1,5 @@
 """A job on disk: `FOLDER/SCENE/` with a copy of the .blend file, noisy frames, clean frames, and what was asked for.
+With motion blur the surfaces without it, too.
 
 The copy is rendered, not the file that is open: what is edited meanwhile changes nothing, and a cancelled job goes on
 from the same copy.
@@ -37,6 +38,9 @@ class Work:
     finished: bool = False
     lens: bool = False  # whether a camera's lens may move, which vectors of Cycles do not tell
     source: str = ""  # folder of the .blend file
+    surfaces: str = ""  # folder of a second render, where there is motion blur
+    shutter: float = 0.5  # frames that it is open then
+    shutter_position: str = "center"
 
     @property
     def arguments(self) -> list[str]:
@@ -45,8 +49,10 @@ class Work:
             how = ["--offline"]
         else:
             how = ["--lights", "--lookahead", "2", *(("--also", *self.also) if self.also else ())]
-        return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}",
-                "--layout", "source", "--progress", "lines", *(["--lens"] if self.lens else []), *how]  # fmt: skip
+        blur = ["--surfaces", self.surfaces, "--shutter", str(self.shutter), "--shutter-position",
+                self.shutter_position] if self.surfaces else []  # fmt: skip
+        return ["denoise", self.noisy, "--out", self.clean, "--preset", f"cycles:{self.view_layer}", "--layout",
+                "source", "--progress", "lines", *(["--lens"] if self.lens else []), *blur, *how]  # fmt: skip
 
 
 def folder_of(scene: bpy.types.Scene) -> Path:
@@ -76,15 +82,17 @@ def begin(context: bpy.types.Context) -> Work:
     Raises Trouble where the folder cannot be written to, or holds files of someone else.
     """
     scene, settings, folder = context.scene, context.scene.rtdenoise, folder_of(context.scene)
+    render = scene.render
     if reason := is_writable(folder):
         raise Trouble(f"{folder} cannot be written to ({reason}): choose another folder under Denoise Animation")
     work = Work(
         scene.name, context.view_layer.name, settings.samples, scene.frame_start, scene.frame_end, settings.light,
         tuple(settings.also.replace(",", " ").split()), str(folder), str(folder / "noisy"), str(folder / "clean"),
         lens=any(item.type == "CAMERA" and item.data.animation_data is not None for item in scene.objects),
-        source=str(Path(bpy.data.filepath).parent),
+        source=str(Path(bpy.data.filepath).parent), surfaces=str(folder / "surfaces") if render.use_motion_blur else "",
+        shutter=render.motion_blur_shutter, shutter_position=render.motion_blur_position.lower(),
     )  # fmt: skip
-    parts = Path(work.noisy), Path(work.clean)
+    parts = Path(work.noisy), folder / "surfaces", Path(work.clean)
     if not (folder / JOB).exists() and any(part.exists() and any(part.iterdir()) for part in parts):
         raise Trouble(f"{folder} holds frames of something else: choose another folder under Denoise Animation")
     for part in parts:
@@ -137,7 +145,8 @@ def forget_cache(copy: Path) -> None:
 
 def remove_leftovers(work: Work) -> None:
     """Remove what a cancelled program had not finished."""
-    for path in (Path(work.noisy) / UNFINISHED, *Path(work.clean).glob("*.tmp")):
+    rendered = [Path(folder) / UNFINISHED for folder in (work.noisy, work.surfaces) if folder]
+    for path in (*rendered, *Path(work.clean).glob("*.tmp")):
         path.unlink(missing_ok=True)
 
 
