@@ -450,7 +450,7 @@ def test_stages_are_timed(gl, weights):
     assert min(seconds.values()) > 0 and pipeline.clock.read() == {}
 
 
-@pytest.mark.parametrize("shift", [0, 5, "noise"])  # pixels by which the previous frame's surfaces are another's
+@pytest.mark.parametrize("shift", [0, 5, "noise", "unmoved"])  # of the previous frame's surfaces, in pixels
 def test_mismatch_is_that_of_torch(weights, shift):
     denoiser, pipeline, frames = models.read(weights(TINY)), Pipeline.load(weights(TINY)), make_frames(2)
     moved = replace(frames[1], motion=frames[1].motion + 0.3)
@@ -458,6 +458,8 @@ def test_mismatch_is_that_of_torch(weights, shift):
         torch.manual_seed(0)
         depth, motion = torch.rand_like(moved.depth) + 0.5, moved.motion + 4 * torch.randn_like(moved.motion)
         moved = replace(moved, depth=moved.depth * depth, motion=motion)
+    elif shift == "unmoved":  # by vectors that are zero
+        moved = replace(moved, depth=moved.depth.roll(3, -1), motion=0 * moved.motion)
     else:
         moved = replace(moved, depth=moved.depth.roll(shift, -1))
     _, history = denoiser.step(frames[0])

@@ -66,6 +66,23 @@ def test_a_veil_is_no_cut():
         assert mismatch(now, geometry(replace(before, depth=factor * before.depth))) > MAX_CUT_MISMATCH
 
 
+def test_a_picture_that_moves_though_its_vectors_are_zero_is_a_cut():
+    """As after a render with motion blur. A small thing without vectors is none, nor what has any."""
+    g = torch.Generator().manual_seed(0)
+    depth = (2 + 3 * torch.rand(1, 1, 6, 8, generator=g)).repeat_interleave(12, 2).repeat_interleave(12, 3)
+    still = [replace(frame, depth=depth, motion=0 * frame.motion) for frame in make_frames(2, H=72, W=96)]
+    still = [replace(frame, normal=still[0].normal * 0 + 0.6) for frame in still]
+    assert mismatch(still[1], geometry(still[0])) == 0
+    panned = replace(still[1], depth=depth.roll(3, -1))
+    assert mismatch(panned, geometry(still[0])) > MAX_CUT_MISMATCH
+    moving = panned.motion.clone()
+    moving[..., 0, 0] = 0.5
+    assert mismatch(replace(panned, motion=moving), geometry(still[0])) < 0.9 * MAX_CUT_MISMATCH
+    ball = depth.clone()
+    ball[..., 20:38, 30:48] = 1
+    assert mismatch(replace(still[1], depth=ball), geometry(still[0])) < 0.6 * MAX_CUT_MISMATCH
+
+
 def veiled(frames):
     """Frames behind a veil at depth 1.5 that moves by three pixels more a frame, and hides half of the pixels."""
     g, drawn = torch.Generator().manual_seed(0), []

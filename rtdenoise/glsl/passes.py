@@ -12,6 +12,7 @@ from ..constants import (
     AGREES_PATIENCE,
     BRIGHTNESS_BLOCK,
     CUT_AROUND,
+    CUT_UNMOVED,
     OUTDATED_CELL,
     OUTDATED_FRAMES,
     OUTDATED_RIM,
@@ -102,7 +103,7 @@ class Passes:
 
     def mismatch(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> float:
         """As `history.mismatch`."""
-        counts, (H, W) = self._scratch("mismatch", (3,), np.uint32), surface.shape[:2]
+        counts, (H, W) = self._scratch("mismatch", (4,), np.uint32), surface.shape[:2]
         buffers = {"vectors": vectors, "surface": surface, "surface_before": surface_before, "counts": counts}
 
         def counted(around: int) -> tuple[int, ...]:
@@ -110,12 +111,14 @@ class Passes:
             dispatch("frame/mismatch", (W, H), buffers, AROUND=around)
             return tuple(map(int, counts.read()))
 
-        seen, wrong, beside = counted(0)
+        seen, wrong, beside, moves = counted(0)
         usual = beside / max(1, H * (W - 1))
         found = max(0.0, wrong / max(1, seen) - usual) / max(1 - usual, 1e-6)
-        if found <= MAX_CUT_MISMATCH:
+        unmoved = not moves and found > CUT_UNMOVED
+        if not unmoved and found <= MAX_CUT_MISMATCH:
             return found
-        return min(found, CUT_AROUND * counted(1)[1] / max(1, seen))
+        lost = CUT_AROUND * counted(1)[1] / max(1, seen)
+        return lost if unmoved else min(found, lost)
 
     def history_motion(self, vectors: GpuArray, surface: GpuArray, history: History) -> GpuArray:
         """The motion that fetches history: traditional, or dual, with a flag, where a pixel has been uncovered."""

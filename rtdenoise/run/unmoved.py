@@ -23,10 +23,9 @@ if TYPE_CHECKING:
 # field, 1 to 4 % where things move by a pixel or two.
 DEPTH_CHANGE, ALBEDO_CHANGE, LEAST = 0.02, 0.05, 0.005
 MOST = 100_000  # about so many pixels of a frame are looked at
-UNMOVED = (
-    "motion is zero everywhere though the picture changes ({}), so what moves leaves trails: was motion blur on? "
-    "render without it, or name a second render without it by --surfaces"
-)
+BLURRED = "was motion blur on? render without it, or name a second render without it by --surfaces"
+UNMOVED = f"motion is zero everywhere though the picture changes ({{}}), so what moves leaves trails: {BLURRED}"
+ALONE = f"motion is zero everywhere though the picture changes, so each frame is denoised alone: {BLURRED}"
 PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors, and noise, are judged, and pixels of each
 WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"
 LACKS = (
@@ -81,6 +80,7 @@ class Watch:
         self._verdicts: list[Verdict] = []  # of the first pairs that move
         self._drifts: list[Drift | None] = []  # likewise, and of the first pairs with motion 0 that have any
         self._still = 0  # how many pairs with motion 0 have been asked for theirs
+        self._moves: list[bool] = []  # whether any pixel of a frame does
         self._albedo = Flatness()
         self._same: list[bool] = []  # whether noise is the same, likewise
         self._last: Frame | None = None  # while that is asked
@@ -90,6 +90,7 @@ class Watch:
         self._albedo.see(frame)
         self._compare_noise(frame)
         moves = frame.motion is not None and bool(np.asarray(frame.motion).any())
+        self._moves.append(moves)
         judges = (len(self._verdicts) if moves else self._still) < PAIRS and find_spec("torch") is not None
         if frame.motion is None or (self._told and not judges):
             return
@@ -105,7 +106,7 @@ class Watch:
     def end(self, frames: int, cuts: int) -> None:
         """After the last one of so many frames, of which so many began anew for what they showed."""
         if cuts > MOST_CUTS * frames:
-            self._notes.append(CUTS)
+            self._notes.append(CUTS if 2 * sum(self._moves) > len(self._moves) else ALONE)
         if self._albedo.found:
             self._notes.append(FLAT.format("all frames"))
 
