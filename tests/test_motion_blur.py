@@ -10,6 +10,7 @@ from synthetic import write_sequence
 from test_combine import estimate, write_images
 from test_denoise import pixels
 
+from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.data.shutter import over_shutter
 from rtdenoise.errors import InputError
@@ -181,6 +182,17 @@ def test_denoised_frames_are_those_of_these_layers_and_nearer_to_the_truth(shot,
     assert errors[0] < 0.7 * errors[1]
 
 
+def test_without_them_a_moving_picture_is_denoised_frame_by_frame(tmp_path):
+    """Its vectors are zero, and would smear it."""
+    depth = (2 + 3 * torch.rand(1, 1, 5, 10)).repeat_interleave(8, 2).repeat_interleave(8, 3)
+    frames = [replace(blurred(n).map(torch.from_numpy), depth=depth.roll(4 * n, -1)) for n in range(1, 5)]
+    source = write_sequence(tmp_path / "shot", frames)
+    summary = denoise(str(source), tmp_path / "out", OPTIONS)
+    assert summary.cuts == [2, 3, 4]
+    assert sum("each frame is denoised alone: was motion blur on?" in note for note in summary.notes) == 1
+    assert not any("most frames find other surfaces" in note for note in summary.notes)
+
+
 def test_layers_that_the_blurred_frames_lack_are_there(shot, tmp_path):
     """Blender 5 leaves the pass out where motion blur is on."""
     frames = [blurred(number).map(torch.from_numpy) for number in range(1, 5)]
@@ -188,6 +200,51 @@ def test_layers_that_the_blurred_frames_lack_are_there(shot, tmp_path):
     chosen = open_chosen(str(noisy), replace(OPTIONS, surfaces=str(shot[1])))[0]
     assert chosen.has("motion") and chosen.require("normal") is chosen and chosen.read(0).motion.any()
     assert denoise(str(noisy), tmp_path / "out", replace(OPTIONS, surfaces=str(shot[1]))).notes == []
+
+
+@pytest.mark.parametrize("layout", ["plain", "source"])
+@pytest.mark.parametrize("how", [{}, {"offline": True, "model": "auto"}, {"shutter": 1.0, "shutter_position": "end"}])
+def test_a_picture_without_blur_gets_it_when_it_is_denoised(shot, tmp_path, how, layout):
+    options = replace(OPTIONS, layout=layout, float32=True, **how)
+    sequence, found = open_sequence(shot[1]), []
+    for name, blurs in (("sharp", False), ("blurred", True)):
+        plain = {} if blurs else {"shutter": 0.5, "shutter_position": "center"}
+        denoise(str(shot[1]), tmp_path / name, replace(options, motion_blur=blurs, **plain))
+        found.append(results(tmp_path / name))
+    opens, closes = (-1, 0) if "shutter" in how else (-0.25, 0.25)
+    for frame, sharp, soft in zip(map(sequence.read, range(4)), *found, strict=True):
+        expected = over_shutter(sharp[None], frame.depth, frame.motion, frame.motion_next, opens, closes)[0]
+        assert np.allclose(soft, expected, atol=1e-5) and np.abs(soft - sharp).max() > 0.05
+
+
+def test_alpha_is_blurred_as_the_picture(shot, tmp_path):
+    sequence = open_sequence(shot[1])
+    for i, path in enumerate(sequence.paths):
+        channels = read_channels(path, sequence.header.channels.keys())
+        covered = (sequence.read(i).depth[0, 0] == 2).astype(np.float32)
+        (tmp_path / "shot").mkdir(exist_ok=True)
+        write_layers(tmp_path / "shot" / path.name, channels | {"A": covered}, dtypes={"color": "float"})
+    options = replace(OPTIONS, motion_blur=True, alpha="rendered")
+    denoise(str(tmp_path / "shot"), tmp_path / "out", options)
+    path = sorted((tmp_path / "out").glob("*.exr"))[1]
+    alpha, frame = read_channels(path, ("A",))["A"], sequence.read(1)
+    covered = (frame.depth == 2).astype(np.float32)
+    expected = over_shutter(covered, frame.depth, frame.motion, frame.motion_next)[0, 0]
+    assert np.allclose(alpha, expected, atol=1e-3) and ((alpha > 0.1) & (alpha < 0.9)).any()
+
+
+def test_what_does_not_go_with_blur_is_refused_in_one_line(shot, tmp_path):
+    for words, how in {
+        "without --recombine": {"signal": "indirect"},
+        "--surfaces for frames that have it": {"surfaces": str(shot[0])},
+        "expected more than 0": {"shutter": -1.0},
+    }.items():
+        with pytest.raises(InputError, match=words):
+            denoise(str(shot[1]), tmp_path / "out", replace(OPTIONS, motion_blur=True, **how))
+    still = [surfaces(n).map(torch.from_numpy) for n in range(1, 3)]
+    with pytest.raises(InputError, match="no layer 'depth'"):
+        denoise(str(write_sequence(tmp_path / "flat", still, without=("depth",))), tmp_path / "out",
+                replace(OPTIONS, motion_blur=True))  # fmt: skip
 
 
 @pytest.mark.parametrize("how", [{"offline": True, "model": "auto"}, {"lookahead": 2}, {"lens": True}])

@@ -30,6 +30,7 @@ from .alpha import denoise_alpha
 from .exr import read_attributes, read_channels, write_layers, write_like
 from .layout import Rule
 from .sequences import Sequence, convert
+from .shutter import over_shutter
 
 LAYOUTS = ("plain", "source")
 ALPHAS = ("auto", "rendered")
@@ -149,6 +150,7 @@ def write_frame(
     keep: tuple[str, ...] = (),  # layers or channels of the input to pass on, or "all"; plain layout only
     float32: bool = False,  # as always where half floats do not hold the result
     alpha: str = "auto",  # of the beauty: as rendered, or with 'auto' denoised where samples are few
+    shutter: tuple[float, float] | None = None,  # frames from the time of this one: what moves is blurred
     extra: Mapping[str, np.ndarray] = NOTHING,  # layer -> [1, C, H, W], written too; plain layout only
 ) -> dict[str, int]:
     """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in each
@@ -171,13 +173,17 @@ def write_frame(
     float32 = float32 or any(beyond_half(result) for result in (image, beauty) if result is not None)
     picture = image if sequence.signal == "color" and beauty is None else beauty
     coverage = {} if picture is None else alpha_of(sequence, index, picture, alpha)
+    if shutter:
+        surface = frame.depth, frame.motion, frame.motion_next
+        image = over_shutter(image, *surface, *shutter)
+        coverage = {name: over_shutter(plane[None, None], *surface, *shutter)[0, 0] for name, plane in coverage.items()}
     if layout == "plain":
         result = image if beauty is None else beauty
         return _write_plain(out / sequence.names[index], sequence, index, result, coverage, keep, float32, extra)
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
         planes |= _planes(rule, beauty)
-    if alpha != "rendered":
+    if alpha != "rendered" or shutter:
         planes |= coverage
     nans = {}
     for file, names in sequence.files[index].locate(planes).items():

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 LEAST, MOST = 16, 32  # moments at which a picture that moves is looked at: as many as the longest way has pixels
 SAME = 0.95  # part of a depth that is as far away
-POSITIONS = {"start": 0.5, "center": 0.0, "end": -0.5}  # middle of the time that a shutter is open / that time
 BLURRED, GIVEN = ("albedo", "normal"), ("albedo", "normal", "depth", "motion", "motion_next")
 
 

@@ -32,6 +32,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         allow_gaps=options.allow_gaps,
     )  # fmt: skip
     sequence = with_surfaces(sequence, options)
+    if options.motion_blur:
+        sequence.require("depth", "motion")
     if options.lens:
         sequence = _with_lens(sequence)
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter

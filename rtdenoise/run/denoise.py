@@ -29,6 +29,8 @@ from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, finish_state, last_of_shot, read_state, save_state
 from .unmoved import Watch
 
+BLURS = "depth", "motion", "motion_next"  # what --motion-blur reads
+
 
 def denoise(
     source: str,
@@ -130,7 +132,8 @@ def _run(
         recent = last_of_shot(sequence, done, summary.cuts, backend.config.recent + 1)
         history = backend.remember(history, [backend.prepare(with_stand_ins(read(sequence, i))) for i in recent])
     if summary.plan:
-        sequence = sequence.only({*summary.plan.layers, *(("samples",) if options.correct else ())})
+        others = (*(["samples"] if options.correct else []), *(BLURS if options.motion_blur else []))
+        sequence = sequence.only({*summary.plan.layers, *others})
 
     on_frame(done, len(sequence))
 
@@ -192,6 +195,10 @@ def _check(options: Options) -> None:
         raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
     if options.lookahead not in (0, AUTO) and options.offline:
         raise InputError("--lookahead: goes without --offline, which looks at all frames")
+    if options.motion_blur and (options.signal != "color" or options.recombine or options.lights or options.also):
+        raise InputError("--motion-blur: goes with --signal color, without --recombine, --lights and --also")
+    if options.motion_blur and options.surfaces:
+        raise InputError("--motion-blur: is for frames that were rendered without, --surfaces for frames that have it")
     if options.confidence and (not options.offline or options.lights or options.also):
         raise InputError("--confidence: goes with --offline, and without --lights and --also")
     if options.samples and not options.correct and options.model != AUTO:

@@ -18,6 +18,8 @@ EXAMINED = 3  # frames that the plan examines
 MAX_LOOKAHEAD = 16  # frames; beyond 4 little is gained
 AHEAD = 2  # frames, with 'auto'
 MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
+MAX_SHUTTER = 4.0  # frames; more is a slip
+POSITIONS = {"start": 0.5, "center": 0.0, "end": -0.5}  # middle of the time that a shutter is open / that time
 MIXED = 8  # samples a pixel from which paths are means of what a pane reflects and shows (docs/notes/virtual_motion.md)
 
 
@@ -65,13 +67,15 @@ class Options:
     fog: bool = True
     """Give pixels whose sample is scattered in fog the surface and the motion of what is behind, where files tell which
     they are, as those of Cycles do with the Volume passes."""
+    motion_blur: bool = False
+    """Blur what moves in the denoised picture as a shutter would: for frames that were rendered without motion blur."""
     surfaces: str = ""
-    """A second render of frames that have motion blur (folder or glob), without it: albedo, normal, depth and motion
-    are taken from there, and what moves is blurred in albedo and normal as the shutter blurs it."""
+    """For frames that were rendered with motion blur: a second render without it (folder or glob). Albedo, normal,
+    depth and motion are taken from there; what moves is blurred in albedo and normal as the shutter blurs it."""
     shutter: float = 0.5
-    """With --surfaces: frames that the shutter is open, Blender's Shutter."""
+    """With --motion-blur or --surfaces: frames that the shutter is open, Blender's Shutter."""
     shutter_position: Literal["start", "center", "end"] = "center"
-    """With --surfaces: when the time of a frame is while the shutter is open, Blender's Position."""
+    """With --motion-blur or --surfaces: when the time of a frame is while the shutter is open, Blender's Position."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack, from frame to frame, found by albedo: those of
     Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""
@@ -175,7 +179,20 @@ class CombineOptions:
 
 def of_output(options: Options | CombineOptions) -> dict[str, Any]:
     """The options of `data.output.write_frame`."""
-    return {name: getattr(options, name) for name in ("layout", "recombine", "keep", "float32", "alpha")}
+    chosen = {name: getattr(options, name) for name in ("layout", "recombine", "keep", "float32", "alpha")}
+    blurs = isinstance(options, Options) and options.motion_blur
+    return chosen | {"shutter": shutter_times(options) if blurs else None}
+
+
+def shutter_times(options: Options | CombineOptions) -> tuple[float, float]:
+    """When the shutter opens and closes, in frames from the time of the frame. Raises InputError for a shutter that
+    there is not."""
+    if not 0 < options.shutter <= MAX_SHUTTER:
+        raise InputError(f"--shutter: expected more than 0 and up to {MAX_SHUTTER:g} frames, got {options.shutter:g}")
+    if options.shutter_position not in POSITIONS:
+        raise InputError(f"--shutter-position: expected {', '.join(POSITIONS)}, got {options.shutter_position}")
+    middle = options.shutter * POSITIONS[options.shutter_position]
+    return middle - options.shutter / 2, middle + options.shutter / 2
 
 
 def check_lookahead(frames: int | str, told: str = "--lookahead") -> None:

@@ -6,11 +6,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ..data.sequences import Sequence, open_sequence
-from ..data.shutter import GIVEN, POSITIONS, Surfaces
+from ..data.shutter import GIVEN, Surfaces
 from ..errors import InputError
-from .options import MIXED, CombineOptions, Options
-
-MOST = 4.0  # frames that a shutter may be open; more is a slip
+from .options import MIXED, CombineOptions, Options, shutter_times
 
 
 def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequence:
@@ -22,10 +20,7 @@ def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequ
     """
     if not options.surfaces:
         return sequence
-    if not 0 < options.shutter <= MOST:
-        raise InputError(f"--shutter: expected more than 0 and up to {MOST:g} frames, got {options.shutter:g}")
-    if options.shutter_position not in POSITIONS:
-        raise InputError(f"--shutter-position: expected {', '.join(POSITIONS)}, got {options.shutter_position}")
+    times = shutter_times(options)
     surfaces = open_sequence(
         options.surfaces, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps
     )
@@ -37,9 +32,8 @@ def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequ
             surfaces, virtual_motion=options.virtual_motion and samples < MIXED, fog=options.fog,
             few_samples=0 < samples < MIXED,
         )  # fmt: skip
-    middle, half = options.shutter * POSITIONS[options.shutter_position], options.shutter / 2
     layers = GIVEN if options.signal == "color" else tuple(layer for layer in GIVEN if layer != "albedo")
-    return replace(sequence, surfaces=Surfaces(surfaces, middle - half, middle + half, layers))
+    return replace(sequence, surfaces=Surfaces(surfaces, *times, layers))
 
 
 def _check(surfaces: Sequence, sequence: Sequence) -> None:
