@@ -2,7 +2,7 @@
 
 python bench/strip.py
 
-Renders 24 frames of the bundled scene at 1 sample per pixel, which no network was trained on, into data/strip, unless
+Renders 16 frames of the bundled scene at 1 sample per pixel, which no network was trained on, into data/strip, unless
 they are there, and denoises their beauty. OIDN's default mode takes every frame for itself.
 """
 
@@ -26,8 +26,8 @@ from rtdenoise.run.preview import FRAMES_PER_SECOND, strip
 
 FRAMES = ROOT / "data" / "strip"
 PICTURE = DOCS / "images" / "flicker.webp"
-COUNT = 24
-METHODS = {"1 sample per pixel": "noisy", "Intel OIDN, frame by frame": "oidn", "rtdenoise": "default"}
+COUNT = 16
+METHODS = {"1 sample per pixel": "noisy", "Intel OIDN, frame by frame": "oidn", "rtdenoise": "hybrid"}
 QUALITY = 60  # of WebP
 
 
