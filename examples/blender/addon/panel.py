@@ -73,7 +73,7 @@ class Panel:
         if off := passes.missing(context.view_layer):
             _sentence(layout, f"{len(off)} passes are off, the job switches them on: {', '.join(off[:3])} …", "INFO")
             layout.operator("rtdenoise.passes", text="Switch On Now")
-        if scene.render.use_motion_blur:
+        if work.blurs(context):
             _sentence(layout, "Motion blur is on: a second, short render without it tells where surfaces are", "INFO")
         layout.operator("rtdenoise.animation", icon="RENDER_ANIMATION")
         if work.can_go_on(work.folder_of(scene)):

@@ -91,6 +91,7 @@ def main() -> None:
         bpy.ops.wm.open_mainfile(filepath=before[0])
     job = json.loads(Path(file).read_text(encoding="utf-8"))
     scene, out, surfaces = bpy.data.scenes[job["scene"]], Path(job["noisy"]), job.get("surfaces")
+    scene.render.use_motion_blur = bool(surfaces)
     for folder in filter(None, (out, surfaces)):
         Path(folder).mkdir(parents=True, exist_ok=True)
     configure(scene, scene.view_layers[job["view_layer"]], job["samples"])

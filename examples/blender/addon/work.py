@@ -89,7 +89,7 @@ def begin(context: bpy.types.Context) -> Work:
         scene.name, context.view_layer.name, settings.samples, scene.frame_start, scene.frame_end, settings.light,
         tuple(settings.also.replace(",", " ").split()), str(folder), str(folder / "noisy"), str(folder / "clean"),
         lens=any(item.type == "CAMERA" and item.data.animation_data is not None for item in scene.objects),
-        source=str(Path(bpy.data.filepath).parent), surfaces=str(folder / "surfaces") if render.use_motion_blur else "",
+        source=str(Path(bpy.data.filepath).parent), surfaces=str(folder / "surfaces") if blurs(context) else "",
         shutter=render.motion_blur_shutter, shutter_position=render.motion_blur_position.lower(),
     )  # fmt: skip
     parts = Path(work.noisy), folder / "surfaces", Path(work.clean)
@@ -103,6 +103,12 @@ def begin(context: bpy.types.Context) -> Work:
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / COPY), copy=True, relative_remap=True, compress=True)
     share_cache(Path(bpy.data.filepath), folder / COPY)
     return work
+
+
+def blurs(context: bpy.types.Context) -> bool:
+    """Whether the frames get motion blur."""
+    render, layer = context.scene.render, context.view_layer
+    return render.use_motion_blur and render.motion_blur_shutter > 0 and getattr(layer, "use_motion_blur", True)
 
 
 def write(work: Work) -> None:
