@@ -9,7 +9,7 @@ where that takes it while the shutter is open, its albedo and normal count in ea
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,16 +37,27 @@ class Surfaces:
 
     def give(self, frame: Frame) -> Frame:
         """A frame of the render with motion blur (numpy arrays), with the layers of this one: albedo and normal as the
-        shutter sees them."""
-        sharp = self.sequence.read(self.sequence.numbers.index(frame.number))
+        shutter sees them, and its own where this one has none."""
+        if not self.layers:
+            return frame
+        sharp = self.sequence.read(self.index(frame.number))
         found = {layer: getattr(sharp, layer) for layer in self.layers}
-        blurred = {layer: x for layer, x in found.items() if layer in BLURRED and x is not None}
-        if blurred:
-            seen = over_shutter(np.concatenate([*blurred.values()], 1), sharp.depth, sharp.motion, sharp.motion_next,
-                                self.opens, self.closes)  # fmt: skip
-            channels = np.cumsum([x.shape[1] for x in blurred.values()])[:-1]
-            found |= zip(blurred, np.split(seen, channels, 1), strict=True)
-        return replace(frame, **{layer: x for layer, x in found.items() if x is not None})
+        blurred = {layer: found.pop(layer) for layer in BLURRED if layer in found}
+        found |= self.seen(sharp, {layer: x for layer, x in blurred.items() if x is not None})
+        return replace(frame, **found)
+
+    def seen(self, sharp: Frame, images: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Images `[1, C, H, W]` of a frame of this render, as the shutter sees them."""
+        if not images:
+            return {}
+        every = np.concatenate([*images.values()], 1)
+        every = over_shutter(every, sharp.depth, sharp.motion, sharp.motion_next, self.opens, self.closes)
+        ends = np.cumsum([x.shape[1] for x in images.values()])[:-1]
+        return dict(zip(images, np.split(every, ends, 1), strict=True))
+
+    def index(self, number: int) -> int:
+        """Which of this render's frames has a number."""
+        return self.sequence.numbers.index(number)
 
     @property
     def files(self) -> dict[int, tuple[Path, ...]]:
@@ -57,9 +68,10 @@ class Surfaces:
         """Those that give these layers alone."""
         return replace(self, layers=tuple(layer for layer in self.layers if layer in layers))
 
-    def has(self, layer: str) -> bool:
-        """Whether it gives a layer."""
-        return layer in self.layers and self.sequence.has(layer)
+    def has(self, layer: str) -> bool | None:
+        """Whether frames have a layer of this render; None where they keep their own."""
+        given = layer in self.layers and self.sequence.has(layer)
+        return given if given or (layer in self.layers and layer not in BLURRED) else None
 
 
 @np.errstate(invalid="ignore", over="ignore")  # broken pixels are compared, and count for nothing
@@ -79,26 +91,28 @@ def over_shutter(
     _, C, H, W = image.shape
     values = np.zeros((H * W + 1, C), np.float32)  # and of no pixel, -1
     values[:-1] = image[0].reshape(C, -1).T
+    far = np.where(depth <= 0, np.inf, depth).ravel()
     speed, bend = _way(motion, motion_next)
-    far = np.where(depth > 0, depth, np.inf).ravel()
-    speed[:, np.isinf(far)] = bend[:, np.isinf(far)] = 0
-    ways = [np.hypot(*(speed * t + bend * t * t)) for t in (opens, closes)]
-    longest = max(way.max() for way in ways)
+    stands = ~np.isfinite(far)
+    speed[:, stands] = bend[:, stands] = 0
+    longest = max(np.hypot(*(speed * t + bend * t * t)).max() for t in (opens, closes))
     if longest < 0.5:  # pixels
         return image
-    order = np.argsort(-far, kind="stable")  # so that what is near is written last
+    order = np.argsort(-far, kind="stable").astype(np.int32)  # so that what is near is written last
     order = order[np.isfinite(values[order]).all(1) & ~np.isnan(far[order])]
-    rows, columns = order // W, order % W
+    rows, columns = (places.astype(np.float32) for places in np.divmod(order, W))
     speed, bend = speed[:, order], bend[:, order]
     total, times = np.zeros((H * W, C), np.float32), np.zeros((H * W, 1), np.float32)
     count = int(np.clip(math.ceil(longest), LEAST, MOST))
     for t in opens + (closes - opens) * (np.arange(count, dtype=np.float32) + 0.5) / count:
-        x = np.rint(columns + speed[0] * t + bend[0] * t * t).astype(np.int32)
-        y = np.rint(rows + speed[1] * t + bend[1] * t * t).astype(np.int32)
+        x = np.rint(columns + speed[0] * t + bend[0] * (t * t))
+        y = np.rint(rows + speed[1] * t + bend[1] * (t * t))
         inside = (x >= 0) & (x < W) & (y >= 0) & (y < H)
         shown = np.full(H * W, -1, np.int32)
-        shown[(y * W + x)[inside]] = order[inside]
-        shown = _filled(shown, far, W, math.ceil(longest) + 1)
+        shown[(y[inside] * W + x[inside]).astype(np.int32)] = order[inside]
+        grid = shown.reshape(H, W)
+        _mend(grid, far)
+        _fill(grid, far, math.ceil(longest) + 1)
         total += values[shown]
         times += shown[:, None] >= 0
     mean = np.where(times > 0, total / np.maximum(times, 1), values[:-1])
@@ -115,26 +129,36 @@ def _way(motion: np.ndarray, motion_next: np.ndarray | None) -> tuple[np.ndarray
     return ((after - before) / 2).astype(np.float32), ((after + before) / 2).astype(np.float32)
 
 
-def _filled(shown: np.ndarray, far: np.ndarray, width: int, reach: int) -> np.ndarray:
-    """Pixels `[H·W]` that each pixel shows; where there is none (-1) the farthest of those next to it in its row and in
-    its column, up to `reach` pixels away; of surfaces as far away the nearest one."""
-    holes = np.nonzero(shown < 0)[0]
-    if not len(holes):
-        return shown
-    places = np.arange(len(shown), dtype=np.int32).reshape(-1, width)
-    seen = shown.reshape(-1, width) >= 0
-    last, first = np.where(seen, places, -1), np.where(seen, places, len(shown))
-    best, steps = np.full(len(holes), -1, np.int32), np.full(len(holes), reach + 1)
-    for axis, pitch in ((1, 1), (0, width)):
-        before = np.maximum.accumulate(last, axis).ravel()[holes]
-        after = np.minimum.accumulate(first[::-1, ::-1], axis)[::-1, ::-1].ravel()[holes]
+def _mend(shown: np.ndarray, far: np.ndarray) -> None:
+    """Where pixels `[H, W]` show none (-1) between two of the same surface, as where it comes nearer, let them show
+    that."""
+    for down, right in ((0, 1), (1, 0)):
+        rows, columns = np.nonzero(shown < 0)
+        inside = (rows >= down) & (rows < len(shown) - down) & (columns >= right) & (columns < shown.shape[1] - right)
+        rows, columns = rows[inside], columns[inside]
+        one, other = shown[rows - down, columns - right], shown[rows + down, columns + right]
+        near, away = np.minimum(far[one], far[other]), np.maximum(far[one], far[other])
+        same = (one >= 0) & (other >= 0) & (near > SAME * away)
+        shown[rows[same], columns[same]] = one[same]
+
+
+def _fill(shown: np.ndarray, far: np.ndarray, reach: int) -> None:
+    """Where pixels `[H, W]` show none (-1), let them show the farthest of those next to it in its row and in its
+    column, up to `reach` pixels away; of surfaces as far away the nearest one."""
+    rows, columns = np.nonzero(shown < 0)
+    if not len(rows):
+        return
+    best, steps = np.full(len(rows), -1, np.int32), np.full(len(rows), reach + 1)
+    for axis, (lines, places) in enumerate(((columns, rows), (rows, columns))):
+        chosen, line = np.unique(lines, return_inverse=True)
+        strip = shown[:, chosen].T if axis == 0 else shown[chosen]  # those with holes, as rows
+        along = np.arange(strip.shape[1], dtype=np.int32)
+        before = np.maximum.accumulate(np.where(strip >= 0, along, -1), 1)[line, places]
+        after = np.minimum.accumulate(np.where(strip >= 0, along, len(along))[:, ::-1], 1)[:, ::-1][line, places]
         for place in (before, after):
-            away = np.abs(place - holes) // pitch
-            near = (place >= 0) & (place < len(shown)) & (away <= reach)
-            found = shown[place[near]]
-            depth, so_far = far[found], np.where(best[near] >= 0, far[best[near]], 0)
-            better = (depth >= SAME * so_far) & ((depth > so_far / SAME) | (away[near] < steps[near]))
-            taken = np.nonzero(near)[0][better]
-            best[taken], steps[taken] = found[better], away[taken]
-    shown[holes] = best
-    return shown
+            away = np.abs(place - places)
+            found = np.where((place >= 0) & (place < len(along)) & (away <= reach), strip[line, place % len(along)], -1)
+            depth, so_far = np.where(found >= 0, far[found], -1), np.where(best >= 0, far[best], 0)
+            better = (depth >= SAME * so_far) & ((depth > so_far / SAME) | (away < steps))
+            best, steps = np.where(better, found, best), np.where(better, away, steps)
+    shown[rows, columns] = best
