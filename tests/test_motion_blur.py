@@ -1,6 +1,7 @@
 """Frames with motion blur, and a second render without it (`data.shutter`, `run.surfaces`)."""
 
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,9 @@ import torch
 from synthetic import write_sequence
 from test_combine import estimate, write_images
 from test_denoise import pixels
+from test_virtual_motion import SHOT
 
+from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.data.shutter import over_shutter
@@ -139,6 +142,20 @@ def test_unknown_motion_and_broken_pixels_count_for_nothing():
     albedo[..., TOP + 4, 20], depth[..., TOP + 8, 24] = np.nan, np.nan
     found = blur(replace(frame, albedo=albedo, depth=depth))
     assert np.isfinite(found).all() and np.abs(found - blur(frame)).mean() < 0.01
+    for column in (2 * SPEED, 2 * SPEED + SIDE - 1):  # at the edges, too
+        depth = frame.depth.copy()
+        depth[..., TOP + 4, column] = np.nan
+        assert np.abs(blur(replace(frame, depth=depth)) - blur(frame)).max() < 0.2
+
+
+def test_a_surface_that_comes_nearer_has_no_cracks():
+    """It grows by 40 % while the shutter is open, so that no pixel of it moves to some."""
+    y, x = np.indices(SIZE).astype(np.float32)
+    square = (np.abs(x - 40) < 14) & (np.abs(y - 20) < 12)
+    motion = np.where(square, np.stack([-0.4 * (x - 40), -0.4 * (y - 20)]), 0)[None].astype(np.float32)
+    depth = np.where(square, 2, 5).astype(np.float32)[None, None]
+    found = over_shutter(square[None, None].astype(np.float32), depth, motion, None, 0, 1)
+    assert found[0, 0][(np.abs(x - 40) < 13) & (np.abs(y - 20) < 11)].min() > 0.97
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 5)])
@@ -193,13 +210,76 @@ def test_without_them_a_moving_picture_is_denoised_frame_by_frame(tmp_path):
     assert not any("most frames find other surfaces" in note for note in summary.notes)
 
 
-def test_layers_that_the_blurred_frames_lack_are_there(shot, tmp_path):
+@pytest.mark.parametrize("model", ["fast", "auto"])
+def test_layers_that_the_blurred_frames_lack_are_there(shot, tmp_path, model):
     """Blender 5 leaves the pass out where motion blur is on."""
+    options = replace(OPTIONS, surfaces=str(shot[1]), model=model)
     frames = [blurred(number).map(torch.from_numpy) for number in range(1, 5)]
     noisy = write_sequence(tmp_path / "shot", frames, without=("motion", "motion_next", "normal"))
-    chosen = open_chosen(str(noisy), replace(OPTIONS, surfaces=str(shot[1])))[0]
-    assert chosen.has("motion") and chosen.require("normal") is chosen and chosen.read(0).motion.any()
-    assert denoise(str(noisy), tmp_path / "out", replace(OPTIONS, surfaces=str(shot[1]))).notes == []
+    chosen = open_chosen(str(noisy), options)[0]
+    assert chosen.has("motion") and chosen.require("normal") is chosen
+    assert chosen.read(0).motion.any() and chosen.read(0).motion_next.any()
+    assert denoise(str(noisy), tmp_path / "out", options).notes == []
+
+
+def test_zeros_of_the_blurred_frames_do_not_stand_in_for_motion_next(shot, tmp_path):
+    frames = [surfaces(number).map(torch.from_numpy) for number in range(1, 5)]
+    second = write_sequence(tmp_path / "second", frames, without=("motion_next",))
+    chosen = open_chosen(str(shot[0]), replace(OPTIONS, surfaces=str(second)))[0]
+    assert chosen.read(1).motion_next is None and not chosen.has("motion_next") and chosen.has("motion")
+    without = write_sequence(tmp_path / "without", frames, without=("albedo",))
+    chosen = open_chosen(str(shot[0]), replace(OPTIONS, surfaces=str(without)))[0]
+    assert chosen.has("albedo") and np.array_equal(chosen.read(1).albedo, open_sequence(shot[0]).read(1).albedo)
+
+
+def test_the_second_render_is_read_as_the_first_and_its_edges_are_left(shot, tmp_path):
+    for folder in ("noisy", "second"):
+        shutil.copytree(SHOT, tmp_path / folder)
+    for blurs in (True, False):
+        given = {"surfaces": str(tmp_path / "second")} if blurs else {}
+        chosen = open_chosen(str(tmp_path / "noisy"), Options(model="fast", samples=1, **given))[0]
+        assert chosen.soft_edges == (not blurs)
+    assert not chosen.surfaces
+    chosen = open_chosen(str(tmp_path / "noisy"), Options(model="fast", samples=1, surfaces=str(tmp_path / "second")))
+    second = chosen[0].surfaces.sequence
+    assert second.virtual_motion and second.fog and second.few_samples
+
+
+@pytest.mark.parametrize(("position", "opens", "closes"), [("start", 0, 0.8), ("center", -0.4, 0.4), ("end", -0.8, 0)])
+def test_positions_are_blenders(shot, position, opens, closes):
+    options = replace(OPTIONS, surfaces=str(shot[1]), shutter=0.8, shutter_position=position)
+    found = open_chosen(str(shot[0]), options)[0].surfaces
+    assert (found.opens, found.closes) == pytest.approx((opens, closes))
+
+
+def test_frames_may_be_missing_in_both(shot, tmp_path):
+    for folder in shot:
+        for path in sorted(folder.glob("*.exr"))[:1] + sorted(folder.glob("*.exr"))[2:]:
+            (tmp_path / folder.name).mkdir(exist_ok=True)
+            shutil.copy(path, tmp_path / folder.name)
+    options = replace(OPTIONS, surfaces=str(tmp_path / "surfaces"), allow_gaps=True)
+    assert denoise(str(tmp_path / "blurred"), tmp_path / "out", options).written == 3
+
+
+def test_the_second_render_is_never_written_to(shot, tmp_path):
+    second = tmp_path / "second"
+    shutil.copytree(shot[1], second)
+    with pytest.raises(InputError, match="never written to"):
+        denoise(str(shot[0]), second, replace(OPTIONS, surfaces=str(second)), overwrite=True)
+
+
+def test_several_shots_have_a_second_render_each(shot, tmp_path, capsys):
+    for name in ("one", "two"):
+        shutil.copytree(shot[0], tmp_path / "shots" / name)
+        frames = [surfaces(n, speed=SPEED if name == "one" else 4).map(torch.from_numpy) for n in range(1, 5)]
+        write_sequence(tmp_path / "second" / name, frames)
+    main(["denoise", str(tmp_path / "shots" / "*"), "--out", str(tmp_path / "out"), "--model", "fast", "--precision",
+          "fp32", "--surfaces", str(tmp_path / "second"), "--workers", "1"])  # fmt: skip
+    for name in ("one", "two"):
+        options = replace(OPTIONS, surfaces=str(tmp_path / "second" / name))
+        denoise(str(shot[0]), tmp_path / "single" / name, options)
+        assert np.array_equal(results(tmp_path / "out" / name), results(tmp_path / "single" / name))
+    assert not np.array_equal(results(tmp_path / "out" / "one"), results(tmp_path / "out" / "two"))
 
 
 @pytest.mark.parametrize("layout", ["plain", "source"])
@@ -270,8 +350,12 @@ def test_indirect_light_keeps_its_own_albedo(shot):
     given = with_surfaces(sequence, replace(OPTIONS, surfaces=str(shot[1]))).surfaces
     assert given.has("albedo")
     options = replace(OPTIONS, surfaces=str(shot[1]), signal="indirect")
-    chosen, own = open_chosen(str(shot[0]), options)[0], open_sequence(shot[0], signal="indirect")
-    assert np.array_equal(chosen.read(1).albedo, own.read(1).albedo) and chosen.read(1).motion.any()
+    own = open_sequence(shot[0], signal="indirect")
+    assert with_surfaces(own, options).surfaces.has("albedo"), "of the native layout, where it was not divided"
+    own = replace(own, layout=replace(own.layout, demodulated=frozenset({"indirect"})))
+    chosen = with_surfaces(own, options)
+    assert chosen.has("albedo") and np.array_equal(chosen.read(1).albedo, own.read(1).albedo)
+    assert chosen.read(1).motion.any()
 
 
 def test_with_the_lens_there_is_no_motion_to_the_next_frame(shot):
@@ -284,6 +368,8 @@ def test_a_finished_run_knows_its_surfaces(shot, tmp_path):
     options = replace(OPTIONS, surfaces=str(shot[1]))
     denoise(str(shot[0]), tmp_path / "out", options)
     assert denoise(str(shot[0]), tmp_path / "out", options).skipped == 4
+    for spelling in (f"{shot[1]}/", f"{shot[1]}/*.exr"):
+        assert denoise(str(shot[0]), tmp_path / "out", replace(options, surfaces=spelling)).skipped == 4
     with pytest.raises(InputError, match=re.escape("shutter 0.5, now 0.4")):
         denoise(str(shot[0]), tmp_path / "out", replace(options, shutter=0.4))
     other = write_sequence(tmp_path / "other", [surfaces(n).map(torch.from_numpy) for n in range(1, 5)])
@@ -310,4 +396,5 @@ def test_bad_surfaces_are_refused_in_one_line(shot, tmp_path):
     no("is 72×40, the frames are 80×40", write_sequence(tmp_path / "small", small))
     no("--shutter: expected more than 0", shutter=0.0)
     no("--shutter: expected more than 0", shutter=float("nan"))
+    no("--shutter: expected more than 0", "", shutter=-3.0)
     no("--shutter-position: expected start, center, end", shutter_position="middle")

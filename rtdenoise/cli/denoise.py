@@ -6,7 +6,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from glob import glob, has_magic
 from itertools import pairwise
 from pathlib import Path
@@ -66,7 +66,7 @@ class Denoise:
 
     def _denoise_many(self, shots: dict[str, str]) -> None:
         """Raises InputError where a shot does, after the others."""
-        jobs = [(self, source, self.out / name) for name, source in shots.items()]
+        jobs = [(self._of(name), source, self.out / name) for name, source in shots.items()]
         failed = 0
         with progress_bar("denoising shots") as bar:
             task = bar.add_task("denoise", total=len(shots))
@@ -80,6 +80,11 @@ class Denoise:
         if failed:
             others = "; the others are denoised" if failed < len(shots) else ""
             raise InputError(f"{failed} of {len(shots)} shots failed, as told above{others}")
+
+    def _of(self, shot: str) -> Denoise:
+        """This command for one of several shots."""
+        surfaces = self.settings.surfaces and str(Path(self.settings.surfaces) / shot)
+        return replace(self, settings=replace(self.settings, surfaces=surfaces))
 
     def _place(self, shots: int) -> Place:
         """Where so many shots are denoised."""

@@ -159,8 +159,8 @@ class Sequence:
 
     def has(self, layer: str) -> bool:
         """Whether its frames have a layer of `Frame`: the files have it, or what it is computed from, or `surfaces`."""
-        if self.surfaces and self.surfaces.has(layer):
-            return True
+        if self.surfaces and (given := self.surfaces.has(layer)) is not None:
+            return given
         if layer in self.available or not self.scene or "position" not in self.available:
             return layer in self.available
         return layer in ("depth", "motion", "motion_next") and ("id" in self.available or not self.scene["objects"])

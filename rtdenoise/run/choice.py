@@ -47,7 +47,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     if not auto:
         return sequence, _looking(options, 0), []
     if "samples" not in layers:
-        sequence = sequence.only(sequence.rules.keys() - {"samples"})
+        sequence = replace(sequence, rules={k: rule for k, rule in sequence.rules.items() if k != "samples"})
     few, many = candidates(options.backend, options.correct)
     options = _looking(options, 0 if options.offline or (few, many) == KERNELS else AHEAD)
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""

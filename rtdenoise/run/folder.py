@@ -29,6 +29,8 @@ INDECISIVE = ("backend", "device")  # options that leave the files as they are
 def prepare(out: Path, sequence: Sequence, options: Options) -> Path:
     """The output folder, made if need be. Raises InputError where it holds the input or cannot be written to."""
     protect_input(sequence, out, options.layout, options.recombine)
+    if sequence.surfaces:
+        protect_input(sequence.surfaces.sequence, out, "plain", False)
     try:
         out.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=out).close()
@@ -96,7 +98,8 @@ def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) 
     """Raise InputError where the state in `out` (`denoise.read_state`) is of a run with another fingerprint."""
     if state["fingerprint"] == fingerprint:
         return
-    before, now = state["options"], json.loads(json.dumps(_decisive(options)))  # tuples become lists, as in `before`
+    before = state["options"] | {"surfaces": bool(state["options"].get("surfaces"))}
+    now = json.loads(json.dumps(_decisive(options)))  # tuples become lists, as in `before`
     changed = [key for key in now if key in before and before[key] != now[key]]  # `combine` has other options
     told = ", ".join(f"{key.replace('_', '-')} {before[key]}, now {now[key]}" for key in changed)
     unseen = "another input, layout or weights: a finished frame's input was changed or removed, perhaps"
@@ -156,8 +159,9 @@ def write_summary(path: Path, sequence: Sequence, options: Options, summary: Sum
 
 
 def _decisive(options: Options) -> dict:
-    """The options that change the files."""
-    return {name: value for name, value in asdict(options).items() if name not in INDECISIVE}
+    """The options that change the files. The second render counts by its files, whatever it is called."""
+    parts = {name: value for name, value in asdict(options).items() if name not in INDECISIVE}
+    return parts | {"surfaces": bool(options.surfaces)}
 
 
 def _refuse_junk(path: Path, size: tuple[int, int]) -> None:

@@ -182,8 +182,8 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     if 2 * len(found.same_noise) >= len(found.examined):
         return "render again, with another seed in every frame: noise that stands still is not averaged"
     if 2 * len(found.unmoved) >= len(found.examined):  # not the cuts between still shots
-        return ("render again without motion blur, and name that by --surfaces if blur is wanted, or mend the motion: with "
-                "zeros, what moves leaves trails")  # fmt: skip
+        return ("render again without motion blur, and name that by --surfaces for a picture with blur, or mend the "
+                "motion: with zeros, what moves leaves trails")  # fmt: skip
     words = ["rtdenoise", "denoise", found.source, "--out", "clean/"]
     for name, value in options.items():
         words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]

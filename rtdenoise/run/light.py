@@ -77,6 +77,18 @@ def _write(
     return write_light(out, sequence, index, picture=image[PICTURE], parts=parts, **options)
 
 
+def _seen(sequence: Sequence, index: int, passes: LightPasses) -> dict[str, np.ndarray]:
+    """Colours, emission and environment of a frame with motion blur, from the render without it; none where there is no
+    such render. Under motion blur they are noise."""
+    if not (surfaces := sequence.surfaces):
+        return {}
+    sharp, i = surfaces.sequence, surfaces.index(sequence.numbers[index])
+    there = sharp.files[i].header().channels.keys()
+    clean = {name: rule for name, rule in {**passes.colors, **passes.passed}.items() if there >= {*rule.channels}}
+    stored = read_light(sharp, i, LightPasses({}, {}, clean, {}, {}))
+    return surfaces.seen(sharp.read(i), {name: valid(image) for name, image in stored.items()})
+
+
 class LightBackend:
     """A `Backend` around torch's. An image is a dict of `[1, 3, H, W]`: the picture, named `PICTURE`, and the passes; a
     history is `Histories`."""
@@ -98,6 +110,7 @@ class LightBackend:
         self._passes, self._picture, self._soft, self._device = passes, picture, soft_edges, inner.device
         self._inner = Following(inner, detect_exposure)
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
+        self._seen: dict[str, np.ndarray] = {}  # likewise those without noise, as a shutter sees them
         self._parts: dict[int, Parts] = {}  # by number, of the frames that are prepared
         self._left_out: dict[str, int] | None = None
         self._checked = False  # whether the passes add up
@@ -119,6 +132,7 @@ class LightBackend:
     def read(self, sequence: Sequence, index: int) -> Frame:
         """A frame; its passes are kept for `prepare`, which comes next."""
         self._stored = read_light(sequence, index, self._passes)
+        self._seen = _seen(sequence, index, self._passes)
         return replace(sequence, soft_edges=False).read(index)
 
     def prepare(self, frame: Frame) -> Frame:
@@ -133,7 +147,8 @@ class LightBackend:
         with explained(ready.name, ready.size, self._device):
             lights = {name: self._inner.prepare(Frame(self._shown(frame, stored[name]).radiance)).radiance
                       for name in (*passes.lights, *passes.volumes, *passes.also)}  # fmt: skip
-            passed = {name: self._on_device(stored[name]) for name in (*passes.colors, *passes.passed)}
+            seen = stored | self._seen
+            passed = {name: self._on_device(seen[name]) for name in (*passes.colors, *passes.passed)}
         lobes = {name: name.split()[0] for name in passes.lights}
         albedo = {name: passed[lobe].clamp(max=GREATEST_ALBEDO) for name, lobe in lobes.items() if lobe in OWN}
         complete = background = True

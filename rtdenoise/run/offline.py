@@ -212,7 +212,7 @@ class _Run:
 
     def _notes(self) -> list[str]:
         notes = list(self.passes.notes)
-        lacks = "motion_next" not in self.sequence.available and self.sequence.scene is None
+        lacks = not self.sequence.has("motion_next")
         if len(self.sequence) > 1 and lacks:
             notes.append("the files have no motion_next: the backward pass approximates it from motion and depth")
         return notes

@@ -18,7 +18,7 @@ EXAMINED = 3  # frames that the plan examines
 MAX_LOOKAHEAD = 16  # frames; beyond 4 little is gained
 AHEAD = 2  # frames, with 'auto'
 MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
-MAX_SHUTTER = 4.0  # frames; more is a slip
+MAX_SHUTTER = 100.0  # frames; more is a slip
 POSITIONS = {"start": 0.5, "center": 0.0, "end": -0.5}  # middle of the time that a shutter is open / that time
 MIXED = 8  # samples a pixel from which paths are means of what a pane reflects and shows (docs/notes/virtual_motion.md)
 
@@ -71,7 +71,8 @@ class Options:
     """Blur what moves in the denoised picture as a shutter would: for frames that were rendered without motion blur."""
     surfaces: str = ""
     """For frames that were rendered with motion blur: a second render without it (folder or glob). Albedo, normal,
-    depth and motion are taken from there; what moves is blurred in albedo and normal as the shutter blurs it."""
+    depth and motion are taken from there; what moves is blurred in albedo and normal as the shutter blurs it. With
+    several shots the folder that holds a folder of each shot's name."""
     shutter: float = 0.5
     """With --motion-blur or --surfaces: frames that the shutter is open, Blender's Shutter."""
     shutter_position: Literal["start", "center", "end"] = "center"

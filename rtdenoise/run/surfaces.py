@@ -14,13 +14,13 @@ from .options import MIXED, CombineOptions, Options, shutter_times
 def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequence:
     """The sequence with the layers of `options.surfaces`; itself without.
 
-    Albedo stays the frame's own where it says what indirect light was divided by. Raises InputError where the second
+    Albedo stays the frame's own where it says what the light was divided by. Raises InputError where the second
     render cannot be opened, has no depth or motion, other frames or another size, or is the first one; and for a
     shutter that there is not.
     """
+    times = shutter_times(options)
     if not options.surfaces:
         return sequence
-    times = shutter_times(options)
     surfaces = open_sequence(
         options.surfaces, signal=options.signal, preset=options.preset, allow_gaps=options.allow_gaps
     )
@@ -32,7 +32,7 @@ def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequ
             surfaces, virtual_motion=options.virtual_motion and samples < MIXED, fog=options.fog,
             few_samples=0 < samples < MIXED,
         )  # fmt: skip
-    layers = GIVEN if options.signal == "color" else tuple(layer for layer in GIVEN if layer != "albedo")
+    layers = tuple(layer for layer in GIVEN if not (layer == "albedo" and sequence.demodulated))
     return replace(sequence, surfaces=Surfaces(surfaces, *times, layers))
 
 
@@ -42,7 +42,7 @@ def _check(surfaces: Sequence, sequence: Sequence) -> None:
         (h, w), (H, W) = surfaces.size, sequence.size
         raise InputError(f"{surfaces.paths[0]}: is {w}×{h}, the frames are {W}×{H}; "
                          "--surfaces is another render of them")  # fmt: skip
-    if surfaces.paths[0] == sequence.paths[0]:
+    if surfaces.paths[0].resolve() == sequence.paths[0].resolve():
         raise InputError(f"{surfaces.paths[0]}: was named twice; --surfaces is another render, without motion blur")
     if missing := sorted(set(sequence.numbers) - set(surfaces.numbers)):
         raise InputError(f"{surfaces.paths[0].parent}: has no frame {missing[0]}; --surfaces needs one for each frame")
