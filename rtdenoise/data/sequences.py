@@ -18,6 +18,7 @@ from .fog import with_fog
 from .layers import SIGNALS
 from .layout import Layout, Rule
 from .layouts import choose, find, samples
+from .lost import with_lost_samples
 from .noisebase import NOISEBASE, find_archives
 from .scene_file import read_scene
 from .scene_motion import complete
@@ -51,6 +52,7 @@ class Sequence:
     virtual_motion: bool = False  # frames are read `with_virtual_motion` where files hold the length of paths
     fog: bool = False  # frames are read `with_fog` where files hold the light of volumes
     few_samples: bool = False  # in which albedo is noise, too
+    lost_samples: bool = False  # frames are read `with_lost_samples`
     surfaces: Surfaces | None = field(default=None, repr=False)  # without motion blur: layers that these give
 
     @property
@@ -93,7 +95,8 @@ class Sequence:
         """`self[i]` with numpy arrays, without torch."""
         files = self.files[i]
         rules, (path, fog) = self.rules, self._besides(files)
-        if path or fog:  # whatever is wanted of the frame, it is the same
+        lost = self.lost_samples and "albedo" in self.rules
+        if path or fog or lost:  # whatever is wanted of the frame, it is the same
             rules = rules | {layer: self.available[layer] for layer in MOVED if layer in self.available}
         read = *rules.values(), *([path] if path else ()), *fog.values()
         channels = files.read({name for rule in read for name in rule.channels})
@@ -107,6 +110,8 @@ class Sequence:
             light = {name: convert(rule, channels, name) for name, rule in fog.items()}
             sky = light.pop("sky", None)
             frame = with_fog(frame, sum(light.values()), sky, self.few_samples)
+        if lost:
+            frame = with_lost_samples(frame)
         frame = replace(frame, **dict.fromkeys(rules.keys() - self.rules.keys()))
         if self.soft_edges:
             frame = with_soft_edges(frame)

@@ -22,8 +22,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
     where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft
-    edges, but for motion blur; those of less than MIXED are read `with_virtual_motion`, and all `with_fog`, unless the
-    options are off.
+    edges, but for motion blur; all of it are read `with_lost_samples`. Those of less than MIXED are read
+    `with_virtual_motion`, and all `with_fog`, unless the options are off.
     Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
     """
     auto = options.model == AUTO
@@ -36,13 +36,14 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         sequence.require("depth", "motion")
     if options.lens:
         sequence = _with_lens(sequence)
-    wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter
+    wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter, and what it writes
     samples = known_samples(sequence, options.samples)
     virtual = options.virtual_motion and sequence.signal == "color"  # indirect light ends at mirrors and panes
     fog = options.fog and sequence.signal == "color"  # indirect light is divided by the colour of what was hit
     sequence = replace(
         sequence, soft_edges=wide and samples == 1 and not sequence.surfaces,
         virtual_motion=virtual and samples < MIXED, fog=fog, few_samples=0 < samples < MIXED,
+        lost_samples=wide,
     )  # fmt: skip
     if not auto:
         return sequence, _looking(options, 0), []

@@ -1,0 +1,77 @@
+"""Samples that are lost in water and glass (`data.lost`)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_virtual_motion import SHOT
+
+from rtdenoise.data.lost import CHUNK, with_lost_samples
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.frame import Frame
+from rtdenoise.run.choice import open_chosen
+from rtdenoise.run.options import Options
+
+SIZE = 32, 48
+
+
+def picture(lost=(), size=SIZE):
+    """A wall of albedo 0.6, and one of 0.2 behind its right half; black where samples are `lost` (row, column)."""
+    right = np.indices(size)[1] >= size[1] // 2
+    albedo = np.where(right, 0.2, 0.6)[None, None].repeat(3, 1).astype(np.float32)
+    for row, column in lost:
+        albedo[..., row, column] = 0
+    depth = np.where(right, 5, 3)[None, None].astype(np.float32)
+    return Frame(albedo, albedo=albedo, depth=depth)
+
+
+def test_a_lost_sample_and_those_around_get_the_mean_of_the_surface():
+    frame = picture([(10, 10), (20, 23)])
+    found = with_lost_samples(frame).albedo[0, 0]
+    assert np.allclose(found[9:12, 9:12], 0.6 * 24 / 25), "25 samples, one of which saw nothing"
+    assert np.allclose(found[20, 23], 0.6 * 14 / 15), "on its side of the edge alone"
+    assert np.allclose(found[20, 24], 0.2), "beside it is another surface"
+    rest = np.ones(SIZE, bool)
+    rest[9:12, 9:12] = rest[19:22, 22:25] = False
+    assert np.array_equal(found[rest], frame.albedo[0, 0][rest])
+
+
+def test_black_surfaces_and_what_was_hit_nowhere_stay():
+    line = picture([(15, column) for column in range(4, 20)])
+    found = with_lost_samples(line).albedo
+    assert np.array_equal(found[..., 6:18], line.albedo[..., 6:18]), "a line of one pixel is no lost sample"
+    area = picture([(row, column) for row in range(4, 9) for column in range(4, 9)])
+    assert np.array_equal(with_lost_samples(area).albedo, area.albedo)
+    sky = picture([(10, 10)])
+    sky.depth[..., 10, 10] = 0
+    assert np.array_equal(with_lost_samples(sky).albedo, sky.albedo)
+
+
+def test_a_frame_without_any_is_itself():
+    frame = picture()
+    assert with_lost_samples(frame) is frame
+    for layer in ("albedo", "depth"):
+        lacks = replace(picture([(5, 5)]), **{layer: None})
+        assert with_lost_samples(lacks) is lacks
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (300, 400)])
+def test_any_size_and_broken_values(size):
+    frame = picture([(0, 0)], size)
+    draw = np.random.default_rng(0)
+    frame.albedo[:, :, draw.random(size) < 0.1] = 0
+    frame.depth[..., -1, -1], frame.albedo[..., -1, 0] = np.nan, np.nan
+    found = with_lost_samples(frame).albedo
+    assert found.shape == frame.albedo.shape and found.dtype == np.float32
+    if np.prod(size) > CHUNK:
+        assert np.isfinite(found).mean() > 0.999 and (found == 0).mean() < 0.3 * (frame.albedo == 0).mean()
+
+
+def test_denoisers_read_frames_so():
+    plain, chosen = open_sequence(SHOT), open_chosen(str(SHOT), Options(model="fast"))[0]
+    assert chosen.lost_samples and not plain.lost_samples
+    assert not open_chosen(str(SHOT), Options(model="fast", signal="indirect"))[0].lost_samples
+    sequence = replace(plain, lost_samples=True)
+    assert np.array_equal(sequence.read(0).albedo, with_lost_samples(plain.read(0)).albedo)
+    assert sequence.only({"radiance", "depth"}).read(0).albedo is None
+    assert np.array_equal(sequence.only({"radiance", "albedo"}).read(0).albedo, sequence.read(0).albedo)
