@@ -158,6 +158,27 @@ def test_a_surface_that_comes_nearer_has_no_cracks():
     assert found[0, 0][(np.abs(x - 40) < 13) & (np.abs(y - 20) < 11)].min() > 0.97
 
 
+def test_the_seam_of_a_panorama_is_no_motion():
+    """Pixels that pass it cross the picture by their vectors."""
+    x = np.indices(SIZE)[1].astype(np.float32)
+    image = (x / SIZE[1])[None, None]
+    motion = np.stack([np.full(SIZE, -2), 0 * x])[None].astype(np.float32)
+    motion[0, 0, :, :2] += SIZE[1]
+    found = over_shutter(image, 0 * image + 3, motion, None)
+    assert np.abs(found - image)[..., 4:-4].max() < 0.05
+
+
+def test_holes_are_filled_from_as_far_as_things_move():
+    """A small thing that is fast makes no others wide."""
+    frame = surfaces()
+    motion, depth = frame.motion.copy(), frame.depth.copy()
+    depth[..., 2, 2], motion[0, 0, 2, 2] = 1, -36
+    depth[..., 4:TOP, 2 * SPEED : 2 * SPEED + 3] = 9  # a gap in the wall above the square, with another colour
+    albedo = np.where(depth == 9, 0, frame.albedo).astype(np.float32)
+    found = over_shutter(albedo, depth, motion, None)[0, 0]
+    assert np.allclose(found[TOP + 8], over_shutter(frame.albedo, frame.depth, frame.motion, None)[0, 0, TOP + 8])
+
+
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 5)])
 def test_any_size_and_speed(size):
     draw = np.random.default_rng(0)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .sequences import Sequence
 
 LEAST, MOST = 16, 32  # moments at which a picture that moves is looked at: as many as the longest way has pixels
+FEW = 0.1  # of the pixels: so many may pass the seam of a panorama
 SAME = 0.95  # part of a depth that is as far away
 BLURRED, GIVEN = ("albedo", "normal"), ("albedo", "normal", "depth", "motion", "motion_next")
 
@@ -92,7 +93,7 @@ def over_shutter(
     values = np.zeros((H * W + 1, C), np.float32)  # and of no pixel, -1
     values[:-1] = image[0].reshape(C, -1).T
     far = np.where(depth <= 0, np.inf, depth).ravel()
-    speed, bend = _way(motion, motion_next)
+    speed, bend = whole = _way(motion, motion_next)
     stands = ~np.isfinite(far)
     speed[:, stands] = bend[:, stands] = 0
     longest = max(np.hypot(*(speed * t + bend * t * t)).max() for t in (opens, closes))
@@ -112,7 +113,10 @@ def over_shutter(
         shown[(y[inside] * W + x[inside]).astype(np.int32)] = order[inside]
         grid = shown.reshape(H, W)
         _mend(grid, far)
-        _fill(grid, far, math.ceil(longest) + 1)
+        holes = np.nonzero(shown < 0)[0]  # as wide as what was there has moved, at most
+        if len(holes):
+            gone = np.hypot(*(whole[0][:, holes] * t + whole[1][:, holes] * (t * t)))
+            _fill(grid, far, np.divmod(holes, W), np.ceil(gone) + 1)
         total += values[shown]
         times += shown[:, None] >= 0
     mean = np.where(times > 0, total / np.maximum(times, 1), values[:-1])
@@ -123,10 +127,18 @@ def _way(motion: np.ndarray, motion_next: np.ndarray | None) -> tuple[np.ndarray
     """Speed and half the acceleration `[2, H·W]` of each pixel's surface, in pixels and frames."""
     before = motion[0].reshape(2, -1)
     after = -before if motion_next is None else motion_next[0].reshape(2, -1)
-    came, goes = ((np.abs(way) < OFF_SCREEN).all(0) for way in (before, after))
+    came, goes = (_is_known(way, motion.shape[2:]) for way in (before, after))
     before, after = (np.where(known, way, np.where(other, -opposite, 0)) for known, way, other, opposite in
                      ((came, before, goes, after), (goes, after, came, before)))  # fmt: skip
     return ((after - before) / 2).astype(np.float32), ((after + before) / 2).astype(np.float32)
+
+
+def _is_known(way: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Whether motion `[2, H·W]` is known. A few pixels that cross half of the picture of `size` (H, W) pass the seam of
+    a panorama."""
+    half = np.array(size[::-1], np.float32)[:, None] / 2
+    known, near = ((np.abs(way) < most).all(0) for most in (OFF_SCREEN, half))
+    return near if (known & ~near).mean() < FEW else known
 
 
 def _mend(shown: np.ndarray, far: np.ndarray) -> None:
@@ -142,13 +154,11 @@ def _mend(shown: np.ndarray, far: np.ndarray) -> None:
         shown[rows[same], columns[same]] = one[same]
 
 
-def _fill(shown: np.ndarray, far: np.ndarray, reach: int) -> None:
-    """Where pixels `[H, W]` show none (-1), let them show the farthest of those next to it in its row and in its
-    column, up to `reach` pixels away; of surfaces as far away the nearest one."""
-    rows, columns = np.nonzero(shown < 0)
-    if not len(rows):
-        return
-    best, steps = np.full(len(rows), -1, np.int32), np.full(len(rows), reach + 1)
+def _fill(shown: np.ndarray, far: np.ndarray, holes: tuple[np.ndarray, np.ndarray], reach: np.ndarray) -> None:
+    """Let each of the holes (rows, columns) of pixels `[H, W]`, which show none (-1), show the farthest of those next
+    to it in its row and in its column, up to `reach` pixels away; of surfaces as far away the nearest one."""
+    rows, columns = holes
+    best, steps = np.full(len(rows), -1, np.int32), reach + 1
     for axis, (lines, places) in enumerate(((columns, rows), (rows, columns))):
         chosen, line = np.unique(lines, return_inverse=True)
         strip = shown[:, chosen].T if axis == 0 else shown[chosen]  # those with holes, as rows
