@@ -54,7 +54,8 @@ OUTDATED_PICTURE = 0.9  # share from which on the previous picture is as if off 
 # Whether a frame belongs to another shot (`history.mismatch`).
 CUT_ALIKE = 1.0  # pixels by which neighbours' motion may differ, if they move as one
 CUT_AROUND = 3.0  # a mismatch is so many times the share of pixels whose surface is nowhere around, at most
-CUT_UNMOVED = 0.05  # from this mismatch on it is so many times that share, where the motion of all pixels is zero
+CUT_UNMOVED = 5.0  # so many times it where the motion of all pixels is zero, though they do not stand still
+MOVES = 0.05  # a mismatch from which on they do not
 
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .constants import CUT_ALIKE, CUT_AROUND, CUT_UNMOVED, SHIFT_CELL
+from .constants import CUT_ALIKE, CUT_AROUND, CUT_UNMOVED, MOVES, SHIFT_CELL
 from .data.stored import FOUND, read_history, write_history
 from .errors import InputError
 from .frame import MAX_CUT_MISMATCH, RECENT, SHIFTS, Frame, History
@@ -43,19 +43,20 @@ def mismatch(frame: Frame, history: History) -> Tensor:
     another shot, whatever its motion vectors say. 0 where nothing was on the screen: such a history leaves no trace
     anyway.
 
-    Where no pixel moves the picture should stand still. If it does not, as after a render with motion blur, for which
-    Cycles writes zeros, it is CUT_AROUND times that share from CUT_UNMOVED on."""
+    Where motion is zero in all pixels the picture should stand still. If more than MOVES find another surface, as after
+    a render with motion blur, for which Cycles writes zeros, the result is CUT_UNMOVED times the share of those that
+    find their surface nowhere around."""
     seen, usual = on_screen(frame.motion), _unlike_beside(frame)
     count = seen.sum((1, 2, 3)).clamp(min=1)
     share = (seen & ~_alike(frame, history)).sum((1, 2, 3)) / count
     found = (share - usual).clamp(min=0) / (1 - usual).clamp(min=1e-6)
-    unmoved = ~(seen & (frame.motion != 0).any(1, keepdim=True)).flatten(1).any(1) & (found > CUT_UNMOVED)
+    unmoved = ~(seen & (frame.motion != 0).any(1, keepdim=True)).flatten(1).any(1) & (found > MOVES)
     if not (unmoved | (found > MAX_CUT_MISMATCH)).any():
         return found
     around = found.new_tensor([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]).view(-1, 1, 2, 1, 1)
     somewhere = sum(_alike(frame, history, offset) for offset in around) > 0
-    lost = CUT_AROUND * (seen & ~somewhere).sum((1, 2, 3)) / count
-    return lost.where(unmoved, torch.minimum(found, lost))
+    lost = (seen & ~somewhere).sum((1, 2, 3)) / count
+    return (CUT_UNMOVED * lost).clamp(max=1).where(unmoved, torch.minimum(found, CUT_AROUND * lost))
 
 
 def _alike(frame: Frame, history: History, offset: Tensor | float = 0.0) -> Tensor:

@@ -13,6 +13,7 @@ from ..constants import (
     BRIGHTNESS_BLOCK,
     CUT_AROUND,
     CUT_UNMOVED,
+    MOVES,
     OUTDATED_CELL,
     OUTDATED_FRAMES,
     OUTDATED_RIM,
@@ -114,11 +115,11 @@ class Passes:
         seen, wrong, beside, moves = counted(0)
         usual = beside / max(1, H * (W - 1))
         found = max(0.0, wrong / max(1, seen) - usual) / max(1 - usual, 1e-6)
-        unmoved = not moves and found > CUT_UNMOVED
+        unmoved = not moves and found > MOVES
         if not unmoved and found <= MAX_CUT_MISMATCH:
             return found
-        lost = CUT_AROUND * counted(1)[1] / max(1, seen)
-        return lost if unmoved else min(found, lost)
+        lost = counted(1)[1] / max(1, seen)
+        return min(CUT_UNMOVED * lost, 1.0) if unmoved else min(found, CUT_AROUND * lost)
 
     def history_motion(self, vectors: GpuArray, surface: GpuArray, history: History) -> GpuArray:
         """The motion that fetches history: traditional, or dual, with a flag, where a pixel has been uncovered."""

@@ -25,7 +25,10 @@ DEPTH_CHANGE, ALBEDO_CHANGE, LEAST = 0.02, 0.05, 0.005
 MOST = 100_000  # about so many pixels of a frame are looked at
 BLURRED = "was motion blur on? render without it, or name a second render without it by --surfaces"
 UNMOVED = f"motion is zero everywhere though the picture changes ({{}}), so what moves leaves trails: {BLURRED}"
-ALONE = f"motion is zero everywhere though the picture changes, so each frame is denoised alone: {BLURRED}"
+ALONE = (
+    f"motion is zero everywhere though the picture changes, so most frames are denoised alone: {BLURRED} "
+    "(before a still camera it may be things without vectors: --no-detect-cuts)"
+)
 PAIRS, PIXELS = 2, 4000  # pairs of frames whose motion vectors, and noise, are judged, and pixels of each
 WRONG = "motion: looks like {}; as it is, history comes from wrong places (`rtdenoise inspect` tells more)"
 LACKS = (
@@ -105,8 +108,8 @@ class Watch:
 
     def end(self, frames: int, cuts: int) -> None:
         """After the last one of so many frames, of which so many began anew for what they showed."""
-        if cuts > MOST_CUTS * frames:
-            self._notes.append(CUTS if 2 * sum(self._moves) > len(self._moves) else ALONE)
+        if self._moves and cuts > MOST_CUTS * frames:
+            self._notes.append(CUTS if any(self._moves) else ALONE)
         if self._albedo.found:
             self._notes.append(FLAT.format("all frames"))
 
