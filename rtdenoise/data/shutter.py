@@ -21,7 +21,7 @@ from ..frame import OFF_SCREEN, Frame
 if TYPE_CHECKING:
     from .sequences import Sequence
 
-LEAST, MOST = 16, 32  # moments at which a picture that moves is looked at: as many as the longest way has pixels
+LEAST, MOST = 16, 64  # moments at which a picture that moves is looked at: as many as the longest way has pixels
 FEW = 0.1  # of the pixels: so many may pass the seam of a panorama
 SAME = 0.95  # part of a depth that is as far away
 BLURRED, GIVEN = ("albedo", "normal"), ("albedo", "normal", "depth", "motion", "motion_next")
@@ -96,8 +96,8 @@ def over_shutter(
     speed, bend = whole = _way(motion, motion_next)
     stands = ~np.isfinite(far)
     speed[:, stands] = bend[:, stands] = 0
-    longest = max(np.hypot(*(speed * t + bend * t * t)).max() for t in (opens, closes))
-    if longest < 0.5:  # pixels
+    longest = np.hypot(*(speed * (closes - opens) + bend * (closes**2 - opens**2))).max()
+    if longest < 1:  # pixel
         return image
     order = np.argsort(-far, kind="stable").astype(np.int32)  # so that what is near is written last
     order = order[np.isfinite(values[order]).all(1) & ~np.isnan(far[order])]

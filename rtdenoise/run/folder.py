@@ -77,7 +77,9 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     scene = sequence.scene or {}
     parts["scene"] = {key: value for key, value in scene.items() if key != "frames"}
     cameras = {entry["number"]: entry for entry in scene.get("frames", ())}
-    others = sequence.surfaces.files if sequence.surfaces else {}
+    others = {}
+    if surfaces := sequence.surfaces:
+        parts["surfaces"], others = [repr(surfaces.sequence.rules), repr(surfaces.sequence.layout)], surfaces.files
     running = hashlib.sha256(json.dumps(parts, sort_keys=True, default=list).encode())
     found = [running.hexdigest()]
     for frame in sequence.files:
@@ -161,6 +163,8 @@ def write_summary(path: Path, sequence: Sequence, options: Options, summary: Sum
 def _decisive(options: Options) -> dict:
     """The options that change the files. The second render counts by its files, whatever it is called."""
     parts = {name: value for name, value in asdict(options).items() if name not in INDECISIVE}
+    if not (options.surfaces or getattr(options, "motion_blur", False)):
+        parts = {name: value for name, value in parts.items() if not name.startswith("shutter")}
     return parts | {"surfaces": bool(options.surfaces)}
 
 

@@ -76,7 +76,8 @@ class Options:
     shutter: float = 0.5
     """With --motion-blur or --surfaces: frames that the shutter is open, Blender's Shutter."""
     shutter_position: Literal["start", "center", "end"] = "center"
-    """With --motion-blur or --surfaces: when the time of a frame is while the shutter is open, Blender's Position."""
+    """With --motion-blur or --surfaces: where a frame's time lies in the time that the shutter is open, Blender's
+    Position."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack, from frame to frame, found by albedo: those of
     Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""
@@ -169,7 +170,7 @@ class CombineOptions:
     shutter: float = 0.5
     """With --surfaces: frames that the shutter is open."""
     shutter_position: Literal["start", "center", "end"] = "center"
-    """With --surfaces: when the time of a frame is while the shutter is open."""
+    """With --surfaces: where a frame's time lies in the time that the shutter is open."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack: as for denoise."""
     device: str = "auto"
