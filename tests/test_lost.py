@@ -71,6 +71,7 @@ def test_denoisers_read_frames_so():
     plain, chosen = open_sequence(SHOT), open_chosen(str(SHOT), Options(model="fast"))[0]
     assert chosen.lost_samples and not plain.lost_samples
     assert not open_chosen(str(SHOT), Options(model="fast", signal="indirect"))[0].lost_samples
+    assert not open_chosen(str(SHOT), Options(model="fast", samples=16))[0].lost_samples, "they are real then"
     sequence = replace(plain, lost_samples=True)
     assert np.array_equal(sequence.read(0).albedo, with_lost_samples(plain.read(0)).albedo)
     assert sequence.only({"radiance", "depth"}).read(0).albedo is None

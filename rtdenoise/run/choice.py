@@ -22,8 +22,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
     where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft
-    edges, but for motion blur; all of it are read `with_lost_samples`. Those of less than MIXED are read
-    `with_virtual_motion`, and all `with_fog`, unless the options are off.
+    edges, unless there are `options.surfaces`; those of less than MIXED are read `with_lost_samples`, frames of all
+    renderers `with_virtual_motion`, and whatever their samples `with_fog`, unless the options are off.
     Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
     """
     auto = options.model == AUTO
@@ -43,7 +43,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     sequence = replace(
         sequence, soft_edges=wide and samples == 1 and not sequence.surfaces,
         virtual_motion=virtual and samples < MIXED, fog=fog, few_samples=0 < samples < MIXED,
-        lost_samples=wide,
+        lost_samples=wide and samples < MIXED,
     )  # fmt: skip
     if not auto:
         return sequence, _looking(options, 0), []

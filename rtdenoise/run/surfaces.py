@@ -30,7 +30,7 @@ def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequ
         samples = surfaces.header.samples
         surfaces = replace(
             surfaces, virtual_motion=options.virtual_motion and samples < MIXED, fog=options.fog,
-            few_samples=0 < samples < MIXED, lost_samples=surfaces.layout.name == "cycles",
+            few_samples=0 < samples < MIXED, lost_samples=surfaces.layout.name == "cycles" and samples < MIXED,
         )  # fmt: skip
     layers = tuple(layer for layer in GIVEN if not (layer == "albedo" and sequence.demodulated))
     return replace(sequence, surfaces=Surfaces(surfaces, *times, layers))
