@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+EIGHT = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]  # steps to the pixels around one
+
 
 def shifted(image: np.ndarray, steps: Iterable[tuple[int, int]], radius: int) -> Iterator[np.ndarray]:
     """For each step (y, x), of `radius` pixels at most, what is there from every pixel of an image `[…, H, W]`; beyond

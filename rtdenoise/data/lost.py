@@ -12,12 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from ..frame import Frame
-from .around import around, shifted
+from .around import EIGHT, around, shifted
 
 MOST = 1  # of the eight pixels around a lost one that are black, too: more are a black surface
 REACH = 2  # pixels over which albedo is averaged, along either axis
 SAME_DEPTH = 0.1  # relative
-EIGHT = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
 CHUNK = 1 << 16  # pixels that are looked at together
 
 

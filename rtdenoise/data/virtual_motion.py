@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..frame import Frame
-from .around import shifted
+from .around import EIGHT, shifted
 
 DRAWN = 3000  # pixels to which paths and camera are fitted
 FIELDS = np.append(0, np.geomspace(0.05, 12, 120))  # (width of the picture / focal length)² that are tried: to 120°
@@ -29,7 +29,6 @@ FLAT = 0.01  # how far normals differ in a cell of a mirror that is flat
 LONGER = 1.01  # times the depth of the surface: from then on a path goes on behind it
 SAME_DEPTH, SAME_ALBEDO = 0.1, 0.2  # pixels are alike: relative; of each channel
 LEAST_ALIKE = 3  # of the pixels around, for one to be no stray
-AROUND = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
 
 
 @np.errstate(all="ignore")  # broken pixels are compared, and count for nothing
@@ -188,7 +187,7 @@ def _strays(where: np.ndarray, behind: np.ndarray, albedo: np.ndarray) -> tuple[
     """The pixels that show otherwise than those around, and the pixel beside each that is most like those around: rows
     and columns of both. A line as thin as a pixel is no stray."""
     behind, like = np.where(where, behind, np.float32(-1)), []
-    for its_depth, *its_albedo in shifted(np.concatenate([behind[None], albedo]), AROUND, 1):
+    for its_depth, *its_albedo in shifted(np.concatenate([behind[None], albedo]), EIGHT, 1):
         alike = (its_depth > 0) & (np.abs(its_depth - behind) < SAME_DEPTH * behind)
         for its, own in zip(its_albedo, albedo, strict=True):
             alike &= np.abs(its - own) < SAME_ALBEDO
@@ -196,7 +195,7 @@ def _strays(where: np.ndarray, behind: np.ndarray, albedo: np.ndarray) -> tuple[
     line = np.logical_or.reduce([like[i] & like[-1 - i] for i in range(4)])
     count = np.where(where, np.sum(like, axis=0, dtype=np.int8), 0)
     strays = np.nonzero(where & (count < LEAST_ALIKE) & ~line)
-    beside = np.stack([there[strays] for there in shifted(count, AROUND, 1)])
+    beside = np.stack([there[strays] for there in shifted(count, EIGHT, 1)])
     better = beside.max(0) > count[strays]
-    strays, steps = tuple(at[better] for at in strays), np.array(AROUND)[beside.argmax(0)[better]].T
+    strays, steps = tuple(at[better] for at in strays), np.array(EIGHT)[beside.argmax(0)[better]].T
     return strays, tuple((at + step).clip(0, n - 1) for at, step, n in zip(strays, steps, where.shape, strict=True))
