@@ -96,8 +96,8 @@ class Sequence:
         files = self.files[i]
         rules, (path, fog) = self.rules, self._besides(files)
         lost = self.lost_samples and "albedo" in self.rules
-        if path or fog or lost:  # whatever is wanted of the frame, it is the same
-            rules = rules | {layer: self.available[layer] for layer in MOVED if layer in self.available}
+        needed = MOVED if path or fog else ("depth",) if lost else ()  # whatever is wanted of the frame, it is the same
+        rules = rules | {layer: self.available[layer] for layer in needed if layer in self.available}
         read = *rules.values(), *([path] if path else ()), *fog.values()
         channels = files.read({name for rule in read for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
