@@ -50,6 +50,8 @@ def mismatch(frame: Frame, history: History) -> Tensor:
     count = seen.sum((1, 2, 3)).clamp(min=1)
     share = (seen & ~_alike(frame, history)).sum((1, 2, 3)) / count
     found = (share - usual).clamp(min=0) / (1 - usual).clamp(min=1e-6)
+    if not (found > MOVES).any():
+        return found
     unmoved = ~(seen & (frame.motion != 0).any(1, keepdim=True)).flatten(1).any(1) & (found > MOVES)
     if not (unmoved | (found > MAX_CUT_MISMATCH)).any():
         return found
