@@ -83,7 +83,7 @@ class Watch:
         self._verdicts: list[Verdict] = []  # of the first pairs that move
         self._drifts: list[Drift | None] = []  # likewise, and of the first pairs with motion 0 that have any
         self._still = 0  # how many pairs with motion 0 have been asked for theirs
-        self._moves: list[bool] = []  # whether any pixel of a frame does
+        self._moves: bool | None = None  # whether any pixel of any frame does; None before the first one
         self._albedo = Flatness()
         self._same: list[bool] = []  # whether noise is the same, likewise
         self._last: Frame | None = None  # while that is asked
@@ -93,7 +93,7 @@ class Watch:
         self._albedo.see(frame)
         self._compare_noise(frame)
         moves = frame.motion is not None and bool(np.asarray(frame.motion).any())
-        self._moves.append(moves)
+        self._moves = self._moves or moves
         judges = (len(self._verdicts) if moves else self._still) < PAIRS and find_spec("torch") is not None
         if frame.motion is None or (self._told and not judges):
             return
@@ -108,8 +108,8 @@ class Watch:
 
     def end(self, frames: int, cuts: int) -> None:
         """After the last one of so many frames, of which so many began anew for what they showed."""
-        if self._moves and cuts > MOST_CUTS * frames:
-            self._notes.append(CUTS if any(self._moves) else ALONE)
+        if self._moves is not None and cuts > MOST_CUTS * frames:
+            self._notes.append(CUTS if self._moves else ALONE)
         if self._albedo.found:
             self._notes.append(FLAT.format("all frames"))
 
