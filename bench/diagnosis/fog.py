@@ -20,9 +20,7 @@ from bench import DOCS, RESULTS, harness
 # isort: split
 import tyro
 
-from bench.diagnosis.outdated import METHODS
-from bench.diagnosis.turned import errors
-from bench.diagnosis.virtual_motion import read, table
+from bench.diagnosis.virtual_motion import compare, table
 
 RESULT, PAGES = RESULTS / "fog.json", (DOCS / "notes" / "fog.md",)
 FEATURES = "as rendered", "the surface behind"
@@ -30,14 +28,8 @@ FEATURES = "as rendered", "the surface behind"
 
 def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of frames of Cycles, each with its references in the folder of its name and "-reference"."""
-    rows = []
-    for shot in shots:
-        frames = {features: read(shot, fog=features == FEATURES[1], few_samples=True) for features in FEATURES}
-        for method, run in METHODS.items():
-            for features in FEATURES:
-                psnr = errors(frames[features], run(frames[features]))["frame"]
-                rows.append({"shot": shot.name, "method": method, "features": features, "psnr": psnr})
-                print(rows[-1], flush=True)
+    how = {features: {"fog": features == FEATURES[1], "few_samples": True} for features in FEATURES}
+    rows = compare(shots, "features", how)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
 
 

@@ -20,9 +20,7 @@ from bench import DOCS, RESULTS, harness
 # isort: split
 import tyro
 
-from bench.diagnosis.outdated import METHODS
-from bench.diagnosis.turned import errors
-from bench.diagnosis.virtual_motion import read, table
+from bench.diagnosis.virtual_motion import compare, table
 
 RESULT, PAGES = RESULTS / "lost.json", (DOCS / "notes" / "lost.md",)
 ALBEDO = "as rendered", "of those around"
@@ -30,14 +28,8 @@ ALBEDO = "as rendered", "of those around"
 
 def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of frames of Cycles, each with its references in the folder of its name and "-reference"."""
-    rows = []
-    for shot in shots:
-        frames = {albedo: read(shot, virtual_motion=True, lost_samples=albedo == ALBEDO[1]) for albedo in ALBEDO}
-        for method, run in METHODS.items():
-            for albedo in ALBEDO:
-                psnr = errors(frames[albedo], run(frames[albedo]))["frame"]
-                rows.append({"shot": shot.name, "method": method, "albedo": albedo, "psnr": psnr})
-                print(rows[-1], flush=True)
+    how = {albedo: {"virtual_motion": True, "lost_samples": albedo == ALBEDO[1]} for albedo in ALBEDO}
+    rows = compare(shots, "albedo", how)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
 
 

@@ -34,15 +34,23 @@ BY = "surfaces", "what is seen"
 
 def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of frames of Cycles, each with its references in the folder of its name and "-reference"."""
+    how = {motion: {"virtual_motion": motion == BY[1]} for motion in BY}
+    rows = compare(shots, "motion", how, once=OIDN)
+    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+
+
+def compare(shots: tuple[Path, ...], of: str, how: dict[str, dict[str, bool]], once: str = "") -> list[dict]:
+    """Rows with the PSNR of each shot and method, for each value of `of`, of frames that are read as `how` says. The
+    method `once` takes the first value alone."""
     rows = []
     for shot in shots:
-        frames = {motion: read(shot, virtual_motion=motion == BY[1]) for motion in BY}
+        frames = {value: read(shot, **flags) for value, flags in how.items()}
         for method, run in METHODS.items():
-            for motion in BY[: 1 if method == OIDN else 2]:
-                psnr = errors(frames[motion], run(frames[motion]))["frame"]
-                rows.append({"shot": shot.name, "method": method, "motion": motion, "psnr": psnr})
+            for value in [*how][: 1 if method == once else None]:
+                psnr = errors(frames[value], run(frames[value]))["frame"]
+                rows.append({"shot": shot.name, "method": method, of: value, "psnr": psnr})
                 print(rows[-1], flush=True)
-    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+    return rows
 
 
 def read(shot: Path, **how: bool) -> list[Frame]:
