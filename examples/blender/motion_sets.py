@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable
 
 import bpy
-from sets import ball, box, build, keyframe, material, plain_material, sky
+from sets import ball, box, build, keyframe, material, plain_material, sky, sunlight
 
 
 def build_drive(scene: bpy.types.Scene, frames: int) -> None:
@@ -35,9 +35,7 @@ def build_drive(scene: bpy.types.Scene, frames: int) -> None:
         wheel.parent = car
         turn(wheel, frames, lambda k: (math.pi / 2, 1.2 * k, 0))
     keyframe(car, frames, (-2.2, 3.2, 0.55), (0.38 * (frames - 1) - 2.2, 3.2, 0.55))
-    bpy.ops.object.light_add(type="SUN", rotation=(0.6, 0.5, 0))
-    sun = bpy.context.object.data
-    sun.energy, sun.angle = 3, 0.03
+    sunlight((0.6, 0.5, 0), 0.03)
     sky(scene, (0.35, 0.45, 0.6))
     bpy.ops.object.camera_add(rotation=(math.radians(86), 0, 0))
     scene.camera = bpy.context.object

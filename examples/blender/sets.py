@@ -66,6 +66,13 @@ def sky(scene: bpy.types.Scene, colour: tuple) -> None:
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (*colour, 1)
 
 
+def sunlight(rotation: tuple, angle: float) -> None:
+    """White light from far away; `angle` in radians is how wide the sun is."""
+    bpy.ops.object.light_add(type="SUN", rotation=rotation)
+    sun = bpy.context.object.data
+    sun.energy, sun.angle = 3, angle
+
+
 def build(scene: bpy.types.Scene, frames: int) -> None:
     """A room of 6 × 5 × 3 m, lit by a small lamp, and by the sky through the open side behind the camera."""
     plaster = material("plaster", (0.75, 0.68, 0.55), (0.25, 0.30, 0.45), 2.5)

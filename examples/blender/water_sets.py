@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import bpy
-from sets import ball, box, build, keyframe, material, plain_material, sky
+from sets import ball, box, build, keyframe, material, plain_material, sky, sunlight
 
 
 def build_ocean(scene: bpy.types.Scene, frames: int) -> None:
@@ -21,9 +21,7 @@ def build_ocean(scene: bpy.types.Scene, frames: int) -> None:
     sea.scale = 2, 2, 2
     sea.data.materials.append(plain_material("water", Base_Color=(0.01, 0.05, 0.07, 1), Roughness=0.08, IOR=1.33))
     ball("buoy", (0, 6, 0.3), 0.7, material("buoy", (0.8, 0.1, 0.05), (0.9, 0.9, 0.9), 2.0))
-    bpy.ops.object.light_add(type="SUN", rotation=(1.0, 0.3, 0))
-    sun = bpy.context.object.data
-    sun.energy, sun.angle = 3, 0.01
+    sunlight((1.0, 0.3, 0), 0.01)
     sky(scene, (0.4, 0.55, 0.8))
     bpy.ops.object.camera_add(rotation=(math.radians(82), 0, 0))
     scene.camera = bpy.context.object
