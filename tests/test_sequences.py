@@ -217,7 +217,7 @@ def test_presets_that_do_not_fit(tmp_path):
     write_layers(tmp_path / "1.exr", {"foo": np.ones((H, W, 3)), "bar": np.ones((H, W, 1))})
     found = message(layouts.detect, read_header(tmp_path / "1.exr"))
     assert "no known layout (presets: native, cycles, mitsuba, falcor, bmfr, oidn, noisebase)" in found
-    assert found.endswith("among bar.V, foo.{R,G,B}")
+    assert found.endswith("among bar.V, foo.{R,G,B}; describe your files (rtdenoise inspect SEQ --write my.toml)")
 
 
 # --- missing layers ---------------------------------------------------------------------------------------------------
@@ -280,7 +280,8 @@ def test_frame_numbers_that_are_missing_or_there_twice(tmp_path):
     shutil.copy(folder / "frame.0002.exr", folder / "frame.02.exr")
     assert message(open_sequence, folder, allow_gaps=True) == (
         f"{folder / 'frame.02.exr'}: frame number 2 is there twice, frame.0002.exr has it too; "
-        "give a glob that fits one file a frame"
+        "give a glob that fits one file a frame; where each layer has a file, rtdenoise inspect DIR --write my.toml "
+        "describes them"
     )
     shutil.copy(folder / "frame.0002.exr", folder / "beauty.exr")
     assert message(open_sequence, folder) == (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional, arg
@@ -22,13 +23,26 @@ class Inspect:
     file."""
     allow_gaps: bool = False
     """Accept missing frame numbers."""
+    write: Annotated[Path | None, arg(metavar="FILE.toml")] = None
+    """Write a layout preset for files that no preset knows: layers by the names of channels and files, the convention
+    of motion vectors as measured."""
     verbose: bool = False
     """Also list the work that every frame needs."""
 
     def run(self) -> None:
+        from ..errors import InputError
         from ..run.inspect import inspect, next_step, render_text
 
-        options = {"signal": self.signal, "preset": self.preset, "allow_gaps": self.allow_gaps}
+        preset = self.preset
+        if self.write:
+            from ..run.describe import write_description
+
+            if preset != "auto":
+                raise InputError(f"--write describes files that no preset knows: leave out --preset {preset}")
+            write_description(self.source, self.write, self.allow_gaps)
+            preset = str(self.write)
+            print(f"wrote {preset}\n")
+        options = {"signal": self.signal, "preset": preset, "allow_gaps": self.allow_gaps}
         found = inspect(self.source, **options)
         given = {name: value for name, value in options.items() if value != getattr(Inspect, name)}
         print(f"{render_text(found, verbose=self.verbose)}\n\nnext: {next_step(found, given)}")

@@ -22,6 +22,7 @@ from .exr import read_channels, read_header
 from .exr_format import ExrHeader
 
 NUMBER = r"(?:(?<=[._ ])-)?\d+"  # a sign stands behind a separator, where it is none itself
+DESCRIBE = "where each layer has a file, rtdenoise inspect DIR --write my.toml describes them"
 VERSION = r"(?<![A-Za-z])(v|V)\d+"
 
 
@@ -120,6 +121,8 @@ def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Pa
         if not found:
             others = sorted(p.name for p in path.iterdir())
             what = f"holds {len(others)} files, e.g. {others[0]}" if others else "is empty"
+            if any(path.glob(f"*/*{suffix}")):
+                what = f"has some in folders inside; {DESCRIBE}"
             raise InputError(f"{path}: no {suffix} file in this folder: it {what}")
         return found
     if path.is_file():
@@ -153,7 +156,7 @@ def number_files(files: list[Path]) -> list[tuple[int, Path]]:
     for a, b in itertools.pairwise(ordered):
         if numbers[a] == numbers[b]:
             raise InputError(f"{b}: frame number {numbers[b]} is there twice, {a.name} has it too; "
-                             "give a glob that fits one file a frame")  # fmt: skip
+                             f"give a glob that fits one file a frame; {DESCRIBE}")  # fmt: skip
     return [(numbers[file], file) for file in ordered]
 
 

@@ -11,18 +11,21 @@ from .components import NOTHING_TO_SPLIT
 from .exr_format import ExrHeader
 from .layers import SIGNALS
 
-SCALES = ("pixels", "uv")  # uv: fractions of the picture's width and height
+SCALES = {  # of motion -> times the picture's width and height, as it is written for x and y
+    "uv": (1.0, "W·", "H·"), "ndc": (0.5, "W/2·", "H/2·"), "2uv": (2.0, "2W·", "2H·"),
+}  # fmt: skip
 OWN = "a layout of your own (--preset my.toml)"
 
 
 @dataclass(frozen=True)
 class Rule:
-    """How channels make a layer: component i is `signs[i]` × the channel `channels[i]`; motion is in `scale`."""
+    """How channels make a layer: component i is `signs[i]` · `scale` · (the channel `channels[i]` − `offset`)."""
 
     channels: tuple[str, ...]  # a name with a `*` stands for the first channel that matches
     signs: tuple[int, ...]
     miss: float = float("inf")  # depth only: nothing was hit from this distance on
-    scale: str = "pixels"  # motion only: one of SCALES
+    scale: float | str = 1.0  # motion only: pixels of a unit, or one of SCALES; normals: a number
+    offset: float = 0.0  # motion and normals only: what stands for 0
 
     def match(self, channels: Collection[str]) -> Rule | None:
         """The rule with its wildcards filled in; None where a channel is missing."""
@@ -31,6 +34,21 @@ class Rule:
             fitting = [name] if name in channels else [c for c in channels if "*" in name and fnmatchcase(c, name)]
             names += fitting[:1]
         return replace(self, channels=tuple(names)) if len(names) == len(self.channels) else None
+
+    @property
+    def formulas(self) -> tuple[str, ...]:
+        """Each component as it is computed: `-W·velocity.X`, `2·(N.X - 0.5)`."""
+        known = isinstance(self.scale, str)
+        units = SCALES[self.scale][1:] if known else ("" if self.scale == 1 else f"{self.scale:g}·",) * 3
+        names = [f"({c} - {self.offset:g})" for c in self.channels] if self.offset else self.channels
+        return tuple(
+            ("-" if sign < 0 else "") + unit + name
+            for name, sign, unit in zip(names, self.signs, units or ("",), strict=False)
+        )
+
+    def of_buffer(self, buffer: str) -> Rule:
+        """The rule for a file of its own."""
+        return replace(self, channels=tuple(f"{buffer}.{name}" for name in self.channels))
 
 
 def rules(names: str, components: str, signs: tuple[int, ...] = (), **conversion) -> tuple[Rule, ...]:

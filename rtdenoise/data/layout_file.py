@@ -10,7 +10,8 @@
     [motion]
     channels = ["velocity.X", "velocity.Y"]
     signs = [1, -1]                      # this project's: previous - current, y down
-    scale = "uv"                         # fractions of the picture instead of "pixels"
+    scale = "uv"                         # fractions of the picture; "ndc": of its half; a number: pixels of a unit
+    offset = 0.5                         # what stands for 0; default 0
     file = "velocity/{frame}.exr"
 
     [depth]
@@ -23,9 +24,12 @@ Layers are those of the native layout. There is no `radiance`: a file has `color
 
 from __future__ import annotations
 
+import json
+import math
 import re
 import sys
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from reprlib import repr
 
@@ -35,7 +39,7 @@ from .layers import LAYERS, SIGNALS
 from .layout import SCALES, Layout, Rule
 
 COUNTS = {name: layer.channels for name, layer in LAYERS.items()} | {"indirect_albedo": 3}
-KEYS = ("channels", "signs", "scale", "miss", "file")
+KEYS = ("channels", "signs", "scale", "offset", "miss", "file")
 
 
 def read_layout(path: Path) -> Layout:
@@ -62,10 +66,27 @@ def read_layout(path: Path) -> Layout:
                          "file, or none where one file holds all of them")  # fmt: skip
     return Layout(
         name,
-        {layer: (_prefixed(rule, layer) if files else rule,) for layer, rule in layers.items()},
+        {layer: (rule.of_buffer(layer) if files else rule,) for layer, rule in layers.items()},
         demodulated=frozenset(demodulated),
         buffers={layer: (pattern,) for layer, pattern in files.items()},
     )
+
+
+def layout_text(layout: Layout, notes: Mapping[str, str]) -> str:
+    """A layout, whose layers have one rule each, as the text of a file that `read_layout` reads. `notes`: a line about
+    a layer for whoever edits it."""
+    lines = [f"name = {json.dumps(layout.name)}"]
+    for layer, (rule,) in layout.layers.items():
+        file, *_ = layout.buffers.get(layer, ("",))
+        channels = [name.removeprefix(f"{layer}.") if file else name for name in rule.channels]
+        lines += ["", f"[{layer}]", f"channels = {json.dumps(channels)}"]
+        lines += [f"signs = {json.dumps(rule.signs)}"] if min(rule.signs) < 0 else []
+        lines += [f"scale = {json.dumps(rule.scale)}"] if rule.scale != 1 else []
+        lines += [f"offset = {json.dumps(rule.offset)}"] if rule.offset else []
+        lines += [f"miss = {rule.miss:g}"] if math.isfinite(rule.miss) else []
+        lines += [f"file = {json.dumps(file)}"] if file else []
+        lines += [f"# {notes[layer]}"] if layer in notes else []
+    return "\n".join(lines) + "\n"
 
 
 def _rule(path: Path, layer: str, table: object) -> Rule:
@@ -84,9 +105,16 @@ def _rule(path: Path, layer: str, table: object) -> Rule:
     signs = table.get("signs", [1] * count)
     if not isinstance(signs, list) or len(signs) != count or not all(_is_number(s) and s in (1, -1) for s in signs):
         raise InputError(f"{label} signs is {repr(signs)}, expected {count} times 1 or -1")
-    scale = table.get("scale", "pixels")
-    if scale not in SCALES or (scale != "pixels" and not layer.startswith("motion")):
-        raise InputError(f"{label} scale is {repr(scale)}, expected {' or '.join(map(repr, SCALES))}, for motion only")
+    scale, offset = table.get("scale", 1.0), table.get("offset", 0.0)
+    motion = layer.startswith("motion")
+    named = motion and scale in ["pixels", *SCALES]
+    if not named and not (_is_number(scale) and 0 < scale < math.inf):
+        raise InputError(f"{label} scale is {repr(scale)}, expected a number above 0, for motion also 'pixels', 'uv', "
+                         "'ndc' or '2uv'")  # fmt: skip
+    if not _is_number(offset) or not math.isfinite(offset):
+        raise InputError(f"{label} offset is {repr(offset)}, expected a number")
+    if (scale != 1 or offset) and not (motion or layer == "normal"):
+        raise InputError(f"{label} scale and offset are for motion and normal only")
     miss = table.get("miss", float("inf"))
     if not _is_number(miss) or not miss > 0 or ("miss" in table and layer != "depth"):
         raise InputError(f"{label} miss is {repr(miss)}, expected a number above 0, for depth only")
@@ -94,7 +122,8 @@ def _rule(path: Path, layer: str, table: object) -> Rule:
     if not isinstance(file, str) or not _is_pattern(file):
         raise InputError(f"{label} file is {repr(file)}, expected a pattern in the sequence's folder with one "
                          "{frame}, at most one {spp}, and * for anything")  # fmt: skip
-    return Rule(tuple(channels), tuple(int(s) for s in signs), float(miss), scale)
+    scale = 1.0 if scale == "pixels" else scale if named else float(scale)
+    return Rule(tuple(channels), tuple(int(s) for s in signs), float(miss), scale, float(offset))
 
 
 def _is_number(value: object) -> bool:
@@ -117,6 +146,3 @@ def _is_pattern(file: str) -> bool:
         and file.isprintable()
     )
 
-
-def _prefixed(rule: Rule, buffer: str) -> Rule:
-    return Rule(tuple(f"{buffer}.{name}" for name in rule.channels), rule.signs, rule.miss, rule.scale)

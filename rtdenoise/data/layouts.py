@@ -176,12 +176,15 @@ LAYOUTS = {layout.name: layout for layout in (NATIVE, MITSUBA, FALCOR, BMFR, OID
 NAMES = ("native", "cycles", "mitsuba", "falcor", "bmfr", "oidn", "noisebase")
 
 
-def choose(name: str, source: str | os.PathLike) -> Layout | None:
-    """The layout, if its name or the names of the files in `source` (folder or glob) decide it; None: the first header
-    decides (`find`). A name that ends in .toml is a file that describes a layout, but for a view layer's (cycles:NAME).
+def choose(name: str | Layout, source: str | os.PathLike) -> Layout | None:
+    """The layout, if it is given, or if its name or the names of the files in `source` (folder or glob) decide it;
+    None: the first header decides (`find`). A name that ends in .toml is a file that describes a layout, but for a view
+    layer's (cycles:NAME).
 
     Raises `InputError` for an unknown name, and as `read_layout` does.
     """
+    if isinstance(name, Layout):
+        return name
     if name.partition(":")[0] == "cycles":
         return None
     if name.endswith(".toml"):
@@ -229,7 +232,8 @@ def detect(header: ExrHeader) -> Layout:
     if "radiance" not in found[best.name]:
         _refuse_views(header)
         raise InputError(f"{header.path}: no known layout (presets: {', '.join(NAMES)}): no R,G,B, no indirect.R,G,B, "
-                         f"no <ViewLayer>.Combined.R,G,B among {header.summary}")  # fmt: skip
+                         f"no <ViewLayer>.Combined.R,G,B among {header.summary}; describe your files "
+                         "(rtdenoise inspect SEQ --write my.toml)")  # fmt: skip
     return best
 
 

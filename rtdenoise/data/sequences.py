@@ -16,7 +16,7 @@ from .exr_format import ExrHeader
 from .files import FrameFiles, find_frames, find_gaps
 from .fog import with_fog
 from .layers import SIGNALS
-from .layout import Layout, Rule
+from .layout import SCALES, Layout, Rule
 from .layouts import choose, find, samples
 from .lost import with_lost_samples
 from .noisebase import NOISEBASE, find_archives
@@ -175,7 +175,7 @@ def open_sequence(
     path_or_glob: str | os.PathLike,  # a folder, a glob, or one file
     *,
     signal: str = "color",  # "color" or "indirect"
-    preset: str = "auto",  # a name of `layouts.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", or a .toml file
+    preset: str | Layout = "auto",  # a name of `layouts.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", .toml file
     layers: Collection[str] | None = None,  # layers of `Frame` to read beside DEFAULT_LAYERS, where the files have them
     allow_gaps: bool = False,  # accept missing frame numbers; `Sequence.gaps` lists them
 ) -> Sequence:
@@ -216,12 +216,15 @@ def open_sequence(
 
 def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarray:
     """A layer `[1, C, H, W]` from channels `[H, W]`, in the conventions of `frame.py`."""
-    image = np.stack([sign * channels[n] for n, sign in zip(rule.channels, rule.signs, strict=True)])
+    stored = (channels[name] for name in rule.channels)
+    image = np.stack([sign * (c - rule.offset) for c, sign in zip(stored, rule.signs, strict=True)])
     if layer == "depth":
         image = np.where(image >= rule.miss, np.float32(0), image)
-    if rule.scale == "uv":
-        H, W = image.shape[1:]
-        image = image * np.array([W, H], np.float32).reshape(2, 1, 1)
+    if rule.scale in SCALES:
+        share, (H, W) = SCALES[rule.scale][0], image.shape[1:]
+        image = image * np.array([share * W, share * H], np.float32).reshape(2, 1, 1)
+    elif rule.scale != 1:
+        image = image * np.float32(rule.scale)
     return image[None]
 
 

@@ -20,6 +20,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..data.layout import SCALES
 from ..frame import OFF_SCREEN, Frame
 
 MIN_MOTION = 0.25  # pixels: least motion of a compared pixel, and least difference between readings there
@@ -28,10 +29,11 @@ MIN_PIXELS = 200  # textured, moving pixels that a verdict needs
 MAX_SAMPLES = 20_000  # pixels that are examined in each pair of frames
 TILES = 8  # along each side of the picture; errors inside one tile count as dependent
 STANDARD_ERRORS, MARGIN = 3.0, 0.02  # least lead of a better reading: in standard errors, and as a share of the error
-SIZED = {"UV": (1.0, "W·", "H·"), "NDC": (0.5, "W/2·", "H/2·")}  # units that go by the size of the picture
+SIZED = {"UV": SCALES["uv"], "NDC": SCALES["ndc"], "2 UV": SCALES["2uv"]}  # units that go by the size of the picture
 UNITS = {"pixels": (1.0, "", ""), **SIZED, "double": (0.5, "½·", "½·"), "half": (2.0, "2·", "2·")}
 REMEDIES = {
     "pixels": "", "UV": "UV units: multiply by (W, H)", "NDC": "NDC units: multiply by (W/2, H/2)",
+    "2 UV": "UV units of half a movement: multiply by (2W, 2H)",
     "double": "pixels of a picture twice as large: multiply by ½",
     "half": "pixels of a picture half as large: multiply by 2",
 }  # fmt: skip

@@ -15,6 +15,9 @@ from rich.table import Table
 
 from ..data.exr_format import group_channels
 from ..data.files import describe_gap
+from ..data.layout import Layout
+from ..data.layouts import MITSUBA, NATIVE
+from ..data.names import guess
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from ..errors import INSTALL_TORCH
 from ..frame import Frame
@@ -40,7 +43,7 @@ class FoundLayer:
     """A layer of `Frame` and its source in the files."""
 
     name: str
-    channels: tuple[str, ...]  # with a minus where the sign is flipped, W· or H· where the unit is UV
+    channels: tuple[str, ...]  # `layout.Rule.formulas`
     dtype: str  # "half", "float", "uint", or several
     used: bool  # whether a denoiser reads it; other layers serve evaluation or the computation of motion
 
@@ -59,6 +62,7 @@ class Inspection:
     demodulated: bool  # whether the renderer has already divided the signal by the albedo
     layers: tuple[FoundLayer, ...]
     missing: dict[str, str]  # missing layer that a denoiser would use -> how to get it
+    guessed: tuple[str, ...]  # of these, such as the files seem to hold by other names
     computed: tuple[str, ...]  # layers that are computed from position, id and scene.json
     ignored: tuple[str, ...]  # channels that nothing reads
     dual_motion: str  # the source of dual motion, in words
@@ -86,7 +90,7 @@ def inspect(
     Raises `InputError` as `open_sequence` does.
     """
     sequence = open_sequence(source, signal=signal, preset=preset, layers=("reference",), allow_gaps=allow_gaps)
-    chosen = _choose_pairs(sequence.numbers)
+    chosen = choose_pairs(sequence.numbers)
     frames = {i: sequence.read(i) for i in sorted({i for pair in chosen for i in pair} or {0})}
     moving = [(frames[a], frames[b]) for a, b in chosen if frames[b].motion is not None]
     counts, flatness = dict[str, int](), Flatness()
@@ -110,6 +114,7 @@ def inspect(
         demodulated=sequence.demodulated,
         layers=_layers(sequence),
         missing={layer: sequence.layout.hint(layer, signal) for layer in absent},
+        guessed=_guessed(source, sequence.layout, absent) if preset == "auto" else (),
         computed=computed,
         ignored=tuple(name for name in sequence.header.channels if name not in fed),
         dual_motion=_dual_source(present, computed),
@@ -140,7 +145,7 @@ def _examine(pairs: list[tuple[Frame, Frame]]) -> tuple[MotionStatistics, Verdic
     return motion_statistics(tensors), verdict, tuple(drifts)
 
 
-def _choose_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
+def choose_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
     """Indices of `PAIRS` pairs of consecutive frames at most, evenly spread over the sequence."""
     consecutive = [(i - 1, i) for i in range(1, len(numbers)) if numbers[i] == numbers[i - 1] + 1]
     if len(consecutive) <= PAIRS:
@@ -153,15 +158,20 @@ def _layers(sequence: Sequence) -> tuple[FoundLayer, ...]:
     return tuple(
         FoundLayer(
             name=name,
-            channels=tuple(
-                ("-" if sign < 0 else "") + (unit if rule.scale == "uv" else "") + c
-                for c, sign, unit in zip(rule.channels, rule.signs, ("W·", "H·", ""), strict=False)
-            ),
+            channels=rule.formulas,
             dtype=", ".join(dict.fromkeys(types[c] for c in rule.channels)),
             used=name in DEFAULT_LAYERS,
         )
         for name, rule in sequence.available.items()
     )
+
+
+def _guessed(source: str | os.PathLike, layout: Layout, absent: list[str]) -> tuple[str, ...]:
+    """The missing layers that files without a program's layout seem to hold."""
+    if layout not in (NATIVE, MITSUBA):
+        return ()
+    found = guess(source).layers
+    return tuple(layer for layer in absent if layer in found)
 
 
 def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
@@ -177,8 +187,12 @@ def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
 def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProxyType({})) -> str:
     """The next thing to do: a layer to add, motion to mend, or the command that denoises the sequence. `options` are
     those of `inspect` that were not the defaults."""
+    describe = shlex.join(["rtdenoise", "inspect", found.source, "--write", "my.toml"])
     if found.convention and found.convention.status == "wrong":
-        return "mend the motion vectors as said above: with these, history comes from wrong places"
+        advice = f", or describe them: {describe}" if found.preset == NATIVE.name else ""
+        return f"mend the motion vectors as said above{advice}: with these, history comes from wrong places"
+    if found.guessed:
+        return f"{describe}, which describes {', '.join(found.guessed)}: the files seem to call them otherwise"
     if 2 * len(found.same_noise) >= len(found.examined):
         return "render again, with another seed in every frame: noise that stands still is not averaged"
     if 2 * len(found.unmoved) >= len(found.examined):  # not the cuts between still shots

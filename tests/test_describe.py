@@ -1,0 +1,212 @@
+"""Files that no preset knows: names say which channels are which layer, pictures say what their vectors mean."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import test_inspect
+from synthetic import message
+
+from rtdenoise.cli.main import main
+from rtdenoise.data.exr import write_layers
+from rtdenoise.data.layout import Rule
+from rtdenoise.data.layout_file import layout_text, read_layout
+from rtdenoise.data.names import guess
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.run.describe import describe, write_description
+from rtdenoise.run.inspect import inspect, next_step
+
+W, H = test_inspect.W, test_inspect.H
+
+
+def channels(base, pixels, endings="RGB"):
+    """`[H, W, C]` as channels by their names."""
+    return {f"{base}{c}": np.ascontiguousarray(pixels[..., i], np.float32) for i, c in enumerate(endings)}
+
+
+def write(folder, layers, kind="moving"):
+    """Frames 1001 … as `layers` of one frame makes them: channels, or the channels of each file beneath the folder."""
+    for number, frame in enumerate(test_inspect.frames(kind, noise=0.5), 1001):
+        made = layers({name: np.asarray(pixels) for name, pixels in frame.items()})
+        for name, content in made.items() if isinstance(next(iter(made.values())), dict) else [("shot.{}.exr", made)]:
+            path = folder / name.format(number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_layers(path, content, dtypes=dict.fromkeys(content, "float"))
+    return folder
+
+
+def pictures(frame):
+    return channels("", frame["color"]) | channels("albedo.", frame["albedo"])
+
+
+def arnold(frame):
+    """One file for all, vectors to where a pixel comes from, x turned round, and far depths where nothing was hit."""
+    depth = frame["depth"][..., 0].copy()
+    depth[:5] = 1e30
+    return {
+        **pictures(frame), **channels("N.", frame["normal"], "XYZ"), "Z": depth,
+        **channels("motionvector.", frame["motion"] * [-1, 1], "RG"), "A": np.ones((H, W)),
+    }  # fmt: skip
+
+
+def files(pattern):
+    """A file for each layer, fractions of the picture, those of the next frame with y up, normals in [0, 1]."""
+    return lambda frame: {
+        pattern.format("beauty"): channels("", frame["color"]),
+        pattern.format("diffuse_albedo"): channels("", frame["albedo"]),
+        pattern.format("Normals"): channels("", 0.5 + 0.5 * frame["normal"]),
+        pattern.format("depth"): channels("", frame["depth"].repeat(3, -1)),
+        pattern.format("motionBack"): channels("", frame["motion"] / [W, H], "RG"),
+        pattern.format("motionFore"): channels("", frame["motion_next"] / [W, -H], "RG"),
+    }
+
+
+def assert_like(sequence):
+    """The frames as this project's conventions have them."""
+    for frame, made in zip(sequence, test_inspect.frames(noise=0.5), strict=True):
+        for layer in ("albedo", "normal", "motion", "motion_next"):
+            if (found := getattr(frame, layer)) is not None:
+                np.testing.assert_allclose(found[0].permute(1, 2, 0), made[layer], atol=2e-3)
+
+
+def test_one_file_for_all(tmp_path, capsys):
+    shot, preset = write(tmp_path / "shot", arnold), tmp_path / "my.toml"
+    assert next_step(inspect(shot)) == (
+        f"rtdenoise inspect {shot} --write my.toml, which describes normal, depth, motion: the files seem to call them "
+        "otherwise"
+    )
+    main(["inspect", str(shot), "--write", str(preset)])
+    told = capsys.readouterr().out
+    assert told.startswith(f"wrote {preset}\n") and "convention   OK: previous - current, pixels, y down" in told
+    assert told.endswith(f"next: rtdenoise denoise {shot} --out clean/ --preset {preset}\n")
+
+    text = preset.read_text()
+    assert '[motion]\nchannels = ["motionvector.R", "motionvector.G"]\nsigns = [-1, 1]\n# measured: it explains' in text
+    assert '[depth]\nchannels = ["Z"]\nmiss = 1e+29\n# 1e+30 is where nothing was hit\n' in text
+    sequence = open_sequence(shot, preset=str(preset))
+    assert_like(sequence)
+    assert (sequence[0].depth[0, 0, :5] == 0).all() and (sequence[0].depth[0, 0, 5:] == 1).all()
+
+
+@pytest.mark.parametrize("pattern", ["shot_v02_{}.{{}}.exr", "{}/shot_v02.{{}}.exr", "{{}}.{}.EXR"])
+def test_a_file_for_each_layer(tmp_path, pattern):
+    shot, preset = write(tmp_path / "shot", files(pattern)), tmp_path / "my.toml"
+    assert "rtdenoise inspect DIR --write my.toml describes them" in message(open_sequence, shot)
+    write_description(shot, preset)
+    sequence = open_sequence(shot, preset=str(preset))
+    assert len(sequence) == test_inspect.FRAMES and sequence.numbers[0] == 1001
+    assert set(sequence.rules) == {"radiance", "albedo", "normal", "depth", "motion", "motion_next"}
+    assert_like(sequence)
+
+
+def test_fields_under_each_others_names(tmp_path):
+    def swapped(frame):
+        back, forth = channels("backward.", frame["motion_next"], "uv"), channels("forward.", frame["motion"], "uv")
+        return {**pictures(frame), **back, **forth}
+
+    layout, _ = describe(write(tmp_path, swapped))
+    assert layout.layers["motion"] == (Rule(("forward.u", "forward.v"), (1, 1)),)
+    assert layout.layers["motion_next"] == (Rule(("backward.u", "backward.v"), (1, 1)),)
+
+
+STORED = {  # vectors as stored of those of a frame, and the rule that reads them
+    "half grey is still": (lambda f: 0.5 + f["motion"] / [W, -H], {"offset": 0.5, "scale": "uv", "signs": (1, -1)}),
+    "whole screen": (lambda f: 0.5 + f["motion"] / [2 * W, 2 * H], {"offset": 0.5, "scale": "2uv"}),
+    "NDC, y up": (lambda f: -f["motion"] / [W / 2, -H / 2], {"scale": "ndc", "signs": (-1, 1)}),
+    "rows, columns": (lambda f: f["motion"][..., ::-1], {"channels": ("velocity.Y", "velocity.X")}),
+    "half the shutter": (lambda f: f["motion"] / 2, {"scale": 2.0}),
+}
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_what_vectors_mean_is_measured(tmp_path, name):
+    stored, expected = STORED[name]
+    layout, notes = describe(
+        write(tmp_path, lambda f: {**pictures(f), **channels("velocity.", stored(f), "XY")})
+    )
+    plain = {"channels": ("velocity.X", "velocity.Y"), "signs": (1, 1)}
+    assert layout.layers["motion"] == (Rule(**plain | expected),)
+    assert notes["motion"].startswith("measured: it explains how albedo changes")
+    path = tmp_path / "my.toml"
+    path.write_text(layout_text(layout, notes))
+    assert_like(open_sequence(tmp_path, preset=str(path)))
+
+
+def test_vectors_to_the_next_frame_are_called_so(tmp_path):
+    _, notes = describe(
+        write(tmp_path, lambda f: {**pictures(f), **channels("mvec.", f["motion_next"], "RG")})
+    )
+    assert notes["motion"].endswith("they seem to lead to the next frame: render those from the frame before if "
+                                    "you can")  # fmt: skip
+
+
+def test_still_frames_confirm_nothing(tmp_path):
+    layout, notes = describe(write(tmp_path, arnold, kind="static"))
+    assert layout.layers["motion"] == (Rule(("motionvector.R", "motionvector.G"), (1, 1)),)
+    assert notes["motion"].startswith("not confirmed: too little moves")
+
+
+def test_a_greatest_movement_is_asked_for(tmp_path):
+    layout, notes = describe(
+        write(tmp_path, lambda f: {**pictures(f), **channels("velocity.", 0.5 + f["motion"] / 1000, "RG")})
+    )
+    assert layout.layers["motion"] == (Rule(("velocity.R", "velocity.G"), (1, 1), offset=0.5),)
+    assert notes["motion"].startswith("not confirmed: ") and notes["motion"].endswith("twice that number of pixels")
+    layout = replace(layout, layers=layout.layers | {"motion": (replace(layout.layers["motion"][0], scale=1000.0),)})
+    (tmp_path / "my.toml").write_text(layout_text(layout, notes))
+    assert_like(open_sequence(tmp_path, preset=str(tmp_path / "my.toml")))
+
+
+@pytest.mark.parametrize(
+    ("names", "layer", "expected"),
+    [
+        ("R G B C.R C.G C.B", "color", "R G B"),
+        ("Ci.r Ci.g Ci.b R", "color", "Ci.r Ci.g Ci.b"),
+        ("R G B specular_albedo.R specular_albedo.G specular_albedo.B", "albedo", None),
+        ("R G B crypto_albedo.R albedo.red albedo.green albedo.blue", "albedo", "albedo.red albedo.green albedo.blue"),
+        ("R G B VRayDiffuseFilter.R VRayDiffuseFilter.G VRayDiffuseFilter.B", "albedo", "VRayDiffuseFilter.*RGB"),
+        ("R G B NX NY NZ", "normal", "NX NY NZ"),
+        ("R G B N.X N.Y N.Z __Nworld.r __Nworld.g __Nworld.b", "normal", "__Nworld.r __Nworld.g __Nworld.b"),
+        ("R G B rgba.Z", "depth", None),
+        ("R G B depth.R depth.G depth.B", "depth", "depth.R"),
+        ("R G B Z", "depth", "Z"),
+        ("R G B beauty:zdepth.V", "depth", "beauty:zdepth.V"),
+        ("R G B velX velY", "motion", "velX velY"),
+        ("R G B motionvectors.x motionvectors.y motionvectors.z", "motion", "motionvectors.x motionvectors.y"),
+        ("R G B Motion.x", "motion", None),
+        ("R G B FinalImageMovieRenderQueue_MotionVectors.R FinalImageMovieRenderQueue_MotionVectors.G", "motion",
+         "FinalImageMovieRenderQueue_MotionVectors.*RG"),
+    ],
+)  # fmt: skip
+def test_names(tmp_path, names, layer, expected):
+    write_layers(tmp_path / "1.exr", {name: np.ones((4, 4), np.float32) for name in names.split()})
+    found = guess(tmp_path).layers.get(layer)
+    if expected and "*" in expected:
+        base, _, endings = expected.partition("*")
+        expected = " ".join(base + c for c in endings)
+    assert (found and " ".join(found[0].channels)) == expected
+
+
+def test_what_cannot_be_described(tmp_path):
+    shot = tmp_path / "shot"
+    shot.mkdir()
+    write_layers(shot / "1.exr", {"foo": np.ones((4, 4, 3))})
+    preset = tmp_path / "my.toml"
+    assert "no channels that are called as a picture's; the file has foo.{R,G,B}" in message(
+        write_description, shot, preset
+    )
+    assert not preset.exists()
+    assert message(write_description, shot, tmp_path / "my.txt").endswith("ends in .toml, as presets of your own have")
+    preset.write_text("")
+    assert message(write_description, shot, preset) == f"--write {preset}: exists; name another file, or remove it"
+    with pytest.raises(SystemExit, match="2"):
+        main(["inspect", str(shot), "--write", str(preset), "--preset", "cycles"])
+
+
+def test_text_and_layout_are_one(tmp_path):
+    layout, notes = describe(write(tmp_path / "shot", files('{}/a "b" ü.{{}}.exr')))
+    path = tmp_path / "guessed.toml"
+    path.write_text(layout_text(layout, notes))
+    assert read_layout(path) == layout
