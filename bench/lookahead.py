@@ -4,8 +4,8 @@ python bench/lookahead.py SEQ ...    # sequences with references that no network
 
 Measures networks that look 1, 2 and 4 frames ahead (`denoise --lookahead`) at 1 sample, both signals. Sequences are
 told apart by the folder that they lie in. Where SEQ/spp4, SEQ/spp8 ... hold the same frames at more samples, also
-`hybrid` and `hybrid-many`. Then the time of a step. Writes bench/results/lookahead.json, the tables of
-docs/notes/lookahead.md and strips in docs/images/lookahead. An interrupted run continues.
+`hybrid`, `hybrid-many` and `hybrid-large-many`. Then the time of a step. Writes bench/results/lookahead.json, the
+tables of docs/notes/lookahead.md and strips in docs/images/lookahead. An interrupted run continues.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ REFERENCE = "oidn"
 METHODS = ("default", "default-ahead2", "hybrid-fast", "hybrid-fast-ahead2", "hybrid", "hybrid-ahead1", "hybrid-ahead2",
            "hybrid-ahead4")  # fmt: skip
 IN_BYTES = ("hybrid-fast-ahead2", "hybrid-ahead2")
-MANY = ("hybrid", "hybrid-many", "hybrid-many-ahead2")
+MANY = ("hybrid", "hybrid-many", "hybrid-many-ahead2", "hybrid-large-many", "hybrid-large-many-ahead2")
 MANY_IN_BYTES = ("hybrid-many",)
 METRICS = ("psnr_corrected", "flip", "tpsnr_corrected")
 SHOWN = {"OIDN": "oidn", "hybrid": "hybrid", "two ahead": "hybrid-ahead2"}
@@ -145,6 +145,8 @@ def _many(rows: dict) -> str:
     for signal, shown in zip(SIGNALS, ("beauty", "indirect light"), strict=True):
         lines.append(f"| *{shown}* |{' |' * 2 * len(counts)}")
         for method in (*MANY, *(f"{name} int8" for name in MANY_IN_BYTES)):
+            if not _pairs(rows, "standard720", counts[0], method, signal):
+                continue
             cells = []
             for region in ("frame", "uncovered"):
                 for spp in counts:

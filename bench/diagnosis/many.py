@@ -1,0 +1,63 @@
+"""How good are frames of Cycles at 4 and 16 samples a pixel, beside OIDN with albedo and normal filtered first?
+
+    render="bpyenv/bin/python examples/blender/render.py"
+    $render shots/meadow-16 --set meadow --frames 6 --samples 16
+    $render shots/meadow-reference --set meadow --frames 6 --samples 192 --seed 77
+    python bench/diagnosis/many.py shots/{turntable,meadow,hair,still-life,ocean,glass,pool,room}-{4,16}
+
+PSNR of all frames but the first, read as `denoise` reads them. Writes bench/results/many.json.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import RESULTS, harness
+
+# isort: split
+import tyro
+
+from bench.diagnosis.outdated import singles
+from bench.diagnosis.turned import errors, pictures, pictures_of_oidn
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.frame import Frame
+from rtdenoise.run.choice import open_chosen
+from rtdenoise.run.options import Options
+from rtdenoise.sanitise import sanitise
+
+RESULT = RESULTS / "many.json"
+METHODS = {
+    "OIDN": pictures_of_oidn,
+    "OIDN, albedo and normal filtered first": lambda frames: pictures_of_oidn(frames, clean=True),
+    "`hybrid-many`": lambda frames: pictures(frames, "hybrid-many", 0),
+    "`hybrid-many` with `--lookahead 2`": lambda frames: pictures(frames, "hybrid-many", 2),
+    "`hybrid-large-many`, single frames": lambda frames: singles(frames, "hybrid-large-many"),
+    "**`hybrid-large-many` with `--lookahead 2`**": lambda frames: pictures(frames, "hybrid-large-many", 2),
+}
+
+
+def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
+    """`shots`: folders of frames of Cycles, NAME-SAMPLES, each with its references in NAME-reference beside it."""
+    rows = []
+    for shot in shots:
+        name, _, samples = shot.name.rpartition("-")
+        frames = read(shot, shot.with_name(f"{name}-reference"))
+        for method, run in METHODS.items():
+            psnr = errors(frames, run(frames))["frame"]
+            rows.append({"shot": name, "samples": int(samples), "method": method, "psnr": psnr})
+            print(rows[-1], flush=True)
+    harness.publish(RESULT, {"rows": rows}, digits=4)
+
+
+def read(shot: Path, references: Path) -> list[Frame]:
+    """Sanitised frames with references."""
+    noisy, _, _ = open_chosen(str(shot), Options(model="hybrid-many"))
+    pairs = zip(noisy, open_sequence(references), strict=True)
+    return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)
