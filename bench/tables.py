@@ -24,7 +24,7 @@ MODULES = (
     "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input",
     "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fog", "diagnosis.generalisation",
     "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost",
-    "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.scattered", "diagnosis.soft_edges", "diagnosis.turned",
+    "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.scattered", "diagnosis.soft_edges", "diagnosis.turned",
     "diagnosis.virtual_motion", "diagnosis.where",
 )  # fmt: skip
 

@@ -61,14 +61,16 @@ def test_the_samples_that_cycles_notes_are_read(tmp_path):
 
 def test_the_network_is_that_of_the_samples(shot, tmp_path):
     assert chosen(shot, Options()) == (Options(model="hybrid", lookahead=2), [])
-    for samples, model in ((3, "hybrid"), (4, "hybrid-many"), (16, "hybrid-many")):
+    for samples, model in ((3, "hybrid"), (4, "hybrid-large-many"), (16, "hybrid-large-many")):
         assert chosen(shot, Options(samples=samples))[0].model == model
+    for real_time in ({"lookahead": 0}, {"offline": True}):
+        assert chosen(shot, Options(samples=16, **real_time))[0].model == "hybrid-many"
     assert chosen(shot, Options(model="fast"))[0].model == "fast"
     assert chosen(shot, Options(offline=True))[0].model == "hybrid"
     for file in shot.glob("*.exr"):
         write_again(file, {}, **{"cycles.ViewLayer.samples": "8"})
-    eight = "model: hybrid-many, for 8 samples a pixel"
-    assert chosen(shot, Options()) == (Options(model="hybrid-many", lookahead=2), [eight])
+    eight = "model: hybrid-large-many, for 8 samples a pixel"
+    assert chosen(shot, Options()) == (Options(model="hybrid-large-many", lookahead=2), [eight])
     assert chosen(shot, Options(samples=2))[0].model == "hybrid"  # what the user says counts
 
 
@@ -88,8 +90,8 @@ def test_noise_tells_where_nothing_else_does(shot):
     for file, planes in albedo.items():
         write_again(file, {c: planes[f"albedo.{c}"] for c in "RGB"})
     assert chosen(shot, Options()) == (
-        Options(model="hybrid-many", lookahead=2),
-        ["model: hybrid-many, for frames of little noise; --samples 1 says otherwise"],
+        Options(model="hybrid-large-many", lookahead=2),
+        ["model: hybrid-large-many, for frames of little noise; --samples 1 says otherwise"],
     )  # fmt: skip
     assert chosen(shot, Options(samples=1))[0].model == "hybrid"
     for file, planes in albedo.items():  # black: unknown
@@ -116,7 +118,7 @@ def test_a_layer_of_samples_counts_most(shot):
     for file in shot.glob("*.exr"):
         header = read_header(file)
         write_again(file, {"samples.V": np.full((header.height, header.width), 32, np.float32)})
-    assert chosen(shot, Options(samples=1))[1] == ["model: hybrid-many, for 32 samples a pixel"]
+    assert chosen(shot, Options(samples=1))[1] == ["model: hybrid-large-many, for 32 samples a pixel"]
 
 
 @pytest.mark.parametrize("command", ["denoise", "denoise --offline", "combine"])
@@ -136,13 +138,13 @@ def test_samples_that_contradict_the_headers_are_told(tmp_path, command, capsys)
 
 def test_a_run_with_many_samples_is_that_of_its_network(shot, tmp_path, capsys):
     main(["denoise", str(shot), "--out", str(tmp_path / "auto"), "--samples", "16", "--float32"])
-    assert "model: hybrid-many, for 16 samples a pixel" in capsys.readouterr().out
-    denoise(str(shot), tmp_path / "named", Options(model="hybrid-many", lookahead=2, float32=True))
+    assert "model: hybrid-large-many, for 16 samples a pixel" in capsys.readouterr().out
+    denoise(str(shot), tmp_path / "named", Options(model="hybrid-large-many", lookahead=2, float32=True))
     for file in (tmp_path / "named").glob("*.exr"):
         for name, plane in read_channels(file, ["R", "G", "B"]).items():
             assert np.array_equal(read_channels(tmp_path / "auto" / file.name, [name])[name], plane)
     document = json.loads((tmp_path / "auto" / "denoise.json").read_text())
-    assert document["options"]["model"] == "hybrid-many" and document["ran"]["device"] in ("cpu", "cuda")
+    assert document["options"]["model"] == "hybrid-large-many" and document["ran"]["device"] in ("cpu", "cuda")
     assert document["ran"]["backend"] == "torch" and document["ran"]["precision"] in ("fp32", "bf16", "int8")
     with pytest.raises(InputError, match="goes with --correct, or without --model"):
         denoise(str(shot), tmp_path / "no", Options(model="fast", samples=16))

@@ -3,9 +3,10 @@
     render="bpyenv/bin/python examples/blender/render.py"
     $render shots/meadow-16 --set meadow --frames 6 --samples 16
     $render shots/meadow-reference --set meadow --frames 6 --samples 192 --seed 77
-    python bench/diagnosis/many.py shots/{turntable,meadow,hair,still-life,ocean,glass,pool,room}-{4,16}
+    python bench/diagnosis/many.py shots/{turntable,meadow,still-life,ocean,glass,pool,room}-{4,16}
 
-PSNR of all frames but the first, read as `denoise` reads them. Writes bench/results/many.json.
+PSNR of all frames but the first, read as `denoise` reads them. Writes bench/results/many.json and the table of
+docs/notes/many.md.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
-from bench import RESULTS, harness
+from bench import DOCS, RESULTS, harness
 
 # isort: split
 import tyro
@@ -28,7 +29,7 @@ from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options
 from rtdenoise.sanitise import sanitise
 
-RESULT = RESULTS / "many.json"
+RESULT, PAGES = RESULTS / "many.json", (DOCS / "notes" / "many.md",)
 METHODS = {
     "OIDN": pictures_of_oidn,
     "OIDN, albedo and normal filtered first": lambda frames: pictures_of_oidn(frames, clean=True),
@@ -49,7 +50,7 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
             psnr = errors(frames, run(frames))["frame"]
             rows.append({"shot": name, "samples": int(samples), "method": method, "psnr": psnr})
             print(rows[-1], flush=True)
-    harness.publish(RESULT, {"rows": rows}, digits=4)
+    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
 
 
 def read(shot: Path, references: Path) -> list[Frame]:
@@ -57,6 +58,17 @@ def read(shot: Path, references: Path) -> list[Frame]:
     noisy, _, _ = open_chosen(str(shot), Options(model="hybrid-many"))
     pairs = zip(noisy, open_sequence(references), strict=True)
     return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
+
+
+def tables(document: dict) -> dict[str, str]:
+    """Section `many`: PSNR of each shot and method, at each number of samples."""
+    found = {(row["shot"], row["method"], row["samples"]): row["psnr"] for row in document["rows"]}
+    shots, counts = ({key[i]: None for key in found} for i in (0, 2))
+    lines = [f"| samples | | {' | '.join(shots)} |", "|---" * (len(shots) + 2) + "|"]
+    for count in sorted(counts):
+        for method in METHODS:
+            lines.append(f"| {count} | {method} | {' | '.join(f'{found[s, method, count]:.2f}' for s in shots)} |")
+    return {"many": "\n".join(lines)}
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from .options import AHEAD, AUTO, MIXED, Options
 from .surfaces import with_surfaces
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
+CLEAN = "hybrid-large-many"  # for many, where there is time: its networks clean albedo and normal first
 KERNELS = "default", "many"  # kernels alone, for all that goes with these only
 LEAST = 4  # samples a pixel from which those for many are better (docs/results/held.md)
 LITTLE = 0.08  # `exposure.noise_level`: below, a frame of unknown samples has many (docs/notes/lookahead.md)
@@ -51,6 +52,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         sequence = replace(sequence, rules={k: rule for k, rule in sequence.rules.items() if k != "samples"})
     few, many = candidates(options.backend, options.correct)
     options = _looking(options, 0 if options.offline or (few, many) == KERNELS else AHEAD)
+    if (few, many) == BEST and options.lookahead:  # else it is real time, or `offline`, that the network is for
+        many = CLEAN
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
