@@ -23,9 +23,9 @@ MODULES = (
     "mltd_memory", "modes", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
     "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input",
     "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fog", "diagnosis.generalisation",
-    "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost",
-    "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.scattered", "diagnosis.soft_edges", "diagnosis.turned",
-    "diagnosis.virtual_motion", "diagnosis.where",
+    "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens",
+    "diagnosis.lost", "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.scattered",
+    "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion", "diagnosis.where",
 )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,7 +83,7 @@ def test_one_file_for_all(tmp_path, capsys):
     assert told.endswith(f"next: rtdenoise denoise {shot} --out clean/ --preset {preset}\n")
 
     text = preset.read_text()
-    assert '[motion]\nchannels = ["motionvector.R", "motionvector.G"]\nsigns = [-1, 1]\n# measured: it explains' in text
+    assert '[motion]\nchannels = ["motionvector.R", "motionvector.G"]\nsigns = [-1, 1]\n# measured: 9' in text
     assert '[depth]\nchannels = ["Z"]\nmiss = 1e+29\n# 1e+30 is where nothing was hit\n' in text
     sequence = open_sequence(shot, preset=str(preset))
     assert_like(sequence)
@@ -117,6 +117,12 @@ STORED = {  # vectors as stored of those of a frame, and the rule that reads the
     "NDC, y up": (lambda f: -f["motion"] / [W / 2, -H / 2], {"scale": "ndc", "signs": (-1, 1)}),
     "rows, columns": (lambda f: f["motion"][..., ::-1], {"channels": ("velocity.Y", "velocity.X")}),
     "half the shutter": (lambda f: f["motion"] / 2, {"scale": 2.0}),
+    "pixels around grey": (lambda f: 0.5 + f["motion"] * [1, -1], {"offset": 0.5, "signs": (1, -1)}),
+    "a third": (lambda f: f["motion"] / 3, {"scale": pytest.approx(3, rel=0.05)}),
+    "of a greatest movement": (
+        lambda f: 0.5 + f["motion"] / 1000, {"offset": 0.5, "scale": pytest.approx(1000, rel=0.05)},
+    ),
+    "some unknown": (lambda f: np.where(f["depth"] * np.arange(W)[:, None] % 9 < 1, np.nan, f["motion"]), {}),
 }
 
 
@@ -128,7 +134,9 @@ def test_what_vectors_mean_is_measured(tmp_path, name):
     )
     plain = {"channels": ("velocity.X", "velocity.Y"), "signs": (1, 1)}
     assert layout.layers["motion"] == (Rule(**plain | expected),)
-    assert notes["motion"].startswith("measured: it explains how albedo changes")
+    assert notes["motion"].startswith("measured: 9")
+    if name in ("some unknown", "a third"):
+        return
     path = tmp_path / "my.toml"
     path.write_text(layout_text(layout, notes))
     assert_like(open_sequence(tmp_path, preset=str(path)))
@@ -145,18 +153,96 @@ def test_vectors_to_the_next_frame_are_called_so(tmp_path):
 def test_still_frames_confirm_nothing(tmp_path):
     layout, notes = describe(write(tmp_path, arnold, kind="static"))
     assert layout.layers["motion"] == (Rule(("motionvector.R", "motionvector.G"), (1, 1)),)
-    assert notes["motion"].startswith("not confirmed: too little moves")
+    assert notes["motion"] == "not confirmed: it is (0, 0) everywhere: was motion blur on?"
 
 
-def test_a_greatest_movement_is_asked_for(tmp_path):
-    layout, notes = describe(
-        write(tmp_path, lambda f: {**pictures(f), **channels("velocity.", 0.5 + f["motion"] / 1000, "RG")})
-    )
-    assert layout.layers["motion"] == (Rule(("velocity.R", "velocity.G"), (1, 1), offset=0.5),)
-    assert notes["motion"].startswith("not confirmed: ") and notes["motion"].endswith("twice that number of pixels")
-    layout = replace(layout, layers=layout.layers | {"motion": (replace(layout.layers["motion"][0], scale=1000.0),)})
-    (tmp_path / "my.toml").write_text(layout_text(layout, notes))
-    assert_like(open_sequence(tmp_path, preset=str(tmp_path / "my.toml")))
+NOTHING = {  # vectors that say nothing, and what is told
+    "zeros": (lambda f: 0 * f["motion"], "it is (0, 0) everywhere: was motion blur on?"),
+    "directions": (lambda f: f["motion"] / np.linalg.norm(f["motion"], axis=-1, keepdims=True), "directions alone"),
+    "clamped": (lambda f: (0.5 - f["motion"] / 3.5).clip(0, 1), "of it ends at 0 or 1: clamped"),
+    "of a crop": (lambda f: f["motion"] / [W, -2 * H], "fits, which is no unit"),
+    "noise": (lambda f: np.random.default_rng(0).normal(size=(H, W, 2)), ""),
+}
+
+
+@pytest.mark.parametrize("name", NOTHING)
+def test_what_cannot_be_read_is_not_confirmed(tmp_path, name):
+    stored, told = NOTHING[name]
+    _, notes = describe(write(tmp_path, lambda f: {**pictures(f), **channels("velocity.", stored(f), "RG")}))
+    assert notes["motion"].startswith("not confirmed: ") and told in notes["motion"]
+
+
+DEPTHS = {  # of the upper rows, and the lower ones behind 2 … 5 -> rule, and a part of the note
+    "mostly endless": ((1e10, 50), {"miss": 1e9}, "1e+10 is where nothing was hit"),
+    "greatest half": ((65504.0, 5), {"miss": 64849.0}, "6.55e+04 is where"),
+    "a number that may be a wall": ((100.0, 5), {}, "in 7% of the pixels exactly that: if nothing was hit there"),
+    "behind the camera": ((-3.0, 5), {"signs": (-1,)}, "from 2.208 to 5"),
+}
+
+
+@pytest.mark.parametrize("name", DEPTHS)
+def test_where_nothing_was_hit(tmp_path, name):
+    (far, rows), expected, told = DEPTHS[name]
+    depth = np.linspace(2, 5, H * W).reshape(H, W)
+    depth = -depth if far < 0 else depth
+    depth[:rows] = far
+    layout, notes = describe(write(tmp_path, lambda f: {**pictures(f), "Z": depth}))
+    assert layout.layers["depth"] == (Rule(("Z",), **({"signs": (1,)} | expected)),)
+    assert told in notes["depth"]
+
+
+def test_other_files_change_nothing(tmp_path):
+    """Files inside a folder with frames, and such as nothing reads."""
+    shot = write(tmp_path / "shot", lambda f: {**pictures(f), **channels("N.", f["normal"], "XYZ")})
+    before = inspect(shot)
+    (shot / "masks").mkdir()
+    for number in range(9):
+        (shot / "masks" / f"m.{number}.exr").write_text("no picture")
+    assert inspect(shot) == before and before.guessed == ("normal",)
+    assert set(describe(shot)[0].layers) == {"color", "albedo", "normal"}
+
+
+def test_names_of_programs_are_left_to_their_presets(tmp_path):
+    cycles = Path(__file__).parent / "data" / "cycles"
+    assert "--write is for files that no preset knows; these are cycles's" in message(describe, cycles)
+
+
+def test_layers_of_this_project_stay(tmp_path):
+    def more(frame):
+        vectors = channels("motion.", -frame["motion"], "XY")
+        return {**pictures(frame), **channels("reference.", frame["color"]), **vectors}
+
+    layout, _ = describe(write(tmp_path, more))
+    assert layout.layers["reference"] == (Rule(("reference.R", "reference.G", "reference.B"), (1, 1, 1)),)
+    assert layout.layers["motion"] == (Rule(("motion.X", "motion.Y"), (-1, -1)),)
+
+
+def test_which_files_are_meant(tmp_path):
+    shot = write(tmp_path / "shot", files("sh_{}.{{}}.exr"))
+    more = "slate.{}.exr", "sh_crypto_albedo.{}.exr"
+    write(shot, lambda f: {name: channels("", f["color"]) for name in more})
+    assert describe(shot)[0].buffers["albedo"] == ("sh_diffuse_albedo.{frame}.exr",)
+    (shot / "sh_depth.1002.exr").unlink()
+    assert "depth has no such file of frame 1002, which color has" in message(describe, shot)
+    takes = write(tmp_path / "takes", lambda f: {"a_v01.{}.exr": arnold(f), "a_v02.{}.exr": arnold(f)})
+    assert "which is the picture, " in message(describe, takes)
+    assert "motion" in describe(str(takes / "a_v01.*.exr"))[0].layers
+
+
+@pytest.mark.parametrize("name", ["VRay{}.{{}}.exr", "a[1]{}.{{}}.exr", "a%{}.{{}}.exr", "\U0001f600{}.{{}}.exr"])
+def test_odd_names(tmp_path, name):
+    def made(frame):
+        layers = {"": frame["color"], "DiffuseFilter": frame["albedo"], "Velocity": frame["motion"]}
+        return {name.replace("{}", layer, 1).replace("{{}}", "{}"): channels(
+            "", pixels, "RGB"[: pixels.shape[-1]]) for layer, pixels in layers.items()}  # fmt: skip
+
+    shot, preset = write(tmp_path / "shot", made), tmp_path / "my.toml"
+    if "[" in name:
+        assert "cannot describe files called" in message(write_description, shot, preset)
+        assert not preset.exists()
+        return
+    write_description(shot, preset)
+    assert {"albedo", "motion"} <= set(open_sequence(shot, preset=str(preset)).rules)
 
 
 @pytest.mark.parametrize(
@@ -182,7 +268,7 @@ def test_a_greatest_movement_is_asked_for(tmp_path):
 )  # fmt: skip
 def test_names(tmp_path, names, layer, expected):
     write_layers(tmp_path / "1.exr", {name: np.ones((4, 4), np.float32) for name in names.split()})
-    found = guess(tmp_path).layers.get(layer)
+    found = guess(tmp_path)[0].layers.get(layer)
     if expected and "*" in expected:
         base, _, endings = expected.partition("*")
         expected = " ".join(base + c for c in endings)

@@ -39,7 +39,7 @@ class Inspect:
 
             if preset != "auto":
                 raise InputError(f"--write describes files that no preset knows: leave out --preset {preset}")
-            write_description(self.source, self.write, self.allow_gaps)
+            write_description(self.source, self.write, self.signal, self.allow_gaps)
             preset = str(self.write)
             print(f"wrote {preset}\n")
         options = {"signal": self.signal, "preset": preset, "allow_gaps": self.allow_gaps}

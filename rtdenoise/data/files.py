@@ -208,4 +208,4 @@ def _candidates(folder: Path, patterns: tuple[str, ...]) -> list[tuple[int, int,
 
 def _expression(pattern: str) -> str:
     escaped = re.escape(pattern).replace(r"\*", ".*?")
-    return re.sub(r"\\\{(frame|spp)\\\}", r"(?P<\1>\\d+)", escaped)
+    return re.sub(r"\\\{spp\\\}", r"(?P<spp>\\d+)", escaped).replace(r"\{frame\}", f"(?P<frame>{NUMBER})")

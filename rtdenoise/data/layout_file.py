@@ -75,18 +75,23 @@ def read_layout(path: Path) -> Layout:
 def layout_text(layout: Layout, notes: Mapping[str, str]) -> str:
     """A layout, whose layers have one rule each, as the text of a file that `read_layout` reads. `notes`: a line about
     a layer for whoever edits it."""
-    lines = [f"name = {json.dumps(layout.name)}"]
+    lines = [f"name = {_text(layout.name)}"]
     for layer, (rule,) in layout.layers.items():
         file, *_ = layout.buffers.get(layer, ("",))
         channels = [name.removeprefix(f"{layer}.") if file else name for name in rule.channels]
-        lines += ["", f"[{layer}]", f"channels = {json.dumps(channels)}"]
-        lines += [f"signs = {json.dumps(rule.signs)}"] if min(rule.signs) < 0 else []
-        lines += [f"scale = {json.dumps(rule.scale)}"] if rule.scale != 1 else []
-        lines += [f"offset = {json.dumps(rule.offset)}"] if rule.offset else []
+        lines += ["", f"[{layer}]", f"channels = {_text(channels)}"]
+        lines += [f"signs = {_text(rule.signs)}"] if min(rule.signs) < 0 else []
+        lines += [f"scale = {_text(rule.scale)}"] if rule.scale != 1 else []
+        lines += [f"offset = {_text(rule.offset)}"] if rule.offset else []
         lines += [f"miss = {rule.miss:g}"] if math.isfinite(rule.miss) else []
-        lines += [f"file = {json.dumps(file)}"] if file else []
+        lines += [f"file = {_text(file)}"] if file else []
         lines += [f"# {notes[layer]}"] if layer in notes else []
     return "\n".join(lines) + "\n"
+
+
+def _text(value: object) -> str:
+    """As TOML has it: without JSON's pairs of escapes, and with one for DEL."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _rule(path: Path, layer: str, table: object) -> Rule:
@@ -107,13 +112,13 @@ def _rule(path: Path, layer: str, table: object) -> Rule:
         raise InputError(f"{label} signs is {repr(signs)}, expected {count} times 1 or -1")
     scale, offset = table.get("scale", 1.0), table.get("offset", 0.0)
     motion = layer.startswith("motion")
-    named = motion and scale in ["pixels", *SCALES]
+    named = scale == "pixels" or (motion and scale in list(SCALES))
     if not named and not (_is_number(scale) and 0 < scale < math.inf):
         raise InputError(f"{label} scale is {repr(scale)}, expected a number above 0, for motion also 'pixels', 'uv', "
                          "'ndc' or '2uv'")  # fmt: skip
     if not _is_number(offset) or not math.isfinite(offset):
         raise InputError(f"{label} offset is {repr(offset)}, expected a number")
-    if (scale != 1 or offset) and not (motion or layer == "normal"):
+    if (scale not in (1, "pixels") or offset) and not (motion or layer == "normal"):
         raise InputError(f"{label} scale and offset are for motion and normal only")
     miss = table.get("miss", float("inf"))
     if not _is_number(miss) or not miss > 0 or ("miss" in table and layer != "depth"):

@@ -15,8 +15,10 @@ from pathlib import Path, PurePath
 
 from ..errors import InputError
 from .exr import read_header
+from .exr_format import ExrHeader
 from .files import NUMBER, VERSION, find_files
 from .layout import OWN, Layout, Rule
+from .layouts import MITSUBA, NATIVE, choose, detect
 
 GUESSED = "guessed"
 NAMES = {  # layer -> labels in lower case without signs, best first; "": a channel R, or a file, that has none
@@ -25,120 +27,206 @@ NAMES = {  # layer -> labels in lower case without signs, best first; "": a chan
     "albedo": "denoisealbedo|denoisealbedonoisy|denoisingalbedo|albedo|alb|diffusealbedo|diffusefilter|basecolor"
               "|basecolour|diffusecolor|diffcol|visiblediffuse|sourcecolor",
     "normal": "nworld|worldnormal|worldnormals|normalworld|n|normal|normals|nrm|nn|shadingnormal|shadingnormals"
-              "|shnormal|avgshadingnormal|normalsshading|visiblenormals|ndenoise|nnoice|denoisenormal|nsmoothed|bumpnormals",
+              "|shnormal|avgshadingnormal|normalsshading|visiblenormals|ndenoise|nnoice|denoisenormal|nsmoothed"
+              "|smoothnormal",
     "depth": "z|depth|zdepth|depthz|linearz|worlddepth|zfiltered|znoice|pz|hitpz|depthextra|cameradepth|distance"
              "|hitdist",
     "motion": "motionback|motionbackward|backward|backwardmotion|previousmotion|motionprevious|motionvector"
               "|motionvectors|motion|motionvec|mvec|mv|velocity|vel|vector|vectors|flow",
     "motion_next": "motionfore|motionforward|forward|forwardmotion|nextmotion|motionnext",
 }  # fmt: skip
-PROGRAMS = re.compile("^(vray|oct|finalimagemovierenderqueue)")  # in front of a label
+PROGRAMS = re.compile("^(vray|oct|finalimagemovierenderqueue|finalimage(?=.))")  # in front of a label
+PARTS = {  # of a picture or a material, which are no layer of their own
+    "specular", "coat", "sheen", "sss", "subsurface", "transmission", "emission", "reflection", "refraction", "crypto",
+    "direct", "key",
+}  # fmt: skip
 COMPONENTS = {  # layer -> endings of its channels, in order; ("",): a channel without any
-    **dict.fromkeys(("color", "indirect", "albedo"), ("rgb", "xyz", ("red", "green", "blue"))),
+    **dict.fromkeys(("color", "indirect", "albedo"), ("rgb", ("red", "green", "blue"))),
     "normal": ("xyz", "rgb", ("red", "green", "blue")),
     "depth": ("z", "r", "y", "v", "x", "a", ("",), ("red",), ("depth",)),
     **dict.fromkeys(("motion", "motion_next"), ("xy", "uv", "rg", ("red", "green"))),
 }
-_RANKS = {
-    label: (layer, rank) for layer, names in NAMES.items() for rank, label in enumerate(names.split("|"))
-}  # fmt: skip
+QUALIFIED = 100  # rank of a label that is only a part of the name, behind those that are all of it
+UNKNOWN = 1000  # and of a file without any, which may be the picture
+_RANKS = {label: (layer, rank) for layer, names in NAMES.items() for rank, label in enumerate(names.split("|"))}
 
 
 @dataclass(frozen=True)
 class _Buffer:
     """Channels that have a label in common."""
 
-    labels: tuple[str, ...]  # the first that is known counts
+    layer: str
+    rank: int
     channels: dict[str, str]  # ending in lower case -> name in the file
 
-    def rules(self) -> Iterator[tuple[str, int, Rule]]:
-        """The layers that this may be: (layer, rank, rule)."""
-        layer, rank = next((_RANKS[label] for label in self.labels if label in _RANKS), ("", 0))
-        for endings in COMPONENTS.get(layer, ()):
+    @property
+    def rule(self) -> Rule | None:
+        """None where channels of the layer are missing."""
+        for endings in COMPONENTS[self.layer]:
             if all(ending in self.channels for ending in endings):
-                yield layer, rank, Rule(tuple(self.channels[ending] for ending in endings), (1,) * len(endings))
-                return
+                return Rule(tuple(self.channels[ending] for ending in endings), (1,) * len(endings))
+        return None
 
 
-def guess(source: str | PathLike) -> Layout:
-    """The layout of a folder or glob of EXR files, for the layers in `NAMES` that it seems to hold.
+@dataclass(frozen=True)
+class _Group:
+    """The files that one pattern (`files.py`) fits."""
 
-    Where a renderer writes a file for each layer, files of the folders inside a folder count, too. Raises `InputError`
-    where nothing is called as a picture is.
+    pattern: str
+    files: dict[int, Path]  # by frame number
+
+    @property
+    def first(self) -> Path:
+        """The file of the first frame."""
+        return self.files[min(self.files)]
+
+
+def guess(source: str | PathLike, signal: str = "color") -> tuple[Layout, dict[str, str]]:
+    """The layout of a folder or glob of EXR files, for the layers in `NAMES` that it seems to hold, and those that a
+    preset finds; and notes on layers.
+
+    Where a folder holds no EXR files, those of the folders inside count. Raises `InputError` where a preset reads the
+    files, and where nothing, or several things, are called as the signal is.
     """
+    if known := choose("auto", source):
+        raise InputError(f"{source}: --write is for files that no preset knows; these are {known.name}'s")
     groups = _grouped(source)
-    shared = set.intersection(*(set(_words(pattern)) for pattern in groups))
-    found: dict[str, tuple[int, Rule, str]] = {}
-    for pattern, file in groups.items():
-        for buffer in _buffers(read_header(file).channels, _labels(pattern, shared)):
-            for layer, rank, rule in buffer.rules():
-                if layer not in found or rank < found[layer][0]:
-                    found[layer] = rank, rule, pattern
-    if "color" not in found:
-        header = read_header(next(iter(groups.values())))
-        raise InputError(f"{header.path}: no channels that are called as a picture's; the file has {header.summary}: "
-                         f"describe it in {OWN}")  # fmt: skip
-    layers = {layer: found[layer][1:] for layer in NAMES if layer in found}
-    if sum("/" not in pattern for pattern in groups) == 1 and not any("/" in pattern for _, pattern in layers.values()):
-        return Layout(GUESSED, {layer: (rule,) for layer, (rule, _) in layers.items()})
-    return Layout(
-        GUESSED,
-        {layer: (rule.of_buffer(layer),) for layer, (rule, _) in layers.items()},
-        buffers={layer: (pattern,) for layer, (_, pattern) in layers.items()},
-    )
+    header = read_header(groups[0].first)
+    if len(groups) == 1 and "/" not in groups[0].pattern:
+        return _of_channels(header, signal), {}
+    named: dict[str, list[tuple[int, Rule, _Group]]] = {}
+    for group in groups:
+        for buffer in _buffers(read_header(group.first).channels, group.pattern):
+            if buffer.rule:
+                named.setdefault(buffer.layer, []).append((buffer.rank, buffer.rule, group))
+    if signal not in named:
+        raise _nothing(header, signal)
+    found = {layer: min(named[layer], key=lambda one: one[0])[1:] for layer in NAMES if layer in named}
+    least = min(rank for rank, _, _ in named[signal])
+    alike = dict.fromkeys(group.first for rank, _, group in named[signal] if rank == least)
+    if len(alike) > 1:
+        raise InputError(f"{source}: which is the picture, {' or '.join(map(str, alike))}? Give a glob that fits the "
+                         "files of one, or write the preset yourself (docs/use/files.md)")  # fmt: skip
+    if unusable := [group.pattern for _, group in found.values() if not _is_usable(group.pattern)]:
+        raise InputError(f"{source}: cannot describe files called {unusable[0]}: a preset needs a frame number in the "
+                         "name, and no brackets, braces, * or ?")  # fmt: skip
+    numbers = found[signal][1].files.keys()
+    lacking = {layer: sorted(numbers - group.files.keys()) for layer, (_, group) in found.items()}
+    for layer, frames in lacking.items():
+        if frames:
+            raise InputError(f"{found[layer][1].first}: {layer} has no such file of frame {frames[0]}, which {signal} "
+                             "has: give a glob that fits frames with all files")  # fmt: skip
+    layers = {layer: (rule.of_buffer(layer),) for layer, (rule, _) in found.items()}
+    return Layout(GUESSED, layers, buffers={layer: (group.pattern,) for layer, (_, group) in found.items()}), {}
 
 
-def _grouped(source: str | PathLike) -> dict[str, Path]:
-    """Patterns of file names (`files.py`) that as many frames have as any, those of the folder itself first, each with
-    its first file."""
-    folder = Path(source)
-    nested = sorted(file for file in folder.glob("*/*") if file.suffix.lower() == ".exr" and file.name[0] != ".")
+def guess_channels(channels: Iterable[str]) -> dict[str, Rule]:
+    """The layers that these channels of one file seem to be."""
+    found: dict[str, tuple[int, Rule]] = {}
+    for buffer in _buffers(channels, ""):
+        if buffer.rule and (buffer.layer not in found or buffer.rank < found[buffer.layer][0]):
+            found[buffer.layer] = buffer.rank, buffer.rule
+    return {layer: found[layer][1] for layer in NAMES if layer in found}
+
+
+def _of_channels(header: ExrHeader, signal: str) -> Layout:
+    """The layout of files that hold all: what this project's or Mitsuba's names say, and guesses for the rest."""
+    layers = {layer: (rule,) for layer, rule in guess_channels(header.channels).items()}
     try:
-        files = sorted(find_files(source)) + nested
+        preset = detect(header)
     except InputError:
-        if not nested:
+        preset = None
+    if preset and preset not in (NATIVE, MITSUBA):
+        raise InputError(f"{header.path}: --write is for files that no preset knows; these are {preset.name}'s")
+    for layer, rules in preset.layers.items() if preset else ():
+        if match := next((m for m in (rule.match(header.channels) for rule in rules) if m), None):
+            layers[layer] = (match,)
+    if signal not in layers:
+        raise _nothing(header, signal)
+    return Layout(GUESSED, layers)
+
+
+def _nothing(header: ExrHeader, signal: str) -> InputError:
+    what = {"color": "a picture's"}.get(signal, f"{signal} light's")
+    return InputError(f"{header.path}: no channels that are called as {what}; the file has {header.summary}: describe "
+                      f"it in {OWN}")  # fmt: skip
+
+
+def _grouped(source: str | PathLike) -> list[_Group]:
+    """The files by their patterns, those with most files first."""
+    folder = Path(source)
+    try:
+        files, base = find_files(source), None
+    except InputError:
+        files, base = [file for file in folder.glob("*/*") if file.suffix.lower() == ".exr"], folder
+        files = [file for file in files if not file.name.startswith(".")]
+        if not files:
             raise
-        files = nested
-    groups: dict[str, list[Path]] = {}
-    for file in files:
-        groups.setdefault(_pattern(file.relative_to(folder if nested else file.parent)), []).append(file)
-    most = max(map(len, groups.values()))
-    return {pattern: files[0] for pattern, files in groups.items() if len(files) == most}
+    groups: dict[str, dict[int, Path]] = {}
+    for file in sorted(files):
+        pattern, number = _pattern(file.relative_to(base or file.parent))
+        groups.setdefault(pattern, {})[number] = file
+    found = [_Group(pattern, files) for pattern, files in groups.items()]
+    return sorted(found, key=lambda group: -len(group.files))
 
 
-def _pattern(path: PurePath) -> str:
-    """The path with `{frame}` for the number that `files.number_files` finds in its name."""
+def _pattern(path: PurePath) -> tuple[str, int]:
+    """The path with `{frame}` for the number that `files.number_files` finds in its name, and that number."""
     versions = [match.span() for match in re.finditer(VERSION, path.stem)]
     numbers = [match.span() for match in re.finditer(NUMBER, path.stem)]
     frames = [(a, b) for a, b in numbers if not any(start < b and a < end for start, end in versions)] or numbers
     if not frames:
-        return path.as_posix()
-    start, end = frames[-1]
-    return path.with_name(f"{path.stem[:start]}{{frame}}{path.stem[end:]}{path.suffix}").as_posix()
+        return path.as_posix(), 0
+    (start, end), stem = frames[-1], path.stem
+    return path.with_name(f"{stem[:start]}{{frame}}{stem[end:]}{path.suffix}").as_posix(), int(stem[start:end])
 
 
-def _words(pattern: str) -> list[str]:
-    return re.findall(r"[a-z0-9]+", pattern.lower().replace("{frame}", " "))
+def _is_usable(pattern: str) -> bool:
+    plain = pattern.replace("{frame}", "", 1)
+    return plain != pattern and pattern.isprintable() and not set(plain) & set("{}[]*?")
 
 
-def _labels(pattern: str, shared: set[str]) -> tuple[str, ...]:
-    """What the words that not all patterns share say: those of the file's name, then those of its folder."""
-    *folder, name = pattern.split("/")
-    said = ("".join(word for word in _words(part) if word not in shared) for part in (name, *folder))
-    return tuple(filter(None, said)) or ("",)
-
-
-def _buffers(channels: Iterable[str], labels: tuple[str, ...]) -> list[_Buffer]:
-    """The channels of a file whose name has these labels, by their own labels; those without one have the file's."""
+def _buffers(channels: Iterable[str], pattern: str) -> Iterator[_Buffer]:
+    """The layers that the channels of a file may be; those without a label have the label of the file's name."""
+    names = list(channels)
     groups: dict[str, dict[str, str]] = {}
-    for name in channels:
+    for name in names:
         label, _, ending = name.rpartition(".")
-        if not label and len(name) > 1 and name[-1] in "XYZ":  # 3ds Max's NX, velX
+        if not label and name[:-1] and {f"{name[:-1]}X", f"{name[:-1]}Y"} <= {*names}:  # 3ds Max's NX, velX
             label, ending = name[:-1], name[-1]
         groups.setdefault(label, {})[ending.lower()] = name
     bare = groups.pop("", {})
-    found = [_Buffer(labels, bare), *(_Buffer((_plain(name),), {"": name}) for name in bare.values())]
-    return found + [_Buffer((_plain(label), _plain(re.split("[.:]", label)[-1])), c) for label, c in groups.items()]
+    if found := _of_file(pattern):
+        yield _Buffer(*found, bare)
+    for name in bare.values():
+        if found := _of_label(name):
+            yield _Buffer(*found, {"": name})
+    for label, parts in groups.items():
+        if found := _of_label(label):
+            yield _Buffer(*found, parts)
+
+
+def _of_label(label: str) -> tuple[str, int] | None:
+    """The layer and rank of a channel's label."""
+    if found := _RANKS.get(_plain(label)):
+        return found if _plain(label) else None
+    *before, last = re.split("[.:/]", label)
+    if before and _plain(before[-1]) not in PARTS and (found := _RANKS.get(_plain(last))):
+        return found[0], found[1] + QUALIFIED
+    return None
+
+
+def _of_file(pattern: str) -> tuple[str, int] | None:
+    """The layer and rank of a file: of the longest end of its name that is a label, else of its folder."""
+    for part in reversed(pattern.split("/")):
+        name = re.sub(VERSION, "", PurePath(part.replace("{frame}", " ")).stem if "." in part else part)
+        words = re.findall("[A-Za-z0-9]+", name)
+        if PARTS & {word.lower() for word in words}:
+            return None
+        for first in range(len(words)):
+            if found := _RANKS.get(_plain("".join(words[first:]))):
+                return found
+    return "color", UNKNOWN if pattern else 0
 
 
 def _plain(label: str) -> str:

@@ -29,11 +29,10 @@ MIN_PIXELS = 200  # textured, moving pixels that a verdict needs
 MAX_SAMPLES = 20_000  # pixels that are examined in each pair of frames
 TILES = 8  # along each side of the picture; errors inside one tile count as dependent
 STANDARD_ERRORS, MARGIN = 3.0, 0.02  # least lead of a better reading: in standard errors, and as a share of the error
-SIZED = {"UV": SCALES["uv"], "NDC": SCALES["ndc"], "2 UV": SCALES["2uv"]}  # units that go by the size of the picture
+SIZED = {"UV": SCALES["uv"], "NDC": SCALES["ndc"]}  # units that go by the size of the picture
 UNITS = {"pixels": (1.0, "", ""), **SIZED, "double": (0.5, "½·", "½·"), "half": (2.0, "2·", "2·")}
 REMEDIES = {
     "pixels": "", "UV": "UV units: multiply by (W, H)", "NDC": "NDC units: multiply by (W/2, H/2)",
-    "2 UV": "UV units of half a movement: multiply by (2W, 2H)",
     "double": "pixels of a picture twice as large: multiply by ½",
     "half": "pixels of a picture half as large: multiply by 2",
 }  # fmt: skip
@@ -177,10 +176,15 @@ def feature_of(frame: Frame, name: str) -> Tensor | None:
 
 def textured(image: Tensor, frame: Frame) -> Tensor:
     """The pixels `[H, W]` whose motion is known and around which the image has texture."""
-    texture = torch.zeros(frame.size)
+    return (contrast(image) > MIN_CONTRAST) & (frame.motion[0].abs() < OFF_SCREEN).all(0)
+
+
+def contrast(image: Tensor) -> Tensor:
+    """The difference between neighbours, `[H, W]`, of an image `[1, C, H, W]`."""
+    texture = torch.zeros(image.shape[2:])
     texture[:, 1:-1] += (image[0, :, :, 2:] - image[0, :, :, :-2]).abs().amax(0) / 2
     texture[1:-1] += (image[0, :, 2:] - image[0, :, :-2]).abs().amax(0) / 2
-    return (texture > MIN_CONTRAST) & (frame.motion[0].abs() < OFF_SCREEN).all(0)
+    return texture
 
 
 def _choose_pixels(image: Tensor, frame: Frame, most: int) -> tuple[Tensor, Tensor]:

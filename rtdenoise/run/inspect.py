@@ -15,9 +15,8 @@ from rich.table import Table
 
 from ..data.exr_format import group_channels
 from ..data.files import describe_gap
-from ..data.layout import Layout
 from ..data.layouts import MITSUBA, NATIVE
-from ..data.names import guess
+from ..data.names import guess_channels
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from ..errors import INSTALL_TORCH
 from ..frame import Frame
@@ -114,7 +113,7 @@ def inspect(
         demodulated=sequence.demodulated,
         layers=_layers(sequence),
         missing={layer: sequence.layout.hint(layer, signal) for layer in absent},
-        guessed=_guessed(source, sequence.layout, absent) if preset == "auto" else (),
+        guessed=_guessed(sequence, absent) if preset == "auto" else (),
         computed=computed,
         ignored=tuple(name for name in sequence.header.channels if name not in fed),
         dual_motion=_dual_source(present, computed),
@@ -166,11 +165,9 @@ def _layers(sequence: Sequence) -> tuple[FoundLayer, ...]:
     )
 
 
-def _guessed(source: str | os.PathLike, layout: Layout, absent: list[str]) -> tuple[str, ...]:
+def _guessed(sequence: Sequence, absent: list[str]) -> tuple[str, ...]:
     """The missing layers that files without a program's layout seem to hold."""
-    if layout not in (NATIVE, MITSUBA):
-        return ()
-    found = guess(source).layers
+    found = guess_channels(sequence.header.channels) if sequence.layout in (NATIVE, MITSUBA) else ()
     return tuple(layer for layer in absent if layer in found)
 
 
