@@ -44,7 +44,11 @@ KEYS = ("channels", "signs", "scale", "offset", "miss", "file")
 
 def read_layout(path: Path) -> Layout:
     """Read and check a layout file. Raises `InputError`, on one line, for whatever does not fit."""
-    text = read_text(path)
+    return parse_layout(read_text(path), path)
+
+
+def parse_layout(text: str, path: Path) -> Layout:
+    """As `read_layout`, of its text."""
     try:
         document = tomllib.loads(text)
     except RecursionError:

@@ -17,8 +17,9 @@ from ..errors import InputError
 from .exr import read_header
 from .exr_format import ExrHeader
 from .files import NUMBER, VERSION, find_files
+from .layers import LAYERS
 from .layout import OWN, Layout, Rule
-from .layouts import MITSUBA, NATIVE, choose, detect
+from .layouts import MITSUBA, NATIVE, choose, detect, view_layers
 
 GUESSED = "guessed"
 NAMES = {  # layer -> labels in lower case without signs, best first; "": a channel R, or a file, that has none
@@ -38,7 +39,7 @@ NAMES = {  # layer -> labels in lower case without signs, best first; "": a chan
 PROGRAMS = re.compile("^(vray|oct|finalimagemovierenderqueue|finalimage(?=.))")  # in front of a label
 PARTS = {  # of a picture or a material, which are no layer of their own
     "specular", "coat", "sheen", "sss", "subsurface", "transmission", "emission", "reflection", "refraction", "crypto",
-    "direct", "key",
+    "direct", "key", "left", "right",
 }  # fmt: skip
 COMPONENTS = {  # layer -> endings of its channels, in order; ("",): a channel without any
     **dict.fromkeys(("color", "indirect", "albedo"), ("rgb", ("red", "green", "blue"))),
@@ -96,6 +97,9 @@ def guess(source: str | PathLike, signal: str = "color") -> tuple[Layout, dict[s
         return _of_channels(header, signal), {}
     named: dict[str, list[tuple[int, Rule, _Group]]] = {}
     for group in groups:
+        if view_layers(read_header(group.first)):
+            raise InputError(f"{group.first}: --write is for files that no preset knows; this is one of Cycles: give "
+                             "its folder, or a glob of these files")  # fmt: skip
         for buffer in _buffers(read_header(group.first).channels, group.pattern):
             if buffer.rule:
                 named.setdefault(buffer.layer, []).append((buffer.rank, buffer.rule, group))
@@ -132,6 +136,8 @@ def guess_channels(channels: Iterable[str]) -> dict[str, Rule]:
 def _of_channels(header: ExrHeader, signal: str) -> Layout:
     """The layout of files that hold all: what this project's or Mitsuba's names say, and guesses for the rest."""
     layers = {layer: (rule,) for layer, rule in guess_channels(header.channels).items()}
+    if len(view_layers(header)) > 1:
+        detect(header)  # which refuses them
     try:
         preset = detect(header)
     except InputError:
@@ -139,7 +145,7 @@ def _of_channels(header: ExrHeader, signal: str) -> Layout:
     if preset and preset not in (NATIVE, MITSUBA):
         raise InputError(f"{header.path}: --write is for files that no preset knows; these are {preset.name}'s")
     for layer, rules in preset.layers.items() if preset else ():
-        if match := next((m for m in (rule.match(header.channels) for rule in rules) if m), None):
+        if layer in LAYERS and (match := next((m for m in (rule.match(header.channels) for rule in rules) if m), None)):
             layers[layer] = (match,)
     if signal not in layers:
         raise _nothing(header, signal)
@@ -224,7 +230,8 @@ def _of_file(pattern: str) -> tuple[str, int] | None:
         if PARTS & {word.lower() for word in words}:
             return None
         for first in range(len(words)):
-            if found := _RANKS.get(_plain("".join(words[first:]))):
+            label = _plain("".join(words[first:]))
+            if label and (found := _RANKS.get(label)):
                 return found
     return "color", UNKNOWN if pattern else 0
 

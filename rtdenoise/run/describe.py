@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..data.layout import Layout, Rule
-from ..data.layout_file import layout_text, read_layout
+from ..data.layout_file import layout_text, parse_layout
 from ..data.names import guess
 from ..data.sequences import open_sequence
 from ..errors import INSTALL_TORCH, InputError
-from ..files import replacing, write_atomically
+from ..files import write_atomically
 from .inspect import choose_pairs
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 NEARLY = 0.05  # the length of most normals is as far from 1 at most
 MANY, FAR, ENDLESS = 8, 1e3, 1e6  # pixels of the greatest depth, and times the median depth: nothing was hit there
+OFTEN = 0.01  # share of pixels with the greatest depth, of which a note tells
 BETTER = 0.95  # times the error of another reading
 MOTIONS = "motion", "motion_next"
 SPACE = "not measured: world space is right, the camera's is not"
@@ -39,18 +40,16 @@ def write_description(source: str | os.PathLike, path: Path, signal: str = "colo
 
     Raises `InputError` where `path` exists, or as `names.guess` and `open_sequence` do.
     """
-    if path.suffix != ".toml":
+    if path.suffix != ".toml" or not str(path).isprintable() or str(path).startswith("cycles:"):
         raise InputError(f"--write {path}: expected a name that ends in .toml, as presets of your own have")
     if path.exists():
         raise InputError(f"--write {path}: exists; name another file, or remove it")
     if not path.parent.is_dir():
         raise InputError(f"--write {path}: there is no folder {path.parent}")
     described, notes = describe(source, signal, allow_gaps)
-    text = layout_text(replace(described, name=path.stem), notes).encode()
-    with replacing(path) as draft:  # whatever a name holds that the format does not
-        draft.write_bytes(text)
-        read_layout(draft)
-    write_atomically(path, text)
+    text = layout_text(replace(described, name=path.stem), notes)
+    parse_layout(text, path)  # refuses what a name holds and the format does not
+    write_atomically(path, text.encode())
 
 
 def describe(
@@ -99,7 +98,7 @@ def _distances(rule: Rule, frames: list[Frame]) -> tuple[Rule, str]:
         miss = 10.0 ** np.floor(np.log10(most) - 1) if most > ENDLESS * near else 0.99 * most
         return replace(rule, miss=float(f"{miss:.6g}")), f"{most:.4g} is where nothing was hit"
     told = f"from {stored.min():.4g} to {most:.4g}"
-    if share * stored.size >= MANY and hit.size:
+    if share > OFTEN and hit.size:
         told += f", in {share:.0%} of the pixels exactly that: if nothing was hit there, set miss below it"
     return rule, told
 

@@ -184,7 +184,8 @@ def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
 def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProxyType({})) -> str:
     """The next thing to do: a layer to add, motion to mend, or the command that denoises the sequence. `options` are
     those of `inspect` that were not the defaults."""
-    describe = shlex.join(["rtdenoise", "inspect", found.source, "--write", "my.toml"])
+    given = [w for n, v in options.items() if n != "preset" for w in _words(n, v)]
+    describe = shlex.join(["rtdenoise", "inspect", found.source, *given, "--write", "my.toml"])
     if found.convention and found.convention.status == "wrong":
         advice = f", or describe them: {describe}" if found.preset == NATIVE.name else ""
         return f"mend the motion vectors as said above{advice}: with these, history comes from wrong places"
@@ -197,7 +198,7 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
                 "motion: with zeros, what moves leaves trails")  # fmt: skip
     words = ["rtdenoise", "denoise", found.source, "--out", "clean/"]
     for name, value in options.items():
-        words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+        words += _words(name, value)
     command = shlex.join([*words, *(["--lens"] if found.drifts else [])])
     wanted = (*STAND_INS, *(("motion",) if found.files > 1 else ()))
     if absent := [layer for layer in wanted if layer in found.missing]:
@@ -205,6 +206,11 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     if found.convention and found.convention.status == "ambiguous" and found.convention.errors and not found.drifts:
         return f"look at the motion vectors first, nothing confirms them; then {command}"
     return command
+
+
+def _words(option: str, value: str | bool) -> list[str]:
+    """An option as it is typed."""
+    return [f"--{option.replace('_', '-')}", *([] if value is True else [str(value)])]
 
 
 def render_text(found: Inspection, verbose: bool = False) -> str:

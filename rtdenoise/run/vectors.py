@@ -22,13 +22,14 @@ from .conventions import MIN_CONTRAST, MIN_PIXELS, STANDARD_ERRORS, TILES, contr
 
 Factors = tuple[float, float]  # of x and y
 POINTS = 3000  # pixels of each pair of frames
+UNKNOWN = 1e9  # vectors as long are none
 GREY = 0.5  # may stand for no motion
 OFTEN = 0.05  # share of pixels with exactly one value: what stands for no motion, or the end of a range
 STEPS = tuple(2.0 ** (k / 2) for k in range(-6, 27))  # factors that are tried, of pixels
 SHARES = tuple(2.0 ** (k / 2) for k in range(-5, 6))  # and of the picture's size
 FINEST = 1 / 64  # step of a factor, as a power of two
-ALIKE = 0.1  # most difference to a usual unit, as a power of two, or
-NEARLY, ENOUGH = 0.99, 0.97  # least share that one factor of it explains beside the other's best, and least of both
+ALIKE, LOST = 0.1, 0.08  # most difference to a usual unit, as a power of two, or share of an axis' worth that it loses
+ENOUGH = 0.97  # least share that a usual unit explains
 NOTHING = 0.005  # share of what is explained that an axis without movement changes
 LEAST = 0.05  # share of the error that motion explains at least
 
@@ -75,7 +76,7 @@ class _Points:
 def fit(pairs: list[tuple[Frame, Frame]], fields: list[Tensor]) -> Meaning:
     """How `fields`, `[1, 2, H, W]` of the second frame of each pair, lead to the first."""
     stored = torch.cat([field[0].flatten(1) for field in fields], 1) if fields else torch.zeros(2, 0)
-    stored = stored[:, stored.isfinite().all(0)]
+    stored = stored[:, (stored.abs() < UNKNOWN).all(0)]
     if said_nothing := _useless(stored):
         return said_nothing
     points = next((p for name in ("albedo", "radiance") if (p := _points(pairs, fields, name))), None)
@@ -83,7 +84,7 @@ def fit(pairs: list[tuple[Frame, Frame]], fields: list[Tensor]) -> Meaning:
         return Meaning(offset=_offsets(stored)[0], told="too little has texture")
     best, *others = (_fitted(points, offset) for offset in _offsets(stored))
     for other in others:  # with another offset a field is nearly a shift of the whole picture: pixels alone count
-        if other.scale == 1 and other.error < best.error * (1 - LEAST):
+        if other.confirmed and other.scale == 1 and other.error < best.error * (1 - LEAST):
             best = other
     return best
 
@@ -91,7 +92,7 @@ def fit(pairs: list[tuple[Frame, Frame]], fields: list[Tensor]) -> Meaning:
 def _useless(stored: Tensor) -> Meaning | None:
     """What is told of `[2, N]` vectors that cannot be read; None where they may be."""
     if not stored.numel():
-        return Meaning(told="there are no two consecutive frames")
+        return Meaning(told="no two consecutive frames have any")
     if (stored == stored[:, :1]).all():
         return Meaning(told=f"it is ({stored[0, 0] + 0.0:g}, {stored[1, 0] + 0.0:g}) everywhere: was motion blur on?")
     for middle in (0.0, GREY):
@@ -125,7 +126,7 @@ def _points(pairs: list[tuple[Frame, Frame]], fields: list[Tensor], name: str) -
         here, before = feature_of(current, name), feature_of(previous, name)
         if here is None or before is None:
             return None
-        y, x = ((contrast(here) > MIN_CONTRAST) & field[0].isfinite().all(0)).nonzero(as_tuple=True)
+        y, x = ((contrast(here) > MIN_CONTRAST) & (field[0].abs() < UNKNOWN).all(0)).nonzero(as_tuple=True)
         chosen = torch.randperm(len(x), generator=torch.Generator().manual_seed(0))[:POINTS]
         y, x = y[chosen], x[chosen]
         images.append(before)
@@ -191,7 +192,8 @@ def _in_units(readings: _Readings, best: Factors) -> tuple[tuple[int, int], floa
         unit = signs[0] * unit[0], signs[1] * unit[1]
         alone = (unit[0], best[1]), (best[0], unit[1])
         fits = (
-            axis in flat or abs(log2(unit[axis] / best[axis])) < ALIKE or readings.explains(alone[axis], best) > NEARLY
+            axis in flat or abs(log2(unit[axis] / best[axis])) < ALIKE
+            or 1 - readings.explains(alone[axis], best) < LOST * (1 - readings.explains(without[axis], best))
             for axis in (0, 1)
         )
         if all(fits) and readings.explains(unit, best) > ENOUGH:
