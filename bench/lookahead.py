@@ -145,8 +145,6 @@ def _many(rows: dict) -> str:
     for signal, shown in zip(SIGNALS, ("beauty", "indirect light"), strict=True):
         lines.append(f"| *{shown}* |{' |' * 2 * len(counts)}")
         for method in (*MANY, *(f"{name} int8" for name in MANY_IN_BYTES)):
-            if not _pairs(rows, "standard720", counts[0], method, signal):
-                continue
             cells = []
             for region in ("frame", "uncovered"):
                 for spp in counts:

@@ -111,6 +111,23 @@ def test_fields_under_each_others_names(tmp_path):
     assert layout.layers["motion_next"] == (Rule(("backward.u", "backward.v"), (1, 1)),)
 
 
+def test_light_serves_where_albedo_is_missing(tmp_path):
+    layout, notes = describe(
+        write(tmp_path, lambda f: channels("", f["color"]) | channels("mv.", f["motion"] / [W, H], "RG"))
+    )
+    assert layout.layers["motion"] == (Rule(("mv.R", "mv.G"), (1, 1), scale="uv"),)
+    assert notes["motion"].startswith("measured: ")
+
+
+def test_the_name_of_a_file_counts_before_that_of_its_folder(tmp_path):
+    shot = write(tmp_path, lambda f: {"color/sh.{}.exr": channels("", f["color"]), "color/depth.{}.exr": channels(
+        "", f["depth"].repeat(3, -1)), "color/beauty.{}.exr": channels("", f["color"])})  # fmt: skip
+    layout, _ = describe(shot)
+    assert {layer: files for layer, (files,) in layout.buffers.items()} == {
+        "color": "color/beauty.{frame}.exr", "depth": "color/depth.{frame}.exr",
+    }  # fmt: skip
+
+
 STORED = {  # vectors as stored of those of a frame, and the rule that reads them
     "half grey is still": (lambda f: 0.5 + f["motion"] / [W, -H], {"offset": 0.5, "scale": "uv", "signs": (1, -1)}),
     "whole screen": (lambda f: 0.5 + f["motion"] / [2 * W, 2 * H], {"offset": 0.5, "scale": "2uv"}),
@@ -253,6 +270,7 @@ def test_odd_names(tmp_path, name):
         ("R G B specular_albedo.R specular_albedo.G specular_albedo.B", "albedo", None),
         ("R G B crypto_albedo.R albedo.red albedo.green albedo.blue", "albedo", "albedo.red albedo.green albedo.blue"),
         ("R G B VRayDiffuseFilter.R VRayDiffuseFilter.G VRayDiffuseFilter.B", "albedo", "VRayDiffuseFilter.*RGB"),
+        ("R G B alb.R alb.G alb.B x.albedo.R x.albedo.G x.albedo.B", "albedo", "alb.R alb.G alb.B"),
         ("R G B NX NY NZ", "normal", "NX NY NZ"),
         ("R G B N.X N.Y N.Z __Nworld.r __Nworld.g __Nworld.b", "normal", "__Nworld.r __Nworld.g __Nworld.b"),
         ("R G B rgba.Z", "depth", None),
@@ -268,7 +286,7 @@ def test_odd_names(tmp_path, name):
 )  # fmt: skip
 def test_names(tmp_path, names, layer, expected):
     write_layers(tmp_path / "1.exr", {name: np.ones((4, 4), np.float32) for name in names.split()})
-    found = guess(tmp_path)[0].layers.get(layer)
+    found = guess(tmp_path).layers.get(layer)
     if expected and "*" in expected:
         base, _, endings = expected.partition("*")
         expected = " ".join(base + c for c in endings)

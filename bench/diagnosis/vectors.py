@@ -18,7 +18,7 @@ from bench import RESULTS, harness
 import torch
 import tyro
 
-from rtdenoise.data.layout import SCALES
+from rtdenoise.data.layout import SCALES, pixels
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.run.inspect import choose_pairs
 from rtdenoise.run.vectors import Meaning, fit
@@ -43,7 +43,7 @@ def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
         sequence = open_sequence(folder)
         pairs = [(sequence[a], sequence[b]) for a, b in choose_pairs(sequence.numbers)]
         for name, (offset, signs, scale, half) in STORED.items():
-            units = zip(signs, factors(scale, sequence.size), strict=True)
+            units = zip(signs, pixels(scale, sequence.size), strict=True)
             unit = torch.tensor([sign / factor for sign, factor in units]).view(1, 2, 1, 1)
             fields = [offset + now.motion * unit for _, now in pairs]
             found = fit(pairs, [field.half().float() if half else field for field in fields])
@@ -52,17 +52,11 @@ def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     harness.publish(RESULT, {"rows": rows}, digits=4)
 
 
-def factors(scale: float | str, size: tuple[int, int]) -> tuple[float, float]:
-    """Pixels of a unit along x and y."""
-    H, W = size
-    return (SCALES[scale][0] * W, SCALES[scale][0] * H) if scale in SCALES else (scale, scale)
-
-
 def judged(found: Meaning, offset: float, signs: tuple[int, int], scale: float | str, size: tuple[int, int]) -> dict:
     """Whether what was found is right, or rightly not confirmed, and its factors over the right ones."""
     if not any(signs):
         return {"right": not found.confirmed, "confirmed": found.confirmed, "factors": None}
-    pairs = zip(factors(found.scale, size), factors(scale, size), found.signs, signs, strict=True)
+    pairs = zip(pixels(found.scale, size), pixels(scale, size), found.signs, signs, strict=True)
     over = [a * s / (b * t) for a, b, s, t in pairs]
     right = (found.offset, found.swapped, found.signs) == (offset, False, signs)
     exact = found.scale == scale if scale in (1.0, *SCALES) else all(abs(x - 1) < 0.1 for x in over)

@@ -146,18 +146,25 @@ def number_files(files: list[Path]) -> list[tuple[int, Path]]:
     """Files with their frame numbers, ascending: the last run of digits in a name, negative in `shot.-0001.exr`, not in
     `shot-0001.exr`; a version such as `_v02` only where there is no other. Raises `InputError` for a name without
     digits, and for repeated numbers."""
-    runs = {file: re.findall(NUMBER, re.sub(VERSION, r"\1", file.stem)) for file in files}
-    runs = {file: found or re.findall(NUMBER, file.stem) for file, found in runs.items()}
+    runs = {file: frame_number(file.stem) for file in files}
     unnumbered = [file for file in sorted(files) if not runs[file]]
     if unnumbered and len(files) > 1:
         raise InputError(f"{unnumbered[0]}: no frame number in the name; expected digits, as in frame.0001.exr")
-    numbers = {file: int(runs[file][-1]) if runs[file] else 0 for file in files}
+    numbers = {file: int(run[0]) if run else 0 for file, run in runs.items()}
     ordered = sorted(files, key=lambda file: (numbers[file], file))
     for a, b in itertools.pairwise(ordered):
         if numbers[a] == numbers[b]:
             raise InputError(f"{b}: frame number {numbers[b]} is there twice, {a.name} has it too; "
                              f"give a glob that fits one file a frame; {DESCRIBE}")  # fmt: skip
     return [(numbers[file], file) for file in ordered]
+
+
+def frame_number(name: str) -> re.Match | None:
+    """Where a name has its frame number: the last run of digits that is no version, else the last; None without any."""
+    versions = [match.span() for match in re.finditer(VERSION, name)]
+    runs = list(re.finditer(NUMBER, name))
+    others = [run for run in runs if not any(start < run.end() and run.start() < end for start, end in versions)]
+    return next(reversed(others or runs), None)
 
 
 def _buffers(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]) -> tuple[FrameFiles, ...]:

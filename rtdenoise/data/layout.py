@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
@@ -43,12 +43,25 @@ class Rule:
         names = [f"({c} - {self.offset:g})" for c in self.channels] if self.offset else self.channels
         return tuple(
             ("-" if sign < 0 else "") + unit + name
-            for name, sign, unit in zip(names, self.signs, units or ("",), strict=False)
+            for name, sign, unit in zip(names, self.signs, units, strict=False)
         )
 
     def of_buffer(self, buffer: str) -> Rule:
         """The rule for a file of its own."""
         return replace(self, channels=tuple(f"{buffer}.{name}" for name in self.channels))
+
+
+def first_match(alternatives: Iterable[Rule], channels: Collection[str]) -> Rule | None:
+    """The first of the rules whose channels are all there."""
+    return next((match for match in (rule.match(channels) for rule in alternatives) if match), None)
+
+
+def pixels(scale: float | str, size: tuple[int, int]) -> tuple[float, float]:
+    """How many pixels a unit of motion is along x and y, in a picture of `size` (H, W)."""
+    if scale not in SCALES:
+        return scale, scale
+    share, (H, W) = SCALES[scale][0], size
+    return share * W, share * H
 
 
 def rules(names: str, components: str, signs: tuple[int, ...] = (), **conversion) -> tuple[Rule, ...]:
@@ -82,15 +95,13 @@ class Layout:
         found = {}
         for layer in CHANNELS:
             alternatives = (rule for name in _names(layer, signal) for rule in self.layers.get(name, ()))
-            matches = (rule.match(header.channels) for rule in alternatives)
-            if rule := next((match for match in matches if match), None):
+            if rule := first_match(alternatives, header.channels):
                 found[layer] = rule
         return found
 
     def beauty_rule(self, header: ExrHeader) -> Rule | None:
         """The channels of the finished picture; None where the file has none."""
-        matches = (rule.match(header.channels) for rule in self.beauty or self.layers.get("color", ()))
-        return next((match for match in matches if match), None)
+        return first_match(self.beauty or self.layers.get("color", ()), header.channels)
 
     def alpha(self, header: ExrHeader) -> str:
         """The channel of the finished picture's alpha; "" where the file has none."""

@@ -10,7 +10,7 @@
     [motion]
     channels = ["velocity.X", "velocity.Y"]
     signs = [1, -1]                      # this project's: previous - current, y down
-    scale = "uv"                         # fractions of the picture; "ndc": of its half; a number: pixels of a unit
+    scale = "uv"                         # fractions of the picture; "ndc", "2uv": of half, of twice it; or pixels
     offset = 0.5                         # what stands for 0; default 0
     file = "velocity/{frame}.exr"
 
@@ -114,15 +114,16 @@ def _rule(path: Path, layer: str, table: object) -> Rule:
     signs = table.get("signs", [1] * count)
     if not isinstance(signs, list) or len(signs) != count or not all(_is_number(s) and s in (1, -1) for s in signs):
         raise InputError(f"{label} signs is {repr(signs)}, expected {count} times 1 or -1")
-    scale, offset = table.get("scale", 1.0), table.get("offset", 0.0)
+    scale, offset = table.get("scale", "pixels"), table.get("offset", 0.0)
+    scale = 1.0 if scale == "pixels" else scale
     motion = layer.startswith("motion")
-    named = scale == "pixels" or (motion and scale in list(SCALES))
+    named = motion and scale in list(SCALES)
     if not named and not (_is_number(scale) and 0 < scale < math.inf):
         raise InputError(f"{label} scale is {repr(scale)}, expected a number above 0, for motion also 'pixels', 'uv', "
                          "'ndc' or '2uv'")  # fmt: skip
     if not _is_number(offset) or not math.isfinite(offset):
         raise InputError(f"{label} offset is {repr(offset)}, expected a number")
-    if (scale not in (1, "pixels") or offset) and not (motion or layer == "normal"):
+    if (scale != 1 or offset) and not (motion or layer == "normal"):
         raise InputError(f"{label} scale and offset are for motion and normal only")
     miss = table.get("miss", float("inf"))
     if not _is_number(miss) or not miss > 0 or ("miss" in table and layer != "depth"):
@@ -131,7 +132,7 @@ def _rule(path: Path, layer: str, table: object) -> Rule:
     if not isinstance(file, str) or not _is_pattern(file):
         raise InputError(f"{label} file is {repr(file)}, expected a pattern in the sequence's folder with one "
                          "{frame}, at most one {spp}, and * for anything")  # fmt: skip
-    scale = 1.0 if scale == "pixels" else scale if named else float(scale)
+    scale = scale if named else float(scale)
     return Rule(tuple(channels), tuple(int(s) for s in signs), float(miss), scale, float(offset))
 
 
@@ -154,4 +155,3 @@ def _is_pattern(file: str) -> bool:
         and ".." not in path.parts
         and file.isprintable()
     )
-

@@ -16,9 +16,9 @@ from pathlib import Path, PurePath
 from ..errors import InputError
 from .exr import read_header
 from .exr_format import ExrHeader
-from .files import NUMBER, VERSION, find_files
+from .files import VERSION, find_files, frame_number
 from .layers import LAYERS
-from .layout import OWN, Layout, Rule
+from .layout import OWN, Layout, Rule, first_match
 from .layouts import MITSUBA, NATIVE, choose, detect, view_layers
 
 GUESSED = "guessed"
@@ -53,23 +53,6 @@ _RANKS = {label: (layer, rank) for layer, names in NAMES.items() for rank, label
 
 
 @dataclass(frozen=True)
-class _Buffer:
-    """Channels that have a label in common."""
-
-    layer: str
-    rank: int
-    channels: dict[str, str]  # ending in lower case -> name in the file
-
-    @property
-    def rule(self) -> Rule | None:
-        """None where channels of the layer are missing."""
-        for endings in COMPONENTS[self.layer]:
-            if all(ending in self.channels for ending in endings):
-                return Rule(tuple(self.channels[ending] for ending in endings), (1,) * len(endings))
-        return None
-
-
-@dataclass(frozen=True)
 class _Group:
     """The files that one pattern (`files.py`) fits."""
 
@@ -82,9 +65,9 @@ class _Group:
         return self.files[min(self.files)]
 
 
-def guess(source: str | PathLike, signal: str = "color") -> tuple[Layout, dict[str, str]]:
+def guess(source: str | PathLike, signal: str = "color") -> Layout:
     """The layout of a folder or glob of EXR files, for the layers in `NAMES` that it seems to hold, and those that a
-    preset finds; and notes on layers.
+    preset finds.
 
     Where a folder holds no EXR files, those of the folders inside count. Raises `InputError` where a preset reads the
     files, and where nothing, or several things, are called as the signal is.
@@ -92,60 +75,55 @@ def guess(source: str | PathLike, signal: str = "color") -> tuple[Layout, dict[s
     if known := choose("auto", source):
         raise InputError(f"{source}: --write is for files that no preset knows; these are {known.name}'s")
     groups = _grouped(source)
-    header = read_header(groups[0].first)
+    headers = [read_header(group.first) for group in groups]
     if len(groups) == 1 and "/" not in groups[0].pattern:
-        return _of_channels(header, signal), {}
+        return _of_channels(headers[0], signal)
     named: dict[str, list[tuple[int, Rule, _Group]]] = {}
-    for group in groups:
-        if view_layers(read_header(group.first)):
+    for group, header in zip(groups, headers, strict=True):
+        if view_layers(header):
             raise InputError(f"{group.first}: --write is for files that no preset knows; this is one of Cycles: give "
                              "its folder, or a glob of these files")  # fmt: skip
-        for buffer in _buffers(read_header(group.first).channels, group.pattern):
-            if buffer.rule:
-                named.setdefault(buffer.layer, []).append((buffer.rank, buffer.rule, group))
+        for layer, (rank, rule) in _named(header.channels, group.pattern).items():
+            named.setdefault(layer, []).append((rank, rule, group))
     if signal not in named:
-        raise _nothing(header, signal)
+        raise _nothing(headers[0], signal)
     found = {layer: min(named[layer], key=lambda one: one[0])[1:] for layer in NAMES if layer in named}
     least = min(rank for rank, _, _ in named[signal])
-    alike = dict.fromkeys(group.first for rank, _, group in named[signal] if rank == least)
+    alike = [group.first for rank, _, group in named[signal] if rank == least]
     if len(alike) > 1:
         raise InputError(f"{source}: which is the picture, {' or '.join(map(str, alike))}? Give a glob that fits the "
                          "files of one, or write the preset yourself (docs/use/files.md)")  # fmt: skip
-    if unusable := [group.pattern for _, group in found.values() if not _is_usable(group.pattern)]:
-        raise InputError(f"{source}: cannot describe files called {unusable[0]}: a preset needs a frame number in the "
-                         "name, and no brackets, braces, * or ?")  # fmt: skip
-    numbers = found[signal][1].files.keys()
-    lacking = {layer: sorted(numbers - group.files.keys()) for layer, (_, group) in found.items()}
-    for layer, frames in lacking.items():
-        if frames:
-            raise InputError(f"{found[layer][1].first}: {layer} has no such file of frame {frames[0]}, which {signal} "
-                             "has: give a glob that fits frames with all files")  # fmt: skip
+    frames = found[signal][1].files.keys()
+    for layer, (_, group) in found.items():
+        if not _is_usable(group.pattern):
+            raise InputError(f"{source}: cannot describe files called {group.pattern}: a preset needs a frame number "
+                             "in the name, and no brackets, braces, * or ?")  # fmt: skip
+        if lacking := frames - group.files.keys():
+            raise InputError(f"{group.first}: {layer} has no such file of frame {min(lacking)}, which {signal} has: "
+                             "give a glob that fits frames with all files")  # fmt: skip
     layers = {layer: (rule.of_buffer(layer),) for layer, (rule, _) in found.items()}
-    return Layout(GUESSED, layers, buffers={layer: (group.pattern,) for layer, (_, group) in found.items()}), {}
+    return Layout(GUESSED, layers, buffers={layer: (group.pattern,) for layer, (_, group) in found.items()})
 
 
 def guess_channels(channels: Iterable[str]) -> dict[str, Rule]:
     """The layers that these channels of one file seem to be."""
-    found: dict[str, tuple[int, Rule]] = {}
-    for buffer in _buffers(channels, ""):
-        if buffer.rule and (buffer.layer not in found or buffer.rank < found[buffer.layer][0]):
-            found[buffer.layer] = buffer.rank, buffer.rule
+    found = _named(channels)
     return {layer: found[layer][1] for layer in NAMES if layer in found}
 
 
 def _of_channels(header: ExrHeader, signal: str) -> Layout:
     """The layout of files that hold all: what this project's or Mitsuba's names say, and guesses for the rest."""
     layers = {layer: (rule,) for layer, rule in guess_channels(header.channels).items()}
-    if len(view_layers(header)) > 1:
-        detect(header)  # which refuses them
     try:
         preset = detect(header)
     except InputError:
+        if view_layers(header):
+            raise
         preset = None
     if preset and preset not in (NATIVE, MITSUBA):
         raise InputError(f"{header.path}: --write is for files that no preset knows; these are {preset.name}'s")
-    for layer, rules in preset.layers.items() if preset else ():
-        if layer in LAYERS and (match := next((m for m in (rule.match(header.channels) for rule in rules) if m), None)):
+    for layer, alternatives in preset.layers.items() if preset else ():
+        if layer in LAYERS and (match := first_match(alternatives, header.channels)):
             layers[layer] = (match,)
     if signal not in layers:
         raise _nothing(header, signal)
@@ -153,7 +131,7 @@ def _of_channels(header: ExrHeader, signal: str) -> Layout:
 
 
 def _nothing(header: ExrHeader, signal: str) -> InputError:
-    what = {"color": "a picture's"}.get(signal, f"{signal} light's")
+    what = "a picture's" if signal == "color" else f"{signal} light's"
     return InputError(f"{header.path}: no channels that are called as {what}; the file has {header.summary}: describe "
                       f"it in {OWN}")  # fmt: skip
 
@@ -177,14 +155,11 @@ def _grouped(source: str | PathLike) -> list[_Group]:
 
 
 def _pattern(path: PurePath) -> tuple[str, int]:
-    """The path with `{frame}` for the number that `files.number_files` finds in its name, and that number."""
-    versions = [match.span() for match in re.finditer(VERSION, path.stem)]
-    numbers = [match.span() for match in re.finditer(NUMBER, path.stem)]
-    frames = [(a, b) for a, b in numbers if not any(start < b and a < end for start, end in versions)] or numbers
-    if not frames:
+    """The path with `{frame}` for its frame number, and that number."""
+    run, stem = frame_number(path.stem), path.stem
+    if not run:
         return path.as_posix(), 0
-    (start, end), stem = frames[-1], path.stem
-    return path.with_name(f"{stem[:start]}{{frame}}{stem[end:]}{path.suffix}").as_posix(), int(stem[start:end])
+    return path.with_name(f"{stem[: run.start()]}{{frame}}{stem[run.end() :]}{path.suffix}").as_posix(), int(run[0])
 
 
 def _is_usable(pattern: str) -> bool:
@@ -192,9 +167,19 @@ def _is_usable(pattern: str) -> bool:
     return plain != pattern and pattern.isprintable() and not set(plain) & set("{}[]*?")
 
 
-def _buffers(channels: Iterable[str], pattern: str) -> Iterator[_Buffer]:
-    """The layers that the channels of a file may be; those without a label have the label of the file's name."""
-    names = list(channels)
+def _named(channels: Iterable[str], pattern: str = "") -> dict[str, tuple[int, Rule]]:
+    """The layers that the channels of a file may be, each with its rank and rule. Channels without a label have that of
+    the file's name."""
+    found: dict[str, tuple[int, Rule]] = {}
+    for layer, rank, parts in _labelled(list(channels), pattern):
+        rule = _rule(layer, parts)
+        if rule and (layer not in found or rank < found[layer][0]):
+            found[layer] = rank, rule
+    return found
+
+
+def _labelled(names: list[str], pattern: str) -> Iterator[tuple[str, int, dict[str, str]]]:
+    """Layer, rank, and the channels (ending in lower case -> name) of each label that is known."""
     groups: dict[str, dict[str, str]] = {}
     for name in names:
         label, _, ending = name.rpartition(".")
@@ -203,19 +188,25 @@ def _buffers(channels: Iterable[str], pattern: str) -> Iterator[_Buffer]:
         groups.setdefault(label, {})[ending.lower()] = name
     bare = groups.pop("", {})
     if found := _of_file(pattern):
-        yield _Buffer(*found, bare)
-    for name in bare.values():
-        if found := _of_label(name):
-            yield _Buffer(*found, {"": name})
-    for label, parts in groups.items():
+        yield *found, bare
+    for label, parts in [*((name, {"": name}) for name in bare.values()), *groups.items()]:
         if found := _of_label(label):
-            yield _Buffer(*found, parts)
+            yield *found, parts
+
+
+def _rule(layer: str, channels: dict[str, str]) -> Rule | None:
+    """None where channels of the layer are missing."""
+    for endings in COMPONENTS[layer]:
+        if all(ending in channels for ending in endings):
+            return Rule(tuple(channels[ending] for ending in endings), (1,) * len(endings))
+    return None
 
 
 def _of_label(label: str) -> tuple[str, int] | None:
     """The layer and rank of a channel's label."""
-    if found := _RANKS.get(_plain(label)):
-        return found if _plain(label) else None
+    plain = _plain(label)
+    if not plain or plain in _RANKS:
+        return _RANKS[plain] if plain else None
     *before, last = re.split("[.:/]", label)
     if before and _plain(before[-1]) not in PARTS and (found := _RANKS.get(_plain(last))):
         return found[0], found[1] + QUALIFIED

@@ -16,7 +16,7 @@ from .exr_format import ExrHeader
 from .files import FrameFiles, find_frames, find_gaps
 from .fog import with_fog
 from .layers import SIGNALS
-from .layout import SCALES, Layout, Rule
+from .layout import SCALES, Layout, Rule, pixels
 from .layouts import choose, find, samples
 from .lost import with_lost_samples
 from .noisebase import NOISEBASE, find_archives
@@ -221,8 +221,7 @@ def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarr
     if layer == "depth":
         image = np.where(image >= rule.miss, np.float32(0), image)
     if rule.scale in SCALES:
-        share, (H, W) = SCALES[rule.scale][0], image.shape[1:]
-        image = image * np.array([share * W, share * H], np.float32).reshape(2, 1, 1)
+        image = image * np.array(pixels(rule.scale, image.shape[1:]), np.float32).reshape(2, 1, 1)
     elif rule.scale != 1:
         image = image * np.float32(rule.scale)
     return image[None]

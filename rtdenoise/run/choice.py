@@ -84,8 +84,8 @@ def _reason(options: Options) -> str:
 
 
 def candidates(backend: str, correct: bool) -> tuple[str, str]:
-    """The networks that make the best picture on a backend, of few samples a pixel and from LEAST on: those that write
-    pixels, unless their images are to be corrected, which goes with kernels alone."""
+    """The networks that make the best picture in OIDN's time on a backend, of few samples a pixel and from LEAST on:
+    those that write pixels, unless their images are to be corrected, which goes with kernels alone."""
     in_torch = backend == "torch" or (backend == "auto" and find_spec("torch") is not None)
     return BEST if in_torch and not correct else KERNELS
 

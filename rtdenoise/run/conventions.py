@@ -149,8 +149,7 @@ def _collect(pairs: list[tuple[Frame, Frame]], feature: str, most: int) -> _Samp
         sources = {name: getattr(current, name)[0, :, y, x].T.nan_to_num(0, 0, 0) for name in names}
         fields = torch.stack([r.apply(sources[r.source], current.size) for r in readings] + [torch.zeros(len(x), 2)])
         errors.append((here[0, :, y, x] - sample(before, x + fields[..., 0], y + fields[..., 1])).abs().mean(1))
-        H, W = current.size
-        groups.append((index * TILES + y * TILES // H) * TILES + x * TILES // W)
+        groups.append(tiles(index, y, x, current.size))
         motions.append(fields)
     if not errors:
         return None
@@ -249,9 +248,20 @@ def _compare(samples: _Samples, a: int, b: int) -> str:
         return "same"
     error = samples.errors[a, apart]
     gain = samples.errors[b, apart] - error
-    # Standard error of a ratio estimator: tiles weigh by their number of pixels. One tile alone proves nothing.
-    count = torch.bincount(samples.groups[apart])
-    residual = torch.bincount(samples.groups[apart], gain) - gain.mean() * count
-    tiles = (count > 0).sum()
-    standard_error = (residual.square().sum() * tiles / (tiles - 1)).sqrt() / len(gain) if tiles > 1 else torch.inf
-    return "better" if gain.mean() > max(STANDARD_ERRORS * standard_error, MARGIN * error.mean()) else "tied"
+    least = max(STANDARD_ERRORS * standard_error(gain, samples.groups[apart]), MARGIN * error.mean())
+    return "better" if gain.mean() > least else "tied"
+
+
+def tiles(index: int, y: Tensor, x: Tensor, size: tuple[int, int]) -> Tensor:
+    """[N] the tile of a pair of frames, the one of this index, that a pixel belongs to."""
+    H, W = size
+    return (index * TILES + y * TILES // H) * TILES + x * TILES // W
+
+
+def standard_error(values: Tensor, groups: Tensor) -> Tensor | float:
+    """Of the mean of `values` [N], which depend on each other within a tile. As of a ratio estimator: tiles weigh by
+    their number of pixels. One tile alone proves nothing."""
+    count = torch.bincount(groups)
+    residual = torch.bincount(groups, values) - values.mean() * count
+    full = (count > 0).sum()
+    return (residual.square().sum() * full / (full - 1)).sqrt() / len(values) if full > 1 else torch.inf

@@ -56,11 +56,11 @@ def describe(
     source: str | os.PathLike, signal: str = "color", allow_gaps: bool = False
 ) -> tuple[Layout, dict[str, str]]:
     """The layout of a sequence, and a note on each layer that was measured."""
-    layout, notes = guess(source, signal)
+    layout = guess(source, signal)
     sequence = open_sequence(source, signal=signal, preset=layout, allow_gaps=allow_gaps)
     chosen = choose_pairs(sequence.numbers)
     frames = {i: sequence.read(i) for i in {i for pair in chosen for i in pair} or {0}}
-    layers = dict(layout.layers)
+    layers, notes = dict(layout.layers), dict[str, str]()
     if "normal" in layers:
         layers["normal"], notes["normal"] = (_decoded(layers["normal"][0], [*frames.values()]),), SPACE
     if "depth" in layers:
@@ -127,9 +127,10 @@ def _measured(
         meaning = found[layer, order[layer]]
         rules[layer] = (_read_as(fields[order[layer]], meaning),)
         notes[layer] = meaning.told if meaning.confirmed else f"not confirmed: {meaning.told}"
-    leads = [found[layer, "motion"].error for layer in MOTIONS] if "motion_next" not in fields else [0.0, 0.0]
-    if leads[1] < BETTER * leads[0]:
-        notes["motion"] += "; they seem to lead to the next frame: render those from the frame before if you can"
+    if [*fields] == ["motion"]:
+        back, forth = (found[layer, "motion"].error for layer in MOTIONS)
+        if forth < BETTER * back:
+            notes["motion"] += "; they seem to lead to the next frame: render those from the frame before if you can"
     return rules
 
 

@@ -16,9 +16,9 @@ from math import log2
 import torch
 from torch import Tensor
 
-from ..data.layout import SCALES
+from ..data.layout import SCALES, pixels
 from ..frame import Frame
-from .conventions import MIN_CONTRAST, MIN_PIXELS, STANDARD_ERRORS, TILES, contrast, feature_of, sample
+from .conventions import MIN_CONTRAST, MIN_PIXELS, STANDARD_ERRORS, contrast, feature_of, sample, standard_error, tiles
 
 Factors = tuple[float, float]  # of x and y
 POINTS = 3000  # pixels of each pair of frames
@@ -67,10 +67,7 @@ class _Points:
     @property
     def tiles(self) -> Tensor:
         """[N] the tile of a pair that a pixel belongs to."""
-        (H, W), found = self.size, []
-        for i, (x, y, *_) in enumerate(self.of):
-            found.append((i * TILES + y.long() * TILES // H) * TILES + x.long() * TILES // W)
-        return torch.cat(found)
+        return torch.cat([tiles(i, y.long(), x.long(), self.size) for i, (x, y, *_) in enumerate(self.of)])
 
 
 def fit(pairs: list[tuple[Frame, Frame]], fields: list[Tensor]) -> Meaning:
@@ -173,7 +170,7 @@ def _fitted(points: _Points, offset: float) -> Meaning:
     best = _refined(grid[int(errors[swapped].argmin())], readings.mean)
     gain = readings.still - readings.each([best])[0]
     error = 1 - (gain.mean() / readings.still.mean()).item()
-    if gain.mean() < max(LEAST * readings.still.mean(), STANDARD_ERRORS * _standard_error(gain, points.tiles)):
+    if gain.mean() < max(LEAST * readings.still.mean(), STANDARD_ERRORS * standard_error(gain, points.tiles)):
         return Meaning(offset, told="it explains no change of the pictures")
     signs, scale, told = _in_units(readings, best)
     if scale is None:
@@ -213,9 +210,7 @@ def _grid(size: tuple[int, int]) -> Iterator[Factors]:
 
 def _usual(size: tuple[int, int]) -> dict[float | str, Factors]:
     """Scale of a rule -> factors of x and y."""
-    H, W = size
-    return {1.0: (1.0, 1.0), **{name: (k * W, k * H) for name, (k, *_) in SCALES.items()}, 2.0: (2.0, 2.0),
-            0.5: (0.5, 0.5)}  # fmt: skip
+    return {scale: pixels(scale, size) for scale in (1.0, *SCALES, 2.0, 0.5)}
 
 
 def _refined(factors: Factors, mean: Callable[[list[Factors]], Tensor]) -> Factors:
@@ -231,10 +226,3 @@ def _refined(factors: Factors, mean: Callable[[list[Factors]], Tensor]) -> Facto
             step /= 2
     return factors
 
-
-def _standard_error(gain: Tensor, tiles: Tensor) -> float:
-    """Of a mean over pixels of which those in one tile depend on each other."""
-    count = torch.bincount(tiles)
-    residual = torch.bincount(tiles, gain.double()) - gain.mean().double() * count
-    full = int((count > 0).sum())
-    return (residual.square().sum() * full / (full - 1)).sqrt().item() / len(gain) if full > 1 else float("inf")
