@@ -6,6 +6,7 @@ import math
 import random
 
 import bpy
+from mathutils import Vector
 
 
 def material(name: str, dark: tuple, light: tuple, scale: float, roughness: float = 0.9) -> bpy.types.Material:
@@ -260,10 +261,20 @@ def build_hair(scene: bpy.types.Scene, frames: int) -> None:
     bpy.ops.mesh.primitive_uv_sphere_add(radius=0.7, location=(0, 0, 1))
     creature = bpy.context.object
     creature.data.materials.append(plain_material("skin", Base_Color=(0.5, 0.25, 0.12, 1), Roughness=0.6))
-    fur = creature.modifiers.new("fur", "PARTICLE_SYSTEM").particle_system.settings
-    fur.type, fur.count, fur.hair_length, fur.use_advanced_hair = "HAIR", 1500, 0.35, True
-    fur.brownian_factor, fur.child_type, fur.rendered_child_count = 0.05, "SIMPLE", 4
-    fur.root_radius, fur.tip_radius, fur.radius_scale = 0.012, 0.0, 1.0
+    hairs = bpy.data.hair_curves.new("fur")  # no particle system: it grows another fur in each run
+    hairs.materials.append(creature.data.materials[0])
+    draw, points, radii, steps = random.Random(3), [], [], 6
+    for _ in range(7500):
+        root, bent = (Vector([draw.gauss(0, 1) for _ in range(3)]).normalized() for _ in range(2))
+        for t in (step / (steps - 1) for step in range(steps)):
+            points.extend(0.7 * root + 0.35 * t * (root + 0.5 * t * bent))
+            radii.append(0.006 * (1 - t))
+    hairs.add_curves([steps] * (len(radii) // steps))
+    hairs.position_data.foreach_set("vector", points)
+    hairs.points.foreach_set("radius", radii)
+    fur = bpy.data.objects.new("fur", hairs)
+    fur.parent = creature
+    scene.collection.objects.link(fur)
     for number in (0, frames + 1):
         creature.rotation_euler = (0, 0, math.radians(2 * number))
         creature.keyframe_insert("rotation_euler", frame=number)
