@@ -95,6 +95,7 @@ METHODS = {  # of other scripts: what runs over frames, a picture each
     "`hybrid`": lambda frames: pictures(frames, "hybrid", 0),
     "`hybrid` with `--lookahead 2`": lambda frames: pictures(frames, "hybrid", 2),
     "`hybrid-large`": lambda frames: pictures(frames, "hybrid-large", 0),
+    "`hybrid-large` with `--lookahead 2`": lambda frames: pictures(frames, "hybrid-large", 2),
     "`--offline`": offline,
 }
 
