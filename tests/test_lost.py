@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import OpenEXR
 import pytest
 from test_virtual_motion import SHOT
 
@@ -65,6 +66,29 @@ def test_any_size_and_broken_values(size):
     assert found.shape == frame.albedo.shape and found.dtype == np.float32
     if np.prod(size) > CHUNK:
         assert np.isfinite(found).mean() > 0.999 and (found == 0).mean() < 0.3 * (frame.albedo == 0).mean()
+
+
+def test_denoisers_take_a_network_for_water_where_many_are_lost(tmp_path):
+    for file in sorted(SHOT.glob("*.exr"))[:2]:
+        write_with_lost(file, tmp_path / file.name)
+    sequence, options, (told,) = open_chosen(str(tmp_path), Options())
+    assert (options.model, options.lookahead, sequence.lost_samples) == ("hybrid-large", 2, True)
+    assert told.startswith("model: hybrid-large, for water or glass, in which 1.0% of the samples are lost;"), told
+    for other in ({"lookahead": 0}, {"offline": True}, {"signal": "indirect"}):
+        assert open_chosen(str(tmp_path), Options(**other))[1].model == "hybrid"
+    assert open_chosen(str(tmp_path), Options(samples=16))[1].model == "hybrid-large-many", "they are real then"
+    assert open_chosen(str(tmp_path), Options(model="fast"))[1:] == (Options(model="fast", lookahead=0), [])
+    assert open_chosen(str(SHOT), Options())[1].model == "hybrid"
+
+
+def write_with_lost(file, copy):
+    """A frame of Cycles with albedo 0 in one pixel of a hundred, none beside another."""
+    opened = OpenEXR.File(str(file), separate_channels=True)
+    for part in opened.parts:
+        for name, channel in part.channels.items():
+            if "Albedo" in name or "Diffuse Color" in name:
+                channel.pixels[5::10, 5::10] = 0
+    opened.write(str(copy))
 
 
 def test_denoisers_read_frames_so():

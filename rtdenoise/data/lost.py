@@ -26,13 +26,9 @@ def with_lost_samples(
 ) -> Frame:
     """The frame with the mean of albedo over the 5×5 pixels around that show the same surface, where a sample was lost
     and in the eight pixels around. The frame itself where none was."""
-    if len(frame.radiance) != 1 or frame.albedo is None or frame.depth is None:
+    if (lost := lost_samples(frame)) is None:
         return frame
     albedo, depth = np.moveaxis(frame.albedo[0], 0, 2), frame.depth[0, 0]
-    black = (albedo == 0).all(2) & (depth > 0)
-    if not black.any():
-        return frame
-    lost = black & (sum(beside.astype(np.int8) for beside in shifted(black, EIGHT, 1)) <= MOST)
     near = np.logical_or.reduce([lost, *shifted(lost, EIGHT, 1)]) & (depth > 0)
     found, rows, columns = albedo.copy(), *np.nonzero(near)
     for start in range(0, len(rows), CHUNK):
@@ -42,3 +38,13 @@ def with_lost_samples(
         mean = (colours * same[..., None]).sum(1, where=same[..., None]) / np.maximum(same.sum(1), 1)[:, None]
         found[place] = np.where(same.any(1)[:, None], mean, albedo[place])
     return replace(frame, albedo=np.ascontiguousarray(np.moveaxis(found, 2, 0))[None])
+
+
+def lost_samples(frame: Frame) -> np.ndarray | None:
+    """The pixels of a frame whose sample was lost, `[H, W]` bool; None where there are no black surfaces at all."""
+    if len(frame.radiance) != 1 or frame.albedo is None or frame.depth is None:
+        return None
+    black = (frame.albedo[0] == 0).all(0) & (frame.depth[0, 0] > 0)
+    if not black.any():
+        return None
+    return black & (sum(beside.astype(np.int8) for beside in shifted(black, EIGHT, 1)) <= MOST)

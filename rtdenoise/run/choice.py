@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from importlib.util import find_spec
 
+from ..data.lost import lost_samples
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from .options import AHEAD, AUTO, MIXED, Options
 from .surfaces import with_surfaces
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
-CLEAN = "hybrid-large-many"  # for many, where there is time: its networks clean albedo and normal first
+CLEAN = "hybrid-large", "hybrid-large-many"  # where there is time: their networks clean albedo and normal first
 KERNELS = "default", "many"  # kernels alone, for all that goes with these only
 LEAST = 4  # samples a pixel from which those for many are better (docs/results/held.md)
+LOST = 0.004  # share of samples that are lost, as in water and glass, from which few are better off with CLEAN, too
 LITTLE = 0.08  # `exposure.noise_level`: below, a frame of unknown samples has many (docs/notes/lookahead.md)
 
 
@@ -22,9 +24,10 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     to tell about it.
 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
-    where none is known, the noise of the first frame tells. Frames of one sample from Cycles have soft
-    edges, unless there are `options.surfaces`; those of less than MIXED are read `with_lost_samples`, frames of all
-    renderers `with_virtual_motion`, and whatever their samples `with_fog`, unless the options are off.
+    where none is known, the noise of the first frame tells; of few, the samples that are lost in it. Frames of one
+    sample from Cycles have soft edges, unless there are `options.surfaces`; those of less than MIXED are read
+    `with_lost_samples`, frames of all renderers `with_virtual_motion`, and whatever their samples `with_fog`, unless
+    the options are off.
     Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
     """
     auto = options.model == AUTO
@@ -52,15 +55,19 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         sequence = replace(sequence, rules={k: rule for k, rule in sequence.rules.items() if k != "samples"})
     few, many = candidates(options.backend, options.correct)
     options = _looking(options, 0 if options.offline or (few, many) == KERNELS else AHEAD)
-    if (few, many) == BEST and options.lookahead:  # else it is real time, or `offline`, that the network is for
-        many = CLEAN
+    clean = (few, many) == BEST and options.lookahead  # else it is real time, or `offline`, that the network is for
+    if clean:
+        many = CLEAN[1]
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
         return sequence, replace(options, model=many), [told]
-    if samples < LEAST:
-        return sequence, replace(options, model=few), [f"model: {few}{because}"] if because else []
-    return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel{because}"]
+    if samples >= LEAST:
+        return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel{because}"]
+    if clean and (lost := _share_of_lost_samples(sequence)) > LOST:
+        told = f"model: {CLEAN[0]}, for water or glass, in which {lost:.1%} of the samples are lost"
+        return sequence, replace(options, model=CLEAN[0]), [f"{told}; --model {few} is faster"]
+    return sequence, replace(options, model=few), [f"model: {few}{because}"] if because else []
 
 
 def _looking(options: Options, ahead: int) -> Options:
@@ -101,6 +108,14 @@ def _has_little_noise(sequence: Sequence) -> bool:
 
     frame = sanitise(sequence.only({"radiance", "depth"}).read(0).map(torch.as_tensor))
     return noise_level(frame.radiance, frame.depth).item() < LITTLE
+
+
+def _share_of_lost_samples(sequence: Sequence) -> float:
+    """In the first frame, where they are looked for."""
+    if not sequence.lost_samples or not (sequence.has("albedo") and sequence.has("depth")):
+        return 0.0
+    lost = lost_samples(replace(sequence, lost_samples=False).only({"radiance", "albedo", "depth"}).read(0))
+    return 0.0 if lost is None else float(lost.mean())
 
 
 def known_samples(sequence: Sequence, given: int) -> float:
