@@ -1,0 +1,116 @@
+"""Sets for `render.py` of other kinds: bodies that bend, small things that fall, a street at night, other cameras."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import bpy
+from sets import ball, box, build, keyframe, material, plain_material, sky, sunlight
+
+
+def build_walker(scene: bpy.types.Scene, frames: int) -> None:
+    """The room of `sets`, and a body in a patterned cloth that bends and twists."""
+    build(scene, frames)
+    bpy.ops.mesh.primitive_cylinder_add(vertices=48, radius=0.22, depth=1.6, location=(0.1, -0.3, 0.8))
+    body = bpy.context.object
+    body.data.materials.append(material("cloth", (0.5, 0.1, 0.1), (0.9, 0.7, 0.3), 12))
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.mesh.subdivide(number_cuts=6)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.ops.object.shade_smooth()
+    for method, axis, greatest, pace in (("BEND", "X", 0.6, 0.5), ("TWIST", "Z", 0.5, 0.4)):
+        deform = body.modifiers.new(method.lower(), "SIMPLE_DEFORM")
+        deform.deform_method, deform.deform_axis = method, axis
+        for number in range(frames + 2):
+            deform.angle = greatest * math.sin(pace * number)
+            deform.keyframe_insert("angle", frame=number)
+
+
+def build_snow(scene: bpy.types.Scene, frames: int) -> None:
+    """Flakes that fall by 4 to 12 cm a frame between dark trunks, at dusk, before a camera that pans."""
+    draw = random.Random(8)
+    box("ground", (0, 6, -0.05), (20, 20, 0.1), plain_material("snow", Base_Color=(0.8, 0.82, 0.85, 1)))
+    bark = material("bark", (0.05, 0.03, 0.02), (0.2, 0.13, 0.08), 6)
+    for n in range(14):
+        box(f"trunk{n}", (draw.uniform(-5, 5), draw.uniform(3, 9), 2), (0.25, 0.25, 4), bark)
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=1, radius=1)
+    first = bpy.context.object
+    first.data.materials.append(plain_material("flake", Base_Color=(0.9, 0.9, 0.9, 1)))
+    for n in range(260):
+        flake = bpy.data.objects.new(f"flake{n}", first.data)
+        scene.collection.objects.link(flake)
+        flake.scale = [draw.uniform(0.008, 0.02)] * 3
+        x, y, z = draw.uniform(-3, 3), draw.uniform(-2, 4), draw.uniform(0, 4)
+        way = draw.uniform(0.04, 0.12) * (frames - 1)
+        keyframe(flake, frames, (x, y, z), (x + 0.3 * way, y, z - way))
+    bpy.data.objects.remove(first)
+    bpy.ops.object.light_add(type="POINT", location=(1.5, 1, 2.5))
+    bpy.context.object.data.energy = 150
+    sky(scene, (0.05, 0.07, 0.12))
+    turning_camera(scene, (-0.3, -4, 1.4), 88, [0.01 * number - 0.04 for number in range(frames + 2)])
+
+
+def build_night(scene: bpy.types.Scene, frames: int) -> None:
+    """A wet alley, lit by small bulbs alone, with balls of glass: few samples find a light."""
+    draw = random.Random(12)
+    box("ground", (0, 4, -0.05), (8, 20, 0.1), plain_material("wet", Base_Color=(0.05, 0.05, 0.06, 1), Roughness=0.15))
+    for side in (-2.6, 2.6):
+        for n in range(5):
+            dark, light = ([draw.uniform(0.05, 0.6) for _ in range(3)] for _ in range(2))
+            box(f"house{side}{n}", (side, 3 * n - 2, 2), (1, 2.8, 4), material(f"house{side}{n}", dark, light, 5))
+    for n in range(14):
+        warm = 1, draw.uniform(0.5, 0.9), draw.uniform(0.2, 0.8), 1
+        bulb = plain_material(f"bulb{n}", Emission_Color=warm, Emission_Strength=120.0)
+        ball(f"bulb{n}", (draw.uniform(-1.8, 1.8), draw.uniform(0, 10), draw.uniform(2, 3)), 0.04, bulb)
+    glass = plain_material("glass", Transmission_Weight=1.0, Roughness=0.02)
+    for n in range(6):
+        ball(f"glass{n}", (draw.uniform(-1.5, 1.5), draw.uniform(0, 6), 0.3), 0.3, glass)
+    sky(scene, (0.002, 0.003, 0.006))
+    bpy.ops.object.camera_add(rotation=(math.radians(86), 0, 0))
+    scene.camera = bpy.context.object
+    keyframe(scene.camera, frames, (-0.1, -4, 1.4), (0.1, -3.5, 1.4))
+
+
+def build_isometric(scene: bpy.types.Scene, frames: int) -> None:
+    """Crates in the sun, some of which slide, before an orthographic camera that moves."""
+    draw = random.Random(3)
+    box("ground", (0, 0, -0.05), (30, 30, 0.1), material("earth", (0.25, 0.2, 0.15), (0.5, 0.45, 0.35), 1.5))
+    for n in range(26):
+        dark, light = ([draw.uniform(0.05, 0.9) for _ in range(3)] for _ in range(2))
+        x, y, high = draw.uniform(-4, 4), draw.uniform(-4, 4), draw.uniform(0.3, 1.6)
+        size = draw.uniform(0.4, 1), draw.uniform(0.4, 1), high
+        crate = box(f"crate{n}", (x, y, high / 2), size, material(f"crate{n}", dark, light, 4))
+        if n % 4 == 0:
+            end = x + draw.uniform(-0.8, 0.8), y + draw.uniform(-0.8, 0.8), high / 2
+            keyframe(crate, frames, (x, y, high / 2), end)
+    sunlight((0.7, 0.4, 0), 0.02)
+    sky(scene, (0.3, 0.4, 0.6))
+    bpy.ops.object.camera_add(rotation=(math.radians(55), 0, math.radians(45)))
+    scene.camera = bpy.context.object
+    scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 7
+    keyframe(scene.camera, frames, (10, -10, 10), (10.4, -9.7, 10))
+
+
+def build_whip(scene: bpy.types.Scene, frames: int) -> None:
+    """The room of `sets` before a camera that swings round, by a quarter of the picture a frame at most."""
+    build(scene, frames)
+    bpy.data.objects.remove(scene.camera)
+    half = (frames + 1) / 2
+    turning_camera(scene, (-0.2, -3.4, 1.5), 84, [-0.45 * math.tanh((n - half) / 1.5) for n in range(frames + 2)])
+
+
+def turning_camera(scene: bpy.types.Scene, place: tuple, down: float, angles: list[float]) -> None:
+    """A camera that turns about the vertical axis by the angle in radians of each frame, from frame 0 on. `down`: 90
+    looks ahead, less looks down."""
+    bpy.ops.object.camera_add(location=place)
+    scene.camera = bpy.context.object
+    for number, angle in enumerate(angles):
+        scene.camera.rotation_euler = math.radians(down), 0, angle
+        scene.camera.keyframe_insert("rotation_euler", frame=number)
+
+
+VARIETY_SETS = {
+    "walker": build_walker, "snow": build_snow, "night": build_night, "isometric": build_isometric, "whip": build_whip,
+}  # fmt: skip
