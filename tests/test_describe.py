@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from rtdenoise.data.exr import write_layers
 from rtdenoise.data.layout import Rule
 from rtdenoise.data.layout_file import layout_text, read_layout
 from rtdenoise.data.names import guess
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.sequences import convert, open_sequence
 from rtdenoise.run.describe import describe, write_description
 from rtdenoise.run.inspect import inspect, next_step
 
@@ -206,6 +207,13 @@ def test_where_nothing_was_hit(tmp_path, name):
     layout, notes = describe(write(tmp_path, lambda f: {**pictures(f), "Z": depth}))
     assert layout.layers["depth"] == (Rule(("Z",), **({"signs": (1,)} | expected)),)
     assert told in notes["depth"]
+
+
+def test_black_normals_that_are_stored_as_colours_are_none():
+    stored = {"X": np.float32([[0, 0.5]]), "Y": np.float32([[0, 0]]), "Z": np.float32([[0, 0.5]])}
+    rule = Rule(("X", "Y", "Z"), (1, 1, 1), scale=2.0, offset=0.5)
+    assert convert(rule, stored, "normal")[0, :, 0].T.tolist() == [[0, 0, 0], [0, -1, 0]]
+    assert convert(replace(rule, offset=0.0), stored, "normal")[0, :, 0].T.tolist() == [[0, 0, 0], [1, 0, 1]]
 
 
 def test_other_files_change_nothing(tmp_path):

@@ -216,10 +216,12 @@ def open_sequence(
 
 def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarray:
     """A layer `[1, C, H, W]` from channels `[H, W]`, in the conventions of `frame.py`."""
-    stored = (channels[name] for name in rule.channels)
+    stored = [channels[name] for name in rule.channels]
     image = np.stack([sign * (c - rule.offset) for c, sign in zip(stored, rule.signs, strict=True)])
     if layer == "depth":
         image = np.where(image >= rule.miss, np.float32(0), image)
+    if layer == "normal" and rule.offset:  # black, which is no direction, is written where nothing was hit
+        image = np.where(np.any(stored, axis=0), image, np.float32(0))
     if rule.scale in SCALES:
         image = image * np.array(pixels(rule.scale, image.shape[1:]), np.float32).reshape(2, 1, 1)
     elif rule.scale != 1:
