@@ -1,0 +1,106 @@
+"""How good is `denoise` on shots of Cycles of every kind, beside OIDN?
+
+    render="bpyenv/bin/python examples/blender/render.py"
+    $render shots/night --set night --frames 8                      # likewise all other sets
+    $render shots/night-reference --set night --frames 8 --samples 128 --seed 77
+    python bench/shots.py shots/night ...
+
+A shot has the name of its set, and its references lie in the folder of its name and "-reference". PSNR at 1 sample a
+pixel, of all frames but the first. OIDN takes frames as they are rendered; the other methods take them, and `denoise`
+its network, as the command does. Writes bench/results/shots.json.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
+from bench import RESULTS, ROOT, harness
+
+# isort: split
+import numpy as np
+import tyro
+
+from bench.diagnosis.outdated import offline, singles
+from bench.diagnosis.turned import errors, pictures, pictures_of_oidn
+from rtdenoise.data.sequences import Sequence, open_sequence
+from rtdenoise.frame import Frame
+from rtdenoise.run.choice import open_chosen
+from rtdenoise.run.options import Options
+from rtdenoise.sanitise import sanitise
+
+RESULT = RESULTS / "shots.json"
+OIDN, CLEAN, CHOSEN, UNCOVERED = "OIDN", "OIDN, albedo and normal filtered first", "`denoise`", "uncovered"
+METHODS = {
+    OIDN: pictures_of_oidn,
+    CLEAN: lambda frames: pictures_of_oidn(frames, clean=True),
+    "`hybrid`, single frames": lambda frames: singles(frames, "hybrid"),
+    "`--lookahead 0`": lambda frames: pictures(frames, "hybrid", 0),
+    CHOSEN: None,  # its network is that of the shot
+    "`--offline`": offline,
+}
+
+
+def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
+    """`shots`: folders of frames of Cycles."""
+    rows = []
+    for shot in shots:
+        references = open_sequence(f"{shot}-reference")
+        sequence, options, _ = open_chosen(str(shot), Options())
+        rendered, read = (paired(s, references) for s in (open_sequence(str(shot)), sequence))
+        for method, run in METHODS.items():
+            row = {"shot": shot.name, "method": method}
+            if run is None:
+                row |= {"model": options.model}
+                images = pictures(read, options.model, options.lookahead)
+            else:
+                images = run(rendered if method in (OIDN, CLEAN) else read)
+            found = errors(read, images)
+            rows.append(row | {"psnr": found["frame"], UNCOVERED: found["uncovered"]})
+            print(rows[-1], flush=True)
+    harness.publish(RESULT, {"rows": rows}, digits=4)
+
+
+def paired(noisy: Sequence, references: Sequence) -> list[Frame]:
+    """Sanitised frames with references."""
+    pairs = zip(noisy, references, strict=True)
+    return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
+
+
+def tables(document: dict) -> dict[str, str]:
+    """Section `shots`: OIDN's PSNR on each shot, and how much more the others have."""
+    found = {(row["shot"], row["method"]): row for row in document["rows"]}
+    told, others = descriptions(), [method for method in METHODS if method != OIDN]
+    lines = [f"| shot | {' | '.join(METHODS)} | {CHOSEN}, {UNCOVERED} |", "|---" * (len(METHODS) + 2) + "|"]
+    leads = []
+    for shot in dict.fromkeys(shot for shot, _ in found):
+        peer, chosen = found[shot, OIDN], found[shot, CHOSEN]
+        uncovered = np.nan if chosen[UNCOVERED] is None else chosen[UNCOVERED] - peer[UNCOVERED]
+        leads.append([*(found[shot, method]["psnr"] - peer["psnr"] for method in others), uncovered])
+        network = "" if chosen["model"] == "hybrid" else f" (`{chosen['model']}`)"
+        lines.append(f"| `{shot}`: {told[shot]}{network} | {peer['psnr']:.1f} | {cells(leads[-1])} |")
+    lines.append(f"| **mean** | | {cells(np.nanmean(leads, axis=0))} |")
+    return {"shots": "\n".join(lines)}
+
+
+def cells(leads: list[float]) -> str:
+    return " | ".join("–" if np.isnan(lead) else f"{lead:+.2f}" for lead in leads)
+
+
+def descriptions() -> dict[str, str]:
+    """What each set of examples/blender shows: the first sentence of the function that builds it."""
+    said, built = {}, {}
+    for file in sorted((ROOT / "examples" / "blender").glob("*sets.py")):
+        for node in ast.parse(file.read_text()).body:
+            if isinstance(node, ast.FunctionDef):
+                said[node.name] = (ast.get_docstring(node) or "").split(".")[0].replace("\n", " ")
+            elif isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict):
+                built |= {key.value: name.id for key, name in zip(node.value.keys, node.value.values, strict=True)}
+    return {name: said[function].replace(" of `sets`", "").replace("build_", "") for name, function in built.items()}
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)
