@@ -7,7 +7,7 @@
 
 A shot has the name of its set, and its references lie in the folder of its name and "-reference". PSNR at 1 sample a
 pixel, of all frames but the first. OIDN takes frames as they are rendered; the other methods take them, and `denoise`
-its network, as the command does. Writes bench/results/shots.json.
+its network, as the command does. Writes bench/results/shots.json and the table of docs/results/shots.md.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
-from bench import RESULTS, ROOT, harness
+from bench import DOCS, RESULTS, ROOT, harness
 
 # isort: split
 import numpy as np
@@ -32,7 +32,7 @@ from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options
 from rtdenoise.sanitise import sanitise
 
-RESULT = RESULTS / "shots.json"
+RESULT, PAGES = RESULTS / "shots.json", (DOCS / "results" / "shots.md",)
 OIDN, CLEAN, CHOSEN, UNCOVERED = "OIDN", "OIDN, albedo and normal filtered first", "`denoise`", "uncovered"
 METHODS = {
     OIDN: pictures_of_oidn,
@@ -61,7 +61,7 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
             found = errors(read, images)
             rows.append(row | {"psnr": found["frame"], UNCOVERED: found["uncovered"]})
             print(rows[-1], flush=True)
-    harness.publish(RESULT, {"rows": rows}, digits=4)
+    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
 
 
 def paired(noisy: Sequence, references: Sequence) -> list[Frame]:

@@ -20,7 +20,7 @@ from bench import harness
 MODULES = (
     "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "combine_papers", "cycles",
     "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis", "missing_layers", "mltd",
-    "mltd_memory", "modes", "offline", "plan", "quality", "sample", "stability", "tiles", "calibration.cuts",
+    "mltd_memory", "modes", "offline", "plan", "quality", "sample", "shots", "stability", "tiles", "calibration.cuts",
     "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input",
     "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fog", "diagnosis.generalisation",
     "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens",
