@@ -56,8 +56,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     few, many = candidates(options.backend, options.correct)
     options = _looking(options, 0 if options.offline or (few, many) == KERNELS else AHEAD)
     clean = (few, many) == BEST and options.lookahead  # else it is real time, or `offline`, that the network is for
-    if clean:
-        many = CLEAN[1]
+    many = CLEAN[1] if clean else many
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
