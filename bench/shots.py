@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import ast
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
@@ -25,22 +24,20 @@ import numpy as np
 import tyro
 
 from bench.diagnosis.outdated import offline, singles
-from bench.diagnosis.turned import errors, pictures, pictures_of_oidn
-from rtdenoise.data.sequences import Sequence, open_sequence
-from rtdenoise.frame import Frame
+from bench.diagnosis.turned import errors, paired, pictures, pictures_of_oidn
+from rtdenoise.data.sequences import open_sequence
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options
-from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "shots.json", (DOCS / "results" / "shots.md",)
 OIDN, CLEAN, CHOSEN, UNCOVERED = "OIDN", "OIDN, albedo and normal filtered first", "`denoise`", "uncovered"
-METHODS = {
-    OIDN: pictures_of_oidn,
-    CLEAN: lambda frames: pictures_of_oidn(frames, clean=True),
-    "`hybrid`, single frames": lambda frames: singles(frames, "hybrid"),
-    "`--lookahead 0`": lambda frames: pictures(frames, "hybrid", 0),
-    CHOSEN: None,  # its network is that of the shot
-    "`--offline`": offline,
+METHODS = {  # of frames as they are rendered, as `denoise` reads them, and of the options that it chooses
+    OIDN: lambda rendered, read, chosen: pictures_of_oidn(rendered),
+    CLEAN: lambda rendered, read, chosen: pictures_of_oidn(rendered, clean=True),
+    "`hybrid`, single frames": lambda rendered, read, chosen: singles(read, "hybrid"),
+    "`--lookahead 0`": lambda rendered, read, chosen: pictures(read, "hybrid", 0),
+    CHOSEN: lambda rendered, read, chosen: pictures(read, chosen.model, chosen.lookahead),
+    "`--offline`": lambda rendered, read, chosen: offline(read),
 }
 
 
@@ -49,25 +46,14 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     rows = []
     for shot in shots:
         references = open_sequence(f"{shot}-reference")
-        sequence, options, _ = open_chosen(str(shot), Options())
-        rendered, read = (paired(s, references) for s in (open_sequence(str(shot)), sequence))
+        sequence, chosen, _ = open_chosen(str(shot), Options())
+        rendered, read = (paired(noisy, references) for noisy in (open_sequence(str(shot)), sequence))
         for method, run in METHODS.items():
-            row = {"shot": shot.name, "method": method}
-            if run is None:
-                row |= {"model": options.model}
-                images = pictures(read, options.model, options.lookahead)
-            else:
-                images = run(rendered if method in (OIDN, CLEAN) else read)
-            found = errors(read, images)
-            rows.append(row | {"psnr": found["frame"], UNCOVERED: found["uncovered"]})
+            found = errors(read, run(rendered, read, chosen))
+            row = {"shot": shot.name, "method": method, "psnr": found["frame"], UNCOVERED: found["uncovered"]}
+            rows.append(row | ({"model": chosen.model} if method == CHOSEN else {}))
             print(rows[-1], flush=True)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
-
-
-def paired(noisy: Sequence, references: Sequence) -> list[Frame]:
-    """Sanitised frames with references."""
-    pairs = zip(noisy, references, strict=True)
-    return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
 
 
 def tables(document: dict) -> dict[str, str]:

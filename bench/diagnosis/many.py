@@ -12,7 +12,6 @@ docs/notes/many.md.
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
@@ -22,12 +21,11 @@ from bench import DOCS, RESULTS, harness
 import tyro
 
 from bench.diagnosis.outdated import singles
-from bench.diagnosis.turned import errors, pictures, pictures_of_oidn
+from bench.diagnosis.turned import errors, paired, pictures, pictures_of_oidn
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options
-from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "many.json", (DOCS / "notes" / "many.md",)
 METHODS = {
@@ -56,8 +54,7 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
 def read(shot: Path, references: Path) -> list[Frame]:
     """Sanitised frames with references."""
     noisy, _, _ = open_chosen(str(shot), Options(model="hybrid-many"))
-    pairs = zip(noisy, open_sequence(references), strict=True)
-    return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
+    return paired(noisy, open_sequence(references))
 
 
 def tables(document: dict) -> dict[str, str]:

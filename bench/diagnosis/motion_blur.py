@@ -25,7 +25,7 @@ import tyro
 from PIL import Image
 
 from bench.diagnosis.outdated import METHODS
-from bench.diagnosis.turned import errors
+from bench.diagnosis.turned import errors, paired
 from bench.diagnosis.virtual_motion import table
 from rtdenoise.color import display_exposure
 from rtdenoise.data.sequences import open_sequence
@@ -33,7 +33,6 @@ from rtdenoise.frame import Frame
 from rtdenoise.run.options import Options
 from rtdenoise.run.preview import strip
 from rtdenoise.run.surfaces import with_surfaces
-from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "motion_blur.json", (DOCS / "notes" / "motion_blur.md",)
 PICTURE, SHOWN, QUALITY = DOCS / "images" / "motion-blur.webp", 5, 75  # a frame; quality of WebP
@@ -73,8 +72,7 @@ def read(shot: Path, surfaces: bool) -> list[Frame]:
     noisy = replace(open_sequence(shot), soft_edges=not surfaces)
     if surfaces:
         noisy = with_surfaces(noisy, Options(surfaces=f"{shot}-surfaces"))
-    pairs = zip(noisy, open_sequence(f"{shot}-reference"), strict=True)
-    return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
+    return paired(noisy, open_sequence(f"{shot}-reference"))
 
 
 def tables(document: dict) -> dict[str, str]:

@@ -27,11 +27,11 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from bench.diagnosis.outdated import METHODS
+from bench.diagnosis.turned import paired
 from rtdenoise.color import display_exposure
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.metrics import psnr
-from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "soft_edges.json", (DOCS / "notes" / "soft_edges.md",)
 COMPARED = [method for method in METHODS if "single" not in method]
@@ -42,10 +42,10 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of noisy frames."""
     rows = []
     for shot in shots:
-        truth = [frame.radiance for frame in open_sequence(f"{shot}-reference")]
+        references = open_sequence(f"{shot}-reference")
         noisy = open_sequence(shot)
         for edges, sequence in zip(EDGES, (noisy, replace(noisy, soft_edges=True)), strict=True):
-            frames = [replace(sanitise(frame), reference=best) for frame, best in zip(sequence, truth, strict=True)]
+            frames = paired(sequence, references)
             for method in COMPARED:
                 row = {"sequence": shot.name, "method": method, "edges": edges}
                 rows.append(row | errors(frames, METHODS[method](frames)))

@@ -30,7 +30,7 @@ from torch import Tensor
 
 from rtdenoise import ops
 from rtdenoise.baselines import Oidn
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.sequences import Sequence, open_sequence
 from rtdenoise.frame import Frame, Known
 from rtdenoise.models import load, past
 from rtdenoise.ops import turned
@@ -86,10 +86,15 @@ def with_references(folder: Path, signal: str) -> list[Frame]:
     if beside.is_dir():
         if signal != "color":
             return []
-        pairs = zip(open_sequence(folder), open_sequence(beside), strict=True)
-        return [replace(sanitise(noisy), reference=truth.radiance) for noisy, truth in pairs]
+        return paired(open_sequence(folder), open_sequence(beside))
     sequence = open_sequence(folder, signal=signal, layers=("reference", "reference_half"))
     return [sanitise(sequence[i]) for i in range(min(FRAMES, len(sequence)))]
+
+
+def paired(noisy: Sequence, references: Sequence) -> list[Frame]:
+    """Sanitised frames with references."""
+    pairs = zip(noisy, references, strict=True)
+    return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
 
 
 @contextmanager

@@ -22,10 +22,9 @@ from bench import DOCS, RESULTS, harness
 import tyro
 
 from bench.diagnosis.outdated import METHODS
-from bench.diagnosis.turned import errors
+from bench.diagnosis.turned import errors, paired
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
-from rtdenoise.sanitise import sanitise
 
 RESULT, PAGES = RESULTS / "virtual_motion.json", (DOCS / "notes" / "virtual_motion.md",)
 OIDN = next(iter(METHODS))
@@ -56,8 +55,7 @@ def compare(shots: tuple[Path, ...], of: str, how: dict[str, dict[str, bool]], o
 def read(shot: Path, **how: bool) -> list[Frame]:
     """Sanitised frames with references. `how`: fields of `Sequence`."""
     noisy = replace(open_sequence(shot), soft_edges=True, **how)
-    pairs = zip(noisy, open_sequence(f"{shot}-reference"), strict=True)
-    return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
+    return paired(noisy, open_sequence(f"{shot}-reference"))
 
 
 def tables(document: dict) -> dict[str, str]:
