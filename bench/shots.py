@@ -37,7 +37,7 @@ METHODS = {  # of frames as they are rendered, as `denoise` reads them, and of t
     "`hybrid`, single frames": lambda rendered, read, chosen: singles(read, "hybrid"),
     "`--lookahead 0`": lambda rendered, read, chosen: pictures(read, "hybrid", 0),
     CHOSEN: lambda rendered, read, chosen: pictures(read, chosen.model, chosen.lookahead),
-    "`--offline`": lambda rendered, read, chosen: offline(read),
+    "`--offline`": lambda rendered, read, chosen: offline(read, chosen.model),
 }
 
 

@@ -74,7 +74,8 @@ def test_denoisers_take_a_network_for_water_where_many_are_lost(tmp_path):
     sequence, options, (told,) = open_chosen(str(tmp_path), Options())
     assert (options.model, options.lookahead, sequence.lost_samples) == ("hybrid-large", 2, True)
     assert told.startswith("model: hybrid-large, for water or glass, in which 1.0% of the samples are lost;"), told
-    for other in ({"lookahead": 0}, {"offline": True}, {"signal": "indirect"}):
+    assert open_chosen(str(tmp_path), Options(offline=True))[1].model == "hybrid-large"
+    for other in ({"lookahead": 0}, {"offline": True, "signal": "indirect"}, {"signal": "indirect"}):
         assert open_chosen(str(tmp_path), Options(**other))[1].model == "hybrid"
     assert open_chosen(str(tmp_path), Options(samples=16))[1].model == "hybrid-large-many", "they are real then"
     assert open_chosen(str(tmp_path), Options(model="fast"))[1:] == (Options(model="fast", lookahead=0), [])

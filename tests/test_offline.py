@@ -408,6 +408,29 @@ def test_where_one_frame_was_seen_oidn_filters_its_own_picture_of_that_frame(mon
     assert torch.equal(found, even.radiance + 10)
 
 
+def test_noise_is_evened_as_far_as_pixels_around_have_seen_more(monkeypatch, model):
+    """One frame has seen the pixel in the middle, and so many those around it; evened is as 11 stands in for 1."""
+
+    def evened(around):
+        frame, inputs = grey(torch.ones(1, 3, 15, 15)), []
+        passes = Passes(model, "cpu")
+        monkeypatch.setattr("rtdenoise.baselines.oidn.Oidn.prefiltered", lambda self, frame: frame)
+        monkeypatch.setattr(
+            "rtdenoise.baselines.oidn.Oidn.step",
+            lambda self, frame: (inputs.append(frame), (frame.radiance + 10, None))[1],
+        )
+        counts = torch.full((1, 1, 15, 15), around)
+        counts[..., 7, 7] = 1.0
+        side = estimate(frame.radiance, counts)
+        passes.candidates(frame, side, side)
+        return inputs[-1].radiance[0, 0, 7, 7].item(), len(inputs)
+
+    assert evened(1.0) == (1.0, 1), "nothing is to be evened, so the frame is not filtered by itself"
+    assert evened(2.0)[0] == pytest.approx(11 - 10 / 225, abs=1e-4), "two frames beside this one in all the others"
+    assert evened(1.5)[0] == pytest.approx(6 - 5 / 225, abs=1e-4)
+    assert evened(8.0)[0] == 11.0
+
+
 def sides(truth_before, truth_after, noise=0.2, frames=8.0):
     """A frame of a white wall, and the means of both passes: truth with the noise of `frames` frames."""
     g, flat = torch.Generator().manual_seed(3), torch.ones(1, 3, 64, 64)

@@ -78,8 +78,8 @@ def singles(frames: list[Frame], name: str) -> list[Tensor]:
     return [network.step(frame)[0] for frame in frames]
 
 
-def offline(frames: list[Frame]) -> list[Tensor]:
-    passes, history, images = InMemory(Passes()), None, []
+def offline(frames: list[Frame], name: str = "hybrid") -> list[Tensor]:
+    passes, history, images = InMemory(Passes(name)), None, []
     for frame in frames:
         _, history = passes.step(frame, history)
     for _ in frames:

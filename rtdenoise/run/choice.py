@@ -55,15 +55,16 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         sequence = replace(sequence, rules={k: rule for k, rule in sequence.rules.items() if k != "samples"})
     few, many = candidates(options.backend, options.correct)
     options = _looking(options, 0 if options.offline or (few, many) == KERNELS else AHEAD)
-    clean = (few, many) == BEST and options.lookahead  # else it is real time, or `offline`, that the network is for
-    many = CLEAN[1] if clean else many
+    best = (few, many) == BEST
+    many = CLEAN[1] if best and options.lookahead else many  # else it is real time, or `offline`, that it is for
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
         return sequence, replace(options, model=many), [told]
     if samples >= LEAST:
         return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel{because}"]
-    if clean and (lost := _share_of_lost_samples(sequence)) > LOST:
+    has_time = options.lookahead or options.offline
+    if best and has_time and (lost := _share_of_lost_samples(sequence)) > LOST:
         told = f"model: {CLEAN[0]}, for water or glass, in which {lost:.1%} of the samples are lost"
         return sequence, replace(options, model=CLEAN[0]), [f"{told}; --model {few} is faster"]
     return sequence, replace(options, model=few), [f"model: {few}{because}"] if because else []

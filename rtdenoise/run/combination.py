@@ -22,7 +22,7 @@ from torch import Tensor
 from ..color import compress, expand
 from ..exposure import exposure
 
-WEIGHTS = {"forward": 0.35, "backward": 0.35, "single": -0.3, "opinion": 0.6}
+WEIGHTS = {"forward": 0.4, "backward": 0.4, "single": -0.3, "opinion": 0.5}
 MARGIN = 0.5  # of the candidates' range: the image leaves that range by no more
 
 

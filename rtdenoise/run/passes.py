@@ -5,11 +5,12 @@ The network runs over a sequence forward in time and backward. Read backward, a 
 corrects the result.
 
 OIDN filters what both passes have seen in each pixel; where it is not installed, the networks of `pixel_filter` do,
-which are as OIDN's, but smaller for albedo and normal. Where one frame has seen a pixel, noise is uneven: much in what
-was just uncovered, little around it, and they take that for texture. So the frame is first filtered by itself, which is
-as noisy everywhere, and that picture stands in for such pixels:
+which are as OIDN's, but smaller for albedo and normal. Where one frame has seen a pixel, and more have seen those
+around, noise is uneven: much in what was just uncovered, little around it, and they take that for texture. So the frame
+is first filtered by itself, which is as noisy everywhere, and that picture stands in for such pixels:
 
-    opinion = filter(a · seen on both sides + (1 - a) · filter(frame)),    a = clamp(frames - 1, 0, 1)
+    opinion = filter(a · seen on both sides + (1 - a) · filter(frame)),
+    1 - a = clamp(1 - m, 0, 1) · clamp(mean m / EVENED_FROM, 0, 1),    m: frames beside this one; over AROUND² pixels
 
 At edges that move, more frames have seen albedo and normal than light (`covered`); both have an `a` of their own.
 """
@@ -28,6 +29,7 @@ from ..errors import InputError
 from ..frame import Frame, History, reverse
 from ..models.accumulated_kpn import AccumulatedKPN
 from ..models.hybrid import Hybrid
+from ..models.window import box
 from ..ops.even_sky import even_sky
 from ..ops.recall import FOOTPRINT
 from ..sanitise import sanitise
@@ -38,6 +40,7 @@ from .covered import as_covered
 from .pixel_filter import PixelFilter
 from .sides import Estimate, corrected, seen_on_both_sides
 
+AROUND, EVENED_FROM = 15, 2.0  # pixels, odd; frames beside this one, from which on a pixel of none is wholly evened
 LEFT_TO_KERNELS = 0.4  # of the share that a network's written pixels have in real time: the filter writes pixels, too
 WITHOUT_OIDN = "OIDN is not installed: a smaller filter takes its place, for 0.06 dB less, in less time"
 
@@ -91,9 +94,11 @@ class Passes:
         seen, *counts = seen_on_both_sides(frame, forward, backward)
         radiance, albedo, normal = seen.split(FOOTPRINT, dim=1)
         seen = self._filter.prefiltered(replace(frame, radiance=radiance, albedo=albedo, normal=normal))
+        light, surfaces = (as_seen(count - 1) for count in counts)
+        if light.min() == surfaces.min() == 1:  # nothing is to be evened
+            return self._filter.step(seen)[0]
         alone = self._filter.prefiltered(frame)
         alone = replace(alone, radiance=self._filter.step(alone)[0])
-        light, surfaces = ((count - 1).clamp(0, 1) for count in counts)
         shares = {"radiance": light, "albedo": surfaces, "normal": surfaces}
         even = {name: torch.lerp(getattr(alone, name), getattr(seen, name), share) for name, share in shares.items()}
         return self._filter.step(replace(frame, **even))[0]
@@ -104,6 +109,11 @@ class Passes:
             if estimate.first:
                 return estimate.image
         return self.backend.denoise(frame, None)[0]
+
+
+def as_seen(others: Tensor) -> Tensor:
+    """The share a of what has been seen, from the number of frames beside this one, `[B, 1, H, W]` both; above."""
+    return 1 - (1 - others).clamp(0, 1) * (box(others, AROUND) / EVENED_FROM).clamp(0, 1)
 
 
 class InMemory:
