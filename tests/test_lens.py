@@ -3,11 +3,13 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from synthetic import assert_goes_on, save_tiny, write_sequence
 from test_combine import estimate, write_images
 from test_denoise import pixels, refused
+from test_virtual_motion import cycles
 
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import OFF_SCREEN, Frame
@@ -15,7 +17,7 @@ from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.inspect import inspect, next_step, render_text
 from rtdenoise.run.lens import find_drift
-from rtdenoise.run.lens_motion import with_lens
+from rtdenoise.run.lens_motion import FOUND, lacks_lens, with_lens
 from rtdenoise.run.options import CombineOptions
 
 SIZE = 72, 108
@@ -181,6 +183,53 @@ def test_a_run_with_the_lens_goes_on(tmp_path):
     source = write_sequence(tmp_path / "zoom", noisy(shot(5, zoom=0.04)))
     model = str(save_tiny(tmp_path))
     assert_goes_on(source, tmp_path, replace(OPTIONS, model=model, lens=True), 3)
+
+
+def write_cycles(folder, frames):
+    folder.mkdir()
+    for frame in frames:
+        cycles(folder / f"frame.{frame.number:04}.exr", frame.map(torch.Tensor.numpy), frame.depth.numpy())
+    return folder
+
+
+@pytest.mark.parametrize("more", [{}, {"model": "auto"}, {"offline": True}])
+def test_frames_of_cycles_get_it_by_themselves(tmp_path, more):
+    """A zoom that begins with the fifth frame."""
+    frames = [replace(frame, number=i) for i, frame in enumerate([*shot(1) * 3, *noisy(shot(3, zoom=0.04))])]
+    source, options = write_cycles(tmp_path / "zoom", frames), replace(OPTIONS, float32=True, **more)
+    told = "--lens: added what the vectors of 2 of 6 frames lack"
+    found = denoise(str(source), tmp_path / "found", options)
+    assert FOUND in found.notes and told in found.notes
+    named = denoise(str(source), tmp_path / "named", replace(options, lens=True)).notes
+    assert FOUND not in named and told in named
+    left = denoise(str(source), tmp_path / "left", replace(options, detect_lens=False)).notes
+    assert FOUND not in left and told not in left
+    found, named, left = (pixels(tmp_path / name / "frame.0005.exr") for name in ("found", "named", "left"))
+    assert np.array_equal(found, named) and not np.array_equal(found, left)
+
+
+def test_only_cycles_and_what_can_be_examined_is(tmp_path):
+    frames = shot(6, zoom=0.04)
+    assert lacks_lens(open_sequence(write_cycles(tmp_path / "cycles", frames)))
+    assert not lacks_lens(open_sequence(write_cycles(tmp_path / "one", frames[:1])))
+    assert not lacks_lens(open_sequence(write_cycles(tmp_path / "pan", shot(6, pan=(2.0, 0.0)))))
+    assert not lacks_lens(open_sequence(tmp_path / "cycles").only({"radiance", "motion"}))
+    assert not lacks_lens(open_sequence(write_sequence(tmp_path / "native", frames)))
+
+
+def test_a_run_that_found_it_goes_on(tmp_path):
+    source = write_cycles(tmp_path / "zoom", noisy(shot(7, zoom=0.04)))
+    assert_goes_on(source, tmp_path, replace(OPTIONS, model=str(save_tiny(tmp_path))), 3)
+
+
+def test_combine_finds_it(tmp_path):
+    frames = noisy(shot(5, zoom=0.04))
+    source = write_cycles(tmp_path / "noisy", frames)
+    write_images(tmp_path / "denoised", [estimate(frame) for frame in frames])
+    for detect in (True, False):
+        options = CombineOptions(samples=4, detect_lens=detect)
+        notes = combine(str(source), str(tmp_path / "denoised"), tmp_path / f"out {detect}", options).notes
+        assert (FOUND in notes) == detect
 
 
 def test_combine_takes_the_lens(tmp_path):

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from ..data.lost import lost_samples
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
-from .options import AHEAD, AUTO, MIXED, Options
+from .options import AHEAD, AUTO, MIXED, CombineOptions, Options
 from .surfaces import with_surfaces
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
@@ -28,7 +28,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     sample from Cycles have soft edges, unless there are `options.surfaces`; those of less than MIXED are read
     `with_lost_samples`, frames of all renderers `with_virtual_motion`, and whatever their samples `with_fog`, unless
     the options are off.
-    Raises InputError as `open_sequence`, reading the first frame and, with `options.lens`, `with_lens` do.
+    Raises InputError as `open_sequence`, reading the first frame, and `with_lens_if_lacking` do.
     """
     auto = options.model == AUTO
     sequence = open_sequence(
@@ -38,8 +38,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     sequence = with_surfaces(sequence, options)
     if options.motion_blur:
         sequence.require("depth", "motion")
-    if options.lens:
-        sequence = _with_lens(sequence)
+    sequence, notes = with_lens_if_lacking(sequence, options)
+    options = replace(options, lens=options.lens or bool(notes))
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter, and what it writes
     samples = known_samples(sequence, options.samples)
     virtual = options.virtual_motion and sequence.signal == "color"  # indirect light ends at mirrors and panes
@@ -50,7 +50,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         lost_samples=wide and samples < MIXED,
     )  # fmt: skip
     if not auto:
-        return sequence, _looking(options, 0), []
+        return sequence, _looking(options, 0), notes
     if "samples" not in layers:
         sequence = replace(sequence, rules={k: rule for k, rule in sequence.rules.items() if k != "samples"})
     few, many = candidates(options.backend, options.correct)
@@ -60,14 +60,15 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
-        return sequence, replace(options, model=many), [told]
+        return sequence, replace(options, model=many), [*notes, told]
     if samples >= LEAST:
-        return sequence, replace(options, model=many), [f"model: {many}, for {samples:g} samples a pixel{because}"]
+        told = f"model: {many}, for {samples:g} samples a pixel{because}"
+        return sequence, replace(options, model=many), [*notes, told]
     has_time = options.lookahead or options.offline
     if best and has_time and (lost := _share_of_lost_samples(sequence)) > LOST:
         told = f"model: {CLEAN[0]}, for water or glass, in which {lost:.1%} of the samples are lost"
-        return sequence, replace(options, model=CLEAN[0]), [f"{told}; --model {few} is faster"]
-    return sequence, replace(options, model=few), [f"model: {few}{because}"] if because else []
+        return sequence, replace(options, model=CLEAN[0]), [*notes, f"{told}; --model {few} is faster"]
+    return sequence, replace(options, model=few), [*notes, *([f"model: {few}{because}"] if because else [])]
 
 
 def _looking(options: Options, ahead: int) -> Options:
@@ -75,12 +76,20 @@ def _looking(options: Options, ahead: int) -> Options:
     return replace(options, lookahead=ahead) if options.lookahead == AUTO else options
 
 
-def _with_lens(sequence: Sequence) -> Sequence:
+def with_lens_if_lacking(sequence: Sequence, options: Options | CombineOptions) -> tuple[Sequence, list[str]]:
+    """The sequence with the motion of its lens where `options.lens`, and where that is found to be lacking, which is
+    told. Raises InputError as `with_lens`, and for --lens without torch."""
     if find_spec("torch") is None:
-        raise InputError("--lens needs PyTorch, which is not installed; leave it out")
-    from .lens_motion import with_lens
+        if options.lens:
+            raise InputError("--lens needs PyTorch, which is not installed; leave it out")
+        return sequence, []
+    if not (options.lens or options.detect_lens):
+        return sequence, []
+    from .lens_motion import FOUND, lacks_lens, with_lens
 
-    return with_lens(sequence)
+    if options.lens:
+        return with_lens(sequence), []
+    return (with_lens(sequence), [FOUND]) if lacks_lens(sequence) else (sequence, [])
 
 
 def _reason(options: Options) -> str:

@@ -8,6 +8,7 @@ memory at a time. A run that was interrupted goes on where it stopped; frames ap
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from ..data.output import check_output, protect_input
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from .choice import told_of_samples
+from .choice import told_of_samples, with_lens_if_lacking
 from .folder import prepare
 from .options import CombineOptions, Summary, check_samples
 from .surfaces import with_surfaces
@@ -51,14 +52,14 @@ def combine(
     from ..models import load_combiner
     from ..models.inference import choose_device
     from .correcting import Run
-    from .lens_motion import with_lens
     from .pairs import check_other, check_pairs, check_second, open_denoised, open_second, repeats
 
     source = open_sequence(
         noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
     )
     source = with_surfaces(source, options)
-    source = with_lens(source) if options.lens else source
+    source, found = with_lens_if_lacking(source, options)
+    options = replace(options, lens=options.lens or bool(found))
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
     check_output(source, options.layout, options.recombine, options.keep, options.alpha)
     if options.confidence and options.layout != "plain":
@@ -70,7 +71,7 @@ def combine(
         check_second(source, second)
         check_pairs(source, second, "second")
     same = f"{estimates.paths[0]} is the same picture as {source.paths[0]}: name the denoised frames"
-    notes = [same] if repeats(source, estimates) else []
+    notes = [*found, *([same] if repeats(source, estimates) else [])]
     device = choose_device(options.device)
     combiner = load_combiner(options.model, device, options.precision)
     for one in (estimates, *([second] if second else [])):

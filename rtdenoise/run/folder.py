@@ -23,7 +23,7 @@ from ..models.weights import bytes_beside, files_of, find
 if TYPE_CHECKING:
     from .options import Options, Summary
 
-INDECISIVE = ("backend", "device")  # options that leave the files as they are
+INDECISIVE = ("backend", "device", "detect_lens")  # options that leave the files as they are, but for `lens`
 
 
 def prepare(out: Path, sequence: Sequence, options: Options) -> Path:

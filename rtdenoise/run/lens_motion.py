@@ -1,4 +1,5 @@
-"""Motion vectors with the motion of the lens: `--lens` adds the zoom or shift that `lens.find_drift` finds."""
+"""Motion vectors with the motion of the lens: `--lens` adds the zoom or shift that `lens.find_drift` finds. For frames
+of Cycles, whose vectors may lack it, some pairs tell whether it is needed."""
 
 from __future__ import annotations
 
@@ -7,6 +8,20 @@ from dataclasses import dataclass, field, fields, replace
 from ..data.sequences import Sequence
 from ..frame import Frame
 from .lens import Drift, find_drift
+
+FIRST, STEP = 4, 16  # of the frames that are compared with the one before: a zoom may begin slowly, or late
+FOUND = (
+    "the picture zooms or shifts against its motion vectors: --lens, which adds that, is on (--no-detect-lens: as they "
+    "are)"
+)
+
+
+def lacks_lens(sequence: Sequence) -> bool:
+    """Whether frames are of Cycles, and the vectors of one in STEP of them lack a motion of the lens."""
+    if sequence.layout.name != "cycles" or not (sequence.has("motion") and sequence.has("albedo")):
+        return False
+    drifts, last = Drifts(sequence), len(sequence) - 1
+    return any(drifts.of(i) for i in range(min(FIRST, last), last + 1, STEP))
 
 
 class Drifts:

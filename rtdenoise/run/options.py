@@ -82,6 +82,8 @@ class Options:
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack, from frame to frame, found by albedo: those of
     Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""
+    detect_lens: bool = True
+    """Find out whether frames of Cycles need --lens, by one pair of frames in 16."""
     plan: bool = True
     """Leave out work that a frame does not need (`rtdenoise inspect` lists it); off: everything runs."""
     backend: str = "auto"
@@ -174,6 +176,8 @@ class CombineOptions:
     """With --surfaces: where a frame's time lies in the time that the shutter is open."""
     lens: bool = False
     """Add the zoom or shift of the picture that motion vectors lack: as for denoise."""
+    detect_lens: bool = True
+    """Find out whether frames of Cycles need --lens: as for denoise."""
     device: str = "auto"
     """'auto', 'cpu' or 'cuda'."""
     precision: str = "auto"
