@@ -364,6 +364,24 @@ def test_for_many_samples_light_is_filtered_as_it_is(model, monkeypatch):
     assert told == 3 * [(MIX_SHARES_OF_MANY, None)]
 
 
+@pytest.mark.parametrize("many", [False, True])
+def test_only_for_many_samples_noise_tells_how_far_lookups_off_the_pixel_count(model, many):
+    """Even light has no noise: there a lookup that is half a pixel off in x and y counts 0.25, or next to nothing."""
+    network = create(replace(SMALL, many=many)).eval()
+    network.load_state_dict(model.state_dict())
+    frames = [
+        replace(f, radiance=torch.full_like(f.radiance, 0.5), albedo=torch.full_like(f.albedo, 0.5),
+                motion=torch.full_like(f.motion, 0.5), motion_next=torch.full_like(f.motion, -0.5),
+                normal=f.normal[..., :1, :1].expand_as(f.normal), depth=torch.ones_like(f.depth))
+        for f in make_frames(2)
+    ]  # fmt: skip
+    network.keeps_footprint = True
+    with torch.no_grad():
+        history = network.step(frames[1], network.step(frames[0])[1])[1]
+    others = history.footprint_count[..., :-1, :-1] - 1
+    torch.testing.assert_close(others, torch.full_like(others, 0.0 if many else 0.25), atol=0.01, rtol=0)
+
+
 def test_what_it_cannot_do_is_refused():
     with pytest.raises(ValueError, match="expected"):
         grow(read("default"), SMALL)

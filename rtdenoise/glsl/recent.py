@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 class Recent:
-    """The passes of kept frames. With `footprints` these hold what was seen in each pixel, too (`hybrid`), with
-    `lone` wherever it was hit (`rtdenoise.ops.scattered`)."""
+    """The passes of kept frames. With `footprints` these hold what was seen in each pixel, too (`hybrid`), with `few`
+    samples wherever it was hit (`rtdenoise.ops.scattered`), and however little noise there is."""
 
-    def __init__(self, scratch: Scratch, footprints: bool, lone: bool = False) -> None:
-        self._scratch, self._footprints, self._lone = scratch, footprints, lone
+    def __init__(self, scratch: Scratch, footprints: bool, few: bool = False) -> None:
+        self._scratch, self._footprints, self._few = scratch, footprints, few
 
     @property
     def words(self) -> int:
@@ -56,7 +56,7 @@ class Recent:
             seen = self._scratch("seen", (3, *size, 4))
             through = {"surface": inputs.surface, "chosen": chosen, "stays": stays, "seen": seen}
             through |= {"edge": self._scratch.image("edge", size), "misplaced": self._misplaced(inputs)}
-            through["lone"] = self._scattered(inputs) if self._lone and recent else inputs.surface
+            through["lone"] = self._scattered(inputs) if self._few and recent else inputs.surface
         if not recent:
             fill(running)
             if seen is not None:
@@ -68,7 +68,7 @@ class Recent:
             buffers, at = {"found": found, "stays": stays, "running": running}, at | {"LAST": int(i == last)}
             dispatch("accumulated_kpn/add", size[::-1], buffers, **at)
             if seen is not None:
-                at |= {"DUAL": int(dual), "LONE": int(self._lone)}
+                at |= {"DUAL": int(dual), "LONE": int(self._few)}
                 dispatch("hybrid/look", size[::-1], through | {"kept": kept}, **at)
         return seen
 
@@ -104,7 +104,7 @@ class Recent:
         """How much less lookups off the pixel count, [1]: `models.past.misplaced`."""
         misplaced = self._scratch("misplaced", (1,))
         H, W = inputs.surface.shape[:2]
-        if min(H, W) < NOISE_WINDOW:
+        if self._few or min(H, W) < NOISE_WINDOW:
             fill(misplaced)
             return misplaced
         windows = tuple((n - NOISE_WINDOW) // NOISE_WINDOWS + 1 for n in (H, W))

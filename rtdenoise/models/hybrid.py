@@ -21,7 +21,7 @@ from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN, Kernels
 from .hybrid_config import HybridConfig
-from .past import seen
+from .past import seen, weighs_noise
 from .pixel_network import PixelNetwork, written
 
 
@@ -43,7 +43,7 @@ class Hybrid(AccumulatedKPN):
         if known.exposure is None:
             exposure, distance = self.statistics(frame)
             known = replace(known, exposure=exposure, distance=distance)
-        if known.noise is None:
+        if known.noise is None and weighs_noise(self.config):
             known = replace(known, noise=noise_level(frame.radiance, frame.depth))
         with torch.no_grad():
             # Filter by kernels, and average.

@@ -147,16 +147,26 @@ def _recalled(
     config: Config, frame: Frame, noisy: Tensor, motion: Tensor, history: History, uncovered: Tensor, known: Known
 ) -> Recalled:
     """`recall` of the history's recent frames."""
-    for_footprints = (uncovered, misplaced(frame, known)) if config.footprint else ()
-    if config.footprint and not getattr(config, "many", False):  # depth of many samples is a mean: alone at every edge
-        for_footprints += (scattered(frame.depth),)
-    return recall(noisy, motion, (frame.depth, frame.normal), history.recent, *for_footprints)
+    surface = frame.depth, frame.normal
+    if not config.footprint:
+        return recall(noisy, motion, surface, history.recent)
+    many = getattr(config, "many", False)
+    lone = None if many else scattered(frame.depth)  # depth of many samples is a mean: alone at every edge
+    return recall(noisy, motion, surface, history.recent, uncovered, misplaced(config, frame, known), lone)
 
 
-def misplaced(frame: Frame, known: Known) -> Tensor:
-    """How much less lookups off the pixel count, `[B, 1, 1, 1]` (`ops.recall`): the less noise, the more."""
+def misplaced(config: Config, frame: Frame, known: Known) -> Tensor | None:
+    """How much less lookups off the pixel count, `[B, 1, 1, 1]` (`ops.recall`): the less noise, the more. None for a
+    network for few samples: one sample shows a place within the pixel that is as far off."""
+    if not weighs_noise(config):
+        return None
     noise = noise_level(frame.radiance, frame.depth) if known.noise is None else known.noise
     return off_pixel(noise)
+
+
+def weighs_noise(config: Config) -> bool:
+    """Whether its footprints go by `exposure.noise_level`."""
+    return config.footprint and getattr(config, "many", True)
 
 
 def shifted(frame: Frame, history: History | None, known: Known) -> Known:
