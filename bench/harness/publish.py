@@ -33,12 +33,25 @@ def publish(
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     facts = origin(command_line(), devices or {"torch": cpu()})
-    write_atomically(path, (dumps({**facts, **content}, digits, indent=1, default=asdict) + "\n").encode())
+    write_atomically(path, laid_out({**facts, **content}, digits).encode())
     print(f"written: {path}")
     document = json.loads(path.read_text())
     if tables is not None:
         insert_sections(tables(document), pages)
     return document
+
+
+def laid_out(document: dict[str, object], digits: int | None = None) -> str:
+    """JSON with a line for each value, and for each row of a list."""
+
+    def line(value: object) -> str:
+        return dumps(value, digits, default=asdict, ensure_ascii=False)
+
+    def lines(value: object) -> str:
+        rows = isinstance(value, list) and all(isinstance(row, list | dict) for row in value)
+        return "[\n  " + ",\n  ".join(map(line, value)) + "\n ]" if rows and value else line(value)
+
+    return "{\n" + ",\n".join(f" {line(key)}: {lines(value)}" for key, value in document.items()) + "\n}\n"
 
 
 def insert_sections(sections: dict[str, str], pages: Sequence[Path]) -> None:
