@@ -12,6 +12,7 @@ from test_denoise import pixels, refused
 from test_virtual_motion import cycles
 
 from rtdenoise.data.sequences import open_sequence
+from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import Options, denoise
@@ -215,6 +216,16 @@ def test_only_cycles_and_what_can_be_examined_is(tmp_path):
     assert not lacks_lens(open_sequence(write_cycles(tmp_path / "pan", shot(6, pan=(2.0, 0.0)))))
     assert not lacks_lens(open_sequence(tmp_path / "cycles").only({"radiance", "motion"}))
     assert not lacks_lens(open_sequence(write_sequence(tmp_path / "native", frames)))
+
+
+def test_a_frame_that_cannot_be_read_is_told_when_it_comes(tmp_path):
+    source = write_cycles(tmp_path / "zoom", shot(6, pan=(2.0, 0.0)))
+    broken = source / "frame.0004.exr"
+    whole = broken.read_bytes()
+    broken.write_bytes(whole[:-20_000] + bytes(10_000) + whole[-10_000:])
+    with pytest.raises(InputError, match="frame.0004.exr"):
+        denoise(str(source), tmp_path / "out", OPTIONS)
+    assert len([*(tmp_path / "out").glob("*.exr")]) == 4
 
 
 def test_a_run_that_found_it_goes_on(tmp_path):

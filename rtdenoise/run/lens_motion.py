@@ -3,9 +3,11 @@ of Cycles, whose vectors may lack it, some pairs tell whether it is needed."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 
 from ..data.sequences import Sequence
+from ..errors import InputError
 from ..frame import Frame
 from .lens import Drift, find_drift
 
@@ -17,11 +19,16 @@ FOUND = (
 
 
 def lacks_lens(sequence: Sequence) -> bool:
-    """Whether frames are of Cycles, and the vectors of one in STEP of them lack a motion of the lens."""
+    """Whether frames are of Cycles, and the vectors of one in STEP of them lack a motion of the lens. A frame that
+    cannot be read says nothing: the run tells of it."""
     if sequence.layout.name != "cycles" or not (sequence.has("motion") and sequence.has("albedo")):
         return False
     drifts, last = Drifts(sequence), len(sequence) - 1
-    return any(drifts.of(i) for i in range(min(FIRST, last), last + 1, STEP))
+    for i in range(min(FIRST, last), last + 1, STEP):
+        with suppress(InputError):
+            if drifts.of(i):
+                return True
+    return False
 
 
 class Drifts:
