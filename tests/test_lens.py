@@ -223,7 +223,7 @@ def test_a_frame_that_cannot_be_read_is_told_when_it_comes(tmp_path):
     broken = source / "frame.0004.exr"
     whole = broken.read_bytes()
     broken.write_bytes(whole[:-20_000] + bytes(10_000) + whole[-10_000:])
-    with pytest.raises(InputError, match="frame.0004.exr"):
+    with pytest.raises(InputError, match=broken.name.replace(".", "[.]")):
         denoise(str(source), tmp_path / "out", OPTIONS)
     assert len([*(tmp_path / "out").glob("*.exr")]) == 4
 
