@@ -7,6 +7,7 @@ background that it has just uncovered. y showed one of them, and the depth of th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -69,6 +70,11 @@ def completed(frame: Frame, following: Frame | None = None) -> Frame:
     if frame.motion_next is not None or following is None:
         return frame
     return replace(frame, motion_next=splat_motion_next(following.motion, following.depth, frame.depth))
+
+
+def completed_shot(frames: Sequence[Frame]) -> list[Frame]:
+    """All frames of a shot, `completed`."""
+    return [completed(*pair) for pair in zip(frames, [*frames[1:], None], strict=True)]
 
 
 def splat_motion_next(

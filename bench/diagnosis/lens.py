@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from itertools import zip_longest
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
@@ -27,7 +26,6 @@ from bench.diagnosis.turned import errors, with_references
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.run.lens_motion import with_lens
 from rtdenoise.sanitise import sanitise
-from rtdenoise.splat import completed
 
 RESULT, PAGES = RESULTS / "lens.json", (DOCS / "use" / "motion.md",)
 COMPARED = [method for method in METHODS if method not in ("`default`", "`hybrid-large`")]
@@ -37,7 +35,6 @@ def main(shot: tyro.conf.Positional[Path]) -> None:
     frames = with_references(shot, "color")
     moved = [sanitise(frame) for frame in with_lens(open_sequence(shot))]
     lens = [replace(a, motion=b.motion, motion_next=None) for a, b in zip(frames, moved, strict=True)]
-    lens = [completed(a, b) for a, b in zip_longest(lens, lens[1:])]
     rows = []
     for method in COMPARED:
         run = METHODS[method]

@@ -35,7 +35,7 @@ from rtdenoise.frame import Frame, Known
 from rtdenoise.models import load, past
 from rtdenoise.ops import turned
 from rtdenoise.sanitise import sanitise
-from rtdenoise.splat import completed
+from rtdenoise.splat import completed_shot
 
 RESULT, PAGES = RESULTS / "turned.json", (DOCS / "notes" / "turned.md",)
 FRAMES, SKIP = 12, 1  # of a sequence; the first has no history
@@ -126,7 +126,7 @@ def pictures_of_oidn(frames: list[Frame], clean: bool = False) -> list[Tensor]:
 @torch.inference_mode()
 def pictures(frames: list[Frame], name: str, ahead: int) -> list[Tensor]:
     network, history, found = load(name, precision="fp32"), None, []
-    frames = [completed(*pair) for pair in zip(frames, [*frames[1:], None], strict=True)]
+    frames = completed_shot(frames)
     for i, frame in enumerate(frames):
         image, history = network.step(frame, history, Known(ahead=tuple(frames[i + 1 : i + 1 + ahead])))
         found.append(image)

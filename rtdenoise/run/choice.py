@@ -7,8 +7,8 @@ from importlib.util import find_spec
 
 from ..data.lost import lost_samples
 from ..data.sequences import Sequence, open_sequence
-from ..errors import InputError
-from .options import AHEAD, AUTO, MIXED, CombineOptions, Options
+from .lens_motion import with_lens_if_lacking
+from .options import AHEAD, AUTO, MIXED, Options
 from .surfaces import with_surfaces
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
@@ -38,8 +38,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     sequence = with_surfaces(sequence, options)
     if options.motion_blur:
         sequence.require("depth", "motion")
-    sequence, notes = with_lens_if_lacking(sequence, options)
-    options = replace(options, lens=options.lens or bool(notes))
+    sequence, options, notes = with_lens_if_lacking(sequence, options)
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter, and what it writes
     samples = known_samples(sequence, options.samples)
     virtual = options.virtual_motion and sequence.signal == "color"  # indirect light ends at mirrors and panes
@@ -74,22 +73,6 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
 def _looking(options: Options, ahead: int) -> Options:
     """The options with so many frames ahead where that is 'auto'."""
     return replace(options, lookahead=ahead) if options.lookahead == AUTO else options
-
-
-def with_lens_if_lacking(sequence: Sequence, options: Options | CombineOptions) -> tuple[Sequence, list[str]]:
-    """The sequence with the motion of its lens where `options.lens`, and where that is found to be lacking, which is
-    told. Raises InputError as `with_lens`, and for --lens without torch."""
-    if find_spec("torch") is None:
-        if options.lens:
-            raise InputError("--lens needs PyTorch, which is not installed; leave it out")
-        return sequence, []
-    if not (options.lens or options.detect_lens):
-        return sequence, []
-    from .lens_motion import FOUND, lacks_lens, with_lens
-
-    if options.lens:
-        return with_lens(sequence), []
-    return (with_lens(sequence), [FOUND]) if lacks_lens(sequence) else (sequence, [])
 
 
 def _reason(options: Options) -> str:

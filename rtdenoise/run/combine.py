@@ -8,7 +8,6 @@ memory at a time. A run that was interrupted goes on where it stopped; frames ap
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,8 +16,9 @@ from ..data.output import check_output, protect_input
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from .choice import told_of_samples, with_lens_if_lacking
+from .choice import told_of_samples
 from .folder import prepare
+from .lens_motion import with_lens_if_lacking
 from .options import CombineOptions, Summary, check_samples
 from .surfaces import with_surfaces
 
@@ -58,8 +58,7 @@ def combine(
         noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
     )
     source = with_surfaces(source, options)
-    source, found = with_lens_if_lacking(source, options)
-    options = replace(options, lens=options.lens or bool(found))
+    source, options, found = with_lens_if_lacking(source, options)
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
     check_output(source, options.layout, options.recombine, options.keep, options.alpha)
     if options.confidence and options.layout != "plain":

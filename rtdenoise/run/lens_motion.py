@@ -1,21 +1,40 @@
 """Motion vectors with the motion of the lens: `--lens` adds the zoom or shift that `lens.find_drift` finds. For frames
-of Cycles, whose vectors may lack it, some pairs tell whether it is needed."""
+of Cycles, whose vectors may lack it, some pairs tell whether it is needed. Needs no torch, but to find it."""
 
 from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, TypeVar
 
 from ..data.sequences import Sequence
 from ..errors import InputError
 from ..frame import Frame
-from .lens import Drift, find_drift
+from .options import CombineOptions, Options
+
+if TYPE_CHECKING:
+    from .lens import Drift
+
+Chosen = TypeVar("Chosen", Options, CombineOptions)
 
 FIRST, STEP = 4, 16  # of the frames that are compared with the one before: a zoom may begin slowly, or late
 FOUND = (
     "the picture zooms or shifts against its motion vectors: --lens, which adds that, is on (--no-detect-lens: as they "
     "are)"
 )
+
+
+def with_lens_if_lacking(sequence: Sequence, options: Chosen) -> tuple[Sequence, Chosen, list[str]]:
+    """The sequence with the motion of its lens and the options with `lens`, where they have that or where it is found
+    to be lacking, which is told. Raises InputError as `with_lens`, and for `options.lens` without torch."""
+    has_torch = find_spec("torch") is not None
+    if options.lens and not has_torch:
+        raise InputError("--lens needs PyTorch, which is not installed; leave it out")
+    found = not options.lens and options.detect_lens and has_torch and lacks_lens(sequence)
+    if not (options.lens or found):
+        return sequence, options, []
+    return with_lens(sequence), replace(options, lens=True), [FOUND] if found else []
 
 
 def lacks_lens(sequence: Sequence) -> bool:
@@ -42,6 +61,8 @@ class Drifts:
 
     def of(self, i: int) -> Drift | None:
         """That of frame i; None where nothing is lacking, and where the frame before is missing."""
+        from .lens import find_drift
+
         if i not in self._found:
             numbers = self._sequence.numbers
             follows = i > 0 and numbers[i] == numbers[i - 1] + 1

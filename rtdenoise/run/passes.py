@@ -33,7 +33,7 @@ from ..models.window import box
 from ..ops.even_sky import even_sky
 from ..ops.recall import FOOTPRINT
 from ..sanitise import sanitise
-from ..splat import completed
+from ..splat import completed_shot
 from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
 from .covered import as_covered
@@ -136,7 +136,7 @@ class InMemory:
         return images[0], replace(shot, images=images[1:])
 
     def _backward(self, shot: Shot) -> list[Tensor]:
-        frames = [completed(*pair) for pair in zip(shot.frames, [*shot.frames[1:], None], strict=True)]
+        frames = completed_shot(shot.frames)
         images, history = [], None
         for frame, forward in zip(reversed(frames), reversed(shot.estimates), strict=True):
             backward, history = self._passes.step(reverse(frame), history)
