@@ -32,6 +32,9 @@ SCATTERED_ALIKE = 1  # of the eight pixels around a lone sample, so many at most
 SCATTERED_REACH = 3  # pixels along either axis around a lone sample, in which its surface may be seen
 SCATTERED_APART = 1.6  # times the nearest of these: where the farthest is more, what lies between passes unnoticed
 
+# Lone bright pixels (`ops.fireflies`).
+FIREFLY_ALIKE = 5  # of the eight pixels around a firefly, so many at least show its surface
+
 # Edges that move against what is behind them (`ops.over`).
 OVER_APART = 0.05  # least difference of distances, as a share of the greater one
 OVER_SPEED = 0.5  # least motion against what is behind, in pixels a frame

@@ -77,6 +77,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.even_sky import even_sky
     from rtdenoise.ops.feature_bytes import feature_bytes
     from rtdenoise.ops.features import features
+    from rtdenoise.ops.fireflies import without_fireflies
     from rtdenoise.ops.logits import cells
     from rtdenoise.ops.mix import mix
     from rtdenoise.ops.over import over_and_coverage
@@ -118,6 +119,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     yield "soften", soften(image, other, share)
     for sky in (depth, torch.zeros_like(depth), torch.where(seen, 1.0, 0.0)):
         yield "even_sky", even_sky(other, torch.where(seen, other, 0.5), sky)
+    yield "without_fireflies", without_fireflies(other, depth, normal, share)
     yield "within", pixels.within(image, 0.0, 1.0)
     yield "expand_within", expand_within(3 * other, other, image.abs())
     pictures = other, other.flip(3), one, share, (0.4, 0.1, 0.1)

@@ -18,6 +18,7 @@ from rtdenoise.ops.triton.downsample import _downsample
 from rtdenoise.ops.triton.evened import _evened, _greatest, _tells
 from rtdenoise.ops.triton.features import _features
 from rtdenoise.ops.triton.fetch import _fetch
+from rtdenoise.ops.triton.fireflies import _without_fireflies
 from rtdenoise.ops.triton.history_motion import _history_motion
 from rtdenoise.ops.triton.keep import _keep
 from rtdenoise.ops.triton.lift import _lift, _lower
@@ -113,6 +114,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(agrees._spread, dict(CELL=4, BLOCK=128, **one), **sizes)
     build(even_sky._blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
     build(even_sky._even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)
+    build(_without_fireflies, dict(LEAST=5, BLOCK=128, **one), **near)
     curve = dict.fromkeys("GABCDEFS", "fp32")
     build(_lift, flat[0], **flat[1], **curve, Y0="fp32", Y1="fp32")
     build(_lower, flat[0], **flat[1], **curve, X0="fp32", X1="fp32")

@@ -424,6 +424,7 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(config, monkeypat
         "blend_history": "_blend_history", "evened": "_greatest _evened _tells", "compressed": "_compressed",
         "displacement_sums": "_sums _solve", "light_shift": "_blocks _near _beside _shift _surfaces",
         "picture": "_counts _moved", "even_sky": "_blocks _even_sky", "dim": "_dim",
+        "fireflies": "_without_fireflies",
         "block_luminance": "_block_luminance", "window_noise": "_window_noise", "mean_distance": "_mean _sums",
         "replace_invalid": "_replace", "ranks": "_kth_greatest _exposure_of _median",
         "lift": "_lift _lower", "turned": "_turns _gives_way", "agrees": "_compare _spread",
@@ -444,7 +445,7 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(config, monkeypat
     with capturable(), ops.use("auto"):
         every_kind_of_step(model)
     every = {f"{file}.{name}" for file, names in kernels.items() for name in names.split()}
-    of_few, of_many = {"over", "evened._evened"}, {"off_pixel", "window_noise", "ranks._median"}
+    of_few, of_many = {"over", "evened._evened", "fireflies"}, {"off_pixel", "window_noise", "ranks._median"}
     if config.recent:
         left_out = {"agrees"} | (of_few if config.many else of_many)
     else:

@@ -129,6 +129,7 @@ def test_light_is_written_by_clean_surfaces(monkeypatch):
 def test_without_a_share_the_image_is_the_kernels(model, monkeypatch):
     monkeypatch.setattr("rtdenoise.models.past.outdated", lambda found, agree, frames: torch.zeros_like(agree))
     monkeypatch.setattr("rtdenoise.models.past.retextured", lambda albedo, before, found: torch.zeros_like(found) * 1.0)
+    monkeypatch.setattr("rtdenoise.models.hybrid.without_fireflies", lambda light, *_: light)
     history = alone = None
     for frame in make_frames(4):
         shares(monkeypatch, 1.0)
@@ -147,6 +148,7 @@ def test_the_picture_is_history_and_is_kept(model, monkeypatch):
     their history up."""
     for place in ("ops.mix", "ops.native.mix", "ops.triton.mix"):
         monkeypatch.setattr(f"rtdenoise.{place}.MIX_FAR", 9.0)
+    monkeypatch.setattr("rtdenoise.models.hybrid.without_fireflies", lambda light, *_: light)
     shares(monkeypatch, 0.5, before=1.0)
     history = None
     for frame in make_frames(3):

@@ -24,6 +24,7 @@ from rtdenoise.ops.blend_history import blend_history
 from rtdenoise.ops.block_luminance import block_luminance
 from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.feature_bytes import feature_bytes
+from rtdenoise.ops.fireflies import without_fireflies
 from rtdenoise.ops.max_pool import FUSED as MAX_POOL
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
@@ -248,6 +249,7 @@ def misfits():
         "modulate": (pixels.modulate, (3, 3, 3, 1, 1)),
         "joined": (lambda *a: torch.cat(pixels.joined(*a), 1), (3, 1, 3, 1)),
         "accumulate": (lambda *a: torch.cat(pixels.accumulate(*a, 9.0), 1), (3, 3, 1, 1)),
+        "without_fireflies": (without_fireflies, (3, 1, 3, 1)),
         "even_sky": (lambda image, light, depth: even_sky(image, light, depth - 0.5), (3, 3, 1)),
         "keep": (keep, (3, 1, 3, 1, 2, 3)),
         "recall": (looked_up, (3, 2, 1, 3)),

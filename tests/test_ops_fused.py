@@ -21,6 +21,7 @@ from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.evened import evened, held_and_tells
 from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.features import features
+from rtdenoise.ops.fireflies import without_fireflies
 from rtdenoise.ops.lift import lift, lower
 from rtdenoise.ops.max_pool import max_pool
 from rtdenoise.ops.mean_distance import mean_distance
@@ -138,6 +139,16 @@ def test_bright_pixels_are_dimmed_alike(both, size, usual):
     plain, fused = both(dim, radiance, torch.tensor(usual).view(2, 1), 5.0)
     assert torch.equal(fused, plain)
     assert min(size) == 1 or not torch.equal(plain, radiance)
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_fireflies_are_found_alike(both, assert_images_close, size):
+    light, normal = torch.rand(2, 3, *size).pow(9), torch.rand(2, 3, *size) - 0.2
+    depth = 5 + (torch.rand(2, 1, *size) < 0.3) - 5.0 * (torch.rand(2, 1, *size) < 0.1)
+    plain, fused = both(without_fireflies, light, depth, normal, torch.rand(2, 1, *size))
+    assert_images_close(fused, plain, "float32")
+    assert torch.equal(fused != light, plain != light)
+    assert min(size) < 9 or 0.02 < (plain != light).float().mean() < 0.5
 
 
 @pytest.mark.parametrize("backend", ["triton"], indirect=True)

@@ -1,5 +1,5 @@
 """The networks of `hybrid` that write pixels or filter albedo and normal before, and the passes from footprints to one
-picture: `models.pixel_network`, `models.hybrid` and `ops.mix`."""
+picture: `models.pixel_network`, `models.hybrid`, `ops.mix` and `ops.fireflies`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 
-from ..constants import AROUND_CELL, MIX_CELL
+from ..constants import AROUND_CELL, FIREFLY_ALIKE, MIX_CELL
 from ..models.hybrid_config import HybridConfig, PixelShape
 from .context import GpuArray
 from .dispatch import dispatch
@@ -37,13 +37,13 @@ class Pixels:
         result: GpuArray,  # [3, H, W] the kernels' picture, which becomes the mixture
         denoised: GpuArray,  # [H, W] the same as an image for history
     ) -> None:
-        """Write pixels, and mix them, the kernels' picture and the previous one."""
+        """Write pixels, mix them, the kernels' picture and the previous one, and take fireflies out."""
         H, W = inputs.surface.shape[:2]
         scratch, size, statistics = self._scratch, (W, H), inputs.statistics
         around, sums = (tuple(-(-n // cell) for n in (H, W)) for cell in (AROUND_CELL, MIX_CELL))
         cells, told = scratch.image("pixels.cells", around), scratch.image("pixels.told", sums)
         bounds, even = scratch("pixels.bounds", (2, *around, 4)), scratch.image("pixels.even", (H, W))
-        written = scratch.image("pixels.written", (H, W))
+        written, mixed = (scratch.image(f"pixels.{name}", (H, W)) for name in ("written", "mixed"))
         pictures = {"light": inputs.light, "guide": inputs.guide, "denoised": denoised, "statistics": statistics}
 
         dispatch("hybrid/cells", size, {"seen": seen, "past": past, "cells": cells}, group=CELL_GROUP)
@@ -60,8 +60,11 @@ class Pixels:
         buffers = pictures | {"compressed_light": wrote, "bounds": bounds, "written": written, "told": told}
         dispatch("hybrid/written", size, buffers, {"padded": padded}, USUAL=usual, **half)
         buffers = {"written": written, "past": past, "seen": seen, "cells": cells, "told": told}
-        buffers |= {"statistics": statistics, "denoised": denoised, "result": result}
+        buffers |= {"statistics": statistics, "denoised": denoised, "mixed": mixed}
         dispatch("hybrid/mix", size, buffers, USUAL=usual, BEFORE=before, LEAST=least)
+        buffers = {"mixed": mixed, "surface": inputs.surface, "past": past, "seen": seen}
+        buffers |= {"denoised": denoised, "result": result}
+        dispatch("hybrid/fireflies", size, buffers, LEAST=9 if self._many else FIREFLY_ALIKE)
 
 
 class Surfaces:

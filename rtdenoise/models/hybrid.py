@@ -16,6 +16,7 @@ from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.even_sky import even_sky
 from ..ops.evened import evened, held_and_tells
+from ..ops.fireflies import without_fireflies
 from ..ops.mix import mix
 from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
@@ -64,6 +65,8 @@ class Hybrid(AccumulatedKPN):
 
         before = None if self.config.many else past.output
         shown = mix(image, pixels, known.exposure, trust, self.shares, before, held, frame.radiance, tells)
+        if not self.config.many:
+            shown = without_fireflies(shown, frame.depth, frame.normal, trust * held)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())
         if not self.keeps_footprint:

@@ -70,7 +70,7 @@ class HybridConfig(AccumulatedKPNConfig):
     recent: int = 8
     footprint: bool = True
     many: bool = False
-    """For many samples a pixel: kernels count less, history as it is, and edges and uneven noise are left alone."""
+    """For many samples a pixel: kernels count less, history as it is; edges, uneven noise and fireflies stay."""
     down: tuple[int, ...] = PixelShape.down
     """Channels of the network that writes pixels on its way down, at 1, 1/2, 1/4 ... of the image size."""
     up: tuple[int, ...] = PixelShape.up
@@ -120,6 +120,7 @@ class HybridConfig(AccumulatedKPNConfig):
 
     @property
     def network_reach(self) -> int:
-        """As `NetworkConfig.network_reach`: the pixels' network sees what the kernels made, and filtered surfaces."""
+        """As `NetworkConfig.network_reach`: the pixels' network sees what the kernels made, and filtered surfaces; a
+        firefly is seen by the pixels beside it."""
         surfaces = max((shape.reach for shape in self.surfaces.values()), default=0)
-        return super().network_reach + rounded_up(self.pixels.reach + surfaces)
+        return super().network_reach + rounded_up(self.pixels.reach + surfaces + 1)

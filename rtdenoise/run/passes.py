@@ -31,6 +31,7 @@ from ..models.accumulated_kpn import AccumulatedKPN
 from ..models.hybrid import Hybrid
 from ..models.window import box
 from ..ops.even_sky import even_sky
+from ..ops.fireflies import without_fireflies
 from ..ops.recall import FOOTPRINT
 from ..sanitise import sanitise
 from ..splat import completed_shot
@@ -60,6 +61,7 @@ class Passes:
         if not isinstance(network, AccumulatedKPN):
             raise InputError(f"--offline: model {model!r} does not average light over time; choose hybrid, default, "
                              "many or fast")  # fmt: skip
+        self._few = isinstance(network, Hybrid) and not network.config.many
         if isinstance(network, Hybrid):
             kernels, *others = network.shares
             network.shares = kernels + LEFT_TO_KERNELS * (1 - kernels), *others
@@ -82,6 +84,9 @@ class Passes:
         """The best picture of a prepared frame."""
         found = combine(self.candidates(frame, forward, backward))
         image = corrected(frame, found.image, forward, backward)
+        if self._few:
+            known = (forward.footprint_count + backward.footprint_count - 2).clamp(0, 1)  # by the frames beside it
+            image = without_fireflies(image, frame.depth, frame.normal, known)
         return replace(found, image=even_sky(image, frame.radiance, frame.depth))  # it is filtered, too
 
     def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:

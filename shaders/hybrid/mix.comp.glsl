@@ -10,8 +10,8 @@
 #pragma reads vec4 seen            // [3, H, W] · albedo, trust ·
 #pragma reads vec4 cells, vec4 told  // of `hybrid/cells` and `hybrid/written`
 #pragma reads float statistics     // [2] exposure, ·
-#pragma changes vec4 denoised      // [H, W] the kernels' picture, or at last the mixture
-#pragma writes float result        // [3, H, W] the same
+#pragma reads vec4 denoised        // [H, W] the kernels' picture
+#pragma writes vec4 mixed          // [H, W] the mixture
 
 // Mean of a cell and the eight around it.
 vec3 told_around(ivec2 cell, ivec2 extent) {
@@ -50,9 +50,7 @@ void main() {
     float noise = sums.z + MIX_NOISE, trust = seen[i + plane].w, held = has_history(past[i]) ? 1.0 : 0.0;
     float told_share = clamp((USUAL * noise + sums.x) / (noise + sums.y), 0.0, 1.0);
     float share = mix(clamp(told_share, LEAST, USUAL), told_share, tells(pixel, held)), scale = statistics[0];
-    vec3 mixed = mix(compressed(scale * written[i].rgb), compressed(scale * max(denoised[i].rgb, 0.0)), trust * share);
-    mixed += trust * BEFORE * held * clamp(compressed(scale * past[i].rgb) - mixed, -MIX_FAR, MIX_FAR);
-    vec3 rgb = expanded(mixed) / scale;
-    denoised[i] = vec4(rgb, 1.0);
-    for (int c = 0; c < 3; ++c) result[c * plane + i] = rgb[c];
+    vec3 light = mix(compressed(scale * written[i].rgb), compressed(scale * max(denoised[i].rgb, 0.0)), trust * share);
+    light += trust * BEFORE * held * clamp(compressed(scale * past[i].rgb) - light, -MIX_FAR, MIX_FAR);
+    mixed[i] = vec4(expanded(light) / scale, 1.0);
 }
