@@ -22,10 +22,10 @@ MODULES = (
     "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis", "missing_layers", "mltd",
     "mltd_memory", "modes", "offline", "plan", "quality", "sample", "shots", "stability", "tiles", "calibration.cuts",
     "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input",
-    "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fog", "diagnosis.generalisation",
-    "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens",
-    "diagnosis.lost", "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.scattered",
-    "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion", "diagnosis.where",
+    "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies", "diagnosis.fog",
+    "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover",
+    "diagnosis.lens", "diagnosis.lost", "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated",
+    "diagnosis.scattered", "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion", "diagnosis.where",
 )  # fmt: skip
 
 

@@ -78,8 +78,12 @@ def singles(frames: list[Frame], name: str) -> list[Tensor]:
     return [network.step(frame)[0] for frame in frames]
 
 
-def offline(frames: list[Frame], name: str = "hybrid") -> list[Tensor]:
-    passes, history, images = InMemory(Passes(name)), None, []
+def offline(frames: list[Frame], name: str = "hybrid", **settings: object) -> list[Tensor]:
+    """`settings`: attributes of `Passes` and of its network."""
+    passes = Passes(name)
+    for part in (passes, passes.backend.network):
+        vars(part).update(settings)
+    passes, history, images = InMemory(passes), None, []
     for frame in frames:
         _, history = passes.step(frame, history)
     for _ in frames:

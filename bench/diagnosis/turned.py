@@ -124,8 +124,10 @@ def pictures_of_oidn(frames: list[Frame], clean: bool = False) -> list[Tensor]:
 
 
 @torch.inference_mode()
-def pictures(frames: list[Frame], name: str, ahead: int) -> list[Tensor]:
+def pictures(frames: list[Frame], name: str, ahead: int, **settings: object) -> list[Tensor]:
+    """`settings`: attributes of the network."""
     network, history, found = load(name, precision="fp32"), None, []
+    vars(network).update(settings)
     frames = completed_shot(frames)
     for i, frame in enumerate(frames):
         image, history = network.step(frame, history, Known(ahead=tuple(frames[i + 1 : i + 1 + ahead])))

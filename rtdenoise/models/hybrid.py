@@ -34,6 +34,7 @@ class Hybrid(AccumulatedKPN):
         self.pixels = PixelNetwork(config)
         self.shares = config.shares  # of `mix`
         self.keeps_footprint = False  # in its history, for others who filter it
+        self.keeps_fireflies = config.many  # a lone bright pixel of many samples is true more often than not
 
     def step_and_kernels(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -65,7 +66,7 @@ class Hybrid(AccumulatedKPN):
 
         before = None if self.config.many else past.output
         shown = mix(image, pixels, known.exposure, trust, self.shares, before, held, frame.radiance, tells)
-        if not self.config.many:
+        if not self.keeps_fireflies:
             shown = without_fireflies(shown, frame.depth, frame.normal, trust * held)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())

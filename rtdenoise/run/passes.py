@@ -61,7 +61,7 @@ class Passes:
         if not isinstance(network, AccumulatedKPN):
             raise InputError(f"--offline: model {model!r} does not average light over time; choose hybrid, default, "
                              "many or fast")  # fmt: skip
-        self._few = isinstance(network, Hybrid) and not network.config.many
+        self.keeps_fireflies = not isinstance(network, Hybrid) or network.keeps_fireflies
         if isinstance(network, Hybrid):
             kernels, *others = network.shares
             network.shares = kernels + LEFT_TO_KERNELS * (1 - kernels), *others
@@ -84,7 +84,7 @@ class Passes:
         """The best picture of a prepared frame."""
         found = combine(self.candidates(frame, forward, backward))
         image = corrected(frame, found.image, forward, backward)
-        if self._few:
+        if not self.keeps_fireflies:
             known = (forward.footprint_count + backward.footprint_count - 2).clamp(0, 1)  # by the frames beside it
             image = without_fireflies(image, frame.depth, frame.normal, known)
         return replace(found, image=even_sky(image, frame.radiance, frame.depth))  # it is filtered, too
