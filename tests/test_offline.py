@@ -15,7 +15,6 @@ from test_denoise import pixels, refused
 
 import rtdenoise
 from rtdenoise.cli.main import main
-from rtdenoise.color import albedo_divisor
 from rtdenoise.data.exr import read_channels, read_header
 from rtdenoise.data.stored import read_history, write_history
 from rtdenoise.errors import InputError
@@ -29,7 +28,7 @@ from rtdenoise.run.combination import WEIGHTS, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.offline import BYTES_PER_PIXEL, ESTIMATES
 from rtdenoise.run.passes import InMemory, Passes
-from rtdenoise.run.sides import Estimate, corrected, seen_on_both_sides
+from rtdenoise.run.sides import Estimate, seen_on_both_sides
 from rtdenoise.run.stored_estimate import read_estimate, write_estimate
 from rtdenoise.sanitise import sanitise
 from rtdenoise.splat import completed
@@ -141,7 +140,6 @@ def test_lost_estimates_start_the_run_anew(shot, tmp_path, options):
 
 DAMAGE = {  # what -> fields and metadata of a stored estimate, changed
     "another size": lambda fields, facts: ({name: a[..., :5] for name, a in fields.items()}, facts),
-    "no mean": lambda fields, facts: ({name: a for name, a in fields.items() if name != "mean"}, facts),
     "no footprint": lambda fields, facts: ({n: a for n, a in fields.items() if not n.startswith("footprint")}, facts),
     "nothing": lambda fields, facts: ({}, facts),
     "no scales": lambda fields, facts: (fields, {"first": "1"}),
@@ -355,7 +353,7 @@ def estimate(image, length, first=False, surfaces=None):
     ones = torch.ones_like(image[:, :1])
     seen = torch.cat([image, torch.full_like(image, 0.5), torch.full_like(image, -0.6)], dim=1)
     counts = length * ones, (length if surfaces is None else surfaces) * ones
-    return Estimate(image, image, length * ones, first, seen, *counts)
+    return Estimate(image, first, seen, *counts)
 
 
 def grey(radiance):
@@ -431,59 +429,6 @@ def test_noise_is_evened_as_far_as_pixels_around_have_seen_more(monkeypatch, mod
     assert evened(8.0)[0] == 11.0
 
 
-def sides(truth_before, truth_after, noise=0.2, frames=8.0):
-    """A frame of a white wall, and the means of both passes: truth with the noise of `frames` frames."""
-    g, flat = torch.Generator().manual_seed(3), torch.ones(1, 3, 64, 64)
-    frame = Frame(flat, 0.5 * flat, torch.zeros_like(flat), flat[:, :1])
-    frame = replace(frame, normal=torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1).expand_as(flat).contiguous())
-    divisor = albedo_divisor(frame.albedo, frame.depth)
-    before, after = (x + noise * torch.randn(flat.shape, generator=g) for x in (truth_before, truth_after))
-    now = truth_after + noise * frames**0.5 * torch.randn(flat.shape, generator=g)
-    after = (after * frames + now) / (frames + 1)  # the frame itself is part of both means
-    forward = replace(estimate(flat, frames), mean=before / divisor)
-    backward = replace(estimate(flat, frames + 1), mean=after / divisor)
-    return replace(frame, radiance=now), forward, backward
-
-
-STRIPES = (1 + 0.8 * torch.sin(torch.arange(64) * 2.0)).expand(1, 3, 64, 64).contiguous()
-
-
-def test_a_shadow_on_which_both_sides_agree_comes_back():
-    image = torch.ones_like(STRIPES)  # a denoiser that wiped out stripes of 3 pixels
-    frame, *means = sides(STRIPES, STRIPES)
-    found = corrected(frame, image, *means)
-    assert (found - STRIPES).square().mean() < 0.1 * (image - STRIPES).square().mean()
-
-
-def test_noise_is_not_taken_for_light():
-    frame, *means = sides(STRIPES, STRIPES)
-    found = corrected(frame, STRIPES, *means)
-    assert (found - STRIPES).abs().mean() < 0.002  # of 0.13 that the mean of both sides is off
-
-
-def test_noise_of_albedo_is_not_taken_for_light():
-    """One sample a pixel of a texture: both sides would agree on light that is the frame's own albedo."""
-    flat = torch.ones_like(STRIPES)
-    frame, *means = sides(flat, flat)
-    noisy = replace(frame, albedo=0.5 * torch.rand(STRIPES.shape, generator=torch.Generator().manual_seed(5)).round())
-    assert (corrected(noisy, flat, *means) - flat).abs().mean() < 0.01
-
-
-def test_a_shadow_that_lags_on_both_sides_stays_where_it_is():
-    x = torch.arange(64).expand(1, 3, 64, 64)
-    here, behind, ahead = ((x > edge).float() + 0.2 for edge in (32, 26, 38))
-    frame, *means = sides(behind, ahead, noise=0.01)
-    found = corrected(frame, here, *means)
-    assert (found - here).abs().max() < 0.02
-
-
-def test_one_side_is_no_evidence():
-    frame, forward, backward = sides(STRIPES, STRIPES)
-    image = torch.ones_like(STRIPES)
-    alone = replace(backward, length=torch.ones_like(backward.length))
-    assert torch.equal(corrected(frame, image, forward, alone), image)
-
-
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_estimates_survive_the_disk(tmp_path, scale):
     stored = estimate(scale * torch.rand(1, 3, 8, 8), 3.0, first=True, surfaces=4.5)
@@ -491,7 +436,7 @@ def test_estimates_survive_the_disk(tmp_path, scale):
     found = read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8))
     assert found.first and torch.allclose(found.image, stored.image, rtol=1e-3)
     assert torch.allclose(found.footprint, stored.footprint, rtol=1e-3)
-    for name in ("length", "footprint_count", "surface_count"):
+    for name in ("footprint_count", "surface_count"):
         assert torch.equal(getattr(found, name), getattr(stored, name)), name
     halves = sum(array.shape[1] for array in read_history(tmp_path / "e.safetensors")[0].values())
     assert 2 * halves == BYTES_PER_PIXEL

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
 OF_ESTIMATE = re.compile(r"\d{6,}\.safetensors")  # names in it
-BYTES_PER_PIXEL = 36  # of a stored estimate: 18 halves
+BYTES_PER_PIXEL = 28  # of a stored estimate: 14 halves
 
 
 def denoise_offline(

@@ -1,8 +1,7 @@
 """One frame of an animation on disk: what the passes over the sequence know of it, and their combination.
 
 The network runs over a sequence forward in time and backward. Read backward, a sequence is one whose `motion` and
-`motion_next` have changed places. `combination` joins both passes, the frame alone and a second opinion; `sides`
-corrects the result.
+`motion_next` have changed places. `combination` joins both passes, the frame alone and a second opinion.
 
 OIDN filters what both passes have seen in each pixel; where it is not installed, the networks of `pixel_filter` do,
 which are as OIDN's, but smaller for albedo and normal. Where one frame has seen a pixel, and more have seen those
@@ -39,7 +38,7 @@ from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
 from .covered import as_covered
 from .pixel_filter import PixelFilter
-from .sides import Estimate, corrected, seen_on_both_sides
+from .sides import Estimate, seen_on_both_sides
 
 AROUND, EVENED_FROM = 15, 2.0  # pixels, odd; frames beside this one, from which on a pixel of none is wholly evened
 LEFT_TO_KERNELS = 0.4  # of the share that a network's written pixels have in real time: the filter writes pixels, too
@@ -77,13 +76,13 @@ class Passes:
         image, after = self.backend.denoise(frame, history)
         footprint, surface_count = as_covered(frame, history, after)
         seen = footprint, after.footprint_count, surface_count
-        return Estimate(image, after.mean, after.length, history is None, *seen), after
+        return Estimate(image, history is None, *seen), after
 
     @torch.inference_mode()
     def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
         """The best picture of a prepared frame."""
         found = combine(self.candidates(frame, forward, backward))
-        image = corrected(frame, found.image, forward, backward)
+        image = found.image
         if not self.keeps_fireflies:
             known = (forward.footprint_count + backward.footprint_count - 2).clamp(0, 1)  # by the frames beside it
             image = without_fireflies(image, frame.depth, frame.normal, known)

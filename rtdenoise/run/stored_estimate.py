@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
 STORED = {"radiance": "image"}  # in a file -> field
-STORED |= {name: name for name in ("mean", "length", "footprint", "footprint_count", "surface_count")}
-LIGHT = ("radiance", "mean", "footprint")  # the first three channels of each
+STORED |= {name: name for name in ("footprint", "footprint_count", "surface_count")}
+LIGHT = ("radiance", "footprint")  # the first three channels of each
 
 
 def write_estimate(path: Path, estimate: Estimate) -> None:
