@@ -75,11 +75,12 @@ def test_the_network_is_that_of_the_samples(shot, tmp_path):
 
 
 def test_how_many_frames_ahead(shot):
-    """Two where the network is chosen, and can; else as many as the user says."""
+    """Two where the network, chosen or named, writes pixels and has time; else as many as the user says."""
     for options, ahead in (
-        ({}, 2), ({"samples": 16}, 2), ({"lookahead": 0}, 0), ({"lookahead": 4}, 4), ({"model": "hybrid"}, 0),
+        ({}, 2), ({"samples": 16}, 2), ({"lookahead": 0}, 0), ({"lookahead": 4}, 4), ({"model": "hybrid"}, 2),
+        ({"model": "hybrid-large"}, 2), ({"model": "hybrid", "lookahead": 0}, 0), ({"model": "default"}, 0),
         ({"model": "fast", "lookahead": 1}, 1), ({"backend": "glsl"}, 0), ({"correct": True}, 0),
-        ({"offline": True}, 0),
+        ({"model": "hybrid", "backend": "glsl"}, 0), ({"model": "hybrid", "offline": True}, 0), ({"offline": True}, 0),
     ):  # fmt: skip
         assert chosen(shot, Options(**options))[0].lookahead == ahead, options
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
+import OpenEXR
 import pytest
 import torch
 from matplotlib.figure import Figure
@@ -28,6 +29,8 @@ from rtdenoise.models import CombinerConfig, available, create, find, load, save
 from rtdenoise.models.weights import bytes_of
 from rtdenoise.report import report
 from rtdenoise.report.chart import chart, tick_values
+from rtdenoise.run.choice import BEST
+from rtdenoise.run.options import AHEAD
 
 PLAIN = ("noisy", "accumulate")
 
@@ -220,6 +223,31 @@ def test_frames_say_how_many_samples_they_have(shot):
     told = [replace(frame, samples=torch.full_like(frame.depth, 7)) for frame in make_frames(2)]
     source = Source.open(write_sequence(shot.parent / "told", told), "color", "auto", None)
     assert [frame.samples.unique().tolist() for frame in source.frames(1)] == [[7]] * 2
+
+
+def test_frames_have_the_samples_that_they_note(shot, tmp_path, capsys):
+    """As those of Cycles do; samples.json counts more."""
+    (shot / "samples.json").unlink()
+    for file in shot.glob("*.exr"):
+        layers = OpenEXR.File(str(file), separate_channels=True)
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        channels = {name: channel.pixels for name, channel in layers.channels().items()}
+        OpenEXR.File(header | {"cycles.ViewLayer.samples": "16"}, channels).write(str(file))
+    assert Source.open(shot, "color", "auto", None).spp == 16
+    out = tmp_path / "out"
+    document = run([str(shot)], out, EvaluateOptions(("noisy",), metrics=("psnr",)))
+    assert [row["spp"] for row in document.results] == [16]
+    with pytest.raises(SystemExit):
+        main(["evaluate", str(shot), "--out", str(tmp_path / "none"), "--methods", "noisy", "--spp", "2"])
+    told = capsys.readouterr()
+    assert "no input at 2 spp" in told.out and "samples.json" in told.out and "nothing was measured" in told.err
+    (shot / "samples.json").write_text('{"spp": 2}')
+    assert Source.open(shot, "color", "auto", None).spp == 2
+
+
+def test_what_looks_ahead_goes_without_a_combiner():
+    with pytest.raises(InputError, match=r"hybrid-ahead2\+shrinkage: methods that look ahead are measured as they are"):
+        choose(("hybrid-ahead2+shrinkage",))
 
 
 def test_the_quality_of_a_sequence_is_one_number(monkeypatch):
@@ -454,8 +482,10 @@ def test_a_document_with_missing_or_foreign_keys_is_one_line(change, message, co
     assert message in error and str(tmp_path / "evaluation.json") in error and error.count("\n") == 1
 
 
-def test_eight_methods_unless_asked_for():
-    assert [method.name for method in choose(())] == list(DEFAULTS) and len(DEFAULTS) == 8
+def test_nine_methods_unless_asked_for():
+    """The last is what `denoise` does by itself."""
+    assert [method.name for method in choose(())] == list(DEFAULTS) and len(DEFAULTS) == 9
+    assert DEFAULTS[-1] == f"{BEST[0]}-ahead{AHEAD}"
     assert [method.name for method in choose(("all",))] == list(methods())
 
 

@@ -23,6 +23,8 @@ from rtdenoise.run.conventions import READINGS, Reading
 from rtdenoise.run.inspect import inspect, next_step, render_text
 from rtdenoise.run.unmoved import Watch
 
+CYCLES = Path(__file__).parent / "data" / "cycles"
+
 H, W, FRAMES = 72, 110, 4
 
 
@@ -251,6 +253,13 @@ def test_the_facts(tmp_path):
     )
     assert "OK: previous - current, pixels, y down" in text and "albedo.R, albedo.G" in text
     assert next_step(found).startswith("add normal: write it as normal.X, normal.Y, normal.Z")
+
+
+def test_what_denoise_mends_layers_by_is_used():
+    """A file that Blender wrote: alpha is denoised, the depth of paths tells of mirrors, the sky of fog."""
+    ignored = inspect(CYCLES).ignored
+    assert "ViewLayer.Glossy Direct.R" in ignored
+    assert not {"ViewLayer.Combined.A", "ViewLayer.Denoising Depth.Z"} & {*ignored}
 
 
 def test_what_nothing_spares_is_told_when_asked(tmp_path):

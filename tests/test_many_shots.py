@@ -56,6 +56,8 @@ def test_names_of_shots(tmp_path, monkeypatch):
     both = {"a/beauty": "shots/a/beauty", "b/beauty": "shots/b/beauty"}
     assert find_shots(("shots/*/beauty",), out) == find_shots(("shots/a/beauty", "shots/b/beauty"), out) == both
     assert find_shots(("shots/a/*.exr", "shots/b"), out) == {"a": "shots/a/*.exr", "b": "shots/b"}
+    globs = {"a": "shots/a/frame.000[1-4].exr", "b": "shots/b/frame.*.exr"}
+    assert find_shots(tuple(globs.values()), out) == globs
     views = {"L": "shots/a/*_L.exr", "R": "shots/a/*_R.exr"}
     assert find_shots(tuple(views.values()), out) == views
     with pytest.raises(InputError, match="is named twice"):

@@ -109,8 +109,11 @@ def find_shots(sources: tuple[str, ...], out: Path) -> dict[str, str] | None:
     paths = [Path(folder).resolve() for folder in folders]
     if twice := [folder for folder, path in zip(folders, paths, strict=True) if paths.count(path) > 1]:
         raise InputError(f"{twice[0]}: is named twice")
-    plain = [_without_pattern(path) for path in paths]
-    paths = plain if len(set(plain)) == len(plain) else paths
+    for shorter in (_folder_of, _without_pattern):
+        short = [shorter(path) for path in paths]
+        if len(set(short)) == len(short):
+            paths = short
+            break
     names = [path.name for path in paths]
     if len(set(names)) < len(names):
         shared = os.path.commonpath([path.parent for path in paths])
@@ -118,9 +121,14 @@ def find_shots(sources: tuple[str, ...], out: Path) -> dict[str, str] | None:
     return dict(zip(names, folders, strict=True))
 
 
+def _folder_of(path: Path) -> Path:
+    """For a glob of files their folder."""
+    return path.parent if has_magic(path.name) and not path.exists() else path
+
+
 def _without_pattern(path: Path) -> Path:
     """For a glob of files a path that holds no pattern: `shot/L` for `shot/*_L.exr`, `shot` for `shot/*.exr`."""
-    if not has_magic(path.name) or path.exists():
+    if _folder_of(path) == path:
         return path
     rest = re.sub(r"\[.*?\]|[*?]", "", path.stem).strip("._- ")
     return path.parent / rest if rest else path.parent

@@ -29,7 +29,7 @@ class Evaluate:
     """'fp32', 'bf16', 'int8'."""
     metrics: Annotated[tuple[str, ...], arg(help_behavior_hint="(default: all but fovvideovdp)")] = ()
     """Metric names."""
-    spp: tuple[int, ...] = (1,)
+    spp: Annotated[tuple[int, ...], arg(help_behavior_hint="(default: of the frames in SEQ)")] = ()
     """Samples per pixel of the inputs."""
     reference: Annotated[tuple[Path, ...], arg(help_behavior_hint="(default: the layers of SEQ)")] = ()
     """Folders of converged renders of the same frames, one a sequence, where the references are in other files."""
@@ -76,4 +76,6 @@ class Evaluate:
         if networks and own not in options.precisions:
             print(f"the networks ran in {', '.join(options.precisions)}; `denoise` runs most in {own} here, which is "
                   f"faster: --precision {own} measures that")  # fmt: skip
+        if not document.results:
+            raise InputError(f"{out}: nothing was measured, for the reasons above")
         print(f"{out}: {len(document.results)} results; `rtdenoise report {out}` draws them")

@@ -94,7 +94,7 @@ class Sequence:
     def read(self, i: int) -> Frame:
         """`self[i]` with numpy arrays, without torch."""
         files = self.files[i]
-        rules, (path, fog) = self.rules, self._besides(files)
+        rules, (path, fog) = self.rules, self.besides(files)
         lost = self.lost_samples and "albedo" in self.rules
         needed = MOVED if path or fog else ("depth",) if lost else ()  # whatever is wanted of the frame, it is the same
         rules = rules | {layer: self.available[layer] for layer in needed if layer in self.available}
@@ -120,7 +120,7 @@ class Sequence:
         frame = complete(frame, self.scene) if missing and self.scene else frame
         return self.surfaces.give(frame) if self.surfaces else frame
 
-    def _besides(self, files: FrameFiles) -> tuple[Rule | None, dict[str, Rule]]:
+    def besides(self, files: FrameFiles) -> tuple[Rule | None, dict[str, Rule]]:
         """What is read of a frame beside its layers: the path length for virtual motion, None without; and the light of
         volumes and of the sky for fog, none without. Neither where nothing that it changes is read, nor where it is
         missing, or what goes with it."""

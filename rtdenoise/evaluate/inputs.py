@@ -2,8 +2,8 @@
 
 shot/               frames with references: the input at the base spp
 shot/spp4/          the same frames at 4 spp with features; references are read from shot/
-shot/samples.json   {"spp": 1, "sample_ms": 38.5}: the base spp (default 1), and the time in ms that one more sample per
-                    pixel takes to render, to convert samples to time; both are optional
+shot/samples.json   {"spp": 1, "sample_ms": 38.5}: the base spp (default: as the files note it, or 1), and the time in
+                    ms that one more sample per pixel takes to render, to convert samples to time; both are optional
 converged/          with `reference`: the same frames, converged, where shot/ holds no references
 """
 
@@ -65,7 +65,7 @@ class Source:
             except InputError as error:
                 raise InputError(f"{error}; or name a folder of converged frames: --reference DIR") from None
         facts = _facts(folder / "samples.json")
-        spp, sample_ms = facts.get("spp", 1), facts.get("sample_ms")
+        spp, sample_ms = facts.get("spp", round(base.header.samples) or 1), facts.get("sample_ms")
         return cls(folder.resolve().name, folder, base, spp, sample_ms, limit, options, converged)
 
     def at(self, spp: int) -> Sequence:
@@ -74,7 +74,8 @@ class Source:
             return self.base
         folder = self.folder / f"spp{spp}"
         if not folder.is_dir():
-            raise InputError(f"{folder}: no input at {spp} spp; render the same frames into it (--spp {spp})")
+            raise InputError(f"{folder}: no input at {spp} spp; render the same frames into it, or say in "
+                             f"{self.folder / 'samples.json'} if these have as many")  # fmt: skip
         return _same_frames(open_sequence(folder, **self.options), self.base, self.limit)
 
     @property
@@ -142,6 +143,6 @@ def _facts(path: Path) -> dict:
         return {}
     facts = read_json(path)
     try:
-        return {"spp": int(facts.get("spp", 1)), "sample_ms": facts.get("sample_ms") and float(facts["sample_ms"])}
+        return {name: kind(facts[name]) for name, kind in (("spp", int), ("sample_ms", float)) if facts.get(name)}
     except (ValueError, TypeError, AttributeError) as error:
         raise InputError(f'{path}: expected {{"spp": 1, "sample_ms": 38.5}}, found otherwise ({error})') from None

@@ -33,7 +33,9 @@ from .corrected import Corrected
 from .sequence import Step
 
 PRECISIONS = ("fp32", "bf16", INT8)
-DEFAULTS = ("noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "hybrid")  # measured if none is named
+DEFAULTS = (  # measured if none is named
+    "noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "hybrid", "hybrid-ahead2",
+)  # fmt: skip
 ALL = "all"
 AHEAD = re.compile(r"(.+)-ahead(\d+)")  # METHOD-aheadN: denoise --lookahead N
 CORRECTED = ("oidn", "default")  # methods that 'all' also has with every combiner
@@ -98,10 +100,13 @@ def choose(names: Iterable[str]) -> list[Method]:
     Raises InputError for an unknown name, a name that stands for two methods, and a missing file.
     """
     known, chosen = methods(), {}
-    asked = list(names) or [name for name in DEFAULTS if name in known]
+    asked = list(names) or [name for name in DEFAULTS if name in known or AHEAD.fullmatch(name)]
     for name in [n for a in asked for n in (known if a == ALL else [a])]:
         base, plus, combiner = name.partition("+")
         ahead = AHEAD.fullmatch(name)
+        if plus and AHEAD.fullmatch(base):
+            raise InputError(f"{name}: methods that look ahead are measured as they are; rtdenoise combine corrects "
+                             "their frames")  # fmt: skip
         if plus and base in known and name not in known:
             method = _corrected(known[base], combiner)
         elif ahead and ahead[1] in known:

@@ -46,7 +46,7 @@ class EvaluateOptions:
     methods: tuple[str, ...] = ()  # for `registry.choose`; (): its default
     precisions: tuple[str, ...] = ("fp32",)  # of PRECISIONS
     metrics: tuple[str, ...] = ()  # of ALL_METRICS and WHOLE_METRICS; (): those of ALL_METRICS that are installed
-    spp: tuple[int, ...] = (1,)
+    spp: tuple[int, ...] = ()  # samples per pixel of the inputs; (): of the sequences themselves
     signal: str = "color"
     preset: str = "auto"
     frames: int | None = None  # at most this many of each sequence
@@ -94,7 +94,7 @@ def _measure(
     document.methods |= {method.name: {"what": method.what, "family": method.family} for method in chosen}
     this_run = origin(typed(), {options.device: device_name(options.device)}, MEASURED_WITH)
     for source in opened:
-        for spp in options.spp:
+        for spp in options.spp or (source.spp,):
             _Input(document, source, spp, options, say, on_step).measure(chosen, out, this_run)
             document.write(out)
     return document

@@ -7,6 +7,8 @@ from importlib.util import find_spec
 
 from ..data.lost import lost_samples
 from ..data.sequences import Sequence, open_sequence
+from ..models.hybrid_config import HybridConfig
+from ..models.weights import read_config
 from .lens_motion import with_lens_if_lacking
 from .options import AHEAD, AUTO, MIXED, Options
 from .surfaces import with_surfaces
@@ -49,7 +51,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         lost_samples=wide and samples < MIXED,
     )  # fmt: skip
     if not auto:
-        return sequence, _looking(options, 0), notes
+        return sequence, _looking(options, AHEAD if _may_look_ahead(options) else 0), notes
     if "samples" not in layers:
         sequence = replace(sequence, rules={k: rule for k, rule in sequence.rules.items() if k != "samples"})
     few, many = candidates(options.backend, options.correct)
@@ -75,6 +77,14 @@ def _looking(options: Options, ahead: int) -> Options:
     return replace(options, lookahead=ahead) if options.lookahead == AUTO else options
 
 
+def _may_look_ahead(options: Options) -> bool:
+    """Whether the network that `options` names does where nothing is said: one that writes pixels, as those of 'auto'.
+    Raises InputError where there is no such network."""
+    if options.offline or options.correct or not _in_torch(options.backend):
+        return False
+    return read_config(options.model).architecture == HybridConfig.architecture
+
+
 def _reason(options: Options) -> str:
     """What keeps the networks that write pixels from being chosen."""
     if options.correct:
@@ -85,8 +95,11 @@ def _reason(options: Options) -> str:
 def candidates(backend: str, correct: bool) -> tuple[str, str]:
     """The networks that make the best picture in OIDN's time on a backend, of few samples a pixel and from LEAST on:
     those that write pixels, unless their images are to be corrected, which goes with kernels alone."""
-    in_torch = backend == "torch" or (backend == "auto" and find_spec("torch") is not None)
-    return BEST if in_torch and not correct else KERNELS
+    return BEST if _in_torch(backend) and not correct else KERNELS
+
+
+def _in_torch(backend: str) -> bool:
+    return backend == "torch" or (backend == "auto" and find_spec("torch") is not None)
 
 
 def _has_little_noise(sequence: Sequence) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from rich.table import Table
 
 from ..data.exr_format import group_channels
 from ..data.files import describe_gap
+from ..data.layout import Rule
 from ..data.layouts import MITSUBA, NATIVE
 from ..data.names import guess_channels
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
@@ -101,7 +102,8 @@ def inspect(
     present = {layer for frame in frames.values() for layer, _ in frame.layers()}
     computed = tuple(sorted(present - sequence.available.keys()))
     absent = [layer for layer in DEFAULT_LAYERS if layer not in sequence.available and layer not in computed]
-    fed = {name for rule in sequence.available.values() for name in rule.channels}
+    read = [*sequence.available.values(), *_read_besides(sequence)]
+    fed = {*(name for rule in read for name in rule.channels), sequence.layout.alpha(sequence.header)}
     return Inspection(
         source=str(source),
         files=len(sequence),
@@ -150,6 +152,12 @@ def choose_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
     if len(consecutive) <= PAIRS:
         return consecutive
     return [consecutive[round(k * (len(consecutive) - 1) / (PAIRS - 1))] for k in range(PAIRS)]
+
+
+def _read_besides(sequence: Sequence) -> list[Rule]:
+    """What `denoise` reads to mend others by: the light of volumes and of the sky, and the length of paths."""
+    path, fog = replace(sequence, fog=True, virtual_motion=sequence.signal == "color").besides(sequence.files[0])
+    return [*fog.values(), *([path] if path else [])]
 
 
 def _layers(sequence: Sequence) -> tuple[FoundLayer, ...]:

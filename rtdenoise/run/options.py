@@ -96,7 +96,7 @@ class Options:
     the picture; its lights look two frames ahead."""
     lookahead: int | Literal["auto"] = AUTO
     """Denoise each frame with so many of those after it: 2 gain 0.2 to 0.5 dB for little time. 'auto': 2 with the
-    networks that the model 'auto' takes with torch, 0 with others."""
+    networks that write pixels (hybrid and its kind) in torch, 0 with others."""
     correct: bool = False
     """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
     samples: int = 0
