@@ -71,6 +71,7 @@ def test_the_network_is_that_of_the_samples(shot, tmp_path):
         write_again(file, {}, **{"cycles.ViewLayer.samples": "8"})
     eight = "model: hybrid-large-many, for 8 samples a pixel"
     assert chosen(shot, Options()) == (Options(model="hybrid-large-many", lookahead=2), [eight])
+    assert chosen(shot, Options(samples=8)) == chosen(shot, Options()), "the same run, which continues"
     assert chosen(shot, Options(samples=2))[0].model == "hybrid"  # what the user says counts
 
 

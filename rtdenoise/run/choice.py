@@ -42,6 +42,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         sequence.require("depth", "motion")
     sequence, options, notes = with_lens_if_lacking(sequence, options)
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter, and what it writes
+    if options.samples == sequence.header.samples:
+        options = replace(options, samples=0)  # what the files say, too, is the same run without
     samples = known_samples(sequence, options.samples)
     virtual = options.virtual_motion and sequence.signal == "color"  # indirect light ends at mirrors and panes
     fog = options.fog and sequence.signal == "color"  # indirect light is divided by the colour of what was hit
