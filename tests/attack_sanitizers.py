@@ -123,7 +123,8 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     yield "within", pixels.within(image, 0.0, 1.0)
     yield "expand_within", expand_within(3 * other, other, image.abs())
     pictures = other, other.flip(3), one, share, (0.4, 0.1, 0.1)
-    for more in ((), (image.abs(), seen.float()), (image.abs(), seen.float(), other, share)):
+    told = image.abs(), seen.float(), other, share
+    for more in ((), told[:2], told, (*told, depth)):
         yield f"mix {len(more)}", mix(*pictures, *more)
     yield "block_luminance", block_luminance(image, 8)
     kept = [keep(image, depth, normal, share, _motion(H, W, kind), other) for _ in range(3)]

@@ -84,7 +84,8 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
         for shift in (False, True):
             build(_history_motion, dict(NEXT=first, SHIFT=shift, BLOCK=128, **one), **masks, **sizes)
         numbers = ["usual", "share_before", "lowest", "smallest", "far"]
-        build(_mix, dict(BEFORE=first, TOLD=first, CELL=4, BLOCK=128, **one), **dict.fromkeys(numbers, "fp32"), **sizes)
+        parts = dict.fromkeys(("BEFORE", "TOLD", "SKY"), first)
+        build(_mix, dict(CELL=4, BLOCK=128, **parts, **one), **dict.fromkeys(numbers, "fp32"), **sizes)
     build(_bounds, dict(CELL=16, **one), **sizes)
     half = dict.fromkeys(("x", "weight", "bias"), "*bf16")
     steps = dict.fromkeys(["strips", "of_output", "of_input", "of_row", "of_column"], "i32")

@@ -387,7 +387,7 @@ def test_what_is_left_out_changes_no_bit(weights, preset, speed, half):
 def test_a_planned_run_is_that_of_torch(weights, tmp_path, assert_images_close, preset):
     frames = moved(make_frames(3), (0.0, 0.0)) + make_frames(6)[3:]  # at first nothing moves
     shot = write_sequence(tmp_path / "shot", frames)
-    options = Options(model=weights(SMALL[preset]), precision="fp32", float32=True)
+    options = Options(model=weights(SMALL[preset]), precision="fp32", float32=True, lookahead=0)
     counts = {}
     for name, changed in {"torch": {"backend": "torch"}, "glsl": {}, "all": {"plan": False}}.items():
         summary = denoise(str(shot), tmp_path / name, replace(options, **({"backend": "glsl"} | changed)))

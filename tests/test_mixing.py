@@ -2,17 +2,18 @@
 
 import torch
 
+from rtdenoise import ops
 from rtdenoise.constants import MIX_SHARES
 from rtdenoise.ops.evened import held_and_tells
 from rtdenoise.ops.mix import mix as mixture
 from rtdenoise.ops.mix import share_told
 
 
-def mix(image, picture, scale, trust=1.0, before=None, held=1.0, shares=MIX_SHARES, noisy=None):
+def mix(image, picture, scale, trust=1.0, before=None, held=1.0, shares=MIX_SHARES, noisy=None, depth=None):
     """`ops.mix` with one number, or a picture of them, for trust and held."""
     trust, held = (torch.as_tensor(x).expand_as(image[:, :1]) for x in (trust, held))
     held, tells = held_and_tells(held, image.dtype)
-    return mixture(image, picture, scale, trust, shares, before, held, noisy, None if noisy is None else tells)
+    return mixture(image, picture, scale, trust, shares, before, held, noisy, None if noisy is None else tells, depth)
 
 
 def test_it_is_between_all_pictures():
@@ -83,3 +84,17 @@ def test_the_mixture_goes_where_the_frame_leads():
     torch.testing.assert_close(few[..., :16, :16], less[..., :16, :16])
     nowhere = mix(smooth, truth, one, before=smooth, held=0 * held, noisy=truth)  # none has a past: as a first frame
     assert torch.equal(nowhere, mix(smooth, truth, one, noisy=truth))
+
+
+def test_before_the_sky_the_other_shows_alone():
+    """Where neither a pixel nor one around it hit anything."""
+    one, depth = torch.ones(1, 1, 1, 1), torch.zeros(1, 1, 8, 8)
+    depth[..., 3, 3] = 5.0
+    image, picture = (torch.full((1, 3, 8, 8), x) for x in (2.0, 8.0))
+    mixed = mix(image, picture, one)
+    around = torch.zeros(1, 1, 8, 8, dtype=torch.bool)
+    around[..., 2:5, 2:5] = True
+    for choice in ("plain", "fused"):
+        with ops.use(choice):
+            found = mix(image, picture, one, depth=depth)
+            torch.testing.assert_close(found, torch.where(around, mixed, picture), rtol=1e-5, atol=0)

@@ -270,8 +270,11 @@ def test_pictures_are_mixed_alike(both, assert_images_close, size, has_noisy, ha
     trust, held, tells = torch.rand(3, 2, 1, *size).unbind()
     more = (before, held) if has_before else (None, None)
     more += (noisy, tells) if has_noisy else (None, None)
-    plain, fused = both(mix, first, other, torch.tensor([0.01, 30.0]).view(2, 1, 1, 1), trust, (0.4, 0.1, 0.1), *more)
-    assert_images_close(fused, plain, "float32")
+    depth = 5.0 * (torch.rand(2, 1, *size) < 0.1)
+    pictures = first, other, torch.tensor([0.01, 30.0]).view(2, 1, 1, 1), trust, (0.4, 0.1, 0.1), *more
+    for skies in ((), (depth,)):
+        plain, fused = both(mix, *pictures, *skies)
+        assert_images_close(fused, plain, "float32")
 
 
 @pytest.mark.parametrize("size", SIZES, ids=str)

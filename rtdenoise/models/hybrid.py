@@ -65,7 +65,8 @@ class Hybrid(AccumulatedKPN):
         )
 
         before = None if self.config.many else past.output
-        shown = mix(image, pixels, known.exposure, trust, self.shares, before, held, frame.radiance, tells)
+        shown = mix(image, pixels, known.exposure, trust, self.shares, before, held, frame.radiance, tells,
+                    frame.depth)  # fmt: skip
         if not self.keeps_fireflies:
             shown = without_fireflies(shown, frame.depth, frame.normal, trust * held)
         shown = even_sky(shown, frame.radiance, frame.depth)

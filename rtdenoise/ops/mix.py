@@ -13,7 +13,8 @@ FAR (`constants.MIX_FAR`) bounds what the previous picture may add: a pixel that
 its light on what is there now, as a faint outline behind what moves.
 
 In `hybrid` the first is the kernels' picture, which lags behind where light has changed: there the written one shows
-alone. The kernels average the mixture as their own history (docs/notes/trust.md).
+alone. So it does before the sky, of which kernels know nothing: lone samples of smoke would be blots (`depth`). The
+kernels average the mixture as their own history (docs/notes/trust.md).
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from ..color import compress, expand
 from ..constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
 from .dispatch import Fused, Support, falls_back
 
-IMAGES = dict.fromkeys(("first", "other", "before", "noisy"), (3,)) | dict.fromkeys(("trust", "held", "tells"), (1,))
+IMAGES = dict.fromkeys(("first", "other", "before", "noisy"), (3,))
+IMAGES |= dict.fromkeys(("trust", "held", "tells", "depth"), (1,))
 FUSED = Fused("mix", native=Support(channels=IMAGES), triton=Support(channels=IMAGES))
 
 
@@ -41,11 +43,12 @@ def mix(
     held: Tensor | None = None,  # [B, 1, H, W] in [0, 1], read with `before`: 0 where motion leads to no such picture
     noisy: Tensor | None = None,  # [B, 3, H, W] the frame; None: shares are as they are
     tells: Tensor | None = None,  # [B, 1, H, W] in [0, 1], with `noisy`: how far it tells of the pixel
+    depth: Tensor | None = None,  # [B, 1, H, W] of the frame: no a where 3×3 pixels hit nothing (0); None: all hit
 ) -> Tensor:  # [B, 3, H, W] ≥ 0
     """The mixture; the equation stands above."""
     images = {"first": first, "other": other, "trust": trust, "before": before, "held": held, "noisy": noisy}
-    if run := FUSED(**images, tells=tells):
-        return run(first, other, scale, trust, shares, before, held, noisy, tells)
+    if run := FUSED(**images, tells=tells, depth=depth):
+        return run(first, other, scale, trust, shares, before, held, noisy, tells, depth)
 
     def shown(x: Tensor) -> Tensor:
         return compress(scale * x.clamp(min=0))
@@ -54,6 +57,8 @@ def mix(
     if noisy is not None:
         told = share_told(noisy, first, other, scale, share)
         share = torch.lerp(told.clamp(shares[2], share), told, tells)
+    if depth is not None:
+        share = share * (F.max_pool2d(depth, 3, stride=1, padding=1) > 0)
     mixed = torch.lerp(shown(other), shown(first), trust * share)
     if before is not None:
         mixed = mixed + trust * shares[1] * held * (shown(before) - mixed).clamp(-MIX_FAR, MIX_FAR)

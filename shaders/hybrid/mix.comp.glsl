@@ -5,7 +5,7 @@
 #include "curve.glsl"
 #include "past.glsl"
 
-#pragma reads vec4 written         // [H, W] rgb
+#pragma reads vec4 written         // [H, W] rgb; 0: the sky, where it shows alone
 #pragma reads vec4 past            // [H, W] rgb, flags
 #pragma reads vec4 seen            // [3, H, W] · albedo, trust ·
 #pragma reads vec4 cells, vec4 told  // of `hybrid/cells` and `hybrid/written`
@@ -50,7 +50,7 @@ void main() {
     float noise = sums.z + MIX_NOISE, trust = seen[i + plane].w, held = has_history(past[i]) ? 1.0 : 0.0;
     float told_share = clamp((USUAL * noise + sums.x) / (noise + sums.y), 0.0, 1.0);
     float share = mix(clamp(told_share, LEAST, USUAL), told_share, tells(pixel, held)), scale = statistics[0];
-    vec3 light = mix(compressed(scale * written[i].rgb), compressed(scale * max(denoised[i].rgb, 0.0)), trust * share);
+    vec3 light = mix(compressed(scale * written[i].rgb), compressed(scale * max(denoised[i].rgb, 0.0)), trust * share * written[i].w);
     light += trust * BEFORE * held * clamp(compressed(scale * past[i].rgb) - light, -MIX_FAR, MIX_FAR);
     mixed[i] = vec4(expanded(light) / scale, 1.0);
 }

@@ -14,7 +14,7 @@
 #pragma reads vec4 denoised            // [H, W] the kernels' picture
 #pragma reads vec4 light, vec4 guide   // [H, W]
 #pragma reads float statistics         // [2] exposure, ·
-#pragma writes vec4 written            // [H, W] rgb
+#pragma writes vec4 written            // [H, W] rgb; whether it, or a pixel around, hit something
 #pragma writes vec4 told               // [⌈H/MIX_CELL⌉, ⌈W/MIX_CELL⌉] (p - q)(y - q), (p - q)², (y - m)², 0
 
 vec3 within(ivec2 pixel, vec3 rgb) {
@@ -27,6 +27,14 @@ vec3 within(ivec2 pixel, vec3 rgb) {
         high = max(high, bounds[at(cell, extent) + extent.x * extent.y].rgb);
     }
     return clamp(rgb, low, high);
+}
+
+bool hits_around(ivec2 pixel) {
+    for (int k = 0; k < 9; ++k) {
+        ivec2 p = pixel + ivec2(k % 3, k / 3) - 1;
+        if (inside(p, size) && guide[at(p, size)].w != 0.0) return true;
+    }
+    return false;
 }
 
 void main() {
@@ -42,7 +50,7 @@ void main() {
         vec3 apart = relative * (p - q), left = min(relative * (y - q), MIX_LARGEST);
         vec3 noise = min(relative * (y - m), MIX_LARGEST);
         term = vec4(dot(apart, left), dot(apart, apart), dot(noise, noise), 1.0);
-        written[i] = vec4(q, 1.0);
+        written[i] = vec4(q, hits_around(pixel) ? 1.0 : 0.0);
     }
     vec4 sum;
     if (!sum_cell(pixel, MIX_CELL, term, sum)) return;

@@ -8,7 +8,7 @@
 
 typedef struct {
     const float *first, *other, *before, *noisy;  // [3, H, W]; the last two may be NULL
-    const float *trust, *held, *tells;            // [H, W]; the last two as those
+    const float *trust, *held, *tells, *depth;    // [H, W]; the last three likewise
     float *cells, *around, *out;                  // [rows, SUMS, columns] twice; [3, H, W]
     float scale, usual, share, least;
     int64_t plane;
@@ -81,6 +81,17 @@ static inline void told(Job j, int y, float *between, float *share) {
     }
 }
 
+// No share of the first where neither a pixel of row y nor one around it hit anything.
+static inline void leave_the_sky(Job j, int y, float *share) {
+    const float *here = j.depth + (int64_t)y * j.W, *above = y > 0 ? here - j.W : here, *below = y + 1 < j.H ? here + j.W : here;
+    float greatest[j.W + 2];  // of each column, with a border of nothing
+    greatest[0] = greatest[j.W + 1] = 0;
+#pragma omp simd
+    for (int x = 0; x < j.W; x++) greatest[x + 1] = MAX(MAX(above[x], here[x]), below[x]);
+#pragma omp simd
+    for (int x = 0; x < j.W; x++) share[x] = MAX(MAX(greatest[x], greatest[x + 1]), greatest[x + 2]) > 0 ? share[x] : 0;
+}
+
 // A row of one colour; `share` of the first picture in each pixel.
 static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int c, const float *share, int has_before) {
     int64_t at = row + c * j.plane;
@@ -99,29 +110,30 @@ static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int
     }
 }
 
-// first, other, before, noisy, out [B, 3, H, W], trust, held, tells [B, 1, H, W], scale [B]; before and held, noisy and tells
-// may be NULL. cells and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads` threads.
+// first, other, before, noisy, out [B, 3, H, W], trust, held, tells, depth [B, 1, H, W], scale [B]; before and held, noisy and
+// tells, and depth may be NULL. cells and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads` threads.
 void mix(const float *first, const float *other, const float *scale, const float *trust, const float *before, const float *held,
-         const float *noisy, const float *tells, float *cells, float *around, float *space, float *out, int B, int H, int W,
+         const float *noisy, const float *tells, const float *depth, float *cells, float *around, float *space, float *out, int B, int H, int W,
          float usual, float share, float least, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
     for (int b = 0; b < B; b++) {
         Job j = {first + 3 * b * plane, other + 3 * b * plane, before ? before + 3 * b * plane : NULL,
                  noisy ? noisy + 3 * b * plane : NULL, trust + b * plane, before ? held + b * plane : NULL,
-                 noisy ? tells + b * plane : NULL, cells, around, out + 3 * b * plane, scale[b], usual, share, least, plane, H, W,
+                 noisy ? tells + b * plane : NULL, depth ? depth + b * plane : NULL, cells, around, out + 3 * b * plane, scale[b], usual, share, least, plane, H, W,
                  rows, columns};
         for (int step = noisy ? 0 : 2; step < 3; step++) {
             int count = step < 2 ? rows : H;
 #pragma omp parallel for num_threads(threads) schedule(static)
             for (int t = 0; t < threads; t++) {
                 float *sums = space + (int64_t)t * (SUMS + 1) * W, *shares = sums + SUMS * W;
-                for (int x = 0; x < W; x++) shares[x] = usual;
                 for (int i = (int64_t)count * t / threads; i < (int64_t)count * (t + 1) / threads; i++) {
                     if (step == 0) terms(j, i, sums);
                     if (step == 1) smooth(j, i);
                     if (step < 2) continue;
+                    for (int x = 0; x < W; x++) shares[x] = usual;
                     if (noisy) told(j, i, sums, shares);
+                    if (depth) leave_the_sky(j, i, shares);
                     for (int c = 0; c < 3; c++)
                         if (before) colour(j, (int64_t)i * W, c, shares, 1);
                         else colour(j, (int64_t)i * W, c, shares, 0);

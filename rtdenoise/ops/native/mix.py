@@ -23,9 +23,10 @@ def mix(
     held: Tensor | None,
     noisy: Tensor | None,
     tells: Tensor | None,
+    depth: Tensor | None,
 ) -> Tensor:
     B, _, H, W = first.shape
-    images = first, other, scale.expand(B, 1, 1, 1), trust, before, held, noisy, tells
+    images = first, other, scale.expand(B, 1, 1, 1), trust, before, held, noisy, tells, depth
     images = [x if x is None else x.contiguous() for x in images]
     threads = torch.get_num_threads()
     cells = first.new_empty(2, -(-H // MIX_CELL), SUMS, -(-W // MIX_CELL))

@@ -70,8 +70,9 @@ def _between_cells(told, low_i, low_j, f, g, h, w, exists):
 
 
 @triton.jit
-def _mix(first, other, scale, trust, before, held, told, tells, out, H, W, usual, share_before, lowest, smallest,
-         far, BEFORE: tl.constexpr, TOLD: tl.constexpr, CELL: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
+def _mix(first, other, scale, trust, before, held, told, tells, depth, out, H, W, usual, share_before, lowest, smallest,
+         far, BEFORE: tl.constexpr, TOLD: tl.constexpr, SKY: tl.constexpr, CELL: tl.constexpr, BLOCK:
+         tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
     at, s = y * W + x, tl.load(scale + b)
@@ -89,6 +90,13 @@ def _mix(first, other, scale, trust, before, held, told, tells, out, H, W, usual
         found = tl.minimum(tl.maximum((usual * noise + along) / (noise + square), 0.0), 1.0)
         bounded = tl.minimum(tl.maximum(found, lowest), usual)
         share = bounded + tl.load(tells + b * plane + at, mask=exists, other=0.0) * (found - bounded)
+    if SKY:
+        greatest = tl.zeros([BLOCK], tl.float32)
+        for k in tl.static_range(9):
+            v, u = y + k // 3 - 1, x + k % 3 - 1
+            inside = exists & (v >= 0) & (v < H) & (u >= 0) & (u < W)
+            greatest = tl.maximum(greatest, tl.load(depth + b * plane + v * W + u, mask=inside, other=0.0))
+        share = tl.where(greatest > 0, share, 0.0)
     trusted = tl.load(trust + b * plane + at, mask=exists, other=0.0)
     share *= trusted
     for c in tl.static_range(3):
@@ -113,6 +121,7 @@ def mix(
     held: Tensor | None,
     noisy: Tensor | None,
     tells: Tensor | None,
+    depth: Tensor | None,
 ) -> Tensor:
     first, other, trust = first.contiguous(), other.contiguous(), trust.contiguous()
     B, _, H, W = first.shape
@@ -123,11 +132,11 @@ def mix(
         h, w = triton.cdiv(H, MIX_CELL), triton.cdiv(W, MIX_CELL)
         told, limits = first.new_empty(B, 3, h, w), (shares[0], MIX_DARK, MIX_LARGEST)
         _told[grid(B, h, w)](first, other, noisy.contiguous(), scale, told, H, W, *limits, CELL=MIX_CELL, BLOCK=BLOCK)
-        tells = tells.contiguous()
     out = torch.empty_like(first)
-    constants = {"BEFORE": before is not first, "TOLD": noisy is not None, "CELL": MIX_CELL, "BLOCK": BLOCK}
+    constants = {"BEFORE": before is not first, "TOLD": noisy is not None, "SKY": depth is not None, "CELL": MIX_CELL}
+    tells, depth = (trust if x is None else x.contiguous() for x in (tells, depth))
     _mix[grid(B, H, W)](
-        first, other, scale, trust, before, held, told, trust if tells is None else tells, out, H, W, *shares,
-        MIX_NOISE, MIX_FAR, **constants,
+        first, other, scale, trust, before, held, told, tells, depth, out, H, W, *shares, MIX_NOISE, MIX_FAR,
+        BLOCK=BLOCK, **constants,
     )  # fmt: skip
     return out
