@@ -111,17 +111,18 @@ static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int
 }
 
 // first, other, before, noisy, out [B, 3, H, W], trust, held, tells, depth [B, 1, H, W], scale [B]; before and held, noisy and
-// tells, and depth may be NULL. cells and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads` threads.
+// tells, and depth may be NULL. cells and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads`
+// threads.
 void mix(const float *first, const float *other, const float *scale, const float *trust, const float *before, const float *held,
-         const float *noisy, const float *tells, const float *depth, float *cells, float *around, float *space, float *out, int B, int H, int W,
-         float usual, float share, float least, int threads) {
+         const float *noisy, const float *tells, const float *depth, float *cells, float *around, float *space, float *out, int B,
+         int H, int W, float usual, float share, float least, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
     for (int b = 0; b < B; b++) {
         Job j = {first + 3 * b * plane, other + 3 * b * plane, before ? before + 3 * b * plane : NULL,
                  noisy ? noisy + 3 * b * plane : NULL, trust + b * plane, before ? held + b * plane : NULL,
-                 noisy ? tells + b * plane : NULL, depth ? depth + b * plane : NULL, cells, around, out + 3 * b * plane, scale[b], usual, share, least, plane, H, W,
-                 rows, columns};
+                 noisy ? tells + b * plane : NULL, depth ? depth + b * plane : NULL, cells, around, out + 3 * b * plane, scale[b],
+                 usual, share, least, plane, H, W, rows, columns};
         for (int step = noisy ? 0 : 2; step < 3; step++) {
             int count = step < 2 ? rows : H;
 #pragma omp parallel for num_threads(threads) schedule(static)
