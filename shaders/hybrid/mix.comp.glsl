@@ -50,7 +50,8 @@ void main() {
     float noise = sums.z + MIX_NOISE, trust = seen[i + plane].w, held = has_history(past[i]) ? 1.0 : 0.0;
     float told_share = clamp((USUAL * noise + sums.x) / (noise + sums.y), 0.0, 1.0);
     float share = mix(clamp(told_share, LEAST, USUAL), told_share, tells(pixel, held)), scale = statistics[0];
-    vec3 light = mix(compressed(scale * written[i].rgb), compressed(scale * max(denoised[i].rgb, 0.0)), trust * share * written[i].w);
+    vec3 kernels = compressed(scale * max(denoised[i].rgb, 0.0));
+    vec3 light = mix(compressed(scale * written[i].rgb), kernels, trust * share * written[i].w);
     light += trust * BEFORE * held * clamp(compressed(scale * past[i].rgb) - light, -MIX_FAR, MIX_FAR);
     mixed[i] = vec4(expanded(light) / scale, 1.0);
 }
