@@ -104,7 +104,7 @@ def told_of_cycles(source: Sequence, options: CombineOptions) -> list[str]:
     samples = known_samples(source, options.samples)
     if source.layout.name != "cycles" or not 0 < samples <= NOISY_ALBEDO or options.second:
         return []
-    return [f"frames of Cycles of {samples:g} samples a pixel: up to {NOISY_ALBEDO} nothing was gained on such, and "
+    return [f"frames of Cycles of few samples a pixel ({samples:g}): up to {NOISY_ALBEDO} nothing was gained, and "
             "fine textures and metal that turns were worse; compare before you use these"]  # fmt: skip
 
 
