@@ -143,6 +143,7 @@ def _facts(path: Path) -> dict:
         return {}
     facts = read_json(path)
     try:
-        return {name: kind(facts[name]) for name, kind in (("spp", int), ("sample_ms", float)) if facts.get(name)}
+        found = {"spp": int(facts["spp"])} if "spp" in facts else {}
+        return found | {"sample_ms": facts.get("sample_ms") and float(facts["sample_ms"])}
     except (ValueError, TypeError, AttributeError) as error:
         raise InputError(f'{path}: expected {{"spp": 1, "sample_ms": 38.5}}, found otherwise ({error})') from None

@@ -101,8 +101,10 @@ def unread_options(options: CombineOptions, combiner: Combiner | Shrinkage) -> l
 
 def told_of_cycles(source: Sequence, options: CombineOptions) -> list[str]:
     """A line for frames of Cycles of few samples: their albedo is noise in textures (docs/results/combine.md)."""
+    if source.layout.name != "cycles" or options.second:
+        return []
     samples = known_samples(source, options.samples)
-    if source.layout.name != "cycles" or not 0 < samples <= NOISY_ALBEDO or options.second:
+    if not 0 < samples <= NOISY_ALBEDO:
         return []
     return [f"frames of Cycles of few samples a pixel ({samples:g}): up to {NOISY_ALBEDO} nothing was gained, and "
             "fine textures and metal that turns were worse; compare before you use these"]  # fmt: skip

@@ -156,7 +156,8 @@ def choose_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
 
 def _read_besides(sequence: Sequence) -> list[Rule]:
     """What `denoise` reads to mend others by: the light of volumes and of the sky, and the length of paths."""
-    path, fog = replace(sequence, fog=True, virtual_motion=sequence.signal == "color").besides(sequence.files[0])
+    beauty = sequence.signal == "color"  # `choice.open_chosen`
+    path, fog = replace(sequence, fog=beauty, virtual_motion=beauty).besides(sequence.files[0])
     return [*fog.values(), *([path] if path else [])]
 
 
