@@ -209,6 +209,19 @@ def test_where_nothing_was_hit(tmp_path, name):
     assert told in notes["depth"]
 
 
+@pytest.mark.parametrize("rows", [5, 60])  # of 72: few pixels, and most of them
+def test_a_miss_may_have_the_other_sign(tmp_path, rows):
+    depth = -np.linspace(2, 5, H * W).reshape(H, W)
+    depth[:rows] = 1e10
+    shot = write(tmp_path / "shot", lambda f: {**pictures(f), "Z": depth})
+    layout, notes = describe(shot)
+    assert layout.layers["depth"] == (Rule(("Z",), (-1,), miss=1e9),)
+    found = inspect(shot, preset=layout)
+    assert notes["depth"] == "1e+10 is where nothing was hit" and not found.faults
+    frame = open_sequence(shot, preset=layout)[0]
+    np.testing.assert_allclose(frame.depth[0, 0], np.where(depth > 0, 0, -depth), rtol=1e-6)
+
+
 def test_black_normals_that_are_stored_as_colours_are_none():
     stored = {"X": np.float32([[0, 0.5]]), "Y": np.float32([[0, 0]]), "Z": np.float32([[0, 0.5]])}
     rule = Rule(("X", "Y", "Z"), (1, 1, 1), scale=2.0, offset=0.5)

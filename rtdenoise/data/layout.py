@@ -23,7 +23,7 @@ class Rule:
 
     channels: tuple[str, ...]  # a name with a `*` stands for the first channel that matches
     signs: tuple[int, ...]
-    miss: float = float("inf")  # depth only: nothing was hit from this distance on
+    miss: float = float("inf")  # depth only: nothing was hit from this distance on, whatever its sign
     scale: float | str = 1.0  # motion only: pixels of a unit, or one of SCALES; normals: a number
     offset: float = 0.0  # motion and normals only: what stands for 0
 

@@ -16,7 +16,7 @@
 
     [depth]
     channels = ["Z"]
-    miss = 1e9                           # nothing was hit from this distance on
+    miss = 1e9                           # nothing was hit from this distance on, whatever the sign
     file = "depth/{frame}.exr"
 
 Layers are those of the native layout. There is no `radiance`: a file has `color`, `indirect` or both.

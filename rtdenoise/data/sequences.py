@@ -219,7 +219,7 @@ def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarr
     stored = [channels[name] for name in rule.channels]
     image = np.stack([sign * (c - rule.offset) for c, sign in zip(stored, rule.signs, strict=True)])
     if layer == "depth":
-        image = np.where(image >= rule.miss, np.float32(0), image)
+        image = np.where(np.abs(image) >= rule.miss, np.float32(0), image)
     if layer == "normal" and rule.offset:  # black, which is no direction, is written where nothing was hit
         image = np.where(np.any(stored, axis=0), image, np.float32(0))
     if rule.scale in SCALES:

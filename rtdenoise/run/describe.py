@@ -88,10 +88,12 @@ def _distances(rule: Rule, frames: list[Frame]) -> tuple[Rule, str]:
     stored = stored[np.isfinite(stored) & (stored != 0)]
     if not stored.size:
         return rule, "not measured: it is 0 everywhere"
-    if np.median(stored) < 0:
+    sizes = np.abs(stored)  # 1e10 may stand for nothing among negative depths, too
+    most = sizes.max()
+    nearer = sizes < most
+    if np.median(stored[nearer] if nearer.any() else stored) < 0:
         rule, stored = replace(rule, signs=(-1,)), -stored
-    most = stored.max()
-    hit, share = stored[stored < most], np.mean(stored == most)
+    hit, share = stored[nearer], 1 - nearer.mean()
     near = np.median(hit) if hit.size else most
     if share * stored.size >= MANY and most > FAR * near:
         # Depth that is averaged over samples lies in between at edges.
