@@ -430,9 +430,10 @@ def test_control_characters_in_names_are_escaped(tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    ["shot.{:04d}_v02.exr", "beauty.{:04d}.denoise.exr", "frame_{:04d}_v003.exr", "f{}v2.exr", "v1_{:02d}.V12.exr"],
-)
-def test_a_version_is_no_frame_number(tmp_path, name):
+    ["shot.{:04d}_v02.exr", "beauty.{:04d}.denoise.exr", "frame_{:04d}_v003.exr", "f{}v2.exr", "v1_{:02d}.V12.exr",
+     "shot_{:04d}_64spp.exr", "shot.{}.4spp.v02.exr"],
+)  # fmt: skip
+def test_a_version_or_a_number_of_samples_is_no_frame_number(tmp_path, name):
     folder = write_native(tmp_path / "s", [9, 10, 12], name=name)
     assert "the next frame is 12, missing: 11" in message(open_sequence, folder)
     found = open_sequence(folder, allow_gaps=True)
@@ -444,6 +445,7 @@ def test_versions_of_one_frame_and_versions_alone(tmp_path):
     folder = write_native(tmp_path / "s", [2, 3], name="shot.0001_v{:02d}.exr")
     assert "frame number 1 is there twice" in message(open_sequence, folder)
     assert open_sequence(write_native(tmp_path / "versions", [2, 3], name="look_v{:02d}.exr")).numbers == (2, 3)
+    assert open_sequence(write_native(tmp_path / "samples", [2, 3], name="look_{}spp.exr")).numbers == (2, 3)
 
 
 def test_numbers_before_zero(tmp_path):

@@ -24,6 +24,7 @@ from .exr_format import ExrHeader
 NUMBER = r"(?:(?<=[._ ])-)?\d+"  # a sign stands behind a separator, where it is none itself
 DESCRIBE = "where each layer has a file, rtdenoise inspect DIR --write my.toml describes them"
 VERSION = r"(?<![A-Za-z])(v|V)\d+"
+SAMPLES = r"\d+ ?(?i:spp)(?![A-Za-z])"
 
 
 @dataclass(frozen=True)
@@ -144,8 +145,8 @@ def fits(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]
 
 def number_files(files: list[Path]) -> list[tuple[int, Path]]:
     """Files with their frame numbers, ascending: the last run of digits in a name, negative in `shot.-0001.exr`, not in
-    `shot-0001.exr`; a version such as `_v02` only where there is no other. Raises `InputError` for a name without
-    digits, and for repeated numbers."""
+    `shot-0001.exr`; a version such as `_v02`, and samples such as `_64spp`, only where there is no other. Raises
+    `InputError` for a name without digits, and for repeated numbers."""
     runs = {file: frame_number(file.stem) for file in files}
     unnumbered = [file for file in sorted(files) if not runs[file]]
     if unnumbered and len(files) > 1:
@@ -160,10 +161,11 @@ def number_files(files: list[Path]) -> list[tuple[int, Path]]:
 
 
 def frame_number(name: str) -> re.Match | None:
-    """Where a name has its frame number: the last run of digits that is no version, else the last; None without any."""
-    versions = [match.span() for match in re.finditer(VERSION, name)]
+    """Where a name has its frame number: the last run of digits that is no version and no number of samples, else the
+    last; None without any."""
+    taken = [match.span() for match in re.finditer(f"{VERSION}|{SAMPLES}", name)]
     runs = list(re.finditer(NUMBER, name))
-    others = [run for run in runs if not any(start < run.end() and run.start() < end for start, end in versions)]
+    others = [run for run in runs if not any(start < run.end() and run.start() < end for start, end in taken)]
     return next(reversed(others or runs), None)
 
 
