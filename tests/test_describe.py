@@ -255,6 +255,18 @@ def test_layers_of_this_project_stay(tmp_path):
     assert layout.layers["motion"] == (Rule(("motion.X", "motion.Y"), (-1, -1)),)
 
 
+def test_components_of_a_metropolis_render_stay(tmp_path):
+    def parts(frame):
+        color = frame["color"]
+        return {**pictures(frame), **channels("large.", color / 4), **channels("small.", color * 3 / 4)}
+
+    shot, preset = write(tmp_path / "shot", parts), tmp_path / "my.toml"
+    write_description(shot, preset)
+    found, native = (open_sequence(shot, preset=p, layers=("components",))[0] for p in (str(preset), "native"))
+    assert found.components.shape == (1, 6, H, W) and (found.components == native.components).all()
+    assert read_layout(preset).layers == describe(shot)[0].layers
+
+
 def test_which_files_are_meant(tmp_path):
     shot = write(tmp_path / "shot", files("sh_{}.{{}}.exr"))
     more = "slate.{}.exr", "sh_crypto_albedo.{}.exr"

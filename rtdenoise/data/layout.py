@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from ..frame import CHANNELS
 from .components import NOTHING_TO_SPLIT
 from .exr_format import ExrHeader
-from .layers import SIGNALS
+from .layers import COMPONENTS, SIGNALS
 
 SCALES = {  # of motion -> times the picture's width and height, as it is written for x and y
     "uv": (1.0, "W·", "H·"), "ndc": (0.5, "W/2·", "H/2·"), "2uv": (2.0, "2W·", "2H·"),
@@ -69,6 +69,15 @@ def rules(names: str, components: str, signs: tuple[int, ...] = (), **conversion
     prefixes = [f"{name}." if name else "" for name in names.split("|")]
     signs = signs or (1,) * len(components)
     return tuple(Rule(tuple(prefix + c for c in components), signs, **conversion) for prefix in prefixes)
+
+
+def with_components(layers: Mapping[str, tuple[Rule, ...]]) -> dict[str, tuple[Rule, ...]]:
+    """`layers` of one rule each, and `components` where all their parts are there."""
+    if not all(name in layers for name in COMPONENTS):
+        return dict(layers)
+    parts = [layers[name][0] for name in COMPONENTS]
+    channels, signs = (tuple(x for part in parts for x in getattr(part, key)) for key in ("channels", "signs"))
+    return {**layers, "components": (Rule(channels, signs),)}
 
 
 @dataclass(frozen=True)

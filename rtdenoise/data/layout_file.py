@@ -19,7 +19,8 @@
     miss = 1e9                           # nothing was hit from this distance on, whatever the sign
     file = "depth/{frame}.exr"
 
-Layers are those of the native layout. There is no `radiance`: a file has `color`, `indirect` or both.
+Layers are those of the native layout. There is no `radiance`: a file has `color`, `indirect` or both. `large` and
+`small` make the components of a Metropolis render.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from reprlib import repr
 from ..errors import InputError, did_you_mean
 from ..files import read_text
 from .layers import LAYERS, SIGNALS
-from .layout import SCALES, Layout, Rule
+from .layout import SCALES, Layout, Rule, with_components
 
 COUNTS = {name: layer.channels for name, layer in LAYERS.items()} | {"indirect_albedo": 3}
 KEYS = ("channels", "signs", "scale", "offset", "miss", "file")
@@ -70,7 +71,7 @@ def parse_layout(text: str, path: Path) -> Layout:
                          "file, or none where one file holds all of them")  # fmt: skip
     return Layout(
         name,
-        {layer: (rule.of_buffer(layer) if files else rule,) for layer, rule in layers.items()},
+        with_components({layer: (rule.of_buffer(layer) if files else rule,) for layer, rule in layers.items()}),
         demodulated=frozenset(demodulated),
         buffers={layer: (pattern,) for layer, pattern in files.items()},
     )
@@ -81,6 +82,8 @@ def layout_text(layout: Layout, notes: Mapping[str, str]) -> str:
     a layer for whoever edits it."""
     lines = [f"name = {_text(layout.name)}"]
     for layer, (rule,) in layout.layers.items():
+        if layer not in COUNTS:  # made of others
+            continue
         file, *_ = layout.buffers.get(layer, ("",))
         channels = [name.removeprefix(f"{layer}.") if file else name for name in rule.channels]
         lines += ["", f"[{layer}]", f"channels = {_text(channels)}"]

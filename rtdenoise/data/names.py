@@ -18,7 +18,7 @@ from .exr import read_header
 from .exr_format import ExrHeader
 from .files import VERSION, find_files, frame_number
 from .layers import LAYERS
-from .layout import OWN, Layout, Rule, first_match
+from .layout import OWN, Layout, Rule, first_match, with_components
 from .layouts import MITSUBA, NATIVE, choose, detect, view_layers
 
 GUESSED = "guessed"
@@ -127,7 +127,7 @@ def _of_channels(header: ExrHeader, signal: str) -> Layout:
             layers[layer] = (match,)
     if signal not in layers:
         raise _nothing(header, signal)
-    return Layout(GUESSED, layers)
+    return Layout(GUESSED, with_components(layers))
 
 
 def _nothing(header: ExrHeader, signal: str) -> InputError:
