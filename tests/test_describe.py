@@ -112,6 +112,52 @@ def test_fields_under_each_others_names(tmp_path):
     assert layout.layers["motion_next"] == (Rule(("backward.u", "backward.v"), (1, 1)),)
 
 
+def test_fields_under_each_others_names_in_files(tmp_path):
+    def swapped(frame):
+        made = files("sh_{}.{{}}.exr")(frame)
+        made["sh_motionBack.{}.exr"], made["sh_motionFore.{}.exr"] = (
+            made["sh_motionFore.{}.exr"], made["sh_motionBack.{}.exr"],
+        )  # fmt: skip
+        return made
+
+    shot, preset = write(tmp_path / "shot", swapped), tmp_path / "my.toml"
+    write_description(shot, preset)
+    assert read_layout(preset).buffers["motion"] == ("sh_motionFore.{frame}.exr",)
+    assert read_layout(preset) == replace(describe(shot)[0], name="my")
+    sequence = open_sequence(shot, preset=str(preset))
+    assert {"motion", "motion_next"} <= set(sequence.rules)
+    assert_like(sequence)
+
+
+ZEROS = {  # the field that is zero everywhere, what the other one holds -> the layer that is described
+    "forward": ("backward", "motion", "motion"), "backward": ("forward", "motion_next", "motion_next"),
+    "backward, and names are wrong": ("forward", "motion", "motion"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("in_files", [False, True])
+@pytest.mark.parametrize("name", ZEROS)
+def test_a_field_of_zeros_beside_one_that_tells_is_left_out(tmp_path, capsys, name, in_files):
+    other, held, layer = ZEROS[name]
+
+    def made(frame):
+        zeros, full = (channels("" if in_files else f"{field}.", vectors, "RG") for field, vectors in (
+            (name.split(",")[0], 0 * frame["motion"]), (other, frame[held])))  # fmt: skip
+        if in_files:
+            return {"rgba.{}.exr": pictures(frame), name.split(",")[0] + ".{}.exr": zeros, other + ".{}.exr": full}
+        return {**pictures(frame), **zeros, **full}
+
+    shot, preset = write(tmp_path / "shot", made), tmp_path / "my.toml"
+    main(["inspect", str(shot), "--write", str(preset)])
+    absent = "motion_next" if layer == "motion" else "motion"
+    told = "left out: it is (0, 0) everywhere: was motion blur on?"
+    assert f"# {absent}: " in preset.read_text() and told in preset.read_text()
+    assert told in capsys.readouterr().out
+    sequence = open_sequence(shot, preset=str(preset))
+    assert layer in sequence.rules and absent not in sequence.rules
+    assert_like(sequence)
+
+
 def test_light_serves_where_albedo_is_missing(tmp_path):
     layout, notes = describe(
         write(tmp_path, lambda f: channels("", f["color"]) | channels("mv.", f["motion"] / [W, H], "RG"))

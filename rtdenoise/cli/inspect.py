@@ -39,9 +39,9 @@ class Inspect:
 
             if preset != "auto":
                 raise InputError(f"--write describes files that no preset knows: leave out --preset {preset}")
-            write_description(self.source, self.write, self.signal, self.allow_gaps)
+            notes = write_description(self.source, self.write, self.signal, self.allow_gaps)
             preset = str(self.write)
-            print(f"wrote {preset}\n")
+            print("\n".join([f"wrote {preset}", *(f"  {layer + ':':<12} {told}" for layer, told in notes.items()), ""]))
         options = {"signal": self.signal, "preset": preset, "allow_gaps": self.allow_gaps}
         found = inspect(self.source, **options)
         given = {name: value for name, value in options.items() if value != getattr(Inspect, name)}

@@ -133,7 +133,7 @@ class Layout:
                 if buffer in self.buffers:
                     name = f"{', '.join(c.removeprefix(f'{buffer}.') for c in channels)} in {self.buffers[buffer][0]}"
                 return f"write it as {name}, or name it in {OWN}"
-        return f"this layout has no name for {names[0]}: describe the files in {OWN}"
+        return f"this layout has no name for {names[-1]}: describe the files in {OWN}"
 
 
 def _names(layer: str, signal: str) -> tuple[str, ...]:

@@ -79,7 +79,7 @@ def parse_layout(text: str, path: Path) -> Layout:
 
 def layout_text(layout: Layout, notes: Mapping[str, str]) -> str:
     """A layout, whose layers have one rule each, as the text of a file that `read_layout` reads. `notes`: a line about
-    a layer for whoever edits it."""
+    a layer, also about one that is not described, for whoever edits it."""
     lines = [f"name = {_text(layout.name)}"]
     for layer, (rule,) in layout.layers.items():
         if layer not in COUNTS:  # made of others
@@ -93,6 +93,8 @@ def layout_text(layout: Layout, notes: Mapping[str, str]) -> str:
         lines += [f"miss = {rule.miss:g}"] if math.isfinite(rule.miss) else []
         lines += [f"file = {_text(file)}"] if file else []
         lines += [f"# {notes[layer]}"] if layer in notes else []
+    if absent := [f"# {layer}: {told}" for layer, told in notes.items() if layer not in layout.layers]:
+        lines += ["", *absent]
     return "\n".join(lines) + "\n"
 
 

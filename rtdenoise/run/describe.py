@@ -7,6 +7,7 @@ warping one frame to the next (`vectors`), and by their values depth where nothi
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,7 +19,7 @@ from ..data.layout import Layout, Rule
 from ..data.layout_file import layout_text, parse_layout
 from ..data.names import guess
 from ..data.sequences import open_sequence
-from ..errors import INSTALL_TORCH, InputError
+from ..errors import INSTALL_TORCH, InputError, printable
 from ..files import write_atomically
 from .inspect import choose_pairs
 
@@ -34,9 +35,11 @@ MOTIONS = "motion", "motion_next"
 SPACE = "not measured: world space is right, the camera's is not"
 
 
-def write_description(source: str | os.PathLike, path: Path, signal: str = "color", allow_gaps: bool = False) -> None:
+def write_description(
+    source: str | os.PathLike, path: Path, signal: str = "color", allow_gaps: bool = False
+) -> dict[str, str]:
     """Write the layout of a sequence to `path`, a TOML file for `--preset`, with a comment at each layer that was
-    measured.
+    measured. Returns these comments by layer.
 
     Raises `InputError` where `path` exists, or as `names.guess` and `open_sequence` do.
     """
@@ -47,9 +50,11 @@ def write_description(source: str | os.PathLike, path: Path, signal: str = "colo
     if not path.parent.is_dir():
         raise InputError(f"--write {path}: there is no folder {path.parent}")
     described, notes = describe(source, signal, allow_gaps)
+    notes = {layer: printable(told) for layer, told in notes.items()}
     text = layout_text(replace(described, name=path.stem), notes)
     parse_layout(text, path)  # refuses what a name holds and the format does not
     write_atomically(path, text.encode())
+    return notes
 
 
 def describe(
@@ -60,7 +65,7 @@ def describe(
     sequence = open_sequence(source, signal=signal, preset=layout, allow_gaps=allow_gaps)
     chosen = choose_pairs(sequence.numbers)
     frames = {i: sequence.read(i) for i in {i for pair in chosen for i in pair} or {0}}
-    layers, notes = dict(layout.layers), dict[str, str]()
+    layers, buffers, notes = dict(layout.layers), dict(layout.buffers), dict[str, str]()
     if "normal" in layers:
         layers["normal"], notes["normal"] = (_decoded(layers["normal"][0], [*frames.values()]),), SPACE
     if "depth" in layers:
@@ -70,8 +75,16 @@ def describe(
     if fields and find_spec("torch") is None:
         notes |= dict.fromkeys(fields, f"not measured: that takes PyTorch; {INSTALL_TORCH}")
     elif fields:
-        layers |= _measured(fields, [(frames[a], frames[b]) for a, b in chosen], notes)
-    return replace(layout, layers=layers), notes
+        found = _measured(fields, [(frames[a], frames[b]) for a, b in chosen], notes)
+        for field in fields:
+            del layers[field]
+            buffers.pop(field, None)
+        for layer, (field, rule) in found.items():
+            if field in layout.buffers:
+                rule = replace(rule, channels=tuple(layer + name.removeprefix(field) for name in rule.channels))
+                buffers[layer] = layout.buffers[field]
+            layers[layer] = (rule,)
+    return replace(layout, layers=layers, buffers=buffers), notes
 
 
 def _decoded(rule: Rule, frames: list[Frame]) -> Rule:
@@ -107,8 +120,9 @@ def _distances(rule: Rule, frames: list[Frame]) -> tuple[Rule, str]:
 
 def _measured(
     fields: dict[str, Rule], pairs: list[tuple[Frame, Frame]], notes: dict[str, str]
-) -> dict[str, tuple[Rule, ...]]:
-    """The rules of motion as it explains how pictures change; a note on each goes into `notes`."""
+) -> dict[str, tuple[str, Rule]]:
+    """Layer -> the field that it is read from, and its rule, as motion explains how pictures change. A field that is
+    the same everywhere is left out where the other one tells of movement. A note on each goes into `notes`."""
     import torch
 
     from .vectors import fit
@@ -119,21 +133,38 @@ def _measured(
         (layer, field): fit(way, [getattr(frame, field) for _, frame in way])
         for layer, way in ways.items() for field in fields
     }  # fmt: skip
-    order = dict(zip(MOTIONS, MOTIONS, strict=True))
-    if len(fields) == 2:
-        crossed = dict(zip(MOTIONS, MOTIONS[::-1], strict=True))
-        named, other = (sum(found[pair].error for pair in ways.items()) for ways in (order, crossed))
-        order = crossed if other < BETTER * named else order
+    order, errors = _ordered(fields, found, pairs), {pair: meaning.error for pair, meaning in found.items()}
     rules = {}
-    for layer in fields:
-        meaning = found[layer, order[layer]]
-        rules[layer] = (_read_as(fields[order[layer]], meaning),)
+    for layer, field in order.items():
+        meaning = found[layer, field]
+        rules[layer] = field, _read_as(fields[field], meaning)
         notes[layer] = meaning.told if meaning.confirmed else f"not confirmed: {meaning.told}"
-    if [*fields] == ["motion"]:
-        back, forth = (found[layer, "motion"].error for layer in MOTIONS)
-        if forth < BETTER * back:
-            notes["motion"] += "; they seem to lead to the next frame: render those from the frame before if you can"
+    for field, layer in zip(fields.keys() - order.values(), fields.keys() - order.keys(), strict=False):
+        notes[layer] = f"{', '.join(fields[field].channels)} left out: {found[field, field].told}"
+    if order == {"motion": "motion"} and errors["motion_next", "motion"] < BETTER * errors["motion", "motion"]:
+        notes["motion"] += "; they seem to lead to the next frame: render those from the frame before if you can"
     return rules
+
+
+def _ordered(
+    fields: Iterable[str], found: dict[tuple[str, str], Meaning], pairs: list[tuple[Frame, Frame]]
+) -> dict[str, str]:
+    """Layer -> the field that it is read from, whatever their names say."""
+    order = {layer: layer for layer in fields}
+    telling = [field for field in fields if not _is_even(field, pairs)]
+    if len(order) == 2 and len(telling) == 1 and any(found[layer, telling[0]].confirmed for layer in MOTIONS):
+        order = {telling[0]: telling[0]}
+    if "motion_next" not in order:
+        return order
+    crossed = dict(zip(MOTIONS, MOTIONS[::-1], strict=True)) if len(order) == 2 else {"motion": "motion_next"}
+    named, other = (sum(found[pair].error for pair in ways.items()) for ways in (order, crossed))
+    return crossed if other < BETTER * named else order
+
+
+def _is_even(field: str, pairs: list[tuple[Frame, Frame]]) -> bool:
+    """Whether it is the same in all pixels of all frames."""
+    stored = [getattr(frame, field) for pair in pairs for frame in pair]
+    return all((pixels == stored[0][..., :1, :1]).all() for pixels in stored)
 
 
 def _read_as(rule: Rule, meaning: Meaning) -> Rule:
