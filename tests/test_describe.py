@@ -313,6 +313,113 @@ def test_components_of_a_metropolis_render_stay(tmp_path):
     assert read_layout(preset).layers == describe(shot)[0].layers
 
 
+def a_file_each(folder, *names):
+    """Four channels in two frames of each name, `{}` for the frame number."""
+    for name in names:
+        for number in (1, 2):
+            (path := folder / name.format(number)).parent.mkdir(parents=True, exist_ok=True)
+            write_layers(path, {c: np.ones((4, 4), np.float32) for c in "RGBA"})
+    return folder
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    ["sh_1001_64spp_{}.{{}}.exr", "sh_{}_{{}}_64spp.exr", "Shot01{}{{}}.exr", "Shot{}.{{}}.exr",
+     "shot01_{}{{:04d}}.exr", "Abc{}_v02.{{}}.exr", "sh.{{}}.{}.exr"],
+)  # fmt: skip
+def test_labels_inside_of_names(tmp_path, pattern):
+    labels = "Beauty", "Albedo", "WorldNormal", "ZDepth", "MotionVectors", "Reference"
+    names = [pattern.format(label) for label in labels]
+    layout = guess(a_file_each(tmp_path, *names))
+    assert layout.buffers == {
+        layer: (name.replace("{:04d}", "{}").replace("{}", "{frame}"),)
+        for layer, name in zip(("color", "albedo", "normal", "depth", "motion", "reference"), names, strict=True)
+    }
+    assert open_sequence(tmp_path, preset=layout).numbers == (1, 2)
+
+
+def test_letters_at_the_end_of_a_word_are_no_label(tmp_path):
+    shot = a_file_each(tmp_path, "TakeN.{}.exr", "TakeN_albedo.{}.exr", "TakeNSpecularAlbedo.{}.exr")
+    assert {layer: files for layer, (files,) in guess(shot).buffers.items()} == {
+        "color": "TakeN.{frame}.exr", "albedo": "TakeN_albedo.{frame}.exr",
+    }  # fmt: skip
+
+
+UNLIKE = "{}.{{frame}}.exr is called otherwise than the picture, {}.{{frame}}.exr{}"
+LEFT_OUT = ", and left out: describe it here if it belongs to the picture"
+DOUBT = ": does it belong to it?"
+OTHERS = {  # names of files -> layers that are described, and what is told of others
+    "another camera": (("camA_beauty", "camA_albedo", "camB_albedo", "camB_depth"), {"albedo": "camA_albedo"}, {
+        "depth": UNLIKE.format("camB_depth", "camA_beauty", LEFT_OUT)}),
+    "another camera, which comes first": (("z_beauty", "z_depth", "a_depth"), {"depth": "z_depth"}, {}),
+    "another camera's folder": (("A/beauty", "B/depth"), {"depth": "B/depth"}, {
+        "depth": UNLIKE.format("B/depth", "A/beauty", DOUBT)}),
+    "another version": (("s_beauty_v02", "s_depth_v02", "s_depth_v01", "s_albedo_v01"),
+                        {"depth": "s_depth_v02", "albedo": "s_albedo_v01"}, {
+        "albedo": UNLIKE.format("s_albedo_v01", "s_beauty_v02", DOUBT)}),
+    "a longer name": (("s_beauty", "s_utility_depth"), {"depth": "s_utility_depth"}, {
+        "depth": UNLIKE.format("s_utility_depth", "s_beauty", DOUBT)}),
+    "a folder inside": (("s_beauty", "aov/s_depth", "aov/s_crypto"), {}, {
+        "depth": "aov/s_depth.{frame}.exr is left out: it is in a folder inside; describe it here if it belongs to the "
+                 "picture"}),
+    "folders": (("beauty/s", "depth/s", "albedo/albedo_s"), {"depth": "depth/s", "albedo": "albedo/albedo_s"}, {}),
+    "no name but the layer's": (("final", "depth", "s_albedo"), {"depth": "depth"}, {
+        "albedo": UNLIKE.format("s_albedo", "final", LEFT_OUT)}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_files_of_another_picture_are_told(tmp_path, name):
+    names, expected, told = OTHERS[name]
+    shot, notes = a_file_each(tmp_path, *(f"{name}.{{}}.exr" for name in names)), {}
+    layout = guess(shot, notes=notes)
+    found = {layer: files for layer, (files,) in layout.buffers.items() if layer != "color"}
+    assert found == {layer: f"{file}.{{frame}}.exr" for layer, file in expected.items()}
+    assert notes == told
+
+
+def test_what_is_told_of_files_is_written_and_printed(tmp_path, capsys):
+    shot = a_file_each(tmp_path / "shot", "A_beauty.{}.exr", "A_z.{}.exr", "B_albedo.{}.exr")
+    preset = tmp_path / "my.toml"
+    main(["inspect", str(shot), "--write", str(preset)])
+    told = "B_albedo.{frame}.exr is called otherwise than the picture, A_beauty.{frame}.exr, and left out"
+    assert f"# albedo: {told}" in preset.read_text() and f"  albedo:      {told}" in capsys.readouterr().out
+
+
+def test_a_glob_finds_the_layers_beside(tmp_path):
+    shot = a_file_each(tmp_path, *(f"{name}.{{}}.exr" for name in (
+        "sA_beauty", "sA_albedo", "sA_reference", "sB_beauty", "sB_depth", "sA_beauty_denoised")))  # fmt: skip
+    glob, notes = str(shot / "sA_beauty.*.exr"), {}
+    assert next_step(inspect(glob)).endswith("--write my.toml, which describes albedo: files beside seem to hold them")
+    layout = guess(glob, notes=notes)
+    assert {layer: files for layer, (files,) in layout.buffers.items()} == {
+        "color": "sA_beauty.{frame}.exr", "albedo": "sA_albedo.{frame}.exr", "reference": "sA_reference.{frame}.exr",
+    }  # fmt: skip
+    assert list(notes) == ["depth"] and "sB_depth" in notes["depth"]
+    assert open_sequence(str(shot / "sA_beauty.*2.exr"), preset=layout).numbers == (2,)
+    assert guess(str(shot / "sA_*y.2.exr")).buffers.keys() == {"color", "albedo", "reference"}
+
+
+def test_a_second_file_loses_no_layer_of_the_first(tmp_path):
+    def made(frame):
+        more = channels("reference.", frame["color"]) | channels("position.", frame["color"], "XYZ")
+        more |= channels("large.", frame["color"]) | channels("small.", frame["color"] * 0)
+        depth = channels("", frame["depth"].repeat(3, -1))
+        return {"s.{}.exr": {**pictures(frame), **more, "id.I": np.ones((H, W))}, "s_depth.{}.exr": depth}
+
+    shot, preset = write(tmp_path / "shot", made), tmp_path / "my.toml"
+    write_description(shot, preset)
+    available = open_sequence(shot, preset=str(preset)).available
+    assert set(available) == {"radiance", "albedo", "depth", "reference", "position", "id", "components"}
+
+
+def test_references_of_some_frames_are_left_out(tmp_path):
+    shot, notes = a_file_each(tmp_path, "s_beauty.{}.exr", "s_reference.{}.exr"), {}
+    (shot / "s_reference.2.exr").unlink()
+    assert guess(shot, notes=notes).buffers.keys() == {"color"}
+    assert notes == {"reference": "s_reference.{frame}.exr is left out: there is no such file of frame 2"}
+
+
 def test_which_files_are_meant(tmp_path):
     shot = write(tmp_path / "shot", files("sh_{}.{{}}.exr"))
     more = "slate.{}.exr", "sh_crypto_albedo.{}.exr"

@@ -1,55 +1,30 @@
 """Guess the layout of files that no preset knows, from the names of their channels and of the files themselves.
 
-A *label* is what a name says of a layer: `N` of channel `N.X`, `Z` of channel `Z`, `motionvector` of
-`beauty.motionvector.R`, `albedo` of the file `shot_albedo.0012.exr`. `NAMES` lists the labels of each layer, as
-renderers' documentation and their users spell them. What motion vectors and depths mean is measured: `run/describe.py`.
+`labels.py` says what a name means. What motion vectors and depths mean is measured: `run/describe.py`.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
+from glob import has_magic
 from os import PathLike
 from pathlib import Path, PurePath
 
 from ..errors import InputError
 from .exr import read_header
 from .exr_format import ExrHeader
-from .files import VERSION, find_files, frame_number
+from .files import find_files, frame_number
+from .labels import NAMES, UNKNOWN, FileLabel, layers_of, of_file
 from .layers import LAYERS
 from .layout import OWN, Layout, Rule, first_match, with_components
 from .layouts import MITSUBA, NATIVE, choose, detect, view_layers
 
 GUESSED = "guessed"
-NAMES = {  # layer -> labels in lower case without signs, best first; "": a channel R, or a file, that has none
-    "color": "|rgba|rgb|beauty|ci|combined|rgbcolor|color|colour|image|noisy|finalimage|finalcolor|hdr|c",
-    "indirect": "indirect|diffuseindirect|indirectdiffuse|globalillumination|gi",
-    "albedo": "denoisealbedo|denoisealbedonoisy|denoisingalbedo|albedo|alb|diffusealbedo|diffusefilter|basecolor"
-              "|basecolour|diffusecolor|diffcol|visiblediffuse|sourcecolor",
-    "normal": "nworld|worldnormal|worldnormals|normalworld|n|normal|normals|nrm|nn|shadingnormal|shadingnormals"
-              "|shnormal|avgshadingnormal|normalsshading|visiblenormals|ndenoise|nnoice|denoisenormal|nsmoothed"
-              "|smoothnormal",
-    "depth": "z|depth|zdepth|depthz|linearz|worlddepth|zfiltered|znoice|pz|hitpz|depthextra|cameradepth|distance"
-             "|hitdist",
-    "motion": "motionback|motionbackward|backward|backwardmotion|previousmotion|motionprevious|motionvector"
-              "|motionvectors|motion|motionvec|mvec|mv|velocity|vel|vector|vectors|flow",
-    "motion_next": "motionfore|motionforward|forward|forwardmotion|nextmotion|motionnext",
-}  # fmt: skip
-PROGRAMS = re.compile("^(vray|oct|finalimagemovierenderqueue|finalimage(?=.))")  # in front of a label
-PARTS = {  # of a picture or a material, which are no layer of their own
-    "specular", "coat", "sheen", "sss", "subsurface", "transmission", "emission", "reflection", "refraction", "crypto",
-    "direct", "key", "left", "right",
-}  # fmt: skip
-COMPONENTS = {  # layer -> endings of its channels, in order; ("",): a channel without any
-    **dict.fromkeys(("color", "indirect", "albedo"), ("rgb", ("red", "green", "blue"))),
-    "normal": ("xyz", "rgb", ("red", "green", "blue")),
-    "depth": ("z", "r", "y", "v", "x", "a", ("",), ("red",), ("depth",)),
-    **dict.fromkeys(("motion", "motion_next"), ("xy", "uv", "rg", ("red", "green"))),
-}
-QUALIFIED = 100  # rank of a label that is only a part of the name, behind those that are all of it
-UNKNOWN = 1000  # and of a file without any, which may be the picture
-_RANKS = {label: (layer, rank) for layer, names in NAMES.items() for rank, label in enumerate(names.split("|"))}
+DENOISED = "albedo", "normal", "depth", "motion", "motion_next"  # what a denoiser reads beside the picture
+IN_DOUBT, OTHER = 1, 2  # files that may belong to another picture, and that do
+IF_MINE = "describe it here if it belongs to the picture"
 
 
 @dataclass(frozen=True)
@@ -64,51 +39,63 @@ class _Group:
         """The file of the first frame."""
         return self.files[min(self.files)]
 
+    @cached_property
+    def label(self) -> FileLabel:
+        """What the name says."""
+        return of_file(self.pattern)
 
-def guess(source: str | PathLike, signal: str = "color") -> Layout:
+    def unlike(self, picture: _Group) -> int:
+        """0 where it is called as the picture is; IN_DOUBT, where one name says more, or for another version or
+        folder; OTHER for another name."""
+        mine, its = self.label, picture.label
+        if _apart(mine.words, its.words):
+            return OTHER
+        more = mine.words != its.words and mine.words and its.words
+        return IN_DOUBT if more or _apart(mine.place, its.place) else 0
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What may be a layer."""
+
+    rank: int
+    rule: Rule
+    group: _Group
+
+
+def guess(source: str | PathLike, signal: str = "color", notes: dict[str, str] | None = None) -> Layout:
     """The layout of a folder or glob of EXR files, for the layers in `NAMES` that it seems to hold, and those that a
     preset finds.
 
-    Where a folder holds no EXR files, those of the folders inside count. Raises `InputError` where a preset reads the
-    files, and where nothing, or several things, are called as the signal is.
+    Where a folder holds no EXR files, those of the folders inside count. Beside files of a glob of one name, others are
+    found that are called as its picture is. `notes` takes a line for each layer of which files are in doubt, or left
+    out. Raises `InputError` where a preset reads the files, and where nothing, or several things, are called as the
+    signal is.
     """
     if known := choose("auto", source):
         raise InputError(f"{source}: --write is for files that no preset knows; these are {known.name}'s")
+    notes = {} if notes is None else notes
     groups = _grouped(source)
-    headers = [read_header(group.first) for group in groups]
+    groups += _beside(source, groups)
     if len(groups) == 1 and "/" not in groups[0].pattern:
-        return _of_channels(headers[0], signal)
-    named: dict[str, list[tuple[int, Rule, _Group]]] = {}
-    for group, header in zip(groups, headers, strict=True):
-        if view_layers(header):
-            raise InputError(f"{group.first}: --write is for files that no preset knows; this is one of Cycles: give "
-                             "its folder, or a glob of these files")  # fmt: skip
-        for layer, (rank, rule) in _named(header.channels, group.pattern).items():
-            named.setdefault(layer, []).append((rank, rule, group))
-    if signal not in named:
-        raise _nothing(headers[0], signal)
-    found = {layer: min(named[layer], key=lambda one: one[0])[1:] for layer in NAMES if layer in named}
-    least = min(rank for rank, _, _ in named[signal])
-    alike = [group.first for rank, _, group in named[signal] if rank == least]
-    if len(alike) > 1:
-        raise InputError(f"{source}: which is the picture, {' or '.join(map(str, alike))}? Give a glob that fits the "
-                         "files of one, or write the preset yourself (docs/use/files.md)")  # fmt: skip
-    frames = found[signal][1].files.keys()
-    for layer, (_, group) in found.items():
-        if not _is_usable(group.pattern):
-            raise InputError(f"{source}: cannot describe files called {group.pattern}: a preset needs a frame number "
-                             "in the name, and no brackets, braces, * or ?")  # fmt: skip
-        if lacking := frames - group.files.keys():
-            raise InputError(f"{group.first}: {layer} has no such file of frame {min(lacking)}, which {signal} has: "
-                             "give a glob that fits frames with all files")  # fmt: skip
-    layers = {layer: (rule.of_buffer(layer),) for layer, (rule, _) in found.items()}
-    return Layout(GUESSED, layers, buffers={layer: (group.pattern,) for layer, (_, group) in found.items()})
+        layout = _of_channels(read_header(groups[0].first), signal)
+    else:
+        layout = _of_files(source, groups, signal, notes)
+    for group in _inside(source, groups):
+        if group.label.layer in DENOISED and group.label.layer not in layout.layers:
+            notes.setdefault(group.label.layer, f"{group.pattern} is left out: it is in a folder inside; {IF_MINE}")
+    return layout
 
 
 def guess_channels(channels: Iterable[str]) -> dict[str, Rule]:
     """The layers that these channels of one file seem to be."""
-    found = _named(channels)
-    return {layer: found[layer][1] for layer in NAMES if layer in found}
+    return {layer: rule for layer, (_, rule) in layers_of(channels).items() if layer in NAMES}
+
+
+def guess_beside(source: str | PathLike) -> set[str]:
+    """The layers that files beside those of a glob of one name seem to be, as `guess` finds them."""
+    groups = _grouped(source)
+    return {group.label.layer for group in _beside(source, groups) if group.unlike(groups[0]) != OTHER}
 
 
 def _of_channels(header: ExrHeader, signal: str) -> Layout:
@@ -130,28 +117,103 @@ def _of_channels(header: ExrHeader, signal: str) -> Layout:
     return Layout(GUESSED, with_components(layers))
 
 
+def _of_files(source: str | PathLike, groups: list[_Group], signal: str, notes: dict[str, str]) -> Layout:
+    """The layout of files that hold a layer each, or some."""
+    headers = [read_header(group.first) for group in groups]
+    named: dict[str, list[_Found]] = {}
+    for group, header in zip(groups, headers, strict=True):
+        if view_layers(header):
+            raise InputError(f"{group.first}: --write is for files that no preset knows; this is one of Cycles: give "
+                             "its folder, or a glob of these files")  # fmt: skip
+        for layer, (rank, rule) in layers_of(header.channels, group.pattern).items():
+            named.setdefault(layer, []).append(_Found(rank, rule, group))
+    if signal not in named:
+        raise _nothing(headers[0], signal)
+    least = min(found.rank for found in named[signal])
+    alike = [found.group for found in named[signal] if found.rank == least]
+    if len(alike) > 1:
+        pictures = " or ".join(str(group.first) for group in alike)
+        raise InputError(f"{source}: which is the picture, {pictures}? Give a glob that fits the "
+                         "files of one, or write the preset yourself (docs/use/files.md)")  # fmt: skip
+    picture = alike[0]
+
+    def order(found: _Found) -> tuple[int, ...]:
+        return found.group.unlike(picture), len(found.group.label.words ^ picture.label.words), found.rank
+
+    best = {layer: min(named[layer], key=order) for layer in {**NAMES, **LAYERS} if layer in named}
+    layers, buffers = {}, {}
+    for layer, found in best.items():
+        if told := _doubt(layer, found.group, picture):
+            notes[layer] = told
+        if found.group.unlike(picture) == OTHER:
+            continue
+        if not _is_usable(found.group.pattern):
+            raise InputError(f"{source}: cannot describe files called {found.group.pattern}: a preset needs a frame "
+                             "number in the name, and no brackets, braces, * or ?")  # fmt: skip
+        if lacking := picture.files.keys() - found.group.files.keys():
+            if layer not in (signal, *DENOISED):
+                notes[layer] = f"{found.group.pattern} is left out: there is no such file of frame {min(lacking)}"
+                continue
+            raise InputError(f"{found.group.first}: {layer} has no such file of frame {min(lacking)}, which {signal} "
+                             "has: give a glob that fits frames with all files")  # fmt: skip
+        layers[layer] = (found.rule.of_buffer(layer),)
+        buffers[layer] = (found.group.pattern,)
+    return Layout(GUESSED, with_components(layers), buffers=buffers)
+
+
 def _nothing(header: ExrHeader, signal: str) -> InputError:
     what = "a picture's" if signal == "color" else f"{signal} light's"
     return InputError(f"{header.path}: no channels that are called as {what}; the file has {header.summary}: describe "
                       f"it in {OWN}")  # fmt: skip
 
 
+def _doubt(layer: str, group: _Group, picture: _Group) -> str:
+    """What there is to say of files that may belong to another picture."""
+    unlike = f"{group.pattern} is called otherwise than the picture, {picture.pattern}"
+    left_out = f"{unlike}, and left out: {IF_MINE}"
+    return {0: "", IN_DOUBT: f"{unlike}: does it belong to it?", OTHER: left_out}[group.unlike(picture)]
+
+
 def _grouped(source: str | PathLike) -> list[_Group]:
     """The files by their patterns, those with most files first."""
-    folder = Path(source)
     try:
-        files, base = find_files(source), None
+        return _by_pattern(find_files(source))
     except InputError:
-        files, base = [file for file in folder.glob("*/*") if file.suffix.lower() == ".exr"], folder
-        files = [file for file in files if not file.name.startswith(".")]
-        if not files:
-            raise
+        if found := _by_pattern(Path(source).glob("*/*"), Path(source)):
+            return found
+        raise
+
+
+def _beside(source: str | PathLike, groups: list[_Group]) -> list[_Group]:
+    """The files of layers that those of a glob lack, in their folder; none for a folder, or a glob of several names."""
+    folder, (group, *others) = Path(source).parent, groups
+    if Path(source).is_dir() or others or has_magic(str(folder)) or not _is_usable(group.pattern):
+        return []
+    own = layers_of(read_header(group.first).channels, group.pattern)
+    found = [other for other in _by_pattern(folder.glob("*")) if other.label.layer not in ("", *own)]
+    return [other for other in found if other.label.rank < UNKNOWN and _is_usable(other.pattern)]
+
+
+def _inside(source: str | PathLike, groups: list[_Group]) -> list[_Group]:
+    """The files in folders inside a folder whose own files count."""
+    folder = Path(source)
+    return _by_pattern(folder.glob("*/*"), folder) if folder.is_dir() and "/" not in groups[0].pattern else []
+
+
+def _by_pattern(files: Iterable[Path], base: Path | None = None) -> list[_Group]:
+    """EXR files by their patterns beneath `base`, else their folder, those with most files first."""
     groups: dict[str, dict[int, Path]] = {}
     for file in sorted(files):
-        pattern, number = _pattern(file.relative_to(base or file.parent))
-        groups.setdefault(pattern, {})[number] = file
+        if file.suffix.lower() == ".exr" and not file.name.startswith("."):
+            pattern, number = _pattern(file.relative_to(base or file.parent))
+            groups.setdefault(pattern, {})[number] = file
     found = [_Group(pattern, files) for pattern, files in groups.items()]
     return sorted(found, key=lambda group: -len(group.files))
+
+
+def _apart(some: frozenset[str], others: frozenset[str]) -> bool:
+    """Whether each has a word that the other lacks."""
+    return not (some <= others or others <= some)
 
 
 def _pattern(path: PurePath) -> tuple[str, int]:
@@ -165,67 +227,3 @@ def _pattern(path: PurePath) -> tuple[str, int]:
 def _is_usable(pattern: str) -> bool:
     plain = pattern.replace("{frame}", "", 1)
     return plain != pattern and pattern.isprintable() and not set(plain) & set("{}[]*?")
-
-
-def _named(channels: Iterable[str], pattern: str = "") -> dict[str, tuple[int, Rule]]:
-    """The layers that the channels of a file may be, each with its rank and rule. Channels without a label have that of
-    the file's name."""
-    found: dict[str, tuple[int, Rule]] = {}
-    for layer, rank, parts in _labelled(list(channels), pattern):
-        rule = _rule(layer, parts)
-        if rule and (layer not in found or rank < found[layer][0]):
-            found[layer] = rank, rule
-    return found
-
-
-def _labelled(names: list[str], pattern: str) -> Iterator[tuple[str, int, dict[str, str]]]:
-    """Layer, rank, and the channels (ending in lower case -> name) of each label that is known."""
-    groups: dict[str, dict[str, str]] = {}
-    for name in names:
-        label, _, ending = name.rpartition(".")
-        if not label and name[:-1] and {f"{name[:-1]}X", f"{name[:-1]}Y"} <= {*names}:  # 3ds Max's NX, velX
-            label, ending = name[:-1], name[-1]
-        groups.setdefault(label, {})[ending.lower()] = name
-    bare = groups.pop("", {})
-    if found := _of_file(pattern):
-        yield *found, bare
-    for label, parts in [*((name, {"": name}) for name in bare.values()), *groups.items()]:
-        if found := _of_label(label):
-            yield *found, parts
-
-
-def _rule(layer: str, channels: dict[str, str]) -> Rule | None:
-    """None where channels of the layer are missing."""
-    for endings in COMPONENTS[layer]:
-        if all(ending in channels for ending in endings):
-            return Rule(tuple(channels[ending] for ending in endings), (1,) * len(endings))
-    return None
-
-
-def _of_label(label: str) -> tuple[str, int] | None:
-    """The layer and rank of a channel's label."""
-    plain = _plain(label)
-    if not plain or plain in _RANKS:
-        return _RANKS[plain] if plain else None
-    *before, last = re.split("[.:/]", label)
-    if before and _plain(before[-1]) not in PARTS and (found := _RANKS.get(_plain(last))):
-        return found[0], found[1] + QUALIFIED
-    return None
-
-
-def _of_file(pattern: str) -> tuple[str, int] | None:
-    """The layer and rank of a file: of the longest end of its name that is a label, else of its folder."""
-    for part in reversed(pattern.split("/")):
-        name = re.sub(VERSION, "", PurePath(part.replace("{frame}", " ")).stem if "." in part else part)
-        words = re.findall("[A-Za-z0-9]+", name)
-        if PARTS & {word.lower() for word in words}:
-            return None
-        for first in range(len(words)):
-            label = _plain("".join(words[first:]))
-            if label and (found := _RANKS.get(label)):
-                return found
-    return "color", UNKNOWN if pattern else 0
-
-
-def _plain(label: str) -> str:
-    return PROGRAMS.sub("", re.sub("[^a-z0-9]", "", label.lower()))

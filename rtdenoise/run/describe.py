@@ -60,8 +60,9 @@ def write_description(
 def describe(
     source: str | os.PathLike, signal: str = "color", allow_gaps: bool = False
 ) -> tuple[Layout, dict[str, str]]:
-    """The layout of a sequence, and a note on each layer that was measured."""
-    layout = guess(source, signal)
+    """The layout of a sequence, and a note on each layer that was measured, or whose files are in doubt."""
+    doubts = dict[str, str]()
+    layout = guess(source, signal, doubts)
     sequence = open_sequence(source, signal=signal, preset=layout, allow_gaps=allow_gaps)
     chosen = choose_pairs(sequence.numbers)
     frames = {i: sequence.read(i) for i in {i for pair in chosen for i in pair} or {0}}
@@ -84,6 +85,7 @@ def describe(
                 rule = replace(rule, channels=tuple(layer + name.removeprefix(field) for name in rule.channels))
                 buffers[layer] = layout.buffers[field]
             layers[layer] = (rule,)
+    notes |= {layer: "; ".join(filter(None, [notes.get(layer), told])) for layer, told in doubts.items()}
     return replace(layout, layers=layers, buffers=buffers), notes
 
 

@@ -17,7 +17,7 @@ from ..data.exr_format import group_channels
 from ..data.files import describe_gap
 from ..data.layout import Rule
 from ..data.layouts import MITSUBA, NATIVE
-from ..data.names import guess_channels
+from ..data.names import guess_beside, guess_channels
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from ..errors import INSTALL_TORCH
 from ..frame import Frame
@@ -63,6 +63,7 @@ class Inspection:
     layers: tuple[FoundLayer, ...]
     missing: dict[str, str]  # missing layer that a denoiser would use -> how to get it
     guessed: tuple[str, ...]  # of these, such as the files seem to hold by other names
+    beside: tuple[str, ...]  # and such as files beside seem to hold, where the source is a glob
     computed: tuple[str, ...]  # layers that are computed from position, id and scene.json
     ignored: tuple[str, ...]  # channels that nothing reads
     dual_motion: str  # the source of dual motion, in words
@@ -104,6 +105,8 @@ def inspect(
     absent = [layer for layer in DEFAULT_LAYERS if layer not in sequence.available and layer not in computed]
     read = [*sequence.available.values(), *_read_besides(sequence)]
     fed = {*(name for rule in read for name in rule.channels), sequence.layout.alpha(sequence.header)}
+    own = preset == "auto" and sequence.layout in (NATIVE, MITSUBA)  # else a program's
+    by_channels, by_files = (guess_channels(sequence.header.channels), guess_beside(source)) if own else ((), ())
     return Inspection(
         source=str(source),
         files=len(sequence),
@@ -115,7 +118,8 @@ def inspect(
         demodulated=sequence.demodulated,
         layers=_layers(sequence),
         missing={layer: sequence.layout.hint(layer, signal) for layer in absent},
-        guessed=_guessed(sequence, absent) if preset == "auto" else (),
+        guessed=tuple(layer for layer in absent if layer in by_channels),
+        beside=tuple(layer for layer in absent if layer in by_files and layer not in by_channels),
         computed=computed,
         ignored=tuple(name for name in sequence.header.channels if name not in fed),
         dual_motion=_dual_source(present, computed),
@@ -174,12 +178,6 @@ def _layers(sequence: Sequence) -> tuple[FoundLayer, ...]:
     )
 
 
-def _guessed(sequence: Sequence, absent: list[str]) -> tuple[str, ...]:
-    """The missing layers that files without a program's layout seem to hold."""
-    found = guess_channels(sequence.header.channels) if sequence.layout in (NATIVE, MITSUBA) else ()
-    return tuple(layer for layer in absent if layer in found)
-
-
 def _dual_source(present: set[str], computed: tuple[str, ...]) -> str:
     if "motion" not in present:
         return "none: there is no motion"
@@ -200,6 +198,8 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
         return f"mend the motion vectors as said above{advice}: with these, history comes from wrong places"
     if found.guessed:
         return f"{describe}, which describes {', '.join(found.guessed)}: the files seem to call them otherwise"
+    if found.beside:
+        return f"{describe}, which describes {', '.join(found.beside)}: files beside seem to hold them"
     if 2 * len(found.same_noise) >= len(found.examined):
         return "render again, with another seed in every frame: noise that stands still is not averaged"
     if 2 * len(found.unmoved) >= len(found.examined):  # not the cuts between still shots
