@@ -20,7 +20,9 @@ from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.ops import warp
 from rtdenoise.run.conventions import READINGS, Reading
+from rtdenoise.run.describe import describe
 from rtdenoise.run.inspect import inspect, next_step, render_text
+from rtdenoise.run.normals import ENCODED, IN_CAMERA
 from rtdenoise.run.unmoved import Watch
 
 CYCLES = Path(__file__).parent / "data" / "cycles"
@@ -143,6 +145,52 @@ def test_noisy_radiance_alone_is_enough(tmp_path, name, status):
     made = [{k: v for k, v in f.items() if k != "albedo"} for f in frames(noise=1.0)]
     verdict = inspect(write(tmp_path, made, lambda f: {**f, **change(f)})).convention
     assert (verdict.status, verdict.feature) == (status, "radiance")
+
+
+def curved(f, degrees=0.0):
+    """Normals of hills, seen as a frame's albedo is, turned round y."""
+    a, b = 2 * f["albedo"][..., 0] - 1, 2 * f["albedo"][..., 1] - 1
+    n = np.stack([a, b, np.ones_like(a)], -1)
+    n = n / np.linalg.norm(n, axis=-1, keepdims=True)
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return n @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1.0, 3.0])
+def test_normals_in_the_cameras_space_turn_with_it(tmp_path, degrees):
+    made = [{**f, "normal": curved(f, degrees * k)} for k, f in enumerate(frames())]
+    made[2]["normal"][:20] = 0, 0, -1  # something else is seen there
+    found = inspect(write(tmp_path, made))
+    assert found.normals == (IN_CAMERA.format(degrees) if degrees else "")
+    assert ("  normals      those of the same surfaces turn by" in render_text(found)) == bool(degrees)
+
+
+def test_a_thing_that_turns_is_no_camera(tmp_path):
+    made = frames()
+    for k, f in enumerate(made):
+        f["normal"] = curved(f)
+        f["normal"][:30] = curved(f, 5 * k)[:30]
+    assert inspect(write(tmp_path, made)).normals == ""
+
+
+def test_flat_normals_say_nothing(tmp_path):
+    made = [{**f, "normal": np.broadcast_to(curved(f, 3 * k)[:1, :1], (H, W, 3))} for k, f in enumerate(frames())]
+    assert inspect(write(tmp_path, made)).normals == ""
+
+
+def test_normals_that_are_stored_as_colours_are_told(tmp_path):
+    made = frames()
+    for f in made:
+        f["normal"] = 0.5 + 0.5 * curved(f)
+        f["normal"][:40] = 0  # nothing was hit
+    found = inspect(write(tmp_path, made))
+    assert found.normals == ENCODED and f"  normals      {ENCODED}" in render_text(found)
+    assert next_step(found) == (
+        f"rtdenoise inspect {tmp_path} --write my.toml, which describes normals as they are stored"
+    )
+    layout, notes = describe(tmp_path)
+    assert notes["normal"].startswith("measured: stored as n / 2 + 1/2")
+    assert inspect(tmp_path, preset=layout).normals == ""
 
 
 def test_nothing_moves(tmp_path):

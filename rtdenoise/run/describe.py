@@ -22,16 +22,17 @@ from ..data.sequences import open_sequence
 from ..errors import INSTALL_TORCH, InputError, printable
 from ..files import write_atomically
 from .inspect import choose_pairs
+from .normals import are_encoded
 
 if TYPE_CHECKING:
     from ..frame import Frame
     from .vectors import Meaning
 
-NEARLY = 0.05  # the length of most normals is as far from 1 at most
 MANY, FAR, ENDLESS = 8, 1e3, 1e6  # pixels of the greatest depth, and times the median depth: nothing was hit there
 OFTEN = 0.01  # share of pixels with the greatest depth, of which a note tells
 BETTER = 0.95  # times the error of another reading
 MOTIONS = "motion", "motion_next"
+STORED = "measured: stored as n / 2 + 1/2; "
 SPACE = "not measured: world space is right, the camera's is not"
 
 
@@ -68,7 +69,8 @@ def describe(
     frames = {i: sequence.read(i) for i in {i for pair in chosen for i in pair} or {0}}
     layers, buffers, notes = dict(layout.layers), dict(layout.buffers), dict[str, str]()
     if "normal" in layers:
-        layers["normal"], notes["normal"] = (_decoded(layers["normal"][0], [*frames.values()]),), SPACE
+        rule = _decoded(layers["normal"][0], [*frames.values()])
+        layers["normal"], notes["normal"] = (rule,), f"{STORED if rule.offset else ''}their space is {SPACE}"
     if "depth" in layers:
         rule, notes["depth"] = _distances(layers["depth"][0], [*frames.values()])
         layers["depth"] = (rule,)
@@ -91,9 +93,7 @@ def describe(
 
 def _decoded(rule: Rule, frames: list[Frame]) -> Rule:
     """The rule of normals, which some renderers store as n / 2 + 1/2."""
-    stored = np.concatenate([frame.normal.reshape(3, -1) for frame in frames], axis=1)
-    unit, plain = (np.mean(np.abs(np.linalg.norm(n, axis=0) - 1) < NEARLY) for n in (2 * stored - 1, stored))
-    return replace(rule, offset=0.5, scale=2.0) if np.mean(stored < -NEARLY) < NEARLY and unit > plain else rule
+    return replace(rule, offset=0.5, scale=2.0) if are_encoded(frames) else rule
 
 
 def _distances(rule: Rule, frames: list[Frame]) -> tuple[Rule, str]:

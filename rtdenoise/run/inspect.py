@@ -22,6 +22,7 @@ from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from ..errors import INSTALL_TORCH
 from ..frame import Frame
 from ..sanitise import faults
+from .normals import ENCODED, told_of_normals
 from .options import add
 from .plan import Plan, make_plan
 from .same_noise import SAME_NOISE, has_same_noise
@@ -70,6 +71,7 @@ class Inspection:
     scene: bool  # whether there is a scene.json
     examined: tuple[int, ...]  # numbers of the frames whose pixels were read
     flat_albedo: bool  # whether albedo is the same in all pixels of the examined frames
+    normals: str  # what is wrong with them
     faults: dict[str, int]  # "layer: fault" -> pixels of the examined frames that denoising will replace
     motion: MotionStatistics | None
     same_noise: tuple[int, ...]  # numbers of frames with the noise of the frame before
@@ -100,6 +102,7 @@ def inspect(
         add(counts, faults(frame))
 
     motion, convention, drifts = _examine(moving) if moving and HAS_TORCH else (None, None, ())
+    right = convention and convention.status != "wrong"
     present = {layer for frame in frames.values() for layer, _ in frame.layers()}
     computed = tuple(sorted(present - sequence.available.keys()))
     absent = [layer for layer in DEFAULT_LAYERS if layer not in sequence.available and layer not in computed]
@@ -126,6 +129,7 @@ def inspect(
         scene=sequence.scene is not None,
         examined=tuple(frame.number for frame in frames.values()),
         flat_albedo=flatness.found,
+        normals=told_of_normals(frames.values(), moving if right else ()),
         faults=counts,
         motion=motion,
         same_noise=() if drifts else tuple(frames[b].number for a, b in chosen if has_same_noise(frames[a], frames[b])),
@@ -198,6 +202,8 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
         return f"mend the motion vectors as said above{advice}: with these, history comes from wrong places"
     if found.guessed:
         return f"{describe}, which describes {', '.join(found.guessed)}: the files seem to call them otherwise"
+    if found.normals == ENCODED and found.preset in (NATIVE.name, MITSUBA.name):
+        return f"{describe}, which describes normals as they are stored"
     if found.beside:
         return f"{describe}, which describes {', '.join(found.beside)}: files beside seem to hold them"
     if 2 * len(found.same_noise) >= len(found.examined):
@@ -261,6 +267,8 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
         lines.append(("noise", SAME_NOISE.format(f"frames {_shorten(found.same_noise)}").removeprefix("the noise ")))
     if found.flat_albedo:
         lines.append(("albedo", FLAT.format("the frames examined").removeprefix("albedo ")))
+    if found.normals:
+        lines.append(("normals", found.normals))
     lines.append(("dual motion", found.dual_motion))
     if found.computed:
         lines.append(("computed", f"{', '.join(found.computed)} (from positions and the cameras beside the frames)"))
