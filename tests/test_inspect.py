@@ -23,7 +23,7 @@ from rtdenoise.run.conventions import READINGS, Reading
 from rtdenoise.run.describe import describe
 from rtdenoise.run.inspect import inspect, next_step, render_text
 from rtdenoise.run.normals import ENCODED, IN_CAMERA
-from rtdenoise.run.unmoved import Watch
+from rtdenoise.run.unmoved import STOPPED, Watch
 
 CYCLES = Path(__file__).parent / "data" / "cycles"
 
@@ -191,6 +191,22 @@ def test_normals_that_are_stored_as_colours_are_told(tmp_path):
     layout, notes = describe(tmp_path)
     assert notes["normal"].startswith("measured: stored as n / 2 + 1/2")
     assert inspect(tmp_path, preset=layout).normals == ""
+
+
+@pytest.mark.parametrize(("stopped", "told"), [(FRAMES, True), (1, False), (0, False)])
+def test_motion_next_of_zeros_is_told(tmp_path, capsys, stopped, told):
+    """In the last frame, where movement ends, it is right."""
+    made = frames()
+    for f in made[FRAMES - stopped :]:
+        f["motion_next"] = 0 * f["motion"]
+    (tmp_path / "shot").mkdir()
+    shot = write(tmp_path / "shot", made)
+    found = inspect(shot)
+    assert (STOPPED in render_text(found)) == ("which leaves out motion_next" in next_step(found)) == told
+    main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", "--lookahead", "0"])
+    assert (STOPPED in capsys.readouterr().out) == told
+    if told:
+        assert "motion_next" not in describe(shot)[0].layers
 
 
 def test_nothing_moves(tmp_path):

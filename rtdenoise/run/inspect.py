@@ -27,7 +27,7 @@ from .options import add
 from .plan import Plan, make_plan
 from .same_noise import SAME_NOISE, has_same_noise
 from .stand_ins import COSTS, STAND_INS
-from .unmoved import FLAT, UNMOVED, Flatness, is_unmoved
+from .unmoved import FLAT, STOPPED, UNMOVED, Flatness, Stops, is_unmoved
 
 if TYPE_CHECKING:
     from .conventions import Verdict
@@ -76,6 +76,7 @@ class Inspection:
     motion: MotionStatistics | None
     same_noise: tuple[int, ...]  # numbers of frames with the noise of the frame before
     unmoved: tuple[int, ...]  # numbers of frames whose motion is zero everywhere though the picture changes
+    stopped: bool  # whether motion_next is zero everywhere though motion is not
     convention: Verdict | None  # None where there is no motion, or no two consecutive frames
     drifts: tuple[Drift, ...]  # zooms and shifts that the vectors lack, of the pairs of frames that have any
     plan: Plan  # the work that `denoise` will leave out
@@ -96,9 +97,10 @@ def inspect(
     chosen = choose_pairs(sequence.numbers)
     frames = {i: sequence.read(i) for i in sorted({i for pair in chosen for i in pair} or {0})}
     moving = [(frames[a], frames[b]) for a, b in chosen if frames[b].motion is not None]
-    counts, flatness = dict[str, int](), Flatness()
+    counts, flatness, stops = dict[str, int](), Flatness(), Stops()
     for frame in frames.values():
         flatness.see(frame)
+        stops.see(frame)
         add(counts, faults(frame))
 
     motion, convention, drifts = _examine(moving) if moving and HAS_TORCH else (None, None, ())
@@ -134,6 +136,7 @@ def inspect(
         motion=motion,
         same_noise=() if drifts else tuple(frames[b].number for a, b in chosen if has_same_noise(frames[a], frames[b])),
         unmoved=() if drifts else tuple(now.number for before, now in moving if is_unmoved(before, now)),
+        stopped=stops.found and not drifts,
         convention=convention,
         drifts=drifts,
         plan=make_plan(sequence.size, len(sequence), "dual", list(frames.values())),
@@ -202,6 +205,8 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
         return f"mend the motion vectors as said above{advice}: with these, history comes from wrong places"
     if found.guessed:
         return f"{describe}, which describes {', '.join(found.guessed)}: the files seem to call them otherwise"
+    if found.stopped and found.preset in (NATIVE.name, MITSUBA.name):
+        return f"{describe}, which leaves out motion_next"
     if found.normals == ENCODED and found.preset in (NATIVE.name, MITSUBA.name):
         return f"{describe}, which describes normals as they are stored"
     if found.beside:
@@ -281,6 +286,8 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
         ]
     if found.unmoved:
         lines.append(("", UNMOVED.format(f"frames {_shorten(found.unmoved)}")))
+    if found.stopped:
+        lines.append(("", STOPPED))
     if found.convention is None:
         needs = "motion in two consecutive frames" if HAS_TORCH else f"PyTorch; {INSTALL_TORCH}"
         lines.append(("convention", f"not checked: it takes {needs}"))

@@ -1,6 +1,6 @@
-"""Motion that is zero everywhere though the picture changes, as Blender 4 writes it with motion blur, motion of another
-convention, vectors without the motion of the lens, surfaces that are others in each frame, albedo that tells nothing,
-and noise that stands still. Needs no torch, but for convention and lens."""
+"""Motion that is zero everywhere though the picture changes, as Blender 4 writes it with motion blur, or only that to
+the next frame, motion of another convention, vectors without the motion of the lens, surfaces that are others in each
+frame, albedo that tells nothing, and noise that stands still. Needs no torch, but for convention and lens."""
 
 from __future__ import annotations
 
@@ -40,6 +40,10 @@ CUTS = (
     "most frames find other surfaces than the one before: fog, depth of field or thin things before a moving camera, "
     "or wrong depth; each is denoised alone (try --no-detect-cuts)"
 )
+STOPPED = (
+    "motion_next is zero everywhere though motion is not, which is worse than none: leave it out, as the layout that "
+    "`rtdenoise inspect SEQ --write my.toml` writes"
+)
 FLAT = "albedo is the same in all pixels of {}, so textures blur: was its pass forgotten?"
 
 
@@ -53,6 +57,24 @@ def is_unmoved(before: Frame, now: Frame) -> bool:
             (before.depth, now.depth, DEPTH_CHANGE, 0.0), (before.albedo, now.albedo, 0.0, ALBEDO_CHANGE),
         )
     )  # fmt: skip
+
+
+class Stops:
+    """Whether `motion_next` is zero in all frames so far that move, of two or more."""
+
+    def __init__(self) -> None:
+        self._moving, self._stopped = 0, 0  # frames
+
+    def see(self, frame: Frame) -> None:
+        """The next frame as it was read."""
+        if self._stopped == self._moving and frame.motion is not None and np.asarray(frame.motion).any():
+            self._moving += 1
+            self._stopped += frame.motion_next is not None and not np.asarray(frame.motion_next).any()
+
+    @property
+    def found(self) -> bool:
+        """A movement may end in one frame."""
+        return self._stopped == self._moving > 1
 
 
 class Flatness:
@@ -84,13 +106,14 @@ class Watch:
         self._drifts: list[Drift | None] = []  # likewise, and of the first pairs with motion 0 that have any
         self._still = 0  # how many pairs with motion 0 have been asked for theirs
         self._moves: bool | None = None  # whether any pixel of any frame does; None before the first one
-        self._albedo = Flatness()
+        self._albedo, self._next = Flatness(), Stops()
         self._same: list[bool] = []  # whether noise is the same, likewise
         self._last: Frame | None = None  # while that is asked
 
     def see(self, frame: Frame, goes_on: bool) -> None:
         """The next frame as it was read; `goes_on`: with the shot of the last one."""
         self._albedo.see(frame)
+        self._next.see(frame)
         self._compare_noise(frame)
         moves = frame.motion is not None and bool(np.asarray(frame.motion).any())
         self._moves = self._moves or moves
@@ -112,6 +135,8 @@ class Watch:
             self._notes.append(CUTS if self._moves else ALONE)
         if self._albedo.found:
             self._notes.append(FLAT.format("all frames"))
+        if self._next.found:
+            self._notes.append(STOPPED)
 
     def _compare_noise(self, frame: Frame) -> None:
         """Note it where all pairs have the same noise."""
