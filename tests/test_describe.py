@@ -16,8 +16,10 @@ from rtdenoise.data.layout import Rule
 from rtdenoise.data.layout_file import layout_text, read_layout
 from rtdenoise.data.names import guess
 from rtdenoise.data.sequences import convert, open_sequence
+from rtdenoise.run.denoise import denoise
 from rtdenoise.run.describe import describe, write_description
 from rtdenoise.run.inspect import inspect, next_step
+from rtdenoise.run.options import Options
 
 W, H = test_inspect.W, test_inspect.H
 
@@ -74,6 +76,8 @@ def assert_like(sequence):
 
 def test_one_file_for_all(tmp_path, capsys):
     shot, preset = write(tmp_path / "shot", arnold), tmp_path / "my.toml"
+    told = denoise(shot, tmp_path / "out", Options(model="fast")).notes
+    assert any("the files seem to call it otherwise: rtdenoise inspect SEQ --write my.toml" in line for line in told)
     assert next_step(inspect(shot)) == (
         f"rtdenoise inspect {shot} --write my.toml, which describes normal, depth, motion: the files seem to call them "
         "otherwise"
@@ -391,6 +395,8 @@ def test_a_glob_finds_the_layers_beside(tmp_path):
         "sA_beauty", "sA_albedo", "sA_reference", "sB_beauty", "sB_depth", "sA_beauty_denoised")))  # fmt: skip
     glob, notes = str(shot / "sA_beauty.*.exr"), {}
     assert next_step(inspect(glob)).endswith("--write my.toml, which describes albedo: files beside seem to hold them")
+    told = denoise(glob, tmp_path / "out", Options(model="fast")).notes
+    assert ["files beside seem to hold it: rtdenoise inspect" in line for line in told[:2]] == [True, False]
     layout = guess(glob, notes=notes)
     assert {layer: files for layer, (files,) in layout.buffers.items()} == {
         "color": "sA_beauty.{frame}.exr", "albedo": "sA_albedo.{frame}.exr", "reference": "sA_reference.{frame}.exr",

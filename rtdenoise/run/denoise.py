@@ -78,7 +78,7 @@ def denoise(
         lookahead=options.lookahead,
     )
     notes += told_of_samples(sequence, options.samples)
-    notes += told_of_missing(sequence, backend.config.motion is not None)
+    notes += told_of_missing(sequence, backend.config.motion is not None, source)
     write = partial(write_frame, **of_output(options))
     read = _read
     if not in_passes:

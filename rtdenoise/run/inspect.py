@@ -17,7 +17,6 @@ from ..data.exr_format import group_channels
 from ..data.files import describe_gap
 from ..data.layout import Rule
 from ..data.layouts import MITSUBA, NATIVE
-from ..data.names import guess_beside, guess_channels
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from ..errors import INSTALL_TORCH
 from ..frame import Frame
@@ -26,7 +25,7 @@ from .normals import ENCODED, told_of_normals
 from .options import add
 from .plan import Plan, make_plan
 from .same_noise import SAME_NOISE, has_same_noise
-from .stand_ins import COSTS, STAND_INS
+from .stand_ins import COSTS, STAND_INS, held_otherwise
 from .unmoved import FLAT, STOPPED, UNMOVED, Flatness, Stops, is_unmoved
 
 if TYPE_CHECKING:
@@ -110,8 +109,7 @@ def inspect(
     absent = [layer for layer in DEFAULT_LAYERS if layer not in sequence.available and layer not in computed]
     read = [*sequence.available.values(), *_read_besides(sequence)]
     fed = {*(name for rule in read for name in rule.channels), sequence.layout.alpha(sequence.header)}
-    own = preset == "auto" and sequence.layout in (NATIVE, MITSUBA)  # else a program's
-    by_channels, by_files = (guess_channels(sequence.header.channels), guess_beside(source)) if own else ((), ())
+    called, beside = held_otherwise(sequence, source) if preset == "auto" else ((), ())
     return Inspection(
         source=str(source),
         files=len(sequence),
@@ -123,8 +121,8 @@ def inspect(
         demodulated=sequence.demodulated,
         layers=_layers(sequence),
         missing={layer: sequence.layout.hint(layer, signal) for layer in absent},
-        guessed=tuple(layer for layer in absent if layer in by_channels),
-        beside=tuple(layer for layer in absent if layer in by_files and layer not in by_channels),
+        guessed=tuple(layer for layer in absent if layer in called),
+        beside=tuple(layer for layer in absent if layer in beside and layer not in called),
         computed=computed,
         ignored=tuple(name for name in sequence.header.channels if name not in fed),
         dual_motion=_dual_source(present, computed),

@@ -73,7 +73,7 @@ def denoise_offline(
     sequence, options, notes = open_chosen(source, options)
     if len(sequence) > 1:
         sequence.require("motion")  # without it no other frame counts
-    notes += told_of_samples(sequence, options.samples) + told_of_missing(sequence, motion=False)
+    notes += told_of_samples(sequence, options.samples) + told_of_missing(sequence, False, source)
     check_output(sequence, options.layout, options.recombine, options.keep, options.alpha)
     if options.confidence and options.layout != "plain":
         raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
