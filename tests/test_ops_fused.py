@@ -28,6 +28,7 @@ from rtdenoise.ops.mean_distance import mean_distance
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.replace_invalid import replace_invalid
+from rtdenoise.ops.scattered import scattered
 from rtdenoise.ops.shares import shares
 from rtdenoise.ops.to_planes import to_planes
 from rtdenoise.ops.turned import turned
@@ -562,9 +563,12 @@ def test_luminance_of_very_wide_blocks(assert_images_close):
     assert_images_close(maxima[..., None, None], torch.ones(1, 2, 1, 1), "float32")
 
 
-def test_an_even_sky_of_a_very_wide_picture():
-    """Wider than the fused op takes: rows would not fit on its stack."""
-    depth = torch.zeros(1, 1, 1, 3_000_000)
+def test_rows_of_a_very_wide_picture():
+    """Wider than the fused ops take: rows would not fit on their stacks."""
+    depth = torch.zeros(1, 1, 3, 3_000_000)
     light = torch.ones_like(depth).expand(1, 3, -1, -1)
     with ops.use("auto"):
         assert torch.equal(even_sky(0 * light, light, depth), light)
+        assert torch.equal(scattered(depth), torch.cat([depth + 1, depth], 1))
+        assert torch.equal(without_fireflies(light, depth, light, depth), light)
+        assert torch.allclose(mix(light, light, depth[..., :1, :1] + 1, depth, (0.5, 0.0, 0.0), depth=depth), light)

@@ -40,6 +40,7 @@ from ..errors import InputError, NotCompiled
 
 CHOICES = ("auto", "plain", "fused")
 MAX_PIXELS = 2**31 - 1  # of a plane: fused ops number pixels by 32-bit integers
+ON_STACK = 1 << 16  # pixels of a row: some C ops have values of one on their stack
 MAX_ROWS = {"triton": 65535}  # B·C·H at most: programs along the second axis of a CUDA grid
 HALVES = (torch.bfloat16, torch.float16)
 
@@ -85,6 +86,7 @@ class Support:
     width but for those in `halves`, `bytes` and `other`."""
 
     max_channels: int | None = None  # of the first argument; several images count together
+    max_width: int | None = None
     max_kernel: int | None = None  # K of the argument `logits`
     halves: tuple[str, ...] = ()  # arguments that may be bfloat16 or float16 too
     bytes: tuple[str, ...] = ()  # arguments that are uint8
@@ -222,6 +224,8 @@ def _problem(support: Support, max_rows: int | None, arguments: dict) -> str | N
     rows = math.prod(shape[:-1]) // (shape[1] if support.channels_last else 1) if max_rows else 0
     if images[0].numel() == 0 or shape[-2] * shape[-1] > MAX_PIXELS or (max_rows and rows > max_rows):
         return f"it takes no images of {tuple(shape)}"
+    if support.max_width and shape[3] > support.max_width:
+        return f"it takes rows of at most {support.max_width} pixels, not {shape[3]}"
     channels = sum(image.shape[1] for image in images) if support.max_channels else 0
     if support.max_channels and channels > support.max_channels:
         return f"it takes at most {support.max_channels} channels, not {channels}"

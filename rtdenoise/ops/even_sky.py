@@ -7,11 +7,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..constants import SKY_BLOCK, SKY_TOLERANCE
-from .dispatch import Fused, Support, falls_back
+from .dispatch import ON_STACK, Fused, Support, falls_back
 
 IMAGES = {"image": (3,), "radiance": (3,), "depth": (1,)}
-FUSED = Fused("even_sky", native=Support(channels=IMAGES), triton=Support(channels=IMAGES))
-MAX_WIDTH = 1 << 16  # pixels: the fused op in C has values of a whole row on its stack
+FUSED = Fused("even_sky", native=Support(max_width=ON_STACK, channels=IMAGES), triton=Support(channels=IMAGES))
 
 
 @falls_back
@@ -30,7 +29,7 @@ def even_sky(
     if depth.device.type == "cpu" and bool((depth > 0).all()):
         return image  # on a GPU, looking would mean waiting
     H, W = depth.shape[2:]
-    if W <= MAX_WIDTH and (run := FUSED(image=image, radiance=radiance, depth=depth)):
+    if run := FUSED(image=image, radiance=radiance, depth=depth):
         return run(image, radiance, depth)
     hit = (depth > 0).to(radiance.dtype)
     columns = F.max_pool2d(hit, (3, 1), stride=1, padding=(1, 0))

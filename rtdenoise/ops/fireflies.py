@@ -7,10 +7,11 @@ from torch import Tensor
 
 from ..constants import FIREFLY_ALIKE
 from .alike import alike
-from .dispatch import Fused, Support, falls_back
+from .dispatch import ON_STACK, Fused, Support, falls_back
 
-SUPPORT = Support(channels={"light": (3,), "depth": (1,), "normal": (3,), "known": (1,)})
-FUSED = Fused("fireflies.without_fireflies", native=SUPPORT, triton=SUPPORT)
+IMAGES = {"light": (3,), "depth": (1,), "normal": (3,), "known": (1,)}
+FUSED = Fused("fireflies.without_fireflies", native=Support(max_width=ON_STACK, channels=IMAGES),
+              triton=Support(channels=IMAGES))  # fmt: skip
 EIGHT = 0, 1, 2, 3, 5, 6, 7, 8  # of the 3×3 pixels around one, without itself
 
 

@@ -25,11 +25,11 @@ from torch.nn import functional as F
 
 from ..color import compress, expand
 from ..constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
-from .dispatch import Fused, Support, falls_back
+from .dispatch import ON_STACK, Fused, Support, falls_back
 
 IMAGES = dict.fromkeys(("first", "other", "before", "noisy"), (3,))
 IMAGES |= dict.fromkeys(("trust", "held", "tells", "depth"), (1,))
-FUSED = Fused("mix", native=Support(channels=IMAGES), triton=Support(channels=IMAGES))
+FUSED = Fused("mix", native=Support(max_width=ON_STACK, channels=IMAGES), triton=Support(channels=IMAGES))
 
 
 @falls_back

@@ -12,9 +12,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..constants import DEPTH_TOLERANCE, SCATTERED_ALIKE, SCATTERED_APART, SCATTERED_REACH
-from .dispatch import Fused, Support, falls_back
+from .dispatch import ON_STACK, Fused, Support, falls_back
 
-FUSED = Fused("scattered", native=Support(channels={"depth": (1,)}))
+FUSED = Fused("scattered", native=Support(max_width=ON_STACK, channels={"depth": (1,)}))
 
 
 @falls_back
