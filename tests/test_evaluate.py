@@ -327,6 +327,44 @@ def test_what_was_measured_is_not_measured_again(shot, tmp_path, monkeypatch):
     assert len(Document.read(out).results) == 2
 
 
+def test_another_layout_of_the_files_is_measured_again(shot, tmp_path):
+    """One's own, under the same name."""
+    preset = tmp_path / "my.toml"
+    layers = {"color": "RGB", "albedo": "RGB", "normal": "XYZ", "depth": "Z", "motion": "XY", "reference": "RGB"}
+
+    def measured(signs):
+        lines = ['name = "mine"']
+        for layer, components in layers.items():
+            prefix = "" if layer == "color" else f"{layer}."
+            lines += [f"[{layer}]", f"channels = {[prefix + c for c in components]}"]
+            lines += [f"signs = {signs}"] if layer == "motion" else []
+        preset.write_text("\n".join(lines))
+        options = EvaluateOptions(("accumulate",), metrics=("psnr",), preset=str(preset))
+        (row,) = run([str(shot)], tmp_path / "out", options).results
+        return row["errors"]["frame"]["psnr"]
+
+    first = measured([1, 1])
+    assert measured([-1, -1]) < first and measured([1, 1]) == first
+
+
+def test_the_time_of_a_sample_may_come_later(shot, tmp_path):
+    options = EvaluateOptions(("noisy",), metrics=("psnr",))
+    for stored, expected in (("{}", None), ('{"sample_ms": 38.5}', 38.5)):
+        (shot / "samples.json").write_text(stored)
+        run([str(shot)], tmp_path, options)
+        assert Document.read(tmp_path).sequences["shot"]["sample_ms"] == expected
+
+
+def test_results_of_other_frames_are_told(shot, tmp_path):
+    said = []
+    run([str(shot)], tmp_path, EvaluateOptions(PLAIN, metrics=("psnr",), frames=2), said.append)
+    assert not any("other frames" in line for line in said)
+    run([str(shot)], tmp_path, EvaluateOptions(("noisy",), metrics=("psnr",)), said.append)
+    assert "shot, 1 spp: results of accumulate are of other frames" in said[-1]
+    run([str(shot)], tmp_path, EvaluateOptions(PLAIN, metrics=("psnr",)), said.append)
+    assert said[-1] == "shot, 1 spp: 1 methods on 4 frames"
+
+
 def test_a_method_that_cannot_take_the_frames_is_left_out(tmp_path):
     folder = write_sequence(tmp_path / "bare", make_frames(3), without=("albedo",))
     document = run([str(folder)], tmp_path / "out", EvaluateOptions(("accumulate", "svgf")))

@@ -22,7 +22,7 @@ class Evaluate:
     """Folders of EXR files with references; inputs at n samples per pixel lie in the folder spp<n> of each."""
     out: Path
     """Folder for evaluation.json and the pictures."""
-    methods: Annotated[tuple[str, ...], arg(help_behavior_hint="(default: eight)")] = ()
+    methods: Annotated[tuple[str, ...], arg(help_behavior_hint="(default: nine)")] = ()
     """Method names, with spaces or commas between them, or 'all'. NAME=FILE measures the network of a weights file
     under that name."""
     precision: tuple[str, ...] = ("fp32",)

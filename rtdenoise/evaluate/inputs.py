@@ -105,8 +105,14 @@ class Source:
         sequences = [self.base, self.at(spp), *([self.converged] if self.converged else [])]
         paths = [path for sequence in sequences for f in sequence.files for path in f.files.values()]
         facts = [[*path.parts[-2:], path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
-        text = json.dumps([facts, self.length, self.options], sort_keys=True)
+        text = json.dumps([facts, self.length, self.options, *self._read_by()], sort_keys=True, default=list)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def _read_by(self) -> list:
+        """What the frames depend on beside their files: a layout of one's own, cameras that motion comes from."""
+        own = [repr(self.base.layout)] if self.options["preset"].endswith(".toml") else []
+        computed = self.base.scene and not {"depth", "motion", "motion_next"} <= self.base.available.keys()
+        return [*own, *([self.base.scene] if computed else [])]
 
 
 def reference_errors(frames: list[Frame]) -> dict[str, float | None]:

@@ -143,6 +143,8 @@ class _Input:
         steps = self._start([(method, precision) for precision in self.options.precisions for method in chosen])
         for reason, names in self.reasons.items():
             self.say(f"{self.label}: left out: {', '.join(names)}: {reason}")
+        if self.source.name in self.document.sequences:  # samples.json may have come, or changed
+            self.document.sequences[self.source.name]["sample_ms"] = self.source.sample_ms
         if not steps:
             return
         results = evaluate(
@@ -169,6 +171,9 @@ class _Input:
             keep_truth(out, self.source, self.frames)
             self._keep_strip(out, "reference", [frame.reference for frame in self.frames])
         self.say(f"{self.label}: {len(steps)} methods on {len(self.frames)} frames")
+        if others := sorted({row["method"] for row in self.document.results if self._is_of_others(row)}):
+            self.say(f"{self.label}: results of {', '.join(others)} are of other frames, or of these before they "
+                     "changed: name them, too, to measure them again")  # fmt: skip
 
     def _keep_strip(self, out: Path, name: str, images: list[torch.Tensor]) -> None:
         described = self.document.sequences[self.source.name]
@@ -204,6 +209,11 @@ class _Input:
         return (
             known["fingerprint"] == self._fingerprint(method) and set(self._metrics) <= known["errors"]["frame"].keys()
         )
+
+    def _is_of_others(self, row: dict) -> bool:
+        """Whether a result under this sequence's name is of an input that it no longer has."""
+        same = all(row[key] == value for key, value in self.key.items())
+        return same and not row["fingerprint"].startswith(self._of_input)
 
     def _leave_out(self, method: Method, precision: str, reason: str) -> None:
         self.document.put(self.key | {"method": method.name, "precision": precision, "reason": reason})
