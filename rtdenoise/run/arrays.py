@@ -94,7 +94,8 @@ def _expect_floats(name: str, array: np.ndarray | Tensor) -> None:
 def _copied(array: np.ndarray | Tensor, last: bool) -> np.ndarray | Tensor:
     """A copy: callers reuse their buffers for the next frame, and history keeps parts of this one."""
     if not is_tensor(array):
-        return np.array(np.moveaxis(array, 2, 0)[None] if last else array, np.float32, order="C")
+        with np.errstate(over="ignore"):  # beyond float32 is infinite, which is replaced later
+            return np.array(np.moveaxis(array, 2, 0)[None] if last else array, np.float32, order="C")
     import torch
 
     planes = array.detach().permute(2, 0, 1)[None] if last else array.detach()
