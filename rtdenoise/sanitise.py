@@ -27,11 +27,14 @@ VALID = {  # smallest and largest value of a layer; `sanitise` replaces the othe
 }  # fmt: skip
 
 
-def admit(frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN) -> Frame:
+def admit(
+    frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN, any_float: bool = False
+) -> Frame:
     """Check and sanitise a frame for a step that filters along surfaces.
 
-    `previous` is the image in the history, None without one. Raises InputError where `frame` is no Frame of tensors,
-    where albedo, normal, depth or (with history) motion is missing, and where the history is of another size.
+    `previous` is the image in the history, None without one. Raises InputError where `frame` is no Frame of tensors, or
+    these are not float32 (unless `any_float`: the network has the frame's dtype), where albedo, normal, depth or (with
+    history) motion is missing, and where the history is of another size.
     """
     if not isinstance(frame, Frame) or isinstance(frame.radiance, np.ndarray):
         found = f"a Frame of {type(frame.radiance).__name__}" if isinstance(frame, Frame) else type(frame).__name__
@@ -39,6 +42,10 @@ def admit(frame: Frame, previous: Tensor | None, known: Known = NOTHING_KNOWN) -
             f"step takes a rtdenoise.Frame of torch tensors [B, C, H, W], got {found}; rtdenoise.Denoiser takes numpy "
             "arrays and tensors, also [H, W, 3]"
         )
+    for name, tensor in frame.layers():
+        if name in VALID and str(tensor.dtype) != "torch.float32" and not any_float:
+            raise InputError(f"{frame.name or 'frame'}: {name} is {tensor.dtype}, step takes torch.float32: "
+                             "frame.to(torch.float32); rtdenoise.Denoiser takes any floats")  # fmt: skip
     frame = frame if known.sanitised else sanitise(frame)
     frame.require("albedo", "normal", "depth", *(() if previous is None else ("motion",)), previous=previous)
     return frame

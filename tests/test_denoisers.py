@@ -19,6 +19,7 @@ from rtdenoise.models import (
     available,
     create,
     load,
+    load_combiner,
     save,
 )
 from rtdenoise.ops import apply_kernel
@@ -229,6 +230,21 @@ def test_an_override_that_is_none_is_named_and_not_the_file(tmp_path, denoiser):
     ):
         with pytest.raises(InputError, match=complaint):
             load(path, **overrides)
+
+
+@pytest.mark.parametrize("opened, name", [(load, "fast"), (load_combiner, "combiner")])
+def test_a_device_may_be_chosen(opened, name, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert next(opened(name, "auto").parameters()).device.type == "cpu"
+    with pytest.raises(InputError, match="no CUDA device was found"):
+        opened(name, "cuda")
+
+
+def test_combiners_are_named_where_one_is_missing():
+    with pytest.raises(InputError, match="no model 'nosuch': expected one of shrinkage, combiner or the path"):
+        load_combiner("nosuch")
+    with pytest.raises(InputError, match="no weights of 'drc' ship: train them"):
+        load_combiner("drc")
 
 
 def test_unusable_weights_are_named(tmp_path, denoiser):

@@ -133,6 +133,14 @@ def test_any_float_comes_back_as_it_went_in(frames, dtype):
     assert np.isfinite(np.asarray(image.float() if isinstance(image, torch.Tensor) else image)).all()
 
 
+def test_doubles_beyond_float32_are_broken_pixels(recwarn):
+    """Renderers write their largest number as the depth of a miss."""
+    image = np.full((16, 16, 3), 0.5)
+    depth, motion, image[3, 4] = np.full((16, 16), np.finfo(np.float64).max), np.full((16, 16, 2), 1e300), 1e300
+    clean = rtdenoise.Denoiser("fast")(image, albedo=np.ones_like(image), depth=depth, motion=motion)
+    assert np.isfinite(clean).all() and not [w for w in recwarn if w.category is RuntimeWarning]
+
+
 def test_half_floats_do_not_overflow():
     color = np.full((16, 16, 3), 65504, np.float16)
     with pytest.warns(UserWarning):
@@ -284,6 +292,10 @@ def test_step_answers_what_is_no_frame(frames):
             pipeline.step(wrong)
     with pytest.raises(InputError, match="got a Frame of ndarray"):
         network.step(frames[0].map(torch.Tensor.numpy))
+    for dtype in (torch.float16, torch.float64):
+        for frame in (frames[0].to(dtype), replace(frames[0], albedo=frames[0].albedo.to(dtype))):
+            with pytest.raises(InputError, match=rf"is {dtype}, step takes torch\.float32.*rtdenoise\.Denoiser"):
+                network.step(frame)
 
 
 def test_help_states_shapes_units_and_errors():

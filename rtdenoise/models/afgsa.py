@@ -67,7 +67,7 @@ class GuidedAttention(nn.Module):
         `frame` needs radiance, albedo, normal and depth (`rtdenoise.Frame` has shapes and units); `history` is ignored.
         Raises InputError where a layer is missing or `frame` is no Frame of tensors.
         """
-        frame = admit(frame, None, known)
+        frame = admit(frame, None, known, any_float=True)
         scale, distance = self.statistics(frame) if known.exposure is None else (known.exposure, known.distance)
         light = compress(frame.radiance * scale)
         depth = nearness(frame.depth, distance)

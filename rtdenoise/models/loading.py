@@ -17,12 +17,12 @@ from .combiner import Combiner
 from .denoiser import Denoiser
 from .hybrid import Hybrid
 from .in_bytes import PixelNetworkInBytes, UNetInBytes
-from .inference import INT8, prepare, resolve, takes_bytes
+from .inference import INT8, choose_device, prepare, resolve, takes_bytes
 from .mltd import RecurrentTransformer
 from .presets import SHRINKAGE, Config
 from .shrinkage import Shrinkage
 from .temporal_kpn import TemporalKPN
-from .weights import PIXELS, StoredModel, described, has_bytes, read_denoiser, read_model
+from .weights import PIXELS, StoredModel, available_combiners, described, find, has_bytes, read_denoiser, read_model
 
 NETWORKS = {
     "temporal_kpn": TemporalKPN, "accumulated_kpn": AccumulatedKPN, "combiner": Combiner, "afgsa": GuidedAttention,
@@ -43,17 +43,18 @@ def load(
     `step(frame, history)` takes and returns tensors `[B, C, H, W]` on `device`.
 
     `model` is the name of a model that ships (`available()`) or the path of a .safetensors file that `rtdenoise train`
-    wrote; without one it is `default`, kernels alone, where `rtdenoise.Denoiser` takes `hybrid`. `precision` is that of
-    the network: 'fp32', 'bf16', 'int8', or 'auto' (`inference.resolve`, `takes_bytes`); the rest is float32. 'int8' is
-    for an `AccumulatedKPN` or `Hybrid` on a CPU: its networks in bytes (`in_bytes`), and what is left of them in
-    bfloat16 or float32. 'auto' leaves the pixels of a `Hybrid` for many samples out, and both those of a file with no
-    bytes of them beside it.
+    wrote; without one it is `default`, kernels alone, where `rtdenoise.Denoiser` takes `hybrid`. `device` is torch's,
+    or 'auto': CUDA where there is a GPU. `precision` is that of the network: 'fp32', 'bf16', 'int8', or 'auto'
+    (`inference.resolve`, `takes_bytes`); the rest is float32. 'int8' is for an `AccumulatedKPN` or `Hybrid` on a CPU:
+    its networks in bytes (`in_bytes`), and what is left of them in bfloat16 or float32. 'auto' leaves the pixels of a
+    `Hybrid` for many samples out, and both those of a file with no bytes of them beside it.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation.
 
-    Raises InputError for an unknown model or precision, a combiner, an unreadable file, an override that is no field,
-    weights that are not finite or do not fit their configuration, and a model that has none in bytes.
+    Raises InputError for an unknown model or precision, CUDA without a GPU, a combiner, an unreadable file, an override
+    that is no field, weights that are not finite or do not fit their configuration, and a model that has none in bytes.
     """
+    device = choose_device(device) if device in ("auto", "cuda") else device
     dtype, file = resolve(precision, device), read_denoiser(model, **overrides)
     network = _built(file)
     if precision == INT8 or (has_bytes(file.path) and takes_bytes(precision, device)):
@@ -89,9 +90,11 @@ def load_combiner(
 ) -> Combiner | Shrinkage:
     """A combiner, ready to run: 'shrinkage', which has no weights, or a network; arguments and errors as those of
     `load`."""
+    device = choose_device(device) if device in ("auto", "cuda") else device
     dtype = resolve(precision, device)
     if model == SHRINKAGE:
         return Shrinkage()
+    find(model, (SHRINKAGE, *available_combiners()))
     network = read(model, **overrides)
     if precision == INT8:
         raise InputError(f"precision int8: {model} has no weights in bytes; take auto")

@@ -51,18 +51,18 @@ def _shipped() -> list[str]:
     return sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))
 
 
-def find(model: str | Path) -> Path:
-    """The file of a model that ships, or else the file at this path. Raises InputError where there is neither."""
+def find(model: str | Path, known: Collection[str] | None = None) -> Path:
+    """The file of a model that ships, or else the file at this path. Raises InputError where there is neither, with the
+    names that are `known`; None: those of denoisers."""
     name = str(model)
     path = Path(str(_SHIPPED / f"{name}.safetensors")) if name in _shipped() else Path(name)
-    if not path.is_file() and (name in PRESETS or name in STILLS):
+    if not path.is_file() and name in PRESETS | STILLS | COMBINERS:
         raise InputError(f"no weights of {name!r} ship: train them (rtdenoise train --model {name}) and name their "
                          ".safetensors file")  # fmt: skip
     if not path.is_file():
-        raise InputError(
-            f"no model {name!r}{did_you_mean(name, available())}: expected one of {', '.join(available())} or the path "
-            "of a .safetensors file"
-        )
+        known = available() if known is None else known
+        raise InputError(f"no model {name!r}{did_you_mean(name, known)}: expected one of {', '.join(known)} or the "
+                         "path of a .safetensors file")  # fmt: skip
     return path
 
 
