@@ -22,7 +22,7 @@ from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.report import report
-from rtdenoise.report.pictures import encode_map
+from rtdenoise.report.pictures import encode_map, encode_motion
 
 ARTEFACTS = Path(__file__).parent / "artefacts"
 METHODS = ("noisy", "accumulate", "oidn", "paper")
@@ -379,3 +379,10 @@ def test_a_folder_without_results_is_one_line(tmp_path, capsys, measured):
 
 def test_nan_is_the_greatest_error_of_a_map():
     assert encode_map(np.full((4, 6), np.nan)) == encode_map(np.ones((4, 6)))
+
+
+def test_motion_that_is_unknown_is_none_in_the_page():
+    """Without a warning of numpy."""
+    broken = np.float32([[[np.nan, np.nan], [np.inf, -np.inf], [3e38, 0.25]]])
+    with np.errstate(all="raise"):
+        assert encode_motion(broken) == encode_motion(np.float32([[[0, 0], [2047.75, -2047.75], [2047.75, 0.25]]]))

@@ -39,8 +39,8 @@ def encode_map(values: np.ndarray) -> str:
 
 
 def encode_motion(motion: np.ndarray) -> str:
-    """`[H, W, 2]` in pixels, in quarters of a pixel; clipped at ±2047."""
-    quarters = np.rint(np.clip(motion * 4, -8191, 8191)).astype(np.int32)
+    """`[H, W, 2]` in pixels, in quarters of a pixel; clipped at ±2047. NaN is 0."""
+    quarters = np.rint(np.clip(np.nan_to_num(motion, nan=0.0), -2047.75, 2047.75) * 4).astype(np.int32)
     return pack(b"".join(_plane(quarters[..., c]) for c in range(2)))
 
 
