@@ -146,3 +146,11 @@ def test_what_cannot_be_cut_is_one_line(tmp_path, shot, capsys):
     cut(out, shot)
     other = error_of(capsys, shot, "--out", out, "--size", "13", "--frames", "4")
     assert "is another clip; choose another --out" in other
+
+
+def test_a_set_does_not_become_smaller(tmp_path, shot, capsys):
+    """Training would take the clips of the shot that is left out, too."""
+    out, second = tmp_path / "clips", write_sequence(tmp_path / "second", make_frames(9, H=26, W=36, seed=1))
+    assert len(cut(out, shot, second)) == 24
+    assert "clip_000012.safetensors: is of a set of more clips" in error_of(capsys, shot, "--out", out, *SMALL)
+    assert len(cut(out, shot, second)) == 24

@@ -71,7 +71,7 @@ def cut_clips(
 
     Windows lie side by side, in space and in time; where there are more than `options.count`, a random choice is taken.
     Clips that are there are kept. Raises InputError where a shot lacks references or features, is smaller or shorter
-    than a clip, or `out` holds clips of other shots or options.
+    than a clip, or `out` holds clips of other shots or options, or more of them.
     """
     if references and len(references) != len(shots):
         raise InputError(f"--reference: expected a folder for each of {len(shots)} shots, got {len(references)}")
@@ -88,6 +88,7 @@ def cut_clips(
     with lock(out):
         remove_unfinished(out)
         missing = [i for i in range(len(clips)) if not _is_there(out, i, facts[i])]
+        _refuse_more(out, len(clips))
         on_clip(0, len(missing))
         done = 0
         for _, group in groupby(missing, key=lambda i: (clips[i].shot, clips[i].first)):
@@ -163,6 +164,13 @@ def _is_there(out: Path, number: int, facts: dict) -> bool:
     if facts.items() <= read_facts(path).items():
         return True
     raise InputError(f"{path}: is another clip; choose another --out, or the shots and options of that run")
+
+
+def _refuse_more(out: Path, count: int) -> None:
+    """Raise InputError where a folder holds clips of a set of more than `count`: training would take them, too."""
+    if more := {*out.glob("clip_*.safetensors")} - {clip_path(out, i) for i in range(count)}:
+        raise InputError(f"{min(more)}: is of a set of more clips; choose another --out, or the shots and options of "
+                         "that run")  # fmt: skip
 
 
 def _cut(
