@@ -414,6 +414,7 @@ def test_clips_that_do_not_fit_are_refused_before_there_is_a_run(config, tmp_pat
     save_file(layers, clip_path(poisoned, 1), facts)
     for change, message in (
         ({"data": (*config.data, small), "size": 24}, "small/clip_000000.*expected at least 3 frames of 24×24"),
+        ({"data": (*config.data, small), "size": 24}, "found 4 of 20×20; take fewer --frames or a smaller --size"),
         ({"data": (*config.data, beauty)}, "beauty/clip_000000.*has no signal 'indirect'"),
         ({"stills": (beauty,)}, "beauty/clip_000000.*has no signal 'indirect'"),
         ({"val": beauty}, "beauty/clip_000000.*has no signal 'indirect'"),

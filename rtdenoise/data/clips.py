@@ -216,7 +216,7 @@ def _examined(
     window = (height, width) if size is None else (size, size) if isinstance(size, int) else size
     if count > usable or window[0] > height or window[1] > width:
         raise InputError(f"{path}: expected at least {count} frames of {window[1]}×{window[0]}, "
-                         f"found {usable} of {width}×{height}")  # fmt: skip
+                         f"found {usable} of {width}×{height}; take fewer --frames or a smaller --size")  # fmt: skip
     return sources, (length, height, width), (count, *window)
 
 
