@@ -78,6 +78,14 @@ def test_pictures_of_a_few_pixels(size):
     assert clean.shape == size and np.isfinite(clean).all()
 
 
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_pixels_that_are_not_finite_count_as_black(dtype):
+    alpha, picture = np.random.default_rng(1).integers(0, 2, (12, 14)).astype(np.float32), np.ones((12, 14, 3), dtype)
+    picture[3, 4], picture[8, 9, 1], black = np.nan, np.inf, picture.copy()
+    black[3, 4], black[8, 9, 1] = 0, 0
+    assert np.array_equal(denoise_alpha(alpha, picture), denoise_alpha(alpha, black))
+
+
 def test_shapes_that_do_not_fit():
     with pytest.raises(InputError, match=r"expected alpha \[H, W\] and picture \[H, W, 3\], got \(4, 5\) and \(4, 5\)"):
         denoise_alpha(np.zeros((4, 5)), np.zeros((4, 5)))

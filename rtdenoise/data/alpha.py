@@ -31,7 +31,7 @@ def denoise_alpha(
 
     and the result is that with the means of k and b around. Where alpha is the same all around it stays to the bit. So
     it does where it takes more values than fewer than 8 samples a pixel give, or is no coverage: beyond [0, 1], or not
-    finite. Raises InputError for arrays of other shapes.
+    finite. Where the picture is not finite it counts as black. Raises InputError for arrays of other shapes.
     """
     alpha, picture = np.asarray(alpha), np.asarray(picture)
     if alpha.ndim != 2 or picture.shape != (*alpha.shape, 3):
@@ -40,6 +40,7 @@ def denoise_alpha(
     out = alpha.astype(np.float32)
     if not is_noisy(alpha):
         return out
+    picture = np.where(np.isfinite(picture), picture, 0)
     fitted = _varies(out, WINDOW[0])
     slope, base = np.zeros((*alpha.shape, 3)), out.astype(np.float64)
     slope[fitted], base[fitted] = _fit(out, picture, fitted)
