@@ -15,7 +15,7 @@ from test_virtual_motion import SHOT
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.sequences import open_sequence
-from rtdenoise.data.shutter import over_shutter
+from rtdenoise.data.shutter import _index, over_shutter
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.run.choice import open_chosen
@@ -198,6 +198,12 @@ def test_any_size_and_speed(size):
     found = over_shutter(image, depth, motion, None, -1, 1)
     assert found.shape == image.shape and found.dtype == image.dtype
     assert (found >= image.min() - 1e-6).all() and (found <= image.max() + 1e-6).all()
+
+
+def test_pixels_of_large_pictures_are_told_apart():
+    """Of 8K: float32 has no odd numbers there."""
+    rows, columns = np.float32([4319, 4319, 0]), np.float32([7678, 7679, 1])
+    assert _index(rows, columns, 7680).tolist() == [33177598, 33177599, 1]
 
 
 def test_frames_take_the_layers_of_the_second_render(shot):

@@ -110,7 +110,7 @@ def over_shutter(
         y = np.rint(rows + speed[1] * t + bend[1] * (t * t))
         inside = (x >= 0) & (x < W) & (y >= 0) & (y < H)
         shown = np.full(H * W, -1, np.int32)
-        shown[(y[inside] * W + x[inside]).astype(np.int32)] = order[inside]
+        shown[_index(y[inside], x[inside], W)] = order[inside]
         grid = shown.reshape(H, W)
         _mend(grid, far)
         holes = np.nonzero(shown < 0)[0]  # as wide as what was there has moved, at most
@@ -121,6 +121,11 @@ def over_shutter(
         times += shown[:, None] >= 0
     mean = np.where(times > 0, total / np.maximum(times, 1), values[:-1])
     return np.ascontiguousarray(mean.T).reshape(1, C, H, W)
+
+
+def _index(rows: np.ndarray, columns: np.ndarray, width: int) -> np.ndarray:
+    """Which pixels of a picture these are, int32: counted in whole numbers, as float32 has none beyond 16 million."""
+    return rows.astype(np.int32) * np.int32(width) + columns.astype(np.int32)
 
 
 def _way(motion: np.ndarray, motion_next: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
