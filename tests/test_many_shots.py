@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic import make_frames, write_sequence
 
-from rtdenoise.cli.denoise import Denoise, find_shots
+from rtdenoise.cli.denoise import Denoise, _try, find_shots
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
@@ -42,6 +42,15 @@ def test_a_shot_whose_preview_cannot_be_written_stops_no_other(tmp_path, capsys)
     said = capsys.readouterr()
     assert said.out.count("failed:") == said.out.count("Is a directory") == 2
     assert said.err.strip().endswith("2 of 2 shots failed, as told above")
+
+
+def test_a_shot_that_lacks_memory_stops_no_other(tmp_path, monkeypatch):
+    def lacks(*arguments):
+        raise MemoryError("Unable to allocate 64 GiB")
+
+    monkeypatch.setattr("rtdenoise.run.denoise.denoise", lacks)
+    found = _try(Denoise(("shot",), out=tmp_path), "shot", tmp_path)
+    assert isinstance(found, InputError) and str(found) == "out of memory (Unable to allocate 64 GiB)"
 
 
 def test_names_of_shots(tmp_path, monkeypatch):

@@ -175,6 +175,8 @@ def _try(command: Denoise, source: str, out: Path) -> list[str] | InputError:
         return error
     except OSError as error:  # a full disk
         return InputError(f"{error.filename or 'a file'}: {error.strerror or error}")
+    except MemoryError as error:
+        return InputError(f"out of memory{f' ({error})' if str(error) else ''}")
 
 
 def _start(threads: int) -> None:
