@@ -115,8 +115,10 @@ def test_what_cannot_be_a_method(asked, message, tmp_path):
 
 def test_a_method_that_is_not_there_says_why(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyoidn", None)
-    with pytest.raises(InputError, match="oidn: needs pyoidn: pip install"):
-        methods()["oidn"].step()
+    for name in ("oidn", "offline"):  # and that is not measured without OIDN under its name
+        with pytest.raises(InputError, match=f"{name}: needs pyoidn: pip install"):
+            methods()[name].step()
+    assert not methods()["offline-without-oidn"].unavailable()
 
 
 def test_the_spatial_network_has_no_history():

@@ -82,10 +82,9 @@ def methods() -> dict[str, Method]:
         *(Method(name, what, family, partial(_plain, start)) for name, (what, family, start) in plain.items()),
         *_oidn(),
         *(method for name in available() for method in _network(name)),
-        *(Method(name, f"denoise --offline: both directions in time, {how} OIDN", "network", partial(_offline, oidn),
-                 delay=InMemory.delay, weights=("hybrid", MODEL))
-          for name, how, oidn in (("offline", "with", None), ("offline-without-oidn", "without", False))),
-    ]  # fmt: skip
+        _offline("offline", True),
+        _offline("offline-without-oidn", False),
+    ]
     for base in [method for method in found if method.name in CORRECTED]:
         found += [_corrected(base, combiner) for combiner in (SHRINKAGE, *available_combiners())]
     return {method.name: method for method in found}
@@ -135,7 +134,7 @@ def _oidn() -> list[Method]:
         "oidn-on-accumulated": ("OIDN on the accumulated signal", {"accumulate": "input"}),
         "oidn-then-accumulated": ("OIDN, its output accumulated", {"accumulate": "output"}),
     }
-    reason = "" if installed() else "needs pyoidn: pip install 'rtdenoise[bench]'"
+    reason = _lacks_oidn()
 
     def start(options: dict, device: str | torch.device, precision: str) -> Step:
         return Oidn(**options).step
@@ -144,6 +143,11 @@ def _oidn() -> list[Method]:
         Method(name, what, "oidn", None if reason else partial(start, options), reason)
         for name, (what, options) in kinds.items()
     ]
+
+
+def _lacks_oidn() -> str:
+    """Why OIDN cannot run; empty if it can."""
+    return "" if installed() else "needs pyoidn: pip install 'rtdenoise[bench]'"
 
 
 def _network(name: str) -> list[Method]:
@@ -228,8 +232,16 @@ def _start(
     return step if history else partial(_without_history, step)
 
 
-def _offline(oidn: bool | None, device: str | torch.device, precision: str) -> Step:
-    return InMemory(Passes("hybrid", str(device), precision, oidn)).step
+def _offline(name: str, oidn: bool) -> Method:
+    """`denoise --offline`, as it is with and without OIDN."""
+    reason = _lacks_oidn() if oidn else ""
+
+    def start(device: str | torch.device, precision: str) -> Step:
+        return InMemory(Passes("hybrid", str(device), precision, oidn)).step
+
+    what = f"denoise --offline: both directions in time, {'with' if oidn else 'without'} OIDN"
+    weights = ("hybrid", MODEL)
+    return Method(name, what, "network", None if reason else start, reason, weights=weights, delay=InMemory.delay)
 
 
 def _noisy(frame: Frame, history: None) -> tuple[Tensor, None]:
