@@ -18,14 +18,15 @@ from bench import harness
 # Each has RESULT, a JSON file (some OTHER_RESULTS beside it); PAGES, the pages with its sections; and tables(document)
 # -> section -> Markdown.
 MODULES = (
-    "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "combine_papers", "cycles",
-    "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis", "missing_layers", "mltd",
-    "mltd_memory", "modes", "offline", "plan", "quality", "sample", "shots", "stability", "tiles", "calibration.cuts",
-    "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean", "diagnosis.clean_input",
-    "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies", "diagnosis.fog",
-    "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover",
-    "diagnosis.lens", "diagnosis.lost", "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated",
-    "diagnosis.scattered", "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion", "diagnosis.where",
+    "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "combine_cycles",
+    "combine_papers", "cycles", "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis",
+    "missing_layers", "mltd", "mltd_memory", "modes", "offline", "plan", "quality", "sample", "shots", "stability",
+    "tiles", "calibration.cuts", "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean",
+    "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies",
+    "diagnosis.fog", "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve",
+    "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost", "diagnosis.many", "diagnosis.motion_blur",
+    "diagnosis.outdated", "diagnosis.scattered", "diagnosis.soft_edges", "diagnosis.turned",
+    "diagnosis.virtual_motion", "diagnosis.where",
 )  # fmt: skip
 
 

@@ -166,7 +166,7 @@ class History:
     mean_albedo: Tensor | None = None  # [B, 3, H, W] running mean of albedo, likewise
     noisy: Tensor | None = None  # [B, 3, H, W] radiance of the previous frame, likewise (`shift.light`)
     found: Tensor | None = None  # [B, 2, h, w] shifts that the previous frame found in its picture (`shift.picture`)
-    residual: Tensor | None = None  # [B, 3, H, W] running mean of (noisy - denoised) / albedo, for its correction
+    residual: Tensor | None = None  # [B, 3, H, W] running mean of relative residuals (`models.shrinkage.correct`)
     residual_length: Tensor | None = None  # [B, 1, H, W] frames in it
     hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features for the next step of the model, at any scale
     recent: tuple[Tensor, ...] = ()  # [B, 5 or 8, H, W] int32 each: of `ops.recall.keep`, the last frame first

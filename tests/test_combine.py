@@ -324,6 +324,15 @@ def test_confidence_is_a_layer_of_its_own(shot, clean, tmp_path, options):
     assert "confidence.V" in read_header(tmp_path / "out" / "frame.0000.exr").channels
 
 
+def test_pixels_that_are_not_finite_do_not_count_as_dark(clean, frames, tmp_path, options):
+    bad = [replace(frame, radiance=frame.radiance.clone()) for frame in frames]
+    for frame in bad:
+        frame.radiance[..., ::2] = torch.nan
+    noisy = write_sequence(tmp_path / "noisy", bad)
+    run(noisy, clean, tmp_path / "out", options=options)
+    assert np.isfinite(pixels(tmp_path / "out" / "frame.0002.exr")).all()
+
+
 def test_frames_that_do_not_belong_together_are_refused(shot, clean, tmp_path, model, frames, capsys):
     def line(denoised, *more):
         return refused(capsys, "combine", shot, denoised, "--out", tmp_path / "out", "--model", model, *more)

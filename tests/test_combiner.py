@@ -99,7 +99,7 @@ def test_all_weight_on_the_own_tap_returns_the_noisy_frame(config):
 @configs
 def test_residuals_of_another_frame_arrive_along_its_motion(config):
     """One residual pixel on the square of the frame two before moves four pixels to the right with it."""
-    config = replace(config, demodulate=False, evidence=False)
+    config = replace(config, relative=False, evidence=False)
     window = window_of(config)
     place = config.current - 2
     frames = [replace(frame, radiance=frame.reference) for frame in window.frames]
@@ -118,7 +118,7 @@ def test_residuals_of_another_frame_arrive_along_its_motion(config):
 def test_constant_residuals_are_added_whole_or_not_at_all(config):
     """The frame's own share times a constant residual, whatever the kernels; neighbours agree where they are seen.
     Scales with shares of their own overshoot a little when they are composed."""
-    config = replace(config, demodulate=False)
+    config = replace(config, relative=False)
     flat = [replace(frame, radiance=torch.full_like(frame.radiance, 2.0)) for frame in window_of(config).frames]
     window = Window(tuple(flat), tuple(torch.full_like(frame.radiance, 1.5) for frame in flat))
     for frame in flat:
@@ -280,6 +280,15 @@ def test_a_window_of_another_length_is_refused():
     window = window_of(SMALL["ours"])
     with pytest.raises(ValueError, match="window of 5 frames"):
         make(SMALL["ours"]).combine(Window(window.frames[:3], window.estimates[:3]))
+
+
+@pytest.mark.parametrize("estimate", [None, torch.rand(1, 3, 27, 35), torch.rand(1, 3, 27, 34).numpy()[0]])
+def test_an_estimate_that_is_none_of_the_frame_is_refused(estimate):
+    window = window_of(SMALL["ours"])
+    estimates = (*window.estimates[:4], estimate)
+    for combiner in (make(SMALL["ours"]), Shrinkage()):
+        with pytest.raises(ValueError, match="as the estimate of a frame"):
+            combiner.combine(replace(window, estimates=estimates))
 
 
 def test_two_steps_fetch_the_second_motion_where_the_first_leads():
@@ -445,6 +454,18 @@ def test_shrinkage_leaves_a_frame_that_nothing_speaks_against():
     assert torch.equal(Shrinkage().combine(alone).image, y + 0.1)
     still = window_of_pictures([y] * 5, y + 0.1, motion=False)
     assert torch.equal(Shrinkage().combine(still).image, y + 0.1)
+
+
+def test_the_same_share_of_error_is_found_in_any_light_without_albedo():
+    """Every frame has light of its own; z is 1.3 times as bright as each."""
+    torch.manual_seed(0)
+    pictures = [0.5 + torch.rand(1, 3, 32, 32).square() * 4 for _ in range(5)]
+    window = window_of_pictures(pictures, pictures[0], samples=4)
+    window = replace(window, estimates=tuple(1.3 * picture for picture in pictures))
+    image = Shrinkage().combine(window).image
+    torch.testing.assert_close(image, pictures[2], rtol=0.05, atol=0)
+    textured = tuple(replace(f, albedo=torch.rand_like(f.radiance)) for f in window.frames)
+    assert torch.equal(Shrinkage().combine(replace(window, frames=textured)).image, image)
 
 
 def test_shrinkage_corrects_edges_of_frames_with_samples_enough():

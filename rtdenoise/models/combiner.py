@@ -12,7 +12,7 @@ are softmax-normalised for each frame, and so are the shares of the frames. The 
 - a share of the correction that is applied, since weights that sum to 1 would average noise into pixels that need no
   correction. It begins with the share of `shrinkage` at each scale; the network may lower its logit much and raise it
   little. A free share learns to be 0 before the kernels learn anything (docs/notes/combiner_training.md);
-- residuals divided by the albedo: residuals of textures do not match between neighbours;
+- residuals relative to z: absolute ones do not match across textures and edges of lamps;
 - means of residuals in units of their standard errors as input, and a network at half size.
 
 The preset `drc` is the paper's network as far as its available text goes. It lacks the sections on the head and the
@@ -24,13 +24,13 @@ Read `Combiner.combine` first.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.utils.checkpoint import checkpoint
 
-from ..color import albedo_divisor
 from ..exposure import exposure
 from ..frame import Frame
 from ..ops import apply_kernel, downsample, pick
@@ -42,7 +42,7 @@ from .inference import as_weights
 from .losses import smape_ratio, square_ratio
 from .shrinkage import agreement, corrected_by_halves, edges, few_samples
 from .unet import ConvRelu, UNet
-from .window import Aligned, Combined, Window, aligned, box, changed, current_of
+from .window import Aligned, Combined, Window, aligned, box, changed, comparable, current_of, divisor_of
 
 MAX_LOGITS = 1 << 25  # in memory at once; beyond it, strip by strip, recomputed in the backward pass
 STATISTICS = (5, 15)  # sides in pixels of the neighbourhoods over which residuals are averaged
@@ -50,7 +50,7 @@ LOSS_SCALES = 4  # at which the loss is taken: 1, 1/2 ... of the image size
 LEAST = 0.02  # share of a correction that nothing supports
 MAX_MORE, MAX_LESS = 0.3, 8.0  # by which the network raises or lowers the share's logit
 MAX_MORE_IN_TRAINING = 1.0  # less in use: a margin for other scenes (docs/notes/combiner_training.md)
-MIN_VARIANCE = 1e-8  # of exposed residuals, so that none is divided by zero
+MIN_VARIANCE = 1e-8  # of residuals, so that none is divided by zero
 
 
 class Combiner(nn.Module):
@@ -88,47 +88,45 @@ class Combiner(nn.Module):
     def combine(self, window: Window) -> Combined:
         """Correct the current frame of a window of `config.frames` frames: the middle one, the last one if causal.
 
-        Layers may be missing: without albedo nothing is demodulated, without motion only the current frame is used. A
-        neighbour that is None, or lies beyond one, gets no weight. With `config.evidence` z is first corrected by
-        `window.halves`, if there are any, as `shrinkage` does it. Raises ValueError where the window has another length
-        or no current frame.
+        Layers may be missing: without motion only the current frame is used. A neighbour that is None, or lies beyond
+        one, gets no weight. With `config.evidence` z is first corrected by `window.halves`, if there are any, as
+        `shrinkage` does it. Raises ValueError where the window has another length or no current frame.
         """
         original = window.estimates
         window = corrected_by_halves(window) if self.config.evidence else window
         frame, estimate = current_of(window, self.config.current, self.config.frames)
-        divisor = albedo_divisor(frame.albedo, frame.depth) if self.config.demodulate else 1.0
-        aligned = self.aligned(window)
-        now = aligned[self.config.current]
+        known = comparable(frame.radiance, estimate)[1]
+        scale = exposure(known)
+        divisor = partial(self.divisor, scale=scale)
+        found = aligned(window, self.config.current, divisor)
 
-        levels = self.predict(self.features(frame, aligned))
-        residuals = [None if one is None else one.residual for one in aligned]
-        valid = [None if one is None else one.valid for one in aligned]
+        levels = self.predict(self.features(frame, found, scale))
+        residuals, valid = ([one and getattr(one, part) for one in found] for part in ("residual", "valid"))
         believed = one_surface(frame) if self.config.evidence else None
-        correction = divisor * self.correct(levels, residuals, valid, believed)
+        correction = divisor(known) * self.correct(levels, residuals, valid, believed)
 
-        image = estimate.where(estimate.isfinite().all(1, keepdim=True), now.estimate * divisor)
+        image = estimate.where(estimate.isfinite().all(1, keepdim=True), known)
         image = torch.maximum(image + correction, image.clamp(max=0))
         return Combined(image, changed(image, original[self.config.current]))
 
-    def aligned(self, window: Window) -> list[Aligned | None]:
-        """`window.aligned` as the configuration says."""
-        return aligned(window, self.config.current, demodulate=self.config.demodulate)
+    def divisor(self, estimate: Tensor, scale: Tensor) -> Tensor:
+        """What residuals are divided by: `window.divisor_of` z, or, absolute ones, one over the exposure of z."""
+        return divisor_of(estimate, scale) if self.config.relative else 1 / scale
 
-    def features(self, frame: Frame, aligned: Sequence[Aligned | None]) -> Tensor:
+    def features(self, frame: Frame, aligned: Sequence[Aligned | None], scale: Tensor) -> Tensor:
         """The network's input `[B, config.features, H, W]` in the dtype of its weights; light at the exposure of z."""
-        scale = exposure(aligned[self.config.current].estimate)
         channels = []
         for one in aligned:
             if one is None:
                 count = self.config.of_each_frame
                 channels.append(frame.radiance.new_zeros(*frame.radiance.shape[:1], count, *frame.size))
                 continue
-            light = torch.log1p(scale * torch.cat([one.noisy, one.estimate], 1).clamp(min=0))
-            residual = [signed_log(scale * one.residual)] if self.config.residual_input else []
-            channels += [light, *residual, one.valid]
+            noisy = one.estimate + self.divisor(one.estimate, scale) * one.residual
+            light = torch.log1p(scale * torch.cat([noisy, one.estimate], 1).clamp(min=0))
+            channels += [light, *([signed_log(one.residual)] if self.config.residual_input else []), one.valid]
         channels += [frame.albedo, frame.normal, nearness(frame.depth, mean_distance(frame.depth))]
         if self.config.statistics:
-            channels += [statistics([one for one in aligned if one is not None], scale), certainty(frame)]
+            channels += [statistics([one for one in aligned if one is not None]), certainty(frame)]
         return as_weights(torch.cat(channels, dim=1), self)
 
     def predict(self, features: Tensor) -> list[Tensor]:
@@ -275,18 +273,13 @@ def certainty(frame: Frame) -> Tensor:
     return 0.25 * torch.nan_to_num(frame.samples, nan=1.0).clamp(1, 1e4).log().expand_as(frame.depth)
 
 
-def statistics(
-    aligned: Sequence[Aligned],
-    scale: Tensor,  # [B, 1, 1, 1] exposure
-) -> Tensor:  # [B, 13, H, W]
+def statistics(aligned: Sequence[Aligned]) -> Tensor:  # [B, 13, H, W]
     """Evidence in the residuals for an error of z. Over each neighbourhood of `STATISTICS`, all frames together: their
     mean m (3 channels) and m divided by its standard error (3), compressed. Then the log of their variance (1)."""
-    valid = sum(one.valid for one in aligned)
-    residuals = [scale * one.residual for one in aligned]
-    first, second = sum(residuals), sum(r.square() for r in residuals)
-    channels = []
+    first, second = sum(one.residual for one in aligned), sum(one.residual.square() for one in aligned)
+    channels, frames = [], sum(one.valid for one in aligned)
     for side in STATISTICS:
-        count = side**2 * box(valid, side).clamp(min=1 / side**2)
+        count = side**2 * box(frames, side).clamp(min=1 / side**2)
         mean, square = (side**2 * box(x, side) / count for x in (first, second))
         channels += [signed_log(mean), torch.asinh(mean * (count / (square + MIN_VARIANCE)).sqrt())]
     variance = box(second, STATISTICS[0]).mean(1, keepdim=True)

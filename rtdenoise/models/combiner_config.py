@@ -37,8 +37,8 @@ class CombinerConfig(NetworkConfig):
     in their middle; without it the weights of a pixel sum to 1, and kernels begin at random."""
     squares: bool = True
     """The loss is a ratio of squared errors on log(1 + exposed light); else of SMAPE, as in the paper."""
-    demodulate: bool = True
-    """Residuals are divided by the albedo."""
+    relative: bool = True
+    """Residuals are relative to z (`window.divisor_of`)."""
     residual_input: bool = True
     """The input has the residuals y - z beside y and z."""
     statistics: bool = True

@@ -46,7 +46,7 @@ COMBINERS: dict[str, CombinerConfig] = {
     "combiner-causal": CombinerConfig(frames=3, causal=True),
     "drc": CombinerConfig(
         widths=(48, 64, 96, 128), half_size=False, kernel=15, pick_kernel=5, evidence=False, squares=False,
-        demodulate=False, statistics=False,
+        relative=False, statistics=False,
     ),
 }  # fmt: skip
 """Name of a combiner -> its configuration: ours, ours without future frames, and its paper's."""

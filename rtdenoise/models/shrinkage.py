@@ -1,11 +1,11 @@
 """The combiner that needs no training: it corrects z as far as independent noisy estimates agree that z is wrong.
 
-The noisy frames y and the estimate z differ by r = y - z, the error of z and noise. Two residuals a and b of the same
-surface with independent noise tell them apart:
+The noisy frames y and the estimate z differ by r = (y - z) / d, the error of z and noise; d is about z itself
+(`window.divisor_of`). Two residuals a and b of the same surface with independent noise tell them apart:
 
     E = mean a b            estimates the squared error of z
     V = mean (a - b)² / 4   estimates the variance of their mean
-    image = z + w (a + b) / 2,    w = E' / (E' + V),    E' = max(E - t V, 0)
+    image = z + d w (a + b) / 2,    w = E' / (E' + V),    E' = max(E - t V, 0)
 
 with means over a neighbourhood and the channels. With t = 0 this w has the least squared error if the noises of y and z
 are uncorrelated (James and Stein 1961) and E is known. E is an estimate as noisy as V is large, and z was made from y,
@@ -13,24 +13,26 @@ so E must exceed a share t of V before it counts.
 
 There are two sources of such pairs, and `Shrinkage.combine` uses both, one after the other: two halves of the samples
 of a frame, where they are known; then the frame and the mean of its neighbours in time, along tested motion. In real
-time `correct` takes a running mean of the frames before in place of the neighbours.
+time `correct` takes a running mean of the frames before in place of the neighbours. Halves show the same pixels, so
+d = 1 there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..color import albedo_divisor
+from ..exposure import exposure
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import reproject
 from ..ops.scattered import scattered
 from ..sanitise import sanitise
-from .window import Combined, Window, aligned, box, changed, comparable, completed, current_of
+from .window import Combined, Window, aligned, box, changed, comparable, completed, current_of, divisor_of
 
 Step = Callable[..., tuple[Tensor, History]]
 
@@ -88,13 +90,16 @@ def by_halves(frame: Frame | None, estimate: Tensor | None, half: Tensor | None)
 
 def by_neighbours(window: Window, place: int) -> Tensor:
     """The correction that the neighbours of the frame at `place` support, `[B, 3, H, W]`."""
-    frame, found = completed(window.frames[place]), aligned(window, place, demodulate=True)
+    frame = completed(window.frames[place])
+    _, estimate = comparable(frame.radiance, window.estimates[place])
+    divisor = partial(divisor_of, scale=exposure(estimate))
+    found = aligned(window, place, divisor)
     others = [one for k, one in enumerate(found) if one is not None and k != place]
     if not others:
         return torch.zeros_like(frame.radiance)
     count = sum(one.valid for one in others)
     mean = sum(one.residual for one in others) / count.clamp(min=1)
-    return supported(frame, found[place].residual, mean, count)
+    return divisor(estimate) * supported(frame, found[place].residual, mean, count)
 
 
 def correct(
@@ -106,14 +111,14 @@ def correct(
     """The recurrent form, without a look ahead: instead of the neighbours the running mean of the residuals of the
     frames before, along tested motion. Returns the corrected image, and `onward` with the mean that goes on.
     """
-    divisor = albedo_divisor(frame.albedo, frame.depth)
+    divisor = divisor_of(estimate.clamp(min=0), exposure(estimate))
     own = (frame.radiance - estimate) / divisor
     mean, count = torch.zeros_like(own), torch.zeros_like(own[:, :1])
     if history is not None and history.residual is not None:
         surfaces = (frame.depth, frame.normal), (history.depth, history.normal)
         found, valid = reproject((history.residual, history.residual_length), frame.motion, *surfaces)
         mean, count = found[:, :3], (found[:, 3:] * valid + ROUNDING).floor()
-    image = torch.maximum(estimate + supported(frame, own, mean, count), estimate.clamp(max=0))
+    image = torch.maximum(estimate + divisor * supported(frame, own, mean, count), estimate.clamp(max=0))
     mean = (own + count * mean) / (count + 1)
     return image, replace(onward, residual=mean, residual_length=(count + 1).clamp(max=MAX_LENGTH))
 
@@ -132,13 +137,11 @@ def corrected(step: Step) -> Step:
 
 def supported(
     frame: Frame,  # valid features
-    own: Tensor,  # [B, 3, H, W] residual of the frame over its albedo
+    own: Tensor,  # [B, 3, H, W] relative residual of the frame
     mean: Tensor,  # [B, 3, H, W] mean of those of other frames, aligned to it
     count: Tensor,  # [B, 1, H, W] number of these
 ) -> Tensor:  # [B, 3, H, W]
-    """w (a + b) / 2 for a = `own` and b = `mean`, weighted as a mean of all frames."""
-    divisor = albedo_divisor(frame.albedo, frame.depth)
-    own, mean = own * divisor, mean * divisor
+    """w (a + b) / 2 for a = `own` and b = `mean`, weighted as a mean of all frames; relative, too."""
     usable = count > 0
     if (few := few_samples(frame)).any():
         usable &= ~(edges(frame) & few)
@@ -146,7 +149,7 @@ def supported(
 
 
 def agreement(
-    own: Tensor,  # [B, 3, H, W] residual of the frame
+    own: Tensor,  # [B, 3, H, W] relative residual of the frame
     mean: Tensor,  # [B, 3, H, W] mean of those of other frames
     count: Tensor,  # [B, 1, H, W] number of these
     usable: Tensor,  # [B, 1, H, W] in {0, 1}

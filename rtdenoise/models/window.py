@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..color import albedo_divisor
 from ..frame import OFF_SCREEN, Frame
 from ..motion import on_screen
 from ..ops import fetch, reproject
 from ..sanitise import BRIGHTEST, sanitise
+
+DARK = 0.05  # of the brightness of a frame: darker pixels correct by absolute residuals
 
 
 @dataclass(frozen=True)
@@ -49,33 +51,37 @@ def changed(image: Tensor, estimate: Tensor) -> Tensor:
 class Aligned:
     """A frame of the window, reprojected to the current one; zero where it shows another surface there."""
 
-    noisy: Tensor  # [B, 3, H, W] y, over the albedo if the model demodulates
-    estimate: Tensor  # [B, 3, H, W] z likewise
+    residual: Tensor  # [B, 3, H, W] (y - z) / d, see `divisor_of`
+    estimate: Tensor  # [B, 3, H, W] z
     valid: Tensor  # [B, 1, H, W] in {0, 1}
-
-    @property
-    def residual(self) -> Tensor:
-        """y - z, `[B, 3, H, W]`: zero where the frame is not valid, since y and z are zero there."""
-        return self.noisy - self.estimate
 
 
 def current_of(window: Window, place: int, frames: int) -> tuple[Frame, Tensor]:
-    """The frame at `place` with valid features, and its z. Raises ValueError unless the window has `frames` frames and
-    that one is there."""
+    """The frame at `place` with valid features, and its z. Raises ValueError unless the window has `frames` frames,
+    that one is there, and each has an estimate of its size."""
     if not len(window.frames) == len(window.estimates) == frames or window.frames[place] is None:
         raise ValueError(f"expected a window of {frames} frames with frame {place}, got {len(window.frames)} frames")
+    for frame, estimate in zip(window.frames, window.estimates, strict=True):
+        shape = getattr(estimate, "shape", None)
+        if frame is not None and not (isinstance(estimate, Tensor) and shape == frame.radiance.shape):
+            got = type(estimate).__name__ if shape is None else tuple(shape)
+            raise ValueError(f"expected a tensor {tuple(frame.radiance.shape)} as the estimate of a frame, got {got}")
     return completed(window.frames[place]), window.estimates[place]
 
 
-def aligned(window: Window, current: int, *, demodulate: bool) -> list[Aligned | None]:
+def aligned(
+    window: Window,
+    current: int,
+    divisor: Callable[[Tensor], Tensor],  # of z, [B, 3, H, W]: what its residuals are divided by
+) -> list[Aligned | None]:
     """Every frame of the window as the one at place `current` sees it; None where it is missing or no motion leads
     there.
 
-    y and z are fetched with the same taps, which test that they show the same surface (`ops.reproject`).
+    Residuals and z are fetched with the same taps, which test that they show the same surface (`ops.reproject`).
     """
     frame = completed(window.frames[current])
     found: list[Aligned | None] = [None] * len(window.frames)
-    found[current] = Aligned(*_pair(window, current, demodulate), torch.ones_like(frame.depth))
+    found[current] = Aligned(*_pair(window, current, divisor), torch.ones_like(frame.depth))
     for direction in (-1, 1):
         motion, layer = None, "motion" if direction < 0 else "motion_next"
         place, before = current + direction, frame
@@ -86,18 +92,29 @@ def aligned(window: Window, current: int, *, demodulate: bool) -> list[Aligned |
             motion = onward if motion is None else two_step(motion, onward)
             there = completed(window.frames[place])
             surfaces = (frame.depth, frame.normal), (there.depth, there.normal)
-            both, valid = reproject(_pair(window, place, demodulate), motion, *surfaces)
+            both, valid = reproject(_pair(window, place, divisor), motion, *surfaces)
             found[place] = Aligned(*both.split(3, dim=1), valid.to(both.dtype))
             place, before = place + direction, there
     return found
 
 
-def _pair(window: Window, place: int, demodulate: bool) -> tuple[Tensor, Tensor]:
-    """y and z of a frame with values that can be filtered, over the albedo if asked for."""
-    frame = completed(window.frames[place])
-    noisy, estimate = comparable(frame.radiance, window.estimates[place])
-    divisor = albedo_divisor(frame.albedo, frame.depth) if demodulate else 1.0
-    return noisy / divisor, estimate / divisor
+def _pair(window: Window, place: int, divisor: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor]:
+    """Residual and z of a frame with values that can be filtered."""
+    noisy, estimate = comparable(window.frames[place].radiance, window.estimates[place])
+    return (noisy - estimate) / divisor(estimate), estimate
+
+
+def divisor_of(
+    estimate: Tensor,  # [B, 3, H, W] z, not negative
+    scale: Tensor,  # [B, 1, 1, 1] exposure of the current frame's z
+) -> Tensor:  # [B, 3, H, W], above 0
+    """What relative residuals (y - z) / d are relative to: d = z + `DARK` times the brightness of the frame.
+
+    Neighbours in space and time share the relative error of z rather than the absolute one: across a texture, the edge
+    of a lamp, a highlight. Albedo as the divisor is noise at few samples, and does not know lamps and highlights
+    (docs/notes/relative_residuals.md).
+    """
+    return estimate + DARK / scale
 
 
 def completed(frame: Frame) -> Frame:

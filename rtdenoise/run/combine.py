@@ -16,7 +16,7 @@ from ..data.output import check_output, protect_input
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from .choice import known_samples, told_of_samples
+from .choice import told_of_samples
 from .folder import prepare
 from .lens_motion import with_lens_if_lacking
 from .options import CombineOptions, Summary, check_samples
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from ..models import Combiner, Shrinkage
 
 FEATURES = ("albedo", "normal", "depth")
-NOISY_ALBEDO = 16  # samples a pixel of frames of Cycles up to which nothing was gained
 
 
 def combine(
@@ -82,7 +81,6 @@ def combine(
         run = Run(source, estimates, second, out, options, combiner, device, on_frame)
         notes += unread_options(options, combiner) + missing_layers(source, options, combiner)
         notes += told_of_samples(source, options.samples) if _by_evidence(combiner) else []
-        notes += told_of_cycles(source, options)
         summary = run.run(overwrite, notes)
     summary.notes += [source.drifts.told] if options.lens else []
     return summary
@@ -97,17 +95,6 @@ def unread_options(options: CombineOptions, combiner: Combiner | Shrinkage) -> l
         f"{options.model} reads no --samples": options.samples,
     }
     return [line for line, given in lines.items() if given]
-
-
-def told_of_cycles(source: Sequence, options: CombineOptions) -> list[str]:
-    """A line for frames of Cycles of few samples: their albedo is noise in textures (docs/results/combine.md)."""
-    if source.layout.name != "cycles" or options.second:
-        return []
-    samples = known_samples(source, options.samples)
-    if not 0 < samples <= NOISY_ALBEDO:
-        return []
-    return [f"frames of Cycles of few samples a pixel ({samples:g}): up to {NOISY_ALBEDO} nothing was gained, and "
-            "fine textures and metal that turns were worse; compare before you use these"]  # fmt: skip
 
 
 def missing_layers(source: Sequence, options: CombineOptions, combiner: Combiner | Shrinkage) -> list[str]:

@@ -98,11 +98,13 @@ def repeats(source: Sequence, other: Sequence) -> bool:
 
 
 def check_pairs(source: Sequence, denoised: Sequence, kind: str = "denoised") -> None:
-    """Compare the light of the first `EXAMINED` frames. Raises InputError where the denoised ones, or those of another
-    `kind`, are tone-mapped or have another exposure."""
+    """Compare the light of the first `EXAMINED` frames, where both are finite. Raises InputError where the denoised
+    ones, or those of another `kind`, are tone-mapped or have another exposure."""
     places = range(min(EXAMINED, len(source)))
-    noisy = torch.cat([_light(torch.from_numpy(source.only(("radiance",)).read(i).radiance)) for i in places])
-    clean = torch.cat([_light(read_estimate(denoised, i)) for i in places])
+    noisy = torch.cat([torch.from_numpy(source.only(("radiance",)).read(i).radiance) for i in places])
+    clean = torch.cat([read_estimate(denoised, i) for i in places])
+    known = noisy.isfinite().all(1, keepdim=True) & clean.isfinite().all(1, keepdim=True)
+    noisy, clean = (_light(image.where(known, 0)) for image in (noisy, clean))
     path, brightest = denoised.paths[0], block_luminance(noisy, 8)[0].max().item()
     if clean.max() <= WHITE and clean.max() > 0.9 and brightest > BRIGHT:
         raise InputError(f"{path}: the {kind} light ends at {clean.max():.2f}, the noisy light reaches "
