@@ -31,7 +31,8 @@ from rtdenoise.color import display_exposure
 from rtdenoise.data.exr import write_layers
 from rtdenoise.data.sequences import Sequence, open_sequence
 from rtdenoise.metrics import mse
-from rtdenoise.run import combine, denoise
+from rtdenoise.run.combine import combine
+from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import CombineOptions, Options
 from rtdenoise.sanitise import sanitise
 
