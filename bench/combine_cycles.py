@@ -3,7 +3,7 @@
     render="bpyenv/bin/python examples/blender/render.py"
     $render shots/glass --set glass --frames 8
     $render shots/glass-4 --set glass --frames 8 --samples 4          # likewise 16
-    $render shots/glass-reference --set glass --frames 8 --samples 128 --seed 77
+    $render shots/glass-reference --set glass --frames 8 --samples 128 --seed 77      # likewise glass-4-reference
     python bench/combine_cycles.py shots/glass ...
 
 Frames of two denoisers are corrected, as the commands do it: OIDN with albedo and normal filtered first, as Blender
@@ -55,9 +55,9 @@ def main(
     """
     rows = []
     for shot in shots:
-        references = open_sequence(f"{shot}-reference")
         for spp in levels:
             noisy = f"{shot}{f'-{spp}' if spp > 1 else ''}"
+            references = open_sequence(f"{noisy}-reference")
             for method, run in DENOISERS.items():
                 with tempfile.TemporaryDirectory() as folder:
                     run(noisy, f"{folder}/z")
