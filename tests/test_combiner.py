@@ -32,6 +32,7 @@ from rtdenoise.models import (
     save,
 )
 from rtdenoise.models import combiner as module
+from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.window import comparable, two_step
 from rtdenoise.training.batches import windows
 from rtdenoise.training.config import TrainConfig
@@ -340,6 +341,18 @@ def test_estimates_are_of_the_clips_own_frames_and_kept(clips):
     assert write_all([clips], ["svgf"], ["color", "indirect"]) == 4
     with pytest.raises(InputError, match="rtdenoise estimates"):
         ClipDataset(clips).load(1, signal="indirect", estimates="fast")
+
+
+def test_estimates_of_other_weights_or_of_another_clip_are_made_anew(clips, tmp_path):
+    folder, weights = shutil.copytree(clips, tmp_path / "clips"), tmp_path / "mine.safetensors"
+    for seed in (0, 1):
+        torch.manual_seed(seed)
+        save(create(PRESETS["fast"]), weights)
+        assert write_all([folder], [f"mine={weights}"], ["color"]) == 4
+    assert write_all([folder], [f"mine={weights}"], ["color"]) == 0
+    first, second = ClipDataset(folder).paths[:2]
+    shutil.copyfile(second, first)
+    assert write_all([folder], [f"mine={weights}"], ["color"]) == 1
 
 
 @pytest.mark.parametrize("damage", ["another size", "not finite", "integers", "junk"])

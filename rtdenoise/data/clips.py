@@ -103,22 +103,24 @@ def estimate_path(clip: Path, method: str) -> Path:
     return clip.parent / method / clip.name
 
 
-def write_estimates(clip: Path, method: str, estimates: Mapping[str, np.ndarray]) -> None:
-    """Write the denoised frames of a clip, signal -> `[T, 3, H, W]`; signals that the file has already are kept."""
+def write_estimates(clip: Path, method: str, estimates: Mapping[str, np.ndarray], origin: str = "") -> None:
+    """Write the denoised frames of a clip, signal -> `[T, 3, H, W]`; signals that the file has already are kept, if
+    they are of the same `origin`: whatever changes with the clip and with the method."""
     path = estimate_path(clip, method)
     path.parent.mkdir(exist_ok=True)
-    before = load_file(path) if path.is_file() else {}
+    before = load_file(path) if estimated_signals(clip, method, origin) else {}
     now = {signal: np.clip(z, 0, MAX_HALF).astype(np.float16) for signal, z in estimates.items()}
-    write_atomically(path, save(before | now))
+    write_atomically(path, save(before | now, {"origin": origin}))
 
 
-def estimated_signals(clip: Path, method: str) -> tuple[str, ...]:
-    """The signals for which a method's file has denoised frames of a clip."""
+def estimated_signals(clip: Path, method: str, origin: str | None = None) -> tuple[str, ...]:
+    """The signals for which a method's file has denoised frames of a clip, of that `origin` or any."""
     path = estimate_path(clip, method)
     if not path.is_file():
         return ()
     with _opened(path) as file:
-        return tuple(file.keys())
+        known = (file.metadata() or {}).get("origin", "")
+        return tuple(file.keys()) if origin in (None, known) else ()
 
 
 class ClipDataset:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -23,7 +24,7 @@ def write_all(
     on_clip: OnClip = lambda done, total: None,
 ) -> int:
     """Denoise every clip of the folders with every method, from its first frame on. Existing estimates are
-    kept. Returns how many were written.
+    kept, unless the clip or the method's weights have changed. Returns how many were written.
 
     Each method sees the clip's own noisy frames, because y - z depends on z having been made from y. Raises InputError
     for a folder without clips and for an unknown or missing method.
@@ -32,14 +33,17 @@ def write_all(
     chosen = choose(methods)
     for folder in {estimate_path(path, method.name).parent for path in clips.paths for method in chosen}:
         remove_unfinished(folder)
+    weights = {method.name: method.fingerprints() for method in chosen}
     jobs = [(i, method) for i in range(len(clips)) for method in chosen]
     written = 0
     for done, (index, method) in enumerate(jobs):
         on_clip(done, len(jobs))
-        held = estimated_signals(clips.paths[index], method.name)
+        clip = clips.paths[index]
+        origin = "-".join([hashlib.sha256(clip.read_bytes()).hexdigest()[:16], *weights[method.name]])
+        held = estimated_signals(clip, method.name, origin)
         if missing := [signal for signal in signals if signal not in held]:
             made = {signal: _denoised(clips, index, signal, method) for signal in missing}
-            write_estimates(clips.paths[index], method.name, made)
+            write_estimates(clip, method.name, made, origin)
             written += 1
     on_clip(len(jobs), len(jobs))
     return written

@@ -4,6 +4,7 @@ A new baseline is a class with `step` in `baselines/`, its export there, and a r
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -21,7 +22,7 @@ from ..models import STILLS, CombinerConfig, Shrinkage, available, available_com
 from ..models.inference import INT8
 from ..models.presets import SHRINKAGE
 from ..models.shrinkage import corrected
-from ..models.weights import find, has_bytes, read_config, read_model
+from ..models.weights import bytes_beside, files_of, find, has_bytes, read_config, read_model
 from ..run.backends import TorchBackend
 from ..run.graphs import stepper
 from ..run.lookahead import Lookahead
@@ -60,6 +61,11 @@ class Method:
         if reason := self.unavailable(precision):
             raise InputError(f"{self.name}: {reason}")
         return self.start(device, precision)
+
+    def fingerprints(self) -> list[str]:
+        """Of the files that hold its weights."""
+        files = [file for weights in self.weights for file in files_of(find(weights))]
+        return [hashlib.sha256(file.read_bytes()).hexdigest()[:16] for file in (*files, *bytes_beside(files))]
 
     def unavailable(self, precision: str = "auto") -> str:
         """Why the method cannot run at that precision; empty if it can."""

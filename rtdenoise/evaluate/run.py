@@ -7,7 +7,6 @@ Results that the file holds already are kept, unless their input or their weight
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,12 +16,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from .. import models
 from ..color import display_exposure
 from ..errors import InputError, did_you_mean
 from ..files import lock, remove_unfinished
 from ..frame import Frame
-from ..models.weights import bytes_beside, files_of
 from ..run.plan import make_plan
 from ..sanitise import sanitise
 from .document import Document
@@ -231,9 +228,7 @@ class _Input:
 
     def _fingerprint(self, method: Method) -> str:
         """Changes with the input and with the weights."""
-        files = [file for weights in method.weights for file in files_of(models.find(weights))]
-        files += bytes_beside(files)
-        return "-".join([self._of_input, *(hashlib.sha256(file.read_bytes()).hexdigest()[:16] for file in files)])
+        return "-".join([self._of_input, *method.fingerprints()])
 
 
 def _numbers(result: Result) -> dict:
