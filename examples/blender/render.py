@@ -17,13 +17,14 @@ from pathlib import Path
 import bpy
 from glow_sets import GLOW_SETS
 from lens_sets import LENS_SETS
+from matter_sets import MATTER_SETS
 from motion_sets import MOTION_SETS
 from sets import SETS
 from variety_sets import VARIETY_SETS
 from veil_sets import VEIL_SETS
 from water_sets import WATER_SETS
 
-ALL_SETS = SETS | LENS_SETS | VEIL_SETS | MOTION_SETS | WATER_SETS | VARIETY_SETS | GLOW_SETS
+ALL_SETS = SETS | LENS_SETS | VEIL_SETS | MOTION_SETS | WATER_SETS | VARIETY_SETS | GLOW_SETS | MATTER_SETS
 
 LIGHT_PASSES = ("diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_direct", "glossy_indirect",
                 "glossy_color", "transmission_direct", "transmission_indirect", "transmission_color", "emit",
