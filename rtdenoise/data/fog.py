@@ -42,23 +42,32 @@ def with_fog(
     fog = ~hit & _is_foggy(hit, (scattered[0] > 0).any(0), None if sky is None else (sky[0] > 0).any(0))
     if not fog.any():
         return frame
-    nearest = _nearest(hit, fog)
-    found = fog & (nearest >= 0)
-    source = nearest[found]
-
-    def filled(layer: np.ndarray | None) -> np.ndarray | None:
-        if layer is None:
-            return None
-        layer = layer.copy()
-        planes = layer[0].reshape(layer.shape[1], -1)
-        planes[:, found.ravel()] = planes[:, source]
-        return layer
-
-    names = "depth", "normal", "motion", "motion_next"
-    frame = replace(frame, **{name: filled(getattr(frame, name)) for name in names})
+    source = nearest(hit, fog)
+    found = fog & (source >= 0)
+    surfaces = filled_from(frame, source, fog)
     if frame.albedo is None or not few_samples:
-        return frame
-    return replace(frame, albedo=_mixed(frame.albedo, filled(frame.albedo), frame.depth[0, 0], hit, found))
+        return surfaces
+    behind = _filled(frame.albedo, source, found)
+    return replace(surfaces, albedo=_mixed(frame.albedo, behind, surfaces.depth[0, 0], hit, found))
+
+
+def filled_from(
+    frame: Frame,
+    source: np.ndarray,  # [H, W] index of a pixel, or -1
+    wanted: np.ndarray,  # [H, W] bool
+) -> Frame:
+    """The frame with depth, normal and motion of their sources in pixels that are wanted and have one."""
+    found = wanted & (source >= 0)
+    layers = {name: getattr(frame, name) for name in ("depth", "normal", "motion", "motion_next")}
+    filled = {name: _filled(layer, source, found) for name, layer in layers.items() if layer is not None}
+    return replace(frame, **filled)
+
+
+def _filled(layer: np.ndarray, source: np.ndarray, found: np.ndarray) -> np.ndarray:
+    layer = layer.copy()
+    planes = layer[0].reshape(layer.shape[1], -1)
+    planes[:, found.ravel()] = planes[:, source[found]]
+    return layer
 
 
 def _is_foggy(hit: np.ndarray, lit: np.ndarray, sky: np.ndarray | None) -> np.ndarray:
@@ -77,7 +86,7 @@ def _around(image: np.ndarray) -> np.ndarray:
     return mean.repeat(CELL, 0).repeat(CELL, 1)[:H, :W]
 
 
-def _nearest(hit: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def nearest(hit: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """The index of a surface near each pixel that is wanted, `[H, W]` int32; -1 where there is none within REACH."""
     found = np.where(hit, np.arange(hit.size, dtype=np.int32).reshape(hit.shape), np.int32(-1))
     for _ in range(REACH):

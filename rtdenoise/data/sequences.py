@@ -25,6 +25,7 @@ from .scene_motion import complete
 from .shutter import Surfaces
 from .sky import without_stale_sky
 from .soft_edges import with_soft_edges
+from .veiled import with_veiled
 from .virtual_motion import with_virtual_motion
 
 MOVED = "albedo", "normal", "depth", "motion", "motion_next"  # what virtual motion takes
@@ -53,6 +54,7 @@ class Sequence:
     fog: bool = False  # frames are read `with_fog` where files hold the light of volumes
     few_samples: bool = False  # in which albedo is noise, too
     lost_samples: bool = False  # frames are read `with_lost_samples`
+    veiled: bool = False  # frames are read `with_veiled`
     surfaces: Surfaces | None = field(default=None, repr=False)  # without motion blur: layers that these give
 
     @property
@@ -96,12 +98,16 @@ class Sequence:
         files = self.files[i]
         rules, (path, fog) = self.rules, self.besides(files)
         lost = self.lost_samples and "albedo" in self.rules
-        needed = MOVED if path or fog else ("depth",) if lost else ()  # whatever is wanted of the frame, it is the same
+        veiled = self.veiled and not self.rules.keys().isdisjoint(MOVED)
+        # Whatever is wanted of the frame, it is the same.
+        needed = MOVED if path or fog or veiled else ("depth",) if lost else ()
         rules = rules | {layer: self.available[layer] for layer in needed if layer in self.available}
         read = *rules.values(), *([path] if path else ()), *fog.values()
         channels = files.read({name for rule in read for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
+        if veiled:
+            frame = with_veiled(frame)
         if self.layout.name == "cycles":
             frame = without_stale_sky(frame)
         if path:

@@ -28,8 +28,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     The number of samples is that of the layer `samples`, of `options.samples`, or what the renderer noted in the files;
     where none is known, the noise of the first frame tells; of few, the samples that are lost in it. Frames of one
     sample from Cycles have soft edges, unless there are `options.surfaces`; those of less than MIXED are read
-    `with_lost_samples`, frames of all renderers `with_virtual_motion`, and whatever their samples `with_fog`, unless
-    the options are off.
+    `with_lost_samples` and `with_veiled`, frames of all renderers `with_virtual_motion`, and whatever their samples
+    `with_fog`, unless the options are off.
     Raises InputError as `open_sequence`, reading the first frame, and `with_lens_if_lacking` do.
     """
     auto = options.model == AUTO
@@ -50,7 +50,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     sequence = replace(
         sequence, soft_edges=wide and samples == 1 and not sequence.surfaces,
         virtual_motion=virtual and samples < MIXED, fog=fog, few_samples=0 < samples < MIXED,
-        lost_samples=wide and samples < MIXED,
+        lost_samples=wide and samples < MIXED, veiled=sequence.layout.name == "cycles" and samples < MIXED,
     )  # fmt: skip
     if not auto:
         return sequence, _looking(options, AHEAD if _may_look_ahead(options) else 0), notes
@@ -121,7 +121,7 @@ def _share_of_lost_samples(sequence: Sequence) -> float:
     """In the first frame, where they are looked for."""
     if not sequence.lost_samples or not (sequence.has("albedo") and sequence.has("depth")):
         return 0.0
-    rendered = replace(sequence, soft_edges=False, virtual_motion=False, fog=False, lost_samples=False)
+    rendered = replace(sequence, soft_edges=False, virtual_motion=False, fog=False, lost_samples=False, veiled=False)
     lost = lost_samples(rendered.only({"radiance", "albedo", "depth"}).read(0))
     return 0.0 if lost is None else float(lost.mean())
 

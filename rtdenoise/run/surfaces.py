@@ -27,10 +27,10 @@ def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequ
     surfaces.require("depth", "motion")
     _check(surfaces, sequence)
     if isinstance(options, Options) and options.signal == "color":
-        samples = surfaces.header.samples
+        samples, cycles = surfaces.header.samples, surfaces.layout.name == "cycles"
         surfaces = replace(
             surfaces, virtual_motion=options.virtual_motion and samples < MIXED, fog=options.fog,
-            few_samples=0 < samples < MIXED, lost_samples=surfaces.layout.name == "cycles" and samples < MIXED,
+            few_samples=0 < samples < MIXED, lost_samples=cycles and samples < MIXED, veiled=cycles and samples < MIXED,
         )  # fmt: skip
     layers = tuple(layer for layer in GIVEN if not (layer == "albedo" and sequence.demodulated))
     return replace(sequence, surfaces=Surfaces(surfaces, *times, layers))
