@@ -152,6 +152,11 @@ def test_images_between_pixels_hold_floats(dtype):
     assert torch.equal(fetch(image, torch.zeros(1, 2, 6, 5)), image)
 
 
+def test_kernels_over_arrays_are_refused():
+    with pytest.raises(ValueError, match="expected tensors, got ndarray and Tensor"):
+        apply_kernel(torch.ones(1, 3, 6, 5).numpy(), torch.zeros(1, 9, 6, 5))
+
+
 def test_reproject_of_nothing_is_refused():
     surface = torch.ones(1, 1, 4, 4), torch.ones(1, 3, 4, 4)
     with pytest.raises(ValueError, match="got none"):

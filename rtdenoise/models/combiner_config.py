@@ -51,7 +51,7 @@ class CombinerConfig(NetworkConfig):
             raise ValueError(f"expected 1 to 9 frames, an odd number unless causal, got {self.frames}")
         most = len(self.widths) - 1 + self.half_size
         if not isinstance(self.scales, int) or not 1 <= self.scales <= most:
-            raise ValueError(f"expected 1 to {most} scales for widths {self.widths}, got {self.scales}")
+            raise ValueError(f"expected 1 to {most} scales for widths {self.widths}, got scales={self.scales}")
 
     @property
     def offsets(self) -> tuple[int, ...]:

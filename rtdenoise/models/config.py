@@ -198,7 +198,8 @@ class AccumulatedKPNConfig(NetworkConfig):
     def __post_init__(self) -> None:
         self.check("kernel", "temporal_kernel", "edge_kernel", "pick_kernel")
         if not isinstance(self.scales, int) or not 2 <= self.scales <= len(self.widths):
-            raise ValueError(f"expected 2 to {len(self.widths)} scales for widths {self.widths}, got {self.scales}")
+            most = len(self.widths)
+            raise ValueError(f"expected 2 to {most} scales for widths {self.widths}, got scales={self.scales}")
         for name in ("detail", "guided", "footprint"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name}: expected true or false, got {getattr(self, name)!r}")

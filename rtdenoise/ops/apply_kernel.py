@@ -40,7 +40,7 @@ def apply_kernel(
     A network at half size predicts logits by cells, for all four pixels of a 2×2 cell at once: the logits of pixel
     (y, x) are logits[b, y mod 2, x mod 2, :, ⌊y/2⌋, ⌊x/2⌋].
 
-    Raises ValueError where the shapes do not fit, the image holds no floats, or K is even.
+    Raises ValueError for what is no tensor, where the shapes do not fit, the image holds no floats, or K is even.
     """
     check(image, logits)
     H, W = image.shape[2:]
@@ -61,6 +61,8 @@ def apply_kernel(
 
 def check(image: Tensor, logits: Tensor) -> None:
     """Raise ValueError where `apply_kernel` does."""
+    if not (isinstance(image, Tensor) and isinstance(logits, Tensor)):
+        raise ValueError(f"expected tensors, got {type(image).__name__} and {type(logits).__name__}")
     if image.ndim != 4 or logits.ndim not in (4, 6):
         raise ValueError(f"expected image and logits [B, C, H, W], got {tuple(image.shape)} and {tuple(logits.shape)}")
     B, _, H, W = image.shape
