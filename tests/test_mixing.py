@@ -3,7 +3,8 @@
 import torch
 
 from rtdenoise import ops
-from rtdenoise.constants import MIX_SHARES
+from rtdenoise.color import compress, expand
+from rtdenoise.constants import MIX_SHARES, MIX_UNCOVERED
 from rtdenoise.ops.evened import held_and_tells
 from rtdenoise.ops.mix import mix as mixture
 from rtdenoise.ops.mix import share_told
@@ -76,11 +77,16 @@ def test_the_mixture_goes_where_the_frame_leads():
     assert error[1] < 0.3 * error[0]
     assert torch.equal(mix(smooth, truth, one, 0.0, noisy=truth), mix(smooth, truth, one, 0.0))
     held = torch.ones(1, 1, 48, 48)
-    held[..., :16, :16] = 0  # just uncovered, among pixels that tell of their own past
-    plain, led = (mix(smooth, truth, one, before=smooth, held=held, noisy=noisy) for noisy in (None, truth))
-    assert torch.equal(led[..., :16, :16], plain[..., :16, :16]) and (led != plain)[..., 16:].float().mean() > 0.9
+    held[..., :16, :16] = 0  # just uncovered, among pixels that tell of their own past: the first is near the other
+    apart = (compress(smooth) - compress(truth)).clamp(-MIX_UNCOVERED, MIX_UNCOVERED)
+    assert (apart.abs() == MIX_UNCOVERED).float().mean() > 0.4
+    near = expand(compress(truth) + apart)
+    plain, far = (mix(first, truth, one, before=smooth, held=held) for first in (near, smooth))
+    led = mix(smooth, truth, one, before=smooth, held=held, noisy=truth)
+    torch.testing.assert_close(led[..., :16, :16], plain[..., :16, :16], rtol=1e-5, atol=1e-6)
+    assert (led != far)[..., 16:].float().mean() > 0.9
     few = mix(smooth, truth, one, before=smooth, held=held, shares=(0.4, 0.1, 0.1), noisy=truth)  # 0.1 at least
-    less = mix(smooth, truth, one, before=smooth, held=held, shares=(0.1, 0.1, 0.1))
+    less = mix(near, truth, one, before=smooth, held=held, shares=(0.1, 0.1, 0.1))
     torch.testing.assert_close(few[..., :16, :16], less[..., :16, :16])
     nowhere = mix(smooth, truth, one, before=smooth, held=0 * held, noisy=truth)  # none has a past: as a first frame
     assert torch.equal(nowhere, mix(smooth, truth, one, noisy=truth))

@@ -9,6 +9,9 @@ with the shares a and b, and h = 1 where there is such a previous picture, else 
 known, a is what it tells (`share_told`): the more samples a pixel, the more that is. Where it tells of other pixels, a
 is that, but not more than usual and not less than the last share.
 
+In pixels that were just uncovered, where the frame tells of others (`tells` below a half), f(s · first) is at most
+`MIX_UNCOVERED` from f(s · other): kernels spread what shines beside, and nothing has averaged that yet.
+
 FAR (`constants.MIX_FAR`) bounds what the previous picture may add: a pixel that an edge partly covered then would leave
 its light on what is there now, as a faint outline behind what moves.
 
@@ -24,8 +27,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..color import compress, expand
-from ..constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
+from ..constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE, MIX_UNCOVERED
 from .dispatch import ON_STACK, Fused, Support, falls_back
+
+UNCOVERED = 0.5  # of `tells`: below, a pixel was just uncovered
 
 IMAGES = dict.fromkeys(("first", "other", "before", "noisy"), (3,))
 IMAGES |= dict.fromkeys(("trust", "held", "tells", "depth"), (1,))
@@ -53,13 +58,15 @@ def mix(
     def shown(x: Tensor) -> Tensor:
         return compress(scale * x.clamp(min=0))
 
-    share = shares[0]
+    share, kernels, written = shares[0], shown(first), shown(other)
     if noisy is not None:
+        near = written + (kernels - written).clamp(-MIX_UNCOVERED, MIX_UNCOVERED)
+        kernels = torch.where(tells < UNCOVERED, near, kernels)
         told = share_told(noisy, first, other, scale, share)
         share = torch.lerp(told.clamp(shares[2], share), told, tells)
     if depth is not None:
         share = share * (F.max_pool2d(depth, 3, stride=1, padding=1) > 0)
-    mixed = torch.lerp(shown(other), shown(first), trust * share)
+    mixed = torch.lerp(written, kernels, trust * share)
     if before is not None:
         mixed = mixed + trust * shares[1] * held * (shown(before) - mixed).clamp(-MIX_FAR, MIX_FAR)
     return expand(mixed) / scale

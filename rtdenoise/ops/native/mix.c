@@ -1,4 +1,4 @@
-// One picture of two, and of the previous one. The specification is ops/mix.py; CELL, DARK, FAR, LARGEST and NOISE are those of
+// One picture of two, and of the previous one. The specification is ops/mix.py; CELL, DARK, FAR, LARGEST, NOISE and UNCOVERED are those of
 // constants.py.
 #include "common.h"
 #include "expm1.h"
@@ -93,14 +93,16 @@ static inline void leave_the_sky(Job j, int y, float *share) {
 }
 
 // A row of one colour; `share` of the first picture in each pixel.
-static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int c, const float *share, int has_before) {
+static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int c, const float *share, int has_before, int has_noisy) {
     int64_t at = row + c * j.plane;
     const float *first = j.first + at, *other = j.other + at, *before = j.before + (has_before ? at : 0);
     const float *trust = j.trust + row, *held = j.held + (has_before ? row : 0);
+    const float *tells = j.tells + (has_noisy ? row : 0);
     float *out = j.out + at, scale = j.scale, part = j.share;
 #pragma omp simd
     for (int x = 0; x < j.W; x++) {
         float p = log1p_positive(scale * MAX(first[x], 0)), q = log1p_positive(scale * MAX(other[x], 0));
+        if (has_noisy) p = tells[x] < 0.5f ? q + MIN(MAX(p - q, -(float)UNCOVERED), (float)UNCOVERED) : p;
         float mixed = lerp(q, p, trust[x] * share[x]);
         if (has_before) {
             float apart = log1p_positive(scale * MAX(before[x], 0)) - mixed;
@@ -136,8 +138,10 @@ void mix(const float *first, const float *other, const float *scale, const float
                     if (noisy) told(j, i, sums, shares);
                     if (depth) leave_the_sky(j, i, shares);
                     for (int c = 0; c < 3; c++)
-                        if (before) colour(j, (int64_t)i * W, c, shares, 1);
-                        else colour(j, (int64_t)i * W, c, shares, 0);
+                        if (before && noisy) colour(j, (int64_t)i * W, c, shares, 1, 1);
+                        else if (before) colour(j, (int64_t)i * W, c, shares, 1, 0);
+                        else if (noisy) colour(j, (int64_t)i * W, c, shares, 0, 1);
+                        else colour(j, (int64_t)i * W, c, shares, 0, 0);
                 }
             }
         }

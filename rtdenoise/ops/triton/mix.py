@@ -7,7 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE
+from ...constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE, MIX_UNCOVERED
 from .common import BLOCK, grid, lerp, of_images, place
 from .curve import compressed, expanded
 
@@ -71,12 +71,13 @@ def _between_cells(told, low_i, low_j, f, g, h, w, exists):
 
 @triton.jit
 def _mix(first, other, scale, trust, before, held, told, tells, depth, out, H, W, usual, share_before, lowest, smallest,
-         far, BEFORE: tl.constexpr, TOLD: tl.constexpr, SKY: tl.constexpr, CELL: tl.constexpr, BLOCK:
+         far, uncovered, BEFORE: tl.constexpr, TOLD: tl.constexpr, SKY: tl.constexpr, CELL: tl.constexpr, BLOCK:
          tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
     at, s = y * W + x, tl.load(scale + b)
     share = usual + tl.zeros([BLOCK], tl.float32)
+    most = float("inf") + share  # that the first may differ by
     if TOLD:
         h, w = tl.cdiv(H, CELL), tl.cdiv(W, CELL)
         size = tl.cast(h, tl.int64) * w
@@ -89,7 +90,9 @@ def _mix(first, other, scale, trust, before, held, told, tells, depth, out, H, W
         noise = _between_cells(told + 2 * size, i, j, v - i, u - j, h, w, exists) + smallest
         found = tl.minimum(tl.maximum((usual * noise + along) / (noise + square), 0.0), 1.0)
         bounded = tl.minimum(tl.maximum(found, lowest), usual)
-        share = bounded + tl.load(tells + b * plane + at, mask=exists, other=0.0) * (found - bounded)
+        telling = tl.load(tells + b * plane + at, mask=exists, other=0.0)
+        share = bounded + telling * (found - bounded)
+        most = tl.where(telling < 0.5, uncovered, most)
     if SKY:
         greatest = tl.zeros([BLOCK], tl.float32)
         for k in tl.static_range(9):
@@ -103,7 +106,7 @@ def _mix(first, other, scale, trust, before, held, told, tells, depth, out, H, W
         here = (b * 3 + c) * plane + at
         p = compressed(s * tl.maximum(tl.load(first + here, mask=exists, other=0.0), 0.0))
         q = compressed(s * tl.maximum(tl.load(other + here, mask=exists, other=0.0), 0.0))
-        mixed = lerp(q, p, share)
+        mixed = lerp(q, q + tl.minimum(tl.maximum(p - q, -most), most), share)
         if BEFORE:
             weight = trusted * share_before * tl.load(held + b * plane + at, mask=exists, other=0.0)
             past = compressed(s * tl.maximum(tl.load(before + here, mask=exists, other=0.0), 0.0))
@@ -137,6 +140,6 @@ def mix(
     tells, depth = (trust if x is None else x.contiguous() for x in (tells, depth))
     _mix[grid(B, H, W)](
         first, other, scale, trust, before, held, told, tells, depth, out, H, W, *shares, MIX_NOISE, MIX_FAR,
-        BLOCK=BLOCK, **constants,
+        MIX_UNCOVERED, BLOCK=BLOCK, **constants,
     )  # fmt: skip
     return out
