@@ -54,12 +54,18 @@ def load(
     Raises InputError for an unknown model or precision, CUDA without a GPU, a combiner, an unreadable file, an override
     that is no field, weights that are not finite or do not fit their configuration, and a model that has none in bytes.
     """
-    device = choose_device(device) if device in ("auto", "cuda") else device
-    dtype, file = resolve(precision, device), read_denoiser(model, **overrides)
+    (device, dtype), file = _placed(device, precision), read_denoiser(model, **overrides)
     network = _built(file)
     if precision == INT8 or (has_bytes(file.path) and takes_bytes(precision, device)):
         _into_bytes(network, file.path, must=precision == INT8)
     return prepare(network.to(device), dtype)
+
+
+def _placed(device: str | torch.device, precision: str) -> tuple[str | torch.device, torch.dtype | None]:
+    """A device that is there, and the dtype of the network on it. Raises InputError where there is none."""
+    device = choose_device(device) if device == "auto" else device
+    dtype = resolve(precision, device)
+    return choose_device(device) if device == "cuda" else device, dtype
 
 
 def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
@@ -90,8 +96,7 @@ def load_combiner(
 ) -> Combiner | Shrinkage:
     """A combiner, ready to run: 'shrinkage', which has no weights, or a network; arguments and errors as those of
     `load`."""
-    device = choose_device(device) if device in ("auto", "cuda") else device
-    dtype = resolve(precision, device)
+    device, dtype = _placed(device, precision)
     if model == SHRINKAGE:
         return Shrinkage()
     find(model, (SHRINKAGE, *available_combiners()))
