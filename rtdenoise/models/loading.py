@@ -61,11 +61,11 @@ def load(
     return prepare(network.to(device), dtype)
 
 
-def _placed(device: str | torch.device, precision: str) -> tuple[str | torch.device, torch.dtype | None]:
+def _placed(device: str | torch.device, precision: str) -> tuple[str | torch.device, torch.dtype]:
     """A device that is there, and the dtype of the network on it. Raises InputError where there is none."""
-    device = choose_device(device) if device == "auto" else device
-    dtype = resolve(precision, device)
-    return choose_device(device) if device == "cuda" else device, dtype
+    if device == "auto" or (device == "cuda" and precision != INT8):  # which `resolve` refuses, GPU or not
+        device = choose_device(device)
+    return device, resolve(precision, device)
 
 
 def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:
