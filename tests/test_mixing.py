@@ -79,7 +79,7 @@ def test_the_mixture_goes_where_the_frame_leads():
     held = torch.ones(1, 1, 48, 48)
     held[..., :16, :16] = 0  # just uncovered, among pixels that tell of their own past: the first is near the other
     apart = (compress(smooth) - compress(truth)).clamp(-MIX_UNCOVERED, MIX_UNCOVERED)
-    assert (apart.abs() == MIX_UNCOVERED).float().mean() > 0.4
+    assert (apart.abs() == MIX_UNCOVERED).float().mean() > 0.2
     near = expand(compress(truth) + apart)
     plain, far = (mix(first, truth, one, before=smooth, held=held) for first in (near, smooth))
     led = mix(smooth, truth, one, before=smooth, held=held, noisy=truth)
