@@ -26,7 +26,7 @@ import numpy as np
 import tyro
 
 from bench.combine import MAX_RATIO
-from rtdenoise.baselines import Oidn
+from bench.diagnosis.turned import pictures_of_oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.data.exr import write_layers
 from rtdenoise.data.sequences import Sequence, open_sequence
@@ -72,10 +72,10 @@ def main(
 
 
 def by_oidn(noisy: str, out: str) -> None:
-    sequence, oidn = open_sequence(noisy), Oidn(clean=True)
+    sequence = open_sequence(noisy)
+    images = pictures_of_oidn([sanitise(frame) for frame in sequence], clean=True)
     Path(out).mkdir()
-    for i, file in enumerate(sequence.files):
-        image = oidn.step(oidn.prefiltered(sanitise(sequence[i])))[0]
+    for file, image in zip(sequence.files, images, strict=True):
         write_layers(Path(out) / Path(file.path).name, {"color": image[0].permute(1, 2, 0).numpy()})
 
 

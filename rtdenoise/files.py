@@ -32,6 +32,11 @@ NO_LINKS = getattr(os, "O_NOFOLLOW", 0)  # flags that Windows lacks
 NO_WAITING = getattr(os, "O_NONBLOCK", 0)
 
 
+def fingerprint(path: Path) -> str:
+    """Of what a file holds: 16 digits of its SHA-256."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
 @contextlib.contextmanager
 def replacing(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
     """A fresh file name in the folder of `path`: the file that the block writes there becomes `path` as the block ends.

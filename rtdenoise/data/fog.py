@@ -44,7 +44,7 @@ def with_fog(
         return frame
     source = nearest(hit, fog)
     found = fog & (source >= 0)
-    surfaces = filled_from(frame, source, fog)
+    surfaces = filled_from(frame, source, found)
     if frame.albedo is None or not few_samples:
         return surfaces
     behind = _filled(frame.albedo, source, found)
@@ -53,11 +53,10 @@ def with_fog(
 
 def filled_from(
     frame: Frame,
-    source: np.ndarray,  # [H, W] index of a pixel, or -1
-    wanted: np.ndarray,  # [H, W] bool
+    source: np.ndarray,  # [H, W] index of a pixel
+    found: np.ndarray,  # [H, W] bool
 ) -> Frame:
-    """The frame with depth, normal and motion of their sources in pixels that are wanted and have one."""
-    found = wanted & (source >= 0)
+    """The frame with depth, normal and motion of their sources in the pixels that are `found`."""
     layers = {name: getattr(frame, name) for name in ("depth", "normal", "motion", "motion_next")}
     filled = {name: _filled(layer, source, found) for name, layer in layers.items() if layer is not None}
     return replace(frame, **filled)

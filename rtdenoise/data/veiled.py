@@ -24,4 +24,5 @@ def with_veiled(frame: Frame) -> Frame:
     veiled = hit & ~np.logical_or.reduce([layer[0].any(0) for layer in layers])
     if not veiled.any() or veiled.all():
         return frame
-    return filled_from(frame, nearest(hit & ~veiled, veiled), veiled)
+    source = nearest(hit & ~veiled, veiled)
+    return filled_from(frame, source, veiled & (source >= 0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import torch
 
 from ..data.clips import ClipDataset, estimate_path, estimated_signals, write_estimates
 from ..data.layers import SIGNALS
-from ..files import remove_unfinished
+from ..files import fingerprint, remove_unfinished
 from .registry import choose
 from .sequence import outputs
 
@@ -34,18 +33,19 @@ def write_all(
     for folder in {estimate_path(path, method.name).parent for path in clips.paths for method in chosen}:
         remove_unfinished(folder)
     weights = {method.name: method.fingerprints() for method in chosen}
-    jobs = [(i, method) for i in range(len(clips)) for method in chosen]
-    written = 0
-    for done, (index, method) in enumerate(jobs):
-        on_clip(done, len(jobs))
-        clip = clips.paths[index]
-        origin = "-".join([hashlib.sha256(clip.read_bytes()).hexdigest()[:16], *weights[method.name]])
-        held = estimated_signals(clip, method.name, origin)
-        if missing := [signal for signal in signals if signal not in held]:
-            made = {signal: _denoised(clips, index, signal, method) for signal in missing}
-            write_estimates(clip, method.name, made, origin)
-            written += 1
-    on_clip(len(jobs), len(jobs))
+    done, written, total = 0, 0, len(clips) * len(chosen)
+    for index, clip in enumerate(clips.paths):
+        frames = fingerprint(clip)
+        for method in chosen:
+            on_clip(done, total)
+            origin = "-".join([frames, *weights[method.name]])
+            held = estimated_signals(clip, method.name, origin)
+            if missing := [signal for signal in signals if signal not in held]:
+                made = {signal: _denoised(clips, index, signal, method) for signal in missing}
+                write_estimates(clip, method.name, made, origin)
+                written += 1
+            done += 1
+    on_clip(total, total)
     return written
 
 

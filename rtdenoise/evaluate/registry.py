@@ -4,7 +4,6 @@ A new baseline is a class with `step` in `baselines/`, its export there, and a r
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from torch import Tensor
 from ..baselines import Accumulate, DeepCombiner, Oidn, Svgf, Trmv
 from ..baselines.oidn import installed
 from ..errors import InputError, did_you_mean
+from ..files import fingerprint
 from ..frame import Frame
 from ..models import STILLS, CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
 from ..models.inference import INT8
@@ -65,7 +65,7 @@ class Method:
     def fingerprints(self) -> list[str]:
         """Of the files that hold its weights."""
         files = [file for weights in self.weights for file in files_of(find(weights))]
-        return [hashlib.sha256(file.read_bytes()).hexdigest()[:16] for file in (*files, *bytes_beside(files))]
+        return [fingerprint(file) for file in (*files, *bytes_beside(files))]
 
     def unavailable(self, precision: str = "auto") -> str:
         """Why the method cannot run at that precision; empty if it can."""

@@ -24,7 +24,6 @@ Read `Combiner.combine` first.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -42,7 +41,7 @@ from .inference import as_weights
 from .losses import smape_ratio, square_ratio
 from .shrinkage import agreement, corrected_by_halves, edges, few_samples
 from .unet import ConvRelu, UNet
-from .window import Aligned, Combined, Window, aligned, box, changed, comparable, current_of, divisor_of
+from .window import Aligned, Combined, Window, aligned, box, changed, current_of
 
 MAX_LOGITS = 1 << 25  # in memory at once; beyond it, strip by strip, recomputed in the backward pass
 STATISTICS = (5, 15)  # sides in pixels of the neighbourhoods over which residuals are averaged
@@ -95,23 +94,17 @@ class Combiner(nn.Module):
         original = window.estimates
         window = corrected_by_halves(window) if self.config.evidence else window
         frame, estimate = current_of(window, self.config.current, self.config.frames)
-        known = comparable(frame.radiance, estimate)[1]
-        scale = exposure(known)
-        divisor = partial(self.divisor, scale=scale)
-        found = aligned(window, self.config.current, divisor)
+        found, scale = aligned(window, self.config.current, relative=self.config.relative)
+        now = found[self.config.current]
 
         levels = self.predict(self.features(frame, found, scale))
         residuals, valid = ([one and getattr(one, part) for one in found] for part in ("residual", "valid"))
         believed = one_surface(frame) if self.config.evidence else None
-        correction = divisor(known) * self.correct(levels, residuals, valid, believed)
+        correction = now.divisor * self.correct(levels, residuals, valid, believed)
 
-        image = estimate.where(estimate.isfinite().all(1, keepdim=True), known)
+        image = estimate.where(estimate.isfinite().all(1, keepdim=True), now.estimate)
         image = torch.maximum(image + correction, image.clamp(max=0))
         return Combined(image, changed(image, original[self.config.current]))
-
-    def divisor(self, estimate: Tensor, scale: Tensor) -> Tensor:
-        """What residuals are divided by: `window.divisor_of` z, or, absolute ones, one over the exposure of z."""
-        return divisor_of(estimate, scale) if self.config.relative else 1 / scale
 
     def features(self, frame: Frame, aligned: Sequence[Aligned | None], scale: Tensor) -> Tensor:
         """The network's input `[B, config.features, H, W]` in the dtype of its weights; light at the exposure of z."""
@@ -121,8 +114,7 @@ class Combiner(nn.Module):
                 count = self.config.of_each_frame
                 channels.append(frame.radiance.new_zeros(*frame.radiance.shape[:1], count, *frame.size))
                 continue
-            noisy = one.estimate + self.divisor(one.estimate, scale) * one.residual
-            light = torch.log1p(scale * torch.cat([noisy, one.estimate], 1).clamp(min=0))
+            light = torch.log1p(scale * torch.cat([one.noisy, one.estimate], 1).clamp(min=0))
             channels += [light, *([signed_log(one.residual)] if self.config.residual_input else []), one.valid]
         channels += [frame.albedo, frame.normal, nearness(frame.depth, mean_distance(frame.depth))]
         if self.config.statistics:

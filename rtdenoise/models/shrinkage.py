@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -90,16 +89,13 @@ def by_halves(frame: Frame | None, estimate: Tensor | None, half: Tensor | None)
 
 def by_neighbours(window: Window, place: int) -> Tensor:
     """The correction that the neighbours of the frame at `place` support, `[B, 3, H, W]`."""
-    frame = completed(window.frames[place])
-    _, estimate = comparable(frame.radiance, window.estimates[place])
-    divisor = partial(divisor_of, scale=exposure(estimate))
-    found = aligned(window, place, divisor)
+    frame, (found, _) = completed(window.frames[place]), aligned(window, place)
     others = [one for k, one in enumerate(found) if one is not None and k != place]
     if not others:
         return torch.zeros_like(frame.radiance)
     count = sum(one.valid for one in others)
     mean = sum(one.residual for one in others) / count.clamp(min=1)
-    return divisor(estimate) * supported(frame, found[place].residual, mean, count)
+    return found[place].divisor * supported(frame, found[place].residual, mean, count)
 
 
 def correct(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from ..exposure import exposure
 from ..frame import OFF_SCREEN, Frame
 from ..motion import on_screen
 from ..ops import fetch, reproject
@@ -54,6 +54,12 @@ class Aligned:
     residual: Tensor  # [B, 3, H, W] (y - z) / d, see `divisor_of`
     estimate: Tensor  # [B, 3, H, W] z
     valid: Tensor  # [B, 1, H, W] in {0, 1}
+    divisor: Tensor  # d: [B, 3, H, W], or [B, 1, 1, 1] of absolute residuals
+
+    @property
+    def noisy(self) -> Tensor:
+        """y, `[B, 3, H, W]`."""
+        return self.estimate + self.divisor * self.residual
 
 
 def current_of(window: Window, place: int, frames: int) -> tuple[Frame, Tensor]:
@@ -69,19 +75,23 @@ def current_of(window: Window, place: int, frames: int) -> tuple[Frame, Tensor]:
     return completed(window.frames[place]), window.estimates[place]
 
 
-def aligned(
-    window: Window,
-    current: int,
-    divisor: Callable[[Tensor], Tensor],  # of z, [B, 3, H, W]: what its residuals are divided by
-) -> list[Aligned | None]:
-    """Every frame of the window as the one at place `current` sees it; None where it is missing or no motion leads
-    there.
+def aligned(window: Window, current: int, *, relative: bool = True) -> tuple[list[Aligned | None], Tensor]:
+    """Every frame of the window as the one at place `current` sees it, None where it is missing or no motion leads
+    there; and the exposure of that one's z, `[B, 1, 1, 1]`.
 
     Residuals and z are fetched with the same taps, which test that they show the same surface (`ops.reproject`).
+    Residuals that are not `relative` are at that exposure.
     """
     frame = completed(window.frames[current])
+    noisy, estimate = comparable(frame.radiance, window.estimates[current])
+    scale = exposure(estimate)
+
+    def divisor(estimate: Tensor) -> Tensor:
+        return divisor_of(estimate, scale) if relative else 1 / scale
+
     found: list[Aligned | None] = [None] * len(window.frames)
-    found[current] = Aligned(*_pair(window, current, divisor), torch.ones_like(frame.depth))
+    own = divisor(estimate)
+    found[current] = Aligned((noisy - estimate) / own, estimate, torch.ones_like(frame.depth), own)
     for direction in (-1, 1):
         motion, layer = None, "motion" if direction < 0 else "motion_next"
         place, before = current + direction, frame
@@ -92,16 +102,12 @@ def aligned(
             motion = onward if motion is None else two_step(motion, onward)
             there = completed(window.frames[place])
             surfaces = (frame.depth, frame.normal), (there.depth, there.normal)
-            both, valid = reproject(_pair(window, place, divisor), motion, *surfaces)
-            found[place] = Aligned(*both.split(3, dim=1), valid.to(both.dtype))
+            noisy, estimate = comparable(there.radiance, window.estimates[place])
+            both, valid = reproject(((noisy - estimate) / divisor(estimate), estimate), motion, *surfaces)
+            residual, estimate = both.split(3, dim=1)
+            found[place] = Aligned(residual, estimate, valid.to(both.dtype), divisor(estimate))
             place, before = place + direction, there
-    return found
-
-
-def _pair(window: Window, place: int, divisor: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor]:
-    """Residual and z of a frame with values that can be filtered."""
-    noisy, estimate = comparable(window.frames[place].radiance, window.estimates[place])
-    return (noisy - estimate) / divisor(estimate), estimate
+    return found, scale
 
 
 def divisor_of(
