@@ -101,6 +101,7 @@ MIX_SHARES, MIX_SHARES_OF_MANY = (0.4, 0.1, 0.4), (0.3, 0.0, 0.0)
 MIX_SHARES_OF_CLEAN = (0.3, 0.1, 0.3)  # beside pixels of albedo and normal without noise
 MIX_FAR = 0.2  # compressed light: a previous picture that differs by more counts as if it differed by this
 MIX_UNCOVERED = 0.2  # likewise the kernels' picture, in pixels that were just uncovered: it spreads what shone beside
+MIX_TELLS = 0.5  # in those the noisy frame tells less than so far of the pixel itself
 MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history
 
 # The input of a network that writes pixels (`models.hybrid`).

@@ -83,7 +83,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
         build(_keep, dict(WORDS=8, FOOTPRINT=first, BLOCK=128, **one), kept="*i32", edge_speed="fp32", **near)
         for shift in (False, True):
             build(_history_motion, dict(NEXT=first, SHIFT=shift, BLOCK=128, **one), **masks, **sizes)
-        numbers = ["usual", "share_before", "lowest", "smallest", "far", "uncovered"]
+        numbers = ["usual", "share_before", "lowest", "smallest", "far", "telling_enough", "uncovered"]
         parts = dict.fromkeys(("BEFORE", "TOLD", "SKY"), first)
         build(_mix, dict(CELL=4, BLOCK=128, **parts, **one), **dict.fromkeys(numbers, "fp32"), **sizes)
     build(_bounds, dict(CELL=16, **one), **sizes)

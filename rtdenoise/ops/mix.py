@@ -9,7 +9,7 @@ with the shares a and b, and h = 1 where there is such a previous picture, else 
 known, a is what it tells (`share_told`): the more samples a pixel, the more that is. Where it tells of other pixels, a
 is that, but not more than usual and not less than the last share.
 
-In pixels that were just uncovered, where the frame tells of others (`tells` below a half), f(s · first) is at most
+In pixels that were just uncovered, where the frame tells of others (`tells` below `MIX_TELLS`), f(s · first) is at most
 `MIX_UNCOVERED` from f(s · other): kernels spread what shines beside, and nothing has averaged that yet.
 
 FAR (`constants.MIX_FAR`) bounds what the previous picture may add: a pixel that an edge partly covered then would leave
@@ -27,10 +27,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..color import compress, expand
-from ..constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE, MIX_UNCOVERED
+from ..constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE, MIX_TELLS, MIX_UNCOVERED
 from .dispatch import ON_STACK, Fused, Support, falls_back
-
-UNCOVERED = 0.5  # of `tells`: below, a pixel was just uncovered
 
 IMAGES = dict.fromkeys(("first", "other", "before", "noisy"), (3,))
 IMAGES |= dict.fromkeys(("trust", "held", "tells", "depth"), (1,))
@@ -61,7 +59,7 @@ def mix(
     share, kernels, written = shares[0], shown(first), shown(other)
     if noisy is not None:
         near = written + (kernels - written).clamp(-MIX_UNCOVERED, MIX_UNCOVERED)
-        kernels = torch.where(tells < UNCOVERED, near, kernels)
+        kernels = torch.where(tells < MIX_TELLS, near, kernels)
         told = share_told(noisy, first, other, scale, share)
         share = torch.lerp(told.clamp(shares[2], share), told, tells)
     if depth is not None:

@@ -1,6 +1,6 @@
 #version 430
 // The kernels' picture, the written one and the previous one as one picture (ops.mix).
-#pragma constants USUAL BEFORE LEAST MIX_CELL MIX_FAR MIX_NOISE MIX_UNCOVERED
+#pragma constants USUAL BEFORE LEAST MIX_CELL MIX_FAR MIX_NOISE MIX_TELLS MIX_UNCOVERED
 #include "around.glsl"
 #include "curve.glsl"
 #include "past.glsl"
@@ -52,7 +52,7 @@ void main() {
     float telling = tells(pixel, held), scale = statistics[0];
     float share = mix(clamp(told_share, LEAST, USUAL), told_share, telling);
     vec3 kernels = compressed(scale * max(denoised[i].rgb, 0.0)), light = compressed(scale * written[i].rgb);
-    if (telling < 0.5) kernels = light + clamp(kernels - light, -MIX_UNCOVERED, MIX_UNCOVERED);  // just uncovered
+    if (telling < MIX_TELLS) kernels = light + clamp(kernels - light, -MIX_UNCOVERED, MIX_UNCOVERED);  // just uncovered
     light = mix(light, kernels, trust * share * written[i].w);
     light += trust * BEFORE * held * clamp(compressed(scale * past[i].rgb) - light, -MIX_FAR, MIX_FAR);
     mixed[i] = vec4(expanded(light) / scale, 1.0);

@@ -1,5 +1,5 @@
-// One picture of two, and of the previous one. The specification is ops/mix.py; CELL, DARK, FAR, LARGEST, NOISE and UNCOVERED are those of
-// constants.py.
+// One picture of two, and of the previous one. The specification is ops/mix.py; CELL, DARK, FAR, LARGEST, NOISE, TELLS and
+// UNCOVERED are those of constants.py.
 #include "common.h"
 #include "expm1.h"
 #include "log1p.h"
@@ -93,7 +93,8 @@ static inline void leave_the_sky(Job j, int y, float *share) {
 }
 
 // A row of one colour; `share` of the first picture in each pixel.
-static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int c, const float *share, int has_before, int has_noisy) {
+static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int c, const float *share, int has_before,
+                                                         int has_noisy) {
     int64_t at = row + c * j.plane;
     const float *first = j.first + at, *other = j.other + at, *before = j.before + (has_before ? at : 0);
     const float *trust = j.trust + row, *held = j.held + (has_before ? row : 0);
@@ -102,7 +103,7 @@ static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int
 #pragma omp simd
     for (int x = 0; x < j.W; x++) {
         float p = log1p_positive(scale * MAX(first[x], 0)), q = log1p_positive(scale * MAX(other[x], 0));
-        if (has_noisy) p = tells[x] < 0.5f ? q + MIN(MAX(p - q, -(float)UNCOVERED), (float)UNCOVERED) : p;
+        if (has_noisy) p = tells[x] < (float)TELLS ? q + MIN(MAX(p - q, -(float)UNCOVERED), (float)UNCOVERED) : p;
         float mixed = lerp(q, p, trust[x] * share[x]);
         if (has_before) {
             float apart = log1p_positive(scale * MAX(before[x], 0)) - mixed;

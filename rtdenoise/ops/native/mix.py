@@ -7,7 +7,7 @@ from ctypes import c_float
 import torch
 from torch import Tensor
 
-from ...constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE, MIX_UNCOVERED
+from ...constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE, MIX_TELLS, MIX_UNCOVERED
 from .compiler import library, pointer
 
 SUMS = 3  # as in mix.c
@@ -32,6 +32,6 @@ def mix(
     cells = first.new_empty(2, -(-H // MIX_CELL), SUMS, -(-W // MIX_CELL))
     space, out = first.new_empty(threads, SUMS + 1, W), torch.empty_like(images[0])
     constants = {"CELL": MIX_CELL, "DARK": MIX_DARK, "FAR": MIX_FAR, "LARGEST": MIX_LARGEST, "NOISE": MIX_NOISE}
-    run = library("mix", UNCOVERED=MIX_UNCOVERED, **constants).mix
+    run = library("mix", TELLS=MIX_TELLS, UNCOVERED=MIX_UNCOVERED, **constants).mix
     run(*map(pointer, (*images, cells[0], cells[1], space, out)), B, H, W, *map(c_float, shares), threads)
     return out

@@ -7,7 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE, MIX_UNCOVERED
+from ...constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE, MIX_TELLS, MIX_UNCOVERED
 from .common import BLOCK, grid, lerp, of_images, place
 from .curve import compressed, expanded
 
@@ -71,8 +71,8 @@ def _between_cells(told, low_i, low_j, f, g, h, w, exists):
 
 @triton.jit
 def _mix(first, other, scale, trust, before, held, told, tells, depth, out, H, W, usual, share_before, lowest, smallest,
-         far, uncovered, BEFORE: tl.constexpr, TOLD: tl.constexpr, SKY: tl.constexpr, CELL: tl.constexpr, BLOCK:
-         tl.constexpr):  # fmt: skip
+         far, telling_enough, uncovered, BEFORE: tl.constexpr, TOLD: tl.constexpr, SKY: tl.constexpr,
+         CELL: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
     at, s = y * W + x, tl.load(scale + b)
@@ -92,7 +92,7 @@ def _mix(first, other, scale, trust, before, held, told, tells, depth, out, H, W
         bounded = tl.minimum(tl.maximum(found, lowest), usual)
         telling = tl.load(tells + b * plane + at, mask=exists, other=0.0)
         share = bounded + telling * (found - bounded)
-        most = tl.where(telling < 0.5, uncovered, most)
+        most = tl.where(telling < telling_enough, uncovered, most)
     if SKY:
         greatest = tl.zeros([BLOCK], tl.float32)
         for k in tl.static_range(9):
@@ -140,6 +140,6 @@ def mix(
     tells, depth = (trust if x is None else x.contiguous() for x in (tells, depth))
     _mix[grid(B, H, W)](
         first, other, scale, trust, before, held, told, tells, depth, out, H, W, *shares, MIX_NOISE, MIX_FAR,
-        MIX_UNCOVERED, BLOCK=BLOCK, **constants,
+        MIX_TELLS, MIX_UNCOVERED, BLOCK=BLOCK, **constants,
     )  # fmt: skip
     return out
