@@ -45,9 +45,8 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of frames of Cycles."""
     rows = []
     for shot in shots:
-        references = open_sequence(f"{shot}-reference")
         sequence, chosen, _ = open_chosen(str(shot), Options())
-        rendered, read = (paired(noisy, references) for noisy in (open_sequence(str(shot)), sequence))
+        rendered, read = (paired(noisy, f"{shot}-reference") for noisy in (open_sequence(str(shot)), sequence))
         for method, run in METHODS.items():
             found = errors(read, run(rendered, read, chosen))
             row = {"shot": shot.name, "method": method, "psnr": found["frame"], UNCOVERED: found["uncovered"]}

@@ -26,7 +26,6 @@ import tyro
 
 from bench.diagnosis.outdated import offline
 from bench.diagnosis.turned import errors, leads, paired, pictures, pictures_of_oidn, with_references
-from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.run.choice import CLEAN, open_chosen
 from rtdenoise.run.options import AHEAD, Options
@@ -56,7 +55,7 @@ def cases(sequences: tuple[Path, ...]) -> Iterator[tuple[dict, list[Frame], int]
         if beside.is_dir():
             sequence, _, _ = open_chosen(str(folder), Options())
             told = {"sequence": folder.name, "signal": "color"}
-            yield told, paired(sequence, open_sequence(beside)), int(sequence.header.samples)
+            yield told, paired(sequence, beside), int(sequence.header.samples)
             continue
         for signal in ("color", "indirect"):
             yield {"sequence": folder.name, "signal": signal}, with_references(folder, signal), 1

@@ -22,7 +22,6 @@ import tyro
 
 from bench.diagnosis.outdated import singles
 from bench.diagnosis.turned import errors, paired, pictures, pictures_of_oidn
-from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options
@@ -54,7 +53,7 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
 def read(shot: Path, references: Path) -> list[Frame]:
     """Sanitised frames with references."""
     noisy, _, _ = open_chosen(str(shot), Options(model="hybrid-many"))
-    return paired(noisy, open_sequence(references))
+    return paired(noisy, references)
 
 
 def tables(document: dict) -> dict[str, str]:

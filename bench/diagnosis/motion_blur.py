@@ -72,7 +72,7 @@ def read(shot: Path, surfaces: bool) -> list[Frame]:
     noisy = replace(open_sequence(shot), soft_edges=not surfaces)
     if surfaces:
         noisy = with_surfaces(noisy, Options(surfaces=f"{shot}-surfaces"))
-    return paired(noisy, open_sequence(f"{shot}-reference"))
+    return paired(noisy, f"{shot}-reference")
 
 
 def tables(document: dict) -> dict[str, str]:

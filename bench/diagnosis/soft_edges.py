@@ -42,10 +42,9 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of noisy frames."""
     rows = []
     for shot in shots:
-        references = open_sequence(f"{shot}-reference")
         noisy = open_sequence(shot)
         for edges, sequence in zip(EDGES, (noisy, replace(noisy, soft_edges=True)), strict=True):
-            frames = paired(sequence, references)
+            frames = paired(sequence, f"{shot}-reference")
             for method in COMPARED:
                 row = {"sequence": shot.name, "method": method, "edges": edges}
                 rows.append(row | errors(frames, METHODS[method](frames)))

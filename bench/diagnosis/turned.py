@@ -87,15 +87,26 @@ def with_references(folder: Path, signal: str) -> list[Frame]:
     if beside.is_dir():
         if signal != "color":
             return []
-        return paired(open_sequence(folder), open_sequence(beside))
+        return paired(open_sequence(folder), beside)
     sequence = open_sequence(folder, signal=signal, layers=("reference", "reference_half"))
     return [sanitise(sequence[i]) for i in range(min(FRAMES, len(sequence)))]
 
 
-def paired(noisy: Sequence, references: Sequence) -> list[Frame]:
-    """Sanitised frames with references."""
-    pairs = zip(noisy, references, strict=True)
-    return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
+def paired(noisy: Sequence, references: Path | str) -> list[Frame]:
+    """Sanitised frames with references; with halves of them, so that errors are corrected, where a folder of the same
+    name and "-2" has them with other noise, of fewer samples or as many."""
+    truths, others = open_sequence(references), Path(f"{references}-2")
+    if not others.is_dir():
+        pairs = zip(noisy, truths, strict=True)
+        return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
+    others = open_sequence(others)
+    n, m = truths.header.samples, others.header.samples
+    found = []
+    for frame, one, other in zip(noisy, truths, others, strict=True):
+        mean = (n * one.radiance + m * other.radiance) / (n + m)
+        apart = math.sqrt(n * m) / (n + m) * (one.radiance - other.radiance)  # as two halves of all samples would be
+        found.append(replace(sanitise(frame), reference=mean, reference_half=mean + apart))
+    return found
 
 
 @contextmanager

@@ -55,7 +55,7 @@ def compare(shots: tuple[Path, ...], of: str, how: dict[str, dict[str, bool]], o
 def read(shot: Path, **how: bool) -> list[Frame]:
     """Sanitised frames with references. `how`: fields of `Sequence`."""
     noisy = replace(open_sequence(shot), soft_edges=True, **how)
-    return paired(noisy, open_sequence(f"{shot}-reference"))
+    return paired(noisy, f"{shot}-reference")
 
 
 def tables(document: dict) -> dict[str, str]:
