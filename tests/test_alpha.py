@@ -91,8 +91,11 @@ def test_shapes_that_do_not_fit():
         denoise_alpha(np.zeros((4, 5)), np.zeros((4, 5)))
 
 
-@pytest.mark.parametrize(("layout", "model"), [("plain", "fast"), ("source", "fast"), ("plain", "offline")])
-def test_files_get_it_unless_rendered_is_asked_for(tmp_path, layout, model):
+@pytest.mark.parametrize(
+    ("layout", "model", "keep"),
+    [("plain", "fast", ()), ("plain", "fast", ("all",)), ("source", "fast", ()), ("plain", "offline", ())],
+)
+def test_files_get_it_unless_rendered_is_asked_for(tmp_path, layout, model, keep):
     shot = write_sequence(tmp_path / "shot", make_frames(2, H=H, W=W))
     _, alpha, _ = disc(1)
     for path in shot.iterdir():
@@ -101,7 +104,7 @@ def test_files_get_it_unless_rendered_is_asked_for(tmp_path, layout, model):
         write_layers(path, layers, dtypes=channels | {"A": "half"})
     chosen = {"offline": True} if model == "offline" else {"model": model}
     for kept in ("auto", "rendered"):
-        denoise(str(shot), tmp_path / kept, Options(layout=layout, alpha=kept, **chosen))
+        denoise(str(shot), tmp_path / kept, Options(layout=layout, alpha=kept, keep=keep, **chosen))
         out = tmp_path / kept / "frame.0001.exr"
         assert read_header(out).channels["A"] == "half"
         found, *picture = read_channels(out, "ARGB").values()

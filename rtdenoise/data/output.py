@@ -245,13 +245,12 @@ def _write_plain(
 ) -> dict[str, int]:
     layers = {name: np.moveaxis(array[0], 0, 2) for name, array in {"color": image, **extra}.items()}
     dtypes = {"color": "float" if float32 else "half"}
-    file, passed = sequence.files[index], {}  # name here -> channel of the input
+    file = sequence.files[index]
     for channel, plane in alpha.items():
         layers["A"], dtypes["A"] = plane, file.header().channels[channel]
-    for name in _kept(sequence, keep) if keep else ():
-        passed[name], dtypes[name] = name, sequence.header.channels[name]
-    planes = file.read(set(passed.values()), as_stored=True) if passed else {}
-    layers |= {name: planes[channel] for name, channel in passed.items()}
+    passed = [name for name in _kept(sequence, keep) if name not in layers]  # the picture's alpha stands already
+    layers |= file.read(passed, as_stored=True)
+    dtypes |= {name: sequence.header.channels[name] for name in passed}
     write_layers(path, layers, dtypes=dtypes, attributes=attributes_of(sequence, index))
     return {
         name: bad
