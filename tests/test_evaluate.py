@@ -329,6 +329,14 @@ def test_what_was_measured_is_not_measured_again(shot, tmp_path, monkeypatch):
     assert len(Document.read(out).results) == 2
 
 
+def test_a_result_stays_where_its_method_is_not_installed_any_more(shot, tmp_path, monkeypatch):
+    run([str(shot)], tmp_path / "out", EvaluateOptions(PLAIN))
+    monkeypatch.setattr("rtdenoise.evaluate.registry.Method.unavailable", lambda self, precision="auto": "is gone")
+    document = run([str(shot)], tmp_path / "out", EvaluateOptions((*PLAIN, "svgf")))
+    assert [row["method"] for row in document.results] == list(PLAIN)
+    assert [(row["method"], row["reason"]) for row in document.skipped] == [("svgf", "is gone")]
+
+
 def test_another_layout_of_the_files_is_measured_again(shot, tmp_path):
     """One's own, under the same name."""
     preset = tmp_path / "my.toml"

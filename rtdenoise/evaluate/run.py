@@ -188,9 +188,11 @@ class _Input:
         steps = {}
         for method, precision in wanted:
             known = self.document.find(**self.key, method=method.name, precision=precision)
+            if known is not None and self._covers(known, method):
+                continue
             if reason := method.unavailable(precision):
                 self._leave_out(method, precision, reason)
-            elif known is None or not self._covers(known, method):
+            else:
                 self.frames = self.frames or self.source.frames(self.spp)
                 try:
                     step = method.step(self.options.device, precision)
