@@ -18,7 +18,8 @@ from rtdenoise.data.names import guess
 from rtdenoise.data.sequences import convert, open_sequence
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.describe import describe, write_description
-from rtdenoise.run.inspect import inspect, next_step
+from rtdenoise.run.inspect import inspect
+from rtdenoise.run.inspect_text import next_step
 from rtdenoise.run.options import Options
 
 W, H = test_inspect.W, test_inspect.H

@@ -21,7 +21,8 @@ from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.ops import warp
 from rtdenoise.run.conventions import READINGS, Reading
 from rtdenoise.run.describe import describe
-from rtdenoise.run.inspect import inspect, next_step, render_text
+from rtdenoise.run.inspect import inspect
+from rtdenoise.run.inspect_text import next_step, render_text
 from rtdenoise.run.normals import ENCODED, IN_CAMERA
 from rtdenoise.run.unmoved import STOPPED, Watch
 

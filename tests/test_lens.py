@@ -16,7 +16,8 @@ from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import Options, denoise
-from rtdenoise.run.inspect import inspect, next_step, render_text
+from rtdenoise.run.inspect import inspect
+from rtdenoise.run.inspect_text import next_step, render_text
 from rtdenoise.run.lens import find_drift
 from rtdenoise.run.lens_motion import FOUND, lacks_lens, with_lens
 from rtdenoise.run.options import CombineOptions

@@ -11,7 +11,8 @@ from rtdenoise.data.exr import read_channels, write_layers
 from rtdenoise.data.output import read_result
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.run.denoise import Options, denoise
-from rtdenoise.run.inspect import inspect, render_text
+from rtdenoise.run.inspect import inspect
+from rtdenoise.run.inspect_text import render_text
 
 
 def write(path, image, names="RGB"):

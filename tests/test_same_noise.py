@@ -9,7 +9,8 @@ from synthetic import write_sequence
 from test_lens import OPTIONS, shot
 
 from rtdenoise.run.denoise import denoise
-from rtdenoise.run.inspect import inspect, next_step, render_text
+from rtdenoise.run.inspect import inspect
+from rtdenoise.run.inspect_text import next_step, render_text
 from rtdenoise.run.same_noise import has_same_noise
 
 SAME = "the noise is the same in every frame"

@@ -31,7 +31,8 @@ class Inspect:
 
     def run(self) -> None:
         from ..errors import InputError
-        from ..run.inspect import inspect, next_step, render_text
+        from ..run.inspect import inspect
+        from ..run.inspect_text import next_step, render_text
 
         preset = self.preset
         if self.write:
