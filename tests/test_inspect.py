@@ -387,6 +387,16 @@ def test_motion_of_zeros_in_a_picture_that_changes_is_told_once(tmp_path, capsys
     assert capsys.readouterr().out.count(words) == moves
 
 
+def test_a_pause_does_not_hide_that_motion_is_zero(tmp_path):
+    """Of a long sequence six pairs of frames are compared; in the last one nothing changes."""
+    zeros = torch.zeros_like(make_frames(1)[0].motion)
+    made = [replace(frame, motion=zeros, motion_next=zeros) for frame in make_frames(2)]
+    made = [replace(made[k % 2 if k < 23 else 0], number=k) for k in range(24)]
+    found = inspect(write_sequence(tmp_path / "shot", made))
+    assert len(found.unmoved) == found.pairs - 1 == 5
+    assert next_step(found).startswith("render again without motion blur")
+
+
 @pytest.mark.parametrize("constant", [True, False])
 def test_an_albedo_that_tells_nothing_is_told(tmp_path, capsys, constant):
     """In the first two frames, or in all."""

@@ -59,6 +59,7 @@ class Inspection:
     dual_motion: str  # the source of dual motion, in words
     scene: bool  # whether there is a scene.json
     examined: tuple[int, ...]  # numbers of the frames whose pixels were read
+    pairs: int  # of consecutive frames that were compared
     flat_albedo: bool  # whether albedo is the same in all pixels of the examined frames
     normals: str  # what is wrong with them
     faults: dict[str, int]  # "layer: fault" -> pixels of the examined frames that denoising will replace
@@ -118,6 +119,7 @@ def inspect(
         dual_motion=_dual_source(present, computed),
         scene=sequence.scene is not None,
         examined=tuple(frame.number for frame in frames.values()),
+        pairs=len(chosen),
         flat_albedo=flatness.found,
         normals=told_of_normals(frames.values(), moving if right else ()),
         faults=counts,

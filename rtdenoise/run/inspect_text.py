@@ -20,6 +20,7 @@ from .stand_ins import COSTS, STAND_INS
 from .unmoved import FLAT, STOPPED, UNMOVED
 
 MAX_SHOWN = 24  # values in a line
+MOSTLY = 0.75  # share of the pairs of frames from which on noise stands still: on twos every frame is shown twice
 
 
 def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProxyType({})) -> str:
@@ -38,9 +39,9 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
         return f"{describe}, which describes normals as they are stored"
     if found.beside:
         return f"{describe}, which describes {', '.join(found.beside)}: files beside seem to hold them"
-    if 2 * len(found.same_noise) >= len(found.examined):
+    if found.same_noise and len(found.same_noise) >= MOSTLY * found.pairs:
         return "render again, with another seed in every frame: noise that stands still is not averaged"
-    if 2 * len(found.unmoved) >= len(found.examined):  # not the cuts between still shots
+    if 2 * len(found.unmoved) > found.pairs:  # not the cuts between still shots
         return ("render again without motion blur, and name that by --surfaces for a picture with blur, or mend the "
                 "motion: with zeros, what moves leaves trails")  # fmt: skip
     words = ["rtdenoise", "denoise", found.source, "--out", "clean/"]
