@@ -21,7 +21,7 @@ from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.ops import warp
 from rtdenoise.run.conventions import READINGS, Reading
 from rtdenoise.run.describe import describe
-from rtdenoise.run.inspect import inspect
+from rtdenoise.run.inspect import choose_pairs, inspect
 from rtdenoise.run.inspect_text import next_step, render_text
 from rtdenoise.run.normals import ENCODED, IN_CAMERA
 from rtdenoise.run.unmoved import STOPPED, Watch
@@ -385,6 +385,13 @@ def test_motion_of_zeros_in_a_picture_that_changes_is_told_once(tmp_path, capsys
     assert next_step(found).startswith("render again without motion blur" if moves else "rtdenoise denoise")
     main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", *options])
     assert capsys.readouterr().out.count(words) == moves
+
+
+def test_of_large_frames_fewer_are_in_memory_at_once():
+    numbers = tuple(range(24))
+    counts = [len(choose_pairs(numbers, size)) for size in ((180, 320), (1080, 1920), (1440, 2560), (4320, 7680))]
+    assert counts == [6, 6, 3, 2] and choose_pairs(numbers, (2160, 3840)) == [(0, 1), (22, 23)]
+    assert choose_pairs((1,), (4320, 7680)) == [] and choose_pairs((1, 2, 4), (4320, 7680)) == [(0, 1)]
 
 
 def test_a_pause_does_not_hide_that_motion_is_zero(tmp_path):

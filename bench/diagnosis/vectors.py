@@ -41,7 +41,7 @@ def main(sequences: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     rows = []
     for folder in sequences:
         sequence = open_sequence(folder)
-        pairs = [(sequence[a], sequence[b]) for a, b in choose_pairs(sequence.numbers)]
+        pairs = [(sequence[a], sequence[b]) for a, b in choose_pairs(sequence.numbers, sequence.size)]
         for name, (offset, signs, scale, half) in STORED.items():
             units = zip(signs, pixels(scale, sequence.size), strict=True)
             unit = torch.tensor([sign / factor for sign, factor in units]).view(1, 2, 1, 1)

@@ -65,7 +65,7 @@ def describe(
     doubts = dict[str, str]()
     layout = guess(source, signal, doubts)
     sequence = open_sequence(source, signal=signal, preset=layout, allow_gaps=allow_gaps)
-    chosen = choose_pairs(sequence.numbers)
+    chosen = choose_pairs(sequence.numbers, sequence.size)
     frames = {i: sequence.read(i) for i in {i for pair in chosen for i in pair} or {0}}
     layers, buffers, notes = dict(layout.layers), dict(layout.buffers), dict[str, str]()
     if "normal" in layers:

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from .motion_statistics import MotionStatistics
 
 HAS_TORCH = find_spec("torch") is not None
-PAIRS = 6  # of consecutive frames whose pixels are examined
+PAIRS, LEAST_PAIRS = 6, 2  # of consecutive frames whose pixels are examined; of large ones no more than needed
+PIXELS = 25_000_000  # of all these frames, which are in memory at once: some 3 GB
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def inspect(
     Raises `InputError` as `open_sequence` does.
     """
     sequence = open_sequence(source, signal=signal, preset=preset, layers=("reference",), allow_gaps=allow_gaps)
-    chosen = choose_pairs(sequence.numbers)
+    chosen = choose_pairs(sequence.numbers, sequence.size)
     frames = {i: sequence.read(i) for i in sorted({i for pair in chosen for i in pair} or {0})}
     moving = [(frames[a], frames[b]) for a, b in chosen if frames[b].motion is not None]
     counts, flatness, stops = dict[str, int](), Flatness(), Stops()
@@ -147,12 +148,14 @@ def _examine(pairs: list[tuple[Frame, Frame]]) -> tuple[MotionStatistics, Verdic
     return motion_statistics(tensors), verdict, tuple(drifts)
 
 
-def choose_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Indices of `PAIRS` pairs of consecutive frames at most, evenly spread over the sequence."""
+def choose_pairs(numbers: tuple[int, ...], size: tuple[int, int]) -> list[tuple[int, int]]:
+    """Indices of `PAIRS` pairs of consecutive frames at most, evenly spread over the sequence: of frames of this size
+    (H, W) that `PIXELS` allows, but `LEAST_PAIRS` of any."""
     consecutive = [(i - 1, i) for i in range(1, len(numbers)) if numbers[i] == numbers[i - 1] + 1]
-    if len(consecutive) <= PAIRS:
+    most = min(PAIRS, max(LEAST_PAIRS, PIXELS // (2 * size[0] * size[1])))
+    if len(consecutive) <= most:
         return consecutive
-    return [consecutive[round(k * (len(consecutive) - 1) / (PAIRS - 1))] for k in range(PAIRS)]
+    return [consecutive[round(k * (len(consecutive) - 1) / (most - 1))] for k in range(most)]
 
 
 def _read_besides(sequence: Sequence) -> list[Rule]:
