@@ -1,5 +1,6 @@
 """Methods, errors and times of one run, and the files that `rtdenoise evaluate` writes."""
 
+import functools
 import json
 import math
 import shutil
@@ -29,6 +30,8 @@ from rtdenoise.models import CombinerConfig, available, create, find, load, save
 from rtdenoise.models.weights import bytes_of
 from rtdenoise.report import report
 from rtdenoise.report.chart import chart, tick_values
+from rtdenoise.report.markdown import markdown
+from rtdenoise.report.page import page, payload
 from rtdenoise.run.choice import BEST
 from rtdenoise.run.options import AHEAD
 
@@ -528,6 +531,29 @@ def test_a_document_with_missing_or_foreign_keys_is_one_line(change, message, co
         main(["report", str(tmp_path)])
     error = capsys.readouterr().err
     assert message in error and str(tmp_path / "evaluation.json") in error and error.count("\n") == 1
+
+
+def places(value, path=()):
+    """Where the values of a JSON document are, all of them."""
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [*([path] if path else []), *(place for key, item in inner for place in places(item, (*path, key)))]
+
+
+@pytest.mark.parametrize("wrong", [None, [], {}, "x", 1.5], ids=repr)
+def test_a_document_with_a_wrong_value_anywhere_is_reported_or_refused(wrong, content, tmp_path):
+    refused = 0
+    for *path, last in places(content):
+        changed = json.loads(json.dumps(content))
+        functools.reduce(lambda part, key: part[key], path, changed)[last] = wrong
+        (tmp_path / "evaluation.json").write_text(json.dumps(changed))
+        try:
+            document = Document.read(tmp_path)
+            data = payload(document)
+        except InputError:
+            refused += 1
+            continue
+        assert page(data, document, tmp_path) and markdown(data)
+    assert refused > 20
 
 
 def test_nine_methods_unless_asked_for():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import InputError
@@ -10,14 +10,33 @@ from ..files import dumps, read_json, write_atomically
 
 NAME = "evaluation.json"
 FORMAT = "rtdenoise-evaluation-1"
-KEY = ("sequence", "spp", "method", "precision", "device")
-# Keys that a report needs in each part.
-RESULT = {*KEY, "run", "fingerprint", "ms", "errors", "ghost_length", "frames"}
-SKIPPED = {*KEY, "reason"}
-SEQUENCE = {"size", "frames", "sample_ms", "exposure", "uncovered_share", "stills"}
-METHOD = {"what", "family"}
 FAMILIES = ("input", "accumulation", "filter", "oidn", "network", "ablation")
-RUN = {"command", "date", "commit", "devices", "versions"}
+NUMBER, KNOWN = (int, float, type(None)), (int, float)  # null: there is none
+KEY = {"sequence": str, "spp": int, "method": str, "precision": str, "device": str}
+ERRORS = {str: NUMBER}  # by metric
+# What a report needs in each part: a type or several, an object with these keys, one with any key (`str`), an array
+# whose items are alike, or as many as there are here.
+PARTS = {
+    "signal": str,
+    "runs": [{"command": str, "date": str, "commit": str, "devices": {str: str}, "versions": {str: str}}],
+    "sequences": {
+        str: {
+            "size": [int, int], "frames": [int], "sample_ms": NUMBER, "exposure": KNOWN, "uncovered_share": KNOWN,
+            "stills": [int], "reference_psnr": NUMBER, "reference_relmse": NUMBER,
+            "playback": {"window": [int, int, int, int], "frames": [int]},
+        }
+    },
+    "methods": {str: {"what": str, "family": str}},
+    "results": [
+        KEY | {
+            "run": int, "fingerprint": str, "ms": {"median": KNOWN}, "errors": {str: ERRORS}, "ghost_length": NUMBER,
+            "frames": [{"number": int, "frame": ERRORS, "uncovered": ERRORS}],
+        }
+    ],
+    "skipped": [KEY | {"reason": str}],
+}  # fmt: skip
+OPTIONAL = {"runs", "sequences", "methods", "results", "skipped", "reference_psnr", "reference_relmse", "playback"}
+NAMES = {dict: "a JSON object", list: "a JSON array", str: "a string", int: "a whole number"}
 
 
 @dataclass
@@ -85,31 +104,36 @@ class Document:
 
 def _fault(content: dict) -> str:
     """The first key that is unknown, missing or wrong, in words; empty if there is none."""
-    known = [f.name for f in fields(Document)]
-    if foreign := sorted(content.keys() - set(known)):
-        return f"unknown key {foreign[0]!r}; expected {', '.join(known)}"
-    if not isinstance(content.get("signal"), str):
-        return "key 'signal' is missing"
-    for part, kind in (("runs", list), ("sequences", dict), ("methods", dict), ("results", list), ("skipped", list)):
-        if not isinstance(content.get(part, kind()), kind):
-            return f"key {part!r}: expected a JSON {'array' if kind is list else 'object'}"
-    return next(filter(None, (_missing(content, *part) for part in (
-        ("runs", RUN), ("sequences", SEQUENCE), ("methods", METHOD), ("results", RESULT), ("skipped", SKIPPED),
-    ))), "") or _stray(content)  # fmt: skip
+    if foreign := sorted(content.keys() - PARTS.keys()):
+        return f"unknown key {foreign[0]!r}; expected {', '.join(PARTS)}"
+    return _unlike(content, PARTS) or _stray(content)
 
 
-def _missing(content: dict, part: str, keys: set[str]) -> str:
-    rows = content.get(part, [])
-    for name, row in rows.items() if isinstance(rows, dict) else enumerate(rows):
-        if not isinstance(row, dict):
-            return f"{part}, {name}: expected a JSON object, found {row!r}"
-        if lacking := sorted(keys - row.keys()):
-            return f"{part}, {name}: key {lacking[0]!r} is missing"
-    return ""
+def _unlike(value: object, shape: object, *path: str | int) -> str:
+    """The first part of a value that is not of this shape (`PARTS`), in words; empty if there is none."""
+    kind = type(shape) if isinstance(shape, dict | list) else shape
+    place = "".join(f"{part}, " for part in path[:-1])
+    if not isinstance(value, kind):
+        where = f"{place}key {path[-1]!r}" if isinstance(path[-1], str) else f"{place}{path[-1]}"
+        return f"{where}: expected {NAMES.get(kind, 'a number')}, found {value!r}"
+    if kind is dict:
+        here = ", ".join(map(str, path))
+        shapes = dict.fromkeys(value, shape[str]) if str in shape else shape
+        if lacking := sorted(shapes.keys() - value.keys() - OPTIONAL):
+            return f"{here}{': ' if here else ''}key {lacking[0]!r} is missing"
+        items = [(key, inner) for key, inner in shapes.items() if key in value]
+    elif kind is list:
+        items = list(enumerate(shape if len(shape) > 1 else shape * len(value)))
+        if len(items) != len(value):
+            return f"{place}key {path[-1]!r}: expected {len(items)} items, found {value!r}"
+    else:
+        return ""
+    return next(filter(None, (_unlike(value[key], inner, *path, key) for key, inner in items)), "")
 
 
 def _stray(content: dict) -> str:
-    """A method of no known family, or a result whose sequence, method or run the document does not describe."""
+    """A method of no known family, a result whose sequence, method or run the document does not describe, or a sequence
+    without a still."""
     for name, method in content.get("methods", {}).items():
         if method["family"] not in FAMILIES:
             return f"methods, {name}: family {method['family']!r}; expected one of {', '.join(FAMILIES)}"
@@ -119,6 +143,9 @@ def _stray(content: dict) -> str:
                 return f"results, {i}: {key} {row[key]!r} is not among {part!r}"
         if row["run"] not in range(len(content.get("runs", []))):
             return f"results, {i}: run {row['run']!r} is not among 'runs'"
-        if not isinstance(row["errors"], dict) or "frame" not in row["errors"] or "median" not in dict(row["ms"]):
-            return f"results, {i}: expected errors of the region 'frame' and a median of 'ms'"
+        if not {"frame", "uncovered"} <= row["errors"].keys():
+            return f"results, {i}: expected errors of the region 'frame', and of 'uncovered'"
+    for name, sequence in content.get("sequences", {}).items():
+        if not sequence["stills"]:
+            return f"sequences, {name}: expected a frame in 'stills'"
     return ""

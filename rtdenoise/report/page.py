@@ -95,7 +95,7 @@ def _columns(frames: list[dict]) -> dict:
     found: dict = {"number": [frame["number"] for frame in frames]}
     for region in readings.REGIONS if frames else ():
         drawn = [m for m in (*readings.HEADLINE, "psnr_corrected") if m in frames[0][region]]
-        found[region] = {m: [_shortened(frame[region][m]) for frame in frames] for m in drawn}
+        found[region] = {m: [_shortened(frame[region].get(m)) for frame in frames] for m in drawn}
     return found
 
 
