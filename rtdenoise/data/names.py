@@ -143,7 +143,7 @@ def _of_files(source: str | PathLike, groups: list[_Group], signal: str, notes: 
     best = {layer: min(named[layer], key=order) for layer in {**NAMES, **LAYERS} if layer in named}
     layers, buffers = {}, {}
     for layer, found in best.items():
-        if told := _doubt(layer, found.group, picture):
+        if told := _doubt(found.group, picture):
             notes[layer] = told
         if found.group.unlike(picture) == OTHER:
             continue
@@ -167,7 +167,7 @@ def _nothing(header: ExrHeader, signal: str) -> InputError:
                       f"it in {OWN}")  # fmt: skip
 
 
-def _doubt(layer: str, group: _Group, picture: _Group) -> str:
+def _doubt(group: _Group, picture: _Group) -> str:
     """What there is to say of files that may belong to another picture."""
     unlike = f"{group.pattern} is called otherwise than the picture, {picture.pattern}"
     left_out = f"{unlike}, and left out: {IF_MINE}"

@@ -24,7 +24,7 @@ def evened(
     """Averaged light with some of the denoised image where one to two frames are in it and more in pixels around:
     networks that see a single picture take noise for texture where there is less of it nearby. As far as the image is
     trusted. To the bit the light where one frame is in all pixels around."""
-    if (run := EVENED(light=light, count=count, image=image, trust=trust)):
+    if run := EVENED(light=light, count=count, image=image, trust=trust):
         return run(light, count, image, trust)
     once = 1 - (count - 1).clamp(0, 1)
     return torch.lerp(image, light, 1 - (1 - MIX_SEEN_ONCE) * trust * once * (greatest_around(count) - 1).clamp(0, 1))

@@ -17,7 +17,7 @@ from ..frame import MAX_CUT_MISMATCH, Frame, geometry
 from ..history import mismatch
 from ..models import Combiner, Shrinkage, Window
 from ..sanitise import faults
-from ..splat import splat_motion_next
+from ..splat import completed
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
 from .options import SUMMARY, CombineOptions, Summary, add, of_output
@@ -101,10 +101,10 @@ class Run:
             pair = self._read(i)
             begins = before is None or self._begins(pair, before)
             if before is not None:
-                yield self._linked(before, None if begins else pair), began
+                yield (before if begins else _linked(before, pair)), began
             before, began = pair, begins
         if before is not None:
-            yield self._linked(before, None), began
+            yield before, began
 
     def _read(self, i: int) -> Pair:
         raw = self.source.read(i)
@@ -125,13 +125,6 @@ class Run:
         if cut and frame.number not in self.summary.cuts:
             self.summary.cuts.append(frame.number)
         return cut
-
-    def _linked(self, pair: Pair, following: Pair | None) -> Pair:
-        frame = pair.frame
-        if frame.motion_next is not None or following is None or frame.depth is None:
-            return pair
-        onward = splat_motion_next(following.frame.motion, following.frame.depth, frame.depth)
-        return replace(pair, frame=replace(frame, motion_next=onward))
 
     def _fingerprints(self) -> list[str]:
         """`folder.digest` of all sequences."""
@@ -161,3 +154,7 @@ class Run:
         save_state(
             self.out / STATE, {}, done, self.fingerprints[-1], self.summary, self.options, self.written.digest
         )  # fmt: skip
+
+
+def _linked(pair: Pair, following: Pair) -> Pair:
+    return pair if pair.frame.depth is None else replace(pair, frame=completed(pair.frame, following.frame))
