@@ -132,6 +132,15 @@ def test_files_that_are_no_clips(tmp_path, header, expected):
     assert str(caught.value).startswith(f"{path}: {expected}")
 
 
+@pytest.mark.parametrize("facts", [
+    {"lead_in": None}, {"lead_in": -3}, {"lead_in": 1.5}, {"lead_in": 99}, {"spp": "x"}, {"spp": 0}, {"spp": []},
+])  # fmt: skip
+def test_facts_that_are_no_counts_are_one_line(tmp_path, facts):
+    write_clip(clip_path(tmp_path, 0), make_frames(), facts)
+    with pytest.raises(InputError, match=r"clip_000000\.safetensors: (damaged: lead_in is|expected at least)"):
+        ClipDataset(tmp_path).load(0)
+
+
 @pytest.mark.parametrize("facts", [{}, {"generator": 3}, {"kind": "scene file", "seed": 1}])
 def test_facts_that_do_not_name_the_scene_are_one_line(tmp_path, facts):
     write_clip(path := clip_path(tmp_path, 0), make_frames(), {})

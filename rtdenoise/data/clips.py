@@ -86,7 +86,7 @@ def bytes_per_clip(size: tuple[int, int], frames: int, layers: Collection[str] =
 def read_facts(path: Path) -> dict:
     """The facts of a clip: seed, samples, uncovered share and so on. Raises InputError if the file is no clip."""
     with _opened(path) as clip:
-        return _from_header(path, clip, "clip")
+        return _facts(path, clip)
 
 
 def read_layers(path: Path) -> dict[str, np.ndarray]:
@@ -182,7 +182,7 @@ class ClipDataset:
         path = self.paths[index]
         with _opened(path) as clip:
             sources, (length, height, width), (count, *window) = _examined(path, clip, signal, size, frames, layers)
-            skipped = _lead_in(path, clip)
+            skipped = _facts(path, clip).get(LEAD_IN, 0)
             room = (length - skipped - count, height - window[0], width - window[1])
             first, top, left = rng.integers(0, room, endpoint=True) if rng else (0, room[1] // 2, room[2] // 2)
             first = skipped + int(first)
@@ -213,17 +213,23 @@ def _examined(
         raise InputError(f"unknown signal '{signal}'; expected {' or '.join(SIGNALS)}")
     sources = _sources(path, set(clip.keys()), signal, layers)
     length, height, width = _size(path, clip, {name for names in sources.values() for name in names})
-    usable = length - _lead_in(path, clip)
+    usable = length - _facts(path, clip).get(LEAD_IN, 0)
     count = usable if frames is None else frames
     window = (height, width) if size is None else (size, size) if isinstance(size, int) else size
-    if count > usable or window[0] > height or window[1] > width:
+    if not 0 < count <= usable or window[0] > height or window[1] > width:
         raise InputError(f"{path}: expected at least {count} frames of {window[1]}×{window[0]}, "
                          f"found {usable} of {width}×{height}; take fewer --frames or a smaller --size")  # fmt: skip
     return sources, (length, height, width), (count, *window)
 
 
-def _lead_in(path: Path, clip) -> int:
-    return _from_header(path, clip, "clip").get(LEAD_IN, 0)
+def _facts(path: Path, clip) -> dict:
+    """Raises InputError where the facts that loading depends on are none."""
+    facts = _from_header(path, clip, "clip")
+    lead_in, spp = facts.get(LEAD_IN, 0), facts.get("spp", 1)
+    if type(lead_in) is not int or lead_in < 0 or type(spp) not in (int, float) or not spp > 0:
+        raise InputError(f"{path}: damaged: {LEAD_IN} is {repr(lead_in)}, spp {repr(spp)}, expected counts; delete it "
+                         "and render it again")  # fmt: skip
+    return facts
 
 
 def _read_estimates(clip: Path, method: str, signal: str, size: tuple[int, int, int]):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -149,7 +150,9 @@ def _facts(path: Path) -> dict:
         return {}
     facts = read_json(path)
     try:
-        found = {"spp": int(facts["spp"])} if "spp" in facts else {}
-        return found | {"sample_ms": facts.get("sample_ms") and float(facts["sample_ms"])}
-    except (ValueError, TypeError, AttributeError) as error:
+        spp, sample_ms = int(facts.get("spp", 1)), float(facts.get("sample_ms") or 0)
+        if spp < 1 or not 0 <= sample_ms < math.inf:
+            raise ValueError(f"spp {spp}, sample_ms {sample_ms:g}")
+        return ({"spp": spp} if "spp" in facts else {}) | {"sample_ms": sample_ms or None}
+    except (ValueError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f'{path}: expected {{"spp": 1, "sample_ms": 38.5}}, found otherwise ({error})') from None
