@@ -23,7 +23,7 @@ from bench import harness
 # isort: split
 import numpy as np
 
-from rtdenoise.data.clips import clip_path, write_clip
+from rtdenoise.data.clip_file import clip_path, write_clip
 from rtdenoise.errors import InputError
 from rtdenoise.render import draw
 from rtdenoise.render.frames import _image, describe_frame, motion_between

@@ -16,7 +16,7 @@ from bench import harness
 from bench.combine_clips import HELD_OUT
 
 # isort: split
-from rtdenoise.data.clips import clip_path
+from rtdenoise.data.clip_file import clip_path
 from rtdenoise.render import draw, scene_clips
 from rtdenoise.render.options import ClipOptions, find_scenes
 from rtdenoise.render.stage import start_mitsuba

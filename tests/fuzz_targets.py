@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 from synthetic import make_frames, save_tiny, write_clips, write_sequence
 
-from rtdenoise.data.clips import ClipDataset, read_facts, read_layers
+from rtdenoise.data.clip_file import read_facts, read_layers
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError

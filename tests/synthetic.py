@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from rtdenoise.data.clips import clip_path, write_clip
+from rtdenoise.data.clip_file import clip_path, write_clip
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame

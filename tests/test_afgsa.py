@@ -11,7 +11,8 @@ from safetensors.numpy import save_file
 from synthetic import make_frames, write_clips, write_sequence
 
 from rtdenoise.color import albedo_divisor, compress
-from rtdenoise.data.clips import ClipDataset, clip_path, read_layers, write_clip
+from rtdenoise.data.clip_file import clip_path, read_layers, write_clip
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose

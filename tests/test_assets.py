@@ -13,7 +13,8 @@ from rendering import render_here
 from safetensors.numpy import save_file
 
 from rtdenoise.cli.main import main
-from rtdenoise.data.clips import ClipDataset, clip_path, read_facts, read_layers
+from rtdenoise.data.clip_file import clip_path, read_facts, read_layers
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.render.clips import refuse_other_options

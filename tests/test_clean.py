@@ -10,7 +10,8 @@ from synthetic import make_frames, write_clips
 
 from rtdenoise.baselines.oidn import _device
 from rtdenoise.cli.main import main
-from rtdenoise.data.clips import ClipDataset, clip_path
+from rtdenoise.data.clip_file import clip_path
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.training.loop import train
 from rtdenoise.training.trainer import TrainConfig
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from rtdenoise.data.clips import FEATURES, OPTIONAL, RADIANCE, ClipDataset, bytes_per_clip, clip_path, write_clip
-from rtdenoise.data.clips import read_layers as read_clip
+from rtdenoise.data.clip_file import FEATURES, OPTIONAL, RADIANCE, bytes_per_clip, clip_path, write_clip
+from rtdenoise.data.clip_file import read_layers as read_clip
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.data.layers import LAYERS
 from rtdenoise.errors import InputError

@@ -8,7 +8,8 @@ import pytest
 from rendering import render_here
 
 from rtdenoise.cli.main import main
-from rtdenoise.data.clips import ClipDataset, clip_path, read_facts, read_layers
+from rtdenoise.data.clip_file import clip_path, read_facts, read_layers
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
 from rtdenoise.render.frames import RenderOptions, radiance, render_frame

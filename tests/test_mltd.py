@@ -9,7 +9,7 @@ import torch
 from synthetic import make_frames, write_clips, write_sequence
 from tolerances import TOLERANCES
 
-from rtdenoise.data.clips import clip_path, write_clip
+from rtdenoise.data.clip_file import clip_path, write_clip
 from rtdenoise.data.exr import read_channels
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError

@@ -6,7 +6,8 @@ import torch
 from PIL import Image
 
 from rtdenoise.cli.main import main
-from rtdenoise.data.clips import ClipDataset, clip_path, read_facts
+from rtdenoise.data.clip_file import clip_path, read_facts
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.errors import InputError
 from rtdenoise.render.card import write_card
 from rtdenoise.render.options import ClipOptions

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from rtdenoise.cli.main import main
-from rtdenoise.data.clips import FEATURES, RADIANCE, ClipDataset, clip_path, read_facts
+from rtdenoise.data.clip_file import FEATURES, RADIANCE, clip_path, read_facts
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.files import lock

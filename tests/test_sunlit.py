@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rendering import render_here
 
-from rtdenoise.data.clips import read_facts
+from rtdenoise.data.clip_file import read_facts
 from rtdenoise.errors import InputError
 from rtdenoise.render.frames import radiance
 from rtdenoise.render.options import ClipOptions

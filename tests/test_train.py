@@ -17,7 +17,8 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from synthetic import TINY, make_frames, write_clips
 
-from rtdenoise.data.clips import RADIANCE, ClipDataset, clip_path, read_layers, write_clip
+from rtdenoise.data.clip_file import RADIANCE, clip_path, read_layers, write_clip
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.errors import InputError
 from rtdenoise.exposure import exposure
 from rtdenoise.files import dumps

@@ -21,7 +21,8 @@ from safetensors.numpy import save_file
 
 from rtdenoise.cli.clips import Clips
 from rtdenoise.cli.main import main
-from rtdenoise.data.clips import ClipDataset, bytes_per_clip, clip_path, read_facts
+from rtdenoise.data.clip_file import bytes_per_clip, clip_path, read_facts
+from rtdenoise.data.clips import ClipDataset
 from rtdenoise.errors import InputError
 from rtdenoise.files import write_atomically
 from rtdenoise.frame import OFF_SCREEN

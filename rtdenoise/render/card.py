@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data.clips import LEAD_IN, ClipDataset, read_facts
+from ..data.clip_file import LEAD_IN, read_facts
+from ..data.clips import ClipDataset
 from ..files import utf8, write_atomically
 from .options import CAUSTIC
 
@@ -117,7 +118,7 @@ Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
 """
     text += f"""- kinds: {", ".join(f"{n} {k}" for k, n in card["kinds"].items())}
 - versions: {", ".join(f"{k} {v}" for k, v in card["versions"].items())}
-- tensors `[T, C, H, W]` and conventions: `rtdenoise/data/clips.py`, `rtdenoise/frame.py`
+- tensors `[T, C, H, W]` and conventions: `rtdenoise/data/clip_file.py`, `rtdenoise/frame.py`
 """
     if scenes:
         text += "\n## Scenes by others\n\n" + "".join(f"- {name}: {count} clips\n" for name, count in scenes.items())

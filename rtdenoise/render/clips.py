@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from ..data.clips import bytes_per_clip, clip_path, read_facts
+from ..data.clip_file import bytes_per_clip, clip_path, read_facts
 from ..errors import InputError
 from ..evaluate.origin import typed
 from ..files import remove_unfinished

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data.clips import LEAD_IN, clip_path, write_clip
+from ..data.clip_file import LEAD_IN, clip_path, write_clip
 from .draw import Take, draw_first, draw_takes, scene_seed
 from .frames import MAX_RAYS, RenderOptions, calibrate, grey, light, render_frame, repeat_frame, uncovered
 from .options import ClipOptions

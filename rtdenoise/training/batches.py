@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..data.clips import ClipDataset, estimated_signals, read_facts
+from ..data.clip_file import read_facts
+from ..data.clips import ClipDataset, estimated_signals
 from ..data.layers import SIGNALS
 from ..errors import InputError
 from ..frame import Frame, stack

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from ..baselines.oidn import Oidn
-from ..data.clips import LEAD_IN, OPTIONAL, ClipDataset, read_facts, read_layers, write_clip
+from ..data.clip_file import LEAD_IN, OPTIONAL, read_facts, read_layers, write_clip
+from ..data.clips import ClipDataset
 from ..data.layers import SIGNALS
 from ..errors import InputError
 from ..files import lock, read_bytes, remove_unfinished, utf8, write_atomically

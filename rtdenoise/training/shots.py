@@ -12,7 +12,8 @@ import numpy as np
 import torch
 
 from .. import __version__
-from ..data.clips import SHOT, clip_path, read_facts, write_clip
+from ..data.clip_file import clip_path, read_facts, write_clip
+from ..data.clips import SHOT
 from ..data.layers import SIGNALS
 from ..errors import InputError
 from ..evaluate.inputs import Source
