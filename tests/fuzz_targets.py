@@ -29,8 +29,8 @@ from rtdenoise.evaluate import run as evaluate
 from rtdenoise.evaluate.document import NAME, Document
 from rtdenoise.models.weights import read_model
 from rtdenoise.run import denoise as run
-from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.following import Following
+from rtdenoise.run.torch_backend import TorchBackend
 
 FINGERPRINT = "0" * 64
 LONGEST_MESSAGE = 2000  # characters

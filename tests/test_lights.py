@@ -16,9 +16,9 @@ from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.models import load, noiseless
-from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import Options
+from rtdenoise.run.torch_backend import TorchBackend
 from rtdenoise.sanitise import sanitise
 
 SHOT = Path(__file__).parent / "data" / "cycles"

@@ -15,10 +15,10 @@ from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import Known, reverse
 from rtdenoise.models import AccumulatedKPNConfig, past
 from rtdenoise.ops.pixels import demodulate
-from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.lookahead import linked
 from rtdenoise.run.tiles import Tiled
+from rtdenoise.run.torch_backend import TorchBackend
 from rtdenoise.sanitise import sanitise
 from rtdenoise.splat import completed
 

@@ -17,8 +17,8 @@ from rtdenoise.data.output import recombined
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.run import preview
-from rtdenoise.run.backends import TorchBackend
 from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.torch_backend import TorchBackend
 
 H, W = 5, 7
 

@@ -23,12 +23,12 @@ from ..models.inference import INT8
 from ..models.presets import SHRINKAGE
 from ..models.shrinkage import corrected
 from ..models.weights import bytes_beside, files_of, find, has_bytes, read_config, read_model
-from ..run.backends import TorchBackend
 from ..run.graphs import stepper
 from ..run.lookahead import Lookahead
 from ..run.options import check_lookahead
 from ..run.passes import InMemory, Passes
 from ..run.pixel_filter import MODEL
+from ..run.torch_backend import TorchBackend
 from ..sanitise import sanitise
 from .corrected import Corrected
 from .sequence import Step

@@ -26,13 +26,14 @@ from ..data.stored import OF
 from ..errors import INSTALL_TORCH, InputError
 from ..frame import NOTHING_KNOWN, Frame, History
 from ..sanitise import GREATEST_ALBEDO
-from .backends import Backend, TorchBackend
+from .backends import Backend
 from .following import Following, unfollowed
 from .memory import explained
 from .offline_picture import Picture
 from .options import Options
 from .parts import BACKGROUND, Parts, check_sign, compare_sum, shared_out, sum_of, valid, whole_groups
 from .plan import Plan, count, look
+from .torch_backend import TorchBackend
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -34,11 +34,11 @@ from ..ops.fireflies import without_fireflies
 from ..ops.recall import FOOTPRINT
 from ..sanitise import sanitise
 from ..splat import completed_shot
-from .backends import TorchBackend
 from .combination import Candidates, Combination, combine
 from .covered import as_covered
 from .pixel_filter import PixelFilter
 from .sides import Estimate, seen_on_both_sides
+from .torch_backend import TorchBackend
 
 AROUND, EVENED_FROM = 15, 2.0  # pixels, odd; frames beside this one, from which on a pixel of none is wholly evened
 LEFT_TO_KERNELS = 0.4  # of the share that a network's written pixels have in real time: the filter writes pixels, too
