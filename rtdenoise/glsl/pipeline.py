@@ -115,8 +115,8 @@ class Pipeline:
 
     @_in_context
     def mismatch(self, frame: Frame, history: History) -> float:
-        """Share of the pixels with history on the screen that find another surface there, as `history.mismatch`: above
-        `frame.MAX_CUT_MISMATCH` it is another shot, to start with `history=None`. Waits for the GPU."""
+        """As `history.mismatch`: above `frame.MAX_CUT_MISMATCH` it is another shot, to start with `history=None`. Waits
+        for the GPU."""
         layers = self.upload(frame, history)
         surface = self.passes.prepare(layers).surface
         return self.passes.mismatch(self.passes.vectors(layers), surface, history.surface)
