@@ -156,7 +156,7 @@ class _Input:
         if self.spp == self.source.spp or not described:  # pictures are of these frames
             described = described | _describe(self.source, self.frames)
         self.document.sequences[self.source.name] = described
-        if described["reference_psnr"] is None:
+        if described.get("reference_psnr") is None:
             self.say(f"{self.label}: no half references, so errors contain the references' noise: none is corrected")
         for (method, precision), result in zip(steps, results, strict=True):
             row = {"method": method.name, "precision": precision, "fingerprint": self._fingerprint(method)}
