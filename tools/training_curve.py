@@ -1,4 +1,4 @@
-"""Publish the log of the runs that made some weights: bench/results/train_NAME.json and docs/images/train_NAME.png.
+"""Publish the log of the runs that made some weights: bench/results/train_NAME.json and docs/images/train_NAME.webp.
 
 python tools/training_curve.py NAME RUN [RUN ...]
 
@@ -39,7 +39,7 @@ def main(
         "log": kept[:: max(1, len(kept) // KEPT)],
     }
     harness.publish(RESULTS / f"train_{name}.json", content)
-    draw(steps, validation, DOCS / "images" / f"train_{name}.png")
+    draw(steps, validation, DOCS / "images" / f"train_{name}.webp")
 
 
 def join(runs: list[Path]) -> tuple[list[dict], list[dict]]:
@@ -69,7 +69,7 @@ def draw(steps: list[dict], validation: list[dict], path: Path) -> None:
     right.legend()
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
-    Image.open(path).convert("RGB").quantize(COLOURS).save(path, optimize=True)
+    Image.open(path).convert("RGB").quantize(COLOURS).convert("RGB").save(path, lossless=True, quality=100, method=6)
     print(f"written: {path}")
 
 
