@@ -169,6 +169,11 @@ def test_several_view_layers_have_to_be_chosen_from(tmp_path):
     assert torch.equal(frame.radiance, stacked(planes, *(f"Main.Combined.{c}" for c in "RGB")))
 
 
+def test_a_view_layer_with_a_space_is_quoted_as_a_shell_needs_it(tmp_path):
+    write_cycles(tmp_path / "1.exr", ("Far away", "Main"), {"Combined": "RGB"})
+    assert message(open_sequence, tmp_path).endswith("choose one, e.g. preset 'cycles:Far away'")
+
+
 def test_the_compositors_result_serves_when_it_is_alone(tmp_path):
     write_cycles(tmp_path / "1.exr", ("Composite",), {"Combined": "RGBA"})
     assert open_sequence(tmp_path).rules["radiance"].channels[0] == "Composite.Combined.R"

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from pathlib import Path
 
 from ..errors import InputError, did_you_mean
@@ -266,6 +267,6 @@ def _choose_view_layer(header: ExrHeader, wanted: str) -> str:
     if wanted and wanted not in found:
         raise InputError(f"{header.path}: no view layer '{wanted}'; the file has {', '.join(found)}")
     if not wanted and len(found) > 1:
-        names = ", ".join(found)
-        raise InputError(f"{header.path}: several view layers ({names}): choose one, e.g. preset cycles:{found[0]}")
+        names, example = ", ".join(found), shlex.quote(f"cycles:{found[0]}")
+        raise InputError(f"{header.path}: several view layers ({names}): choose one, e.g. preset {example}")
     return wanted or found[0]
