@@ -32,6 +32,7 @@ class LightPasses:
     colors: Mapping[str, Rule]  # lobe -> its colour
     passed: Mapping[str, Rule]  # without noise: emission and environment
     also: Mapping[str, Rule] = field(default_factory=dict)  # name -> layer to denoise beside them
+    alpha: Mapping[str, Rule] = field(default_factory=dict)  # SHADOWS -> the picture's alpha, where it holds any
 
     @property
     def summands(self) -> list[str]:
@@ -45,7 +46,7 @@ class LightPasses:
     @property
     def rules(self) -> dict[str, Rule]:
         """All passes."""
-        return {**self.lights, **self.volumes, **self.colors, **self.passed, **self.also}
+        return {**self.lights, **self.volumes, **self.colors, **self.passed, **self.also, **self.alpha}
 
 
 def find_light(sequence: Sequence, lights: bool, also: tuple[str, ...]) -> LightPasses:

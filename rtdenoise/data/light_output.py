@@ -26,6 +26,7 @@ def write_light(
     layout: str = "plain",
     float32: bool = False,
     alpha: str = "auto",
+    coverage: np.ndarray | None = None,  # as for `write_frame`
 ) -> dict[str, int]:
     """Write one frame under the name of its input file. Returns the number of NaNs in each channel that is passed on.
 
@@ -41,15 +42,15 @@ def write_light(
             raise InputError(f"{path}: {name} has {bad} pixels that are not finite after denoising, so nothing was "
                              "written; are the weights of --model sound, and the frame plausible?")  # fmt: skip
     float32 = float32 or any(map(beyond_half, (picture, *parts.values())))
-    coverage = alpha_of(sequence, index, picture, alpha)
+    covered = alpha_of(sequence, index, picture, alpha, coverage)
     if layout == "source":
-        planes = _source_planes(sequence, passes, picture, parts) | ({} if alpha == "rendered" else coverage)
+        planes = _source_planes(sequence, passes, picture, parts) | ({} if alpha == "rendered" else covered)
         return write_like(out / path.name, path, planes, dtype="float" if float32 else None)
     layers: dict[str, np.ndarray] = {"color": np.moveaxis(picture[0], 0, 2)}
     for name in passes.also:  # by full channel names: a layer may be called `color` or `A`
         layers |= zip((f"{name}.{c}" for c in "RGB"), parts[name][0], strict=True)
-    if coverage:
-        (layers["A"],) = coverage.values()
+    if covered:
+        (layers["A"],) = covered.values()
     dtypes = dict.fromkeys(layers, "float" if float32 else "half")
     write_layers(out / sequence.names[index], layers, dtypes=dtypes, attributes=attributes_of(sequence, index))
     return {}

@@ -151,6 +151,7 @@ def write_frame(
     float32: bool = False,  # as always where half floats do not hold the result
     alpha: str = "auto",  # of the beauty: as rendered, or with 'auto' denoised where samples are few
     shutter: tuple[float, float] | None = None,  # frames from the time of this one: what moves is blurred
+    coverage: np.ndarray | None = None,  # [H, W] the beauty's alpha, where it has been denoised as light
     extra: Mapping[str, np.ndarray] = NOTHING,  # layer -> [1, C, H, W], written too; plain layout only
 ) -> dict[str, int]:
     """Write one frame under the name of the input file that holds the signal. Returns the number of NaNs in each
@@ -172,19 +173,19 @@ def write_frame(
                              "weights of --model sound, and the frame's values plausible?")  # fmt: skip
     float32 = float32 or any(beyond_half(result) for result in (image, beauty) if result is not None)
     picture = image if sequence.signal == "color" and beauty is None else beauty
-    coverage = {} if picture is None else alpha_of(sequence, index, picture, alpha)
+    covered = {} if picture is None else alpha_of(sequence, index, picture, alpha, coverage)
     if shutter:
         surface = frame.depth, frame.motion, frame.motion_next
         image = over_shutter(image, *surface, *shutter)
-        coverage = {name: over_shutter(plane[None, None], *surface, *shutter)[0, 0] for name, plane in coverage.items()}
+        covered = {name: over_shutter(plane[None, None], *surface, *shutter)[0, 0] for name, plane in covered.items()}
     if layout == "plain":
         result = image if beauty is None else beauty
-        return _write_plain(out / sequence.names[index], sequence, index, result, coverage, keep, float32, extra)
+        return _write_plain(out / sequence.names[index], sequence, index, result, covered, keep, float32, extra)
     planes = _planes(_place(sequence), image)
     if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
         planes |= _planes(rule, beauty)
     if alpha != "rendered" or shutter:
-        planes |= coverage
+        planes |= covered
     nans = {}
     for file, names in sequence.files[index].locate(planes).items():
         changed = {stored: planes[full] for stored, full in names.items()}
@@ -197,11 +198,14 @@ def alpha_of(
     index: int,
     picture: np.ndarray,  # [1, 3, H, W] the denoised beauty
     alpha: str,  # of `ALPHAS`
+    coverage: np.ndarray | None = None,  # [H, W] instead of what would be found
 ) -> dict[str, np.ndarray]:
     """The channel of a frame's alpha and its values `[H, W]` beside the denoised picture; empty where it has none."""
     stored = sequence.layout.alpha(sequence.header)
     if not stored or stored not in sequence.files[index].header().channels:
         return {}
+    if coverage is not None:
+        return {stored: coverage}
     plane = sequence.files[index].read([stored], as_stored=True)[stored]
     return {stored: plane if alpha == "rendered" else denoise_alpha(plane, np.moveaxis(picture[0], 0, 2))}
 

@@ -121,9 +121,13 @@ def _share_of_lost_samples(sequence: Sequence) -> float:
     """In the first frame, where they are looked for."""
     if not sequence.lost_samples or not (sequence.has("albedo") and sequence.has("depth")):
         return 0.0
-    rendered = replace(sequence, soft_edges=False, virtual_motion=False, fog=False, lost_samples=False, veiled=False)
-    lost = lost_samples(rendered.only({"radiance", "albedo", "depth"}).read(0))
+    lost = lost_samples(as_rendered(sequence).only({"radiance", "albedo", "depth"}).read(0))
     return 0.0 if lost is None else float(lost.mean())
+
+
+def as_rendered(sequence: Sequence) -> Sequence:
+    """The sequence without what is mended in layers of Cycles."""
+    return replace(sequence, soft_edges=False, virtual_motion=False, fog=False, lost_samples=False, veiled=False)
 
 
 def known_samples(sequence: Sequence, given: int) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..constants import SOFTWARE_RENDERER
 from ..data.output import check_output, output_names, write_frame
-from ..data.sequences import Sequence
+from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import Frame
@@ -25,6 +25,7 @@ from .following import Following
 from .light import in_parts
 from .offline_picture import Picture
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples, of_output
+from .shadows import find_shadows, open_shadows
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, finish_state, last_of_shot, read_state, save_state
 from .unmoved import Watch
@@ -57,7 +58,7 @@ def denoise(
     """
     _check(options)
     in_passes, picture = bool(options.lights or options.also), None
-    if options.offline and in_passes:
+    if options.offline and (in_passes or _casts_shadows(source, options)):
         picture = Picture(source, Path(out), options, overwrite, on_frame)
         options, on_frame = picture.options_of_light, picture.on_frame_of_light
     elif options.offline:
@@ -79,15 +80,17 @@ def denoise(
     )
     notes += told_of_samples(sequence, options.samples)
     notes += told_of_missing(sequence, backend.config.motion is not None, source)
+    shadows, told = open_shadows(find_shadows(sequence, options), options, backend)
+    notes += told
     write = partial(write_frame, **of_output(options))
     read = _read
-    if not in_passes:
+    if not (in_passes or shadows):
         backend = Following(backend, options.detect_exposure)
     else:
         if reads:
             raise InputError(f"--lights, --also: not with {options.model}, which reads {reads[0]}; "
                              "leave them out, or take --model default")  # fmt: skip
-        backend, read, write = in_parts(sequence, options, backend, picture)
+        backend, read, write = in_parts(sequence, options, backend, picture, shadows)
     out = prepare(Path(out), sequence, options)
     with lock(out):
         remove_unfinished(out)
@@ -166,6 +169,14 @@ def _run(
     watch.end(len(sequence), len(summary.cuts))
     write_summary(out / SUMMARY, sequence, options, summary)
     return summary
+
+
+def _casts_shadows(source: str, options: Options) -> bool:
+    """Whether alpha is denoised as light once the picture is made by all frames."""
+    if options.recombine or options.confidence:
+        return False
+    chosen = {name: getattr(options, name) for name in ("signal", "preset", "allow_gaps")}
+    return bool(find_shadows(open_sequence(source, **chosen), options))
 
 
 def _read(sequence: Sequence, i: int) -> Frame:

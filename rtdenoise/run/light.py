@@ -20,6 +20,7 @@ import numpy as np
 
 from ..data.light import LightPasses, find_light, read_light
 from ..data.light_output import write_light
+from ..data.output import write_frame
 from ..data.sequences import Sequence
 from ..data.soft_edges import with_soft_edges
 from ..data.stored import OF
@@ -30,9 +31,10 @@ from .backends import Backend
 from .following import Following, unfollowed
 from .memory import explained
 from .offline_picture import Picture
-from .options import Options
+from .options import Options, of_output
 from .parts import BACKGROUND, Parts, check_sign, compare_sum, shared_out, sum_of, valid, whole_groups
 from .plan import Plan, count, look
+from .shadows import SHADOWS, Shadows
 from .torch_backend import TorchBackend
 
 if TYPE_CHECKING:
@@ -49,33 +51,43 @@ Histories = dict[str, Any]  # of the picture, and of each light by name that was
 
 
 def in_parts(
-    sequence: Sequence, options: Options, backend: Backend, picture: Picture | None = None
+    sequence: Sequence,
+    options: Options,
+    backend: Backend,
+    picture: Picture | None = None,
+    shadows: Shadows | None = None,
 ) -> tuple[Backend, Any, Any]:
     """A backend for light in parts around `backend`, and the functions that read its frames and write its results.
-    `picture`: instead of that which `backend` makes of the whole.
+    `picture`: instead of that which `backend` makes of the whole. `shadows`: alpha is one of the parts.
 
     Raises InputError for options that do not go together, and as `find_light`.
     """
     told = "--lights" if options.lights else "--also"
     if options.signal != "color":
         raise InputError(f"{told}: goes with --signal color, not {options.signal}")
-    if options.keep:
+    if options.keep and (options.lights or options.also):
         raise InputError(f"{told}: goes without --keep; --layout source passes every channel on")
     if options.lights and options.layout != "source":
         raise InputError(f"--lights: goes with --layout source, which has a place for every pass, not {options.layout}")
     passes = find_light(sequence, options.lights, options.also)
     if not isinstance(backend, TorchBackend):
         raise InputError(f"{told}: goes with --backend torch; {INSTALL_TORCH}")
-    lit = LightBackend(backend, passes, told, picture, sequence.soft_edges, options.detect_exposure)
-    chosen = {name: getattr(options, name) for name in ("layout", "float32", "alpha")}
-    return lit, lit.read, partial(_write, passes=passes, **chosen)
+    if shadows:
+        passes = replace(passes, alpha=shadows.rules)
+    lit = LightBackend(backend, passes, told, picture, sequence.soft_edges, options.detect_exposure, shadows)
+    return lit, lit.read, partial(_write, passes=passes, options=options)
 
 
 def _write(
-    out: Path, sequence: Sequence, index: int, _: Frame, image: dict[str, np.ndarray], **options
-) -> dict[str, int]:
-    parts = {name: part for name, part in image.items() if name != PICTURE}
-    return write_light(out, sequence, index, picture=image[PICTURE], parts=parts, **options)
+    out: Path, sequence: Sequence, index: int, frame: Frame, image: dict[str, np.ndarray],
+    passes: LightPasses, options: Options,
+) -> dict[str, int]:  # fmt: skip
+    parts = {name: part for name, part in image.items() if name not in (PICTURE, SHADOWS)}
+    coverage = (1 - image[SHADOWS][0].mean(0)).clip(0, 1) if SHADOWS in image else None
+    if not (options.lights or options.also):
+        return write_frame(out, sequence, index, frame, image[PICTURE], coverage=coverage, **of_output(options))
+    chosen = {name: getattr(options, name) for name in ("layout", "float32", "alpha")}
+    return write_light(out, sequence, index, passes, image[PICTURE], parts, coverage=coverage, **chosen)
 
 
 def _seen(sequence: Sequence, index: int, passes: LightPasses) -> dict[str, np.ndarray]:
@@ -102,6 +114,7 @@ class LightBackend:
         picture: Picture | None = None,
         soft_edges: bool = False,  # frames get them, each light for itself
         detect_exposure: bool = False,  # likewise each light's brightness is followed
+        shadows: Shadows | None = None,
     ) -> None:
         from ..models.accumulated_kpn import AccumulatedKPN
 
@@ -110,6 +123,7 @@ class LightBackend:
             raise InputError(f"{told}: goes with --model hybrid, default, many or fast, which average light")
         self._passes, self._picture, self._soft, self._device = passes, picture, soft_edges, inner.device
         self._inner = Following(inner, detect_exposure)
+        self._shadows = shadows
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
         self._seen: dict[str, np.ndarray] = {}  # likewise those without noise, as a shutter sees them
         self._parts: dict[int, Parts] = {}  # by number, of the frames that are prepared
@@ -128,6 +142,8 @@ class LightBackend:
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         self._left_out = left_out
+        if self._shadows:
+            self._shadows.backend.plan(size, frames, first, {})
         return self._inner.plan(size, frames, first, {})  # a frame counts once, whatever its parts
 
     def read(self, sequence: Sequence, index: int) -> Frame:
@@ -138,6 +154,8 @@ class LightBackend:
 
     def prepare(self, frame: Frame) -> Frame:
         """The frame; its parts are kept for `step`."""
+        import torch
+
         ready, passes = self._inner.prepare(self._shown(frame, frame.radiance)), self._passes
         for name in passes.also:
             check_sign(ready.name, name, self._stored[name])
@@ -145,13 +163,15 @@ class LightBackend:
         stored |= passes.radiance(stored)
         picture = valid(np.asarray(frame.radiance))
         summands = {name: stored[name] for name in passes.summands}
+        stored |= {name: 1 - stored[name].clip(max=1) for name in passes.alpha}
         with explained(ready.name, ready.size, self._device):
             lights = {name: self._inner.prepare(Frame(self._shown(frame, stored[name]).radiance)).radiance
-                      for name in (*passes.lights, *passes.volumes, *passes.also)}  # fmt: skip
+                      for name in self._streams}  # fmt: skip
             seen = stored | self._seen
             passed = {name: self._on_device(seen[name]) for name in (*passes.colors, *passes.passed)}
         lobes = {name: name.split()[0] for name in passes.lights}
         albedo = {name: passed[lobe].clamp(max=GREATEST_ALBEDO) for name, lobe in lobes.items() if lobe in OWN}
+        albedo |= dict.fromkeys(passes.alpha, torch.ones_like(ready.radiance))
         complete = background = True
         if summands:
             first, self._checked = not self._checked, True
@@ -190,7 +210,7 @@ class LightBackend:
                     found[name] = light
                     continue
                 following = tuple(self._parts[f.number].lit(f, name) for f in ahead)
-                found[name], after[name] = self._inner.denoise(parts.lit(frame, name), before.get(name), following)
+                found[name], after[name] = self._of(name).denoise(parts.lit(frame, name), before.get(name), following)
             if self._passes.lights:
                 found, picture = self._added_up(frame, found, picture, parts)
             found |= shared_out(picture, {name: found[name] for name in parts.groups})
@@ -248,7 +268,7 @@ class LightBackend:
         fields = self._inner.save(history[PICTURE])
         for place, name in enumerate(self._streams):
             if name in history:
-                fields |= {f"{place}{OF}{field}": x for field, x in self._inner.save(history[name]).items()}
+                fields |= {f"{place}{OF}{field}": x for field, x in self._of(name).save(history[name]).items()}
         return fields
 
     def restore(self, fields: Mapping[str, np.ndarray]) -> Histories:
@@ -257,14 +277,14 @@ class LightBackend:
         for name, array in fields.items():
             place, _, field = name.rpartition(OF)
             kept.setdefault(streams[int(place)] if place else PICTURE, {})[field] = array
-        return {name: self._inner.restore(of_it) for name, of_it in kept.items()}
+        return {name: self._of(name).restore(of_it) for name, of_it in kept.items()}
 
     def remember(self, history: Histories, frames: SequenceOf[Frame]) -> Histories:
         remembered = {}
         for name, its in history.items():
             seen = [frame if name == PICTURE else self._parts[frame.number].lit(frame, name)
                     for frame in frames[: len(unfollowed(its).recent) + 1]]  # fmt: skip
-            remembered[name] = self._inner.remember(its, seen)
+            remembered[name] = self._of(name).remember(its, seen)
         return remembered
 
     def _shown(self, frame: Frame, light: np.ndarray) -> Frame:
@@ -274,7 +294,11 @@ class LightBackend:
 
     @property
     def _streams(self) -> list[str]:
-        return [*self._passes.lights, *self._passes.volumes, *self._passes.also]
+        return [*self._passes.lights, *self._passes.volumes, *self._passes.also, *self._passes.alpha]
+
+    def _of(self, name: str) -> Following:
+        """What denoises a light."""
+        return self._shadows.backend if self._shadows and name == SHADOWS else self._inner
 
     def _on_device(self, image: np.ndarray) -> Tensor:
         import torch

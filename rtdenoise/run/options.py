@@ -53,8 +53,8 @@ class Options:
     float32: bool = False
     """Write 32-bit float instead of 16-bit half, as always where a frame is too bright for half."""
     alpha: str = "auto"
-    """The picture's alpha: 'auto' gives that of fewer than 8 samples a pixel the denoised picture's edges; 'rendered'
-    leaves it."""
+    """The picture's alpha: 'auto' gives that of fewer than 8 samples a pixel the denoised picture's edges, and denoises
+    shadows on a shadow catcher as light; 'rendered' leaves it."""
     allow_gaps: bool = False
     """Accept missing frame numbers; history starts anew after each gap."""
     detect_cuts: bool = True
