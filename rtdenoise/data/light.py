@@ -80,7 +80,7 @@ def find_light(sequence: Sequence, lights: bool, also: tuple[str, ...]) -> Light
 
 def read_light(sequence: Sequence, index: int, passes: LightPasses) -> dict[str, np.ndarray]:
     """Every pass of a frame, `[1, 3, H, W]` float32, as stored."""
-    pixels = sequence.files[index].read({name for rule in passes.rules.values() for name in rule.channels})
+    pixels = sequence.planes(index, {name for rule in passes.rules.values() for name in rule.channels})
     return {name: convert(rule, pixels, "radiance") for name, rule in passes.rules.items()}
 
 

@@ -41,6 +41,7 @@ def write_light(
         if bad := int((~np.isfinite(image)).any(1).sum()):
             raise InputError(f"{path}: {name} has {bad} pixels that are not finite after denoising, so nothing was "
                              "written; are the weights of --model sound, and the frame plausible?")  # fmt: skip
+    picture, parts = sequence.within(picture), {name: sequence.within(part) for name, part in parts.items()}
     float32 = float32 or any(map(beyond_half, (picture, *parts.values())))
     covered = alpha_of(sequence, index, picture, alpha, coverage)
     if layout == "source":

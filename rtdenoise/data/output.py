@@ -117,7 +117,7 @@ def recombined(sequence: Sequence, index: int, frame: Frame, image: np.ndarray) 
     if sequence.signal == "color":
         return image * albedo
     rule = sequence.layout.resolve(sequence.header, "color")["radiance"]
-    color = convert(rule, sequence.files[index].read(rule.channels), "radiance")
+    color = convert(rule, sequence.planes(index, rule.channels), "radiance")
     with np.errstate(invalid="ignore"):
         rest = np.nan_to_num(color - frame.radiance * albedo, nan=0.0, posinf=0.0, neginf=0.0)
     return (rest + image * albedo).clip(min=0)
@@ -171,6 +171,8 @@ def write_frame(
         if result is not None and (bad := int((~np.isfinite(result)).any(1).sum())):
             raise InputError(f"{path}: the result has {bad} pixels that are not finite, so it was not written; are the "
                              "weights of --model sound, and the frame's values plausible?")  # fmt: skip
+    extra = {name: sequence.within(layer) for name, layer in extra.items()}
+    image, beauty = (result if result is None else sequence.within(result) for result in (image, beauty))
     float32 = float32 or any(beyond_half(result) for result in (image, beauty) if result is not None)
     picture = image if sequence.signal == "color" and beauty is None else beauty
     covered = {} if picture is None else alpha_of(sequence, index, picture, alpha, coverage)
@@ -204,10 +206,13 @@ def alpha_of(
     stored = sequence.layout.alpha(sequence.header)
     if not stored or stored not in sequence.files[index].header().channels:
         return {}
-    if coverage is not None:
-        return {stored: coverage}
-    plane = sequence.files[index].read([stored], as_stored=True)[stored]
-    return {stored: plane if alpha == "rendered" else denoise_alpha(plane, np.moveaxis(picture[0], 0, 2))}
+    if coverage is None:
+        plane = sequence.files[index].read([stored], as_stored=True)[stored]
+        if alpha == "rendered":
+            return {stored: plane}
+        plane = sequence.region.mirrored(plane) if sequence.region else plane
+        coverage = denoise_alpha(plane, np.moveaxis(picture[0], 0, 2))
+    return {stored: sequence.within(coverage)}
 
 
 def attributes_of(sequence: Sequence, index: int) -> dict[str, object]:

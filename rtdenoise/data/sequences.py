@@ -20,6 +20,7 @@ from .layout import SCALES, Layout, Rule, pixels
 from .layouts import choose, find, samples
 from .lost import with_lost_samples
 from .noisebase import NOISEBASE, find_archives
+from .region import Region
 from .scene_file import read_scene
 from .scene_motion import complete
 from .shutter import Surfaces
@@ -56,6 +57,7 @@ class Sequence:
     lost_samples: bool = False  # frames are read `with_lost_samples`
     veiled: bool = False  # frames are read `with_veiled`
     surfaces: Surfaces | None = field(default=None, repr=False)  # without motion blur: layers that these give
+    region: Region | None = None  # frames are read with it mirrored beyond its rim
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -103,7 +105,7 @@ class Sequence:
         needed = MOVED if path or fog or veiled else ("depth",) if lost else ()
         rules = rules | {layer: self.available[layer] for layer in needed if layer in self.available}
         read = *rules.values(), *([path] if path else ()), *fog.values()
-        channels = files.read({name for rule in read for name in rule.channels})
+        channels = self.planes(i, {name for rule in read for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
         frame = Frame(**layers, number=files.number, name=str(files.path))
         if veiled:
@@ -125,6 +127,15 @@ class Sequence:
         missing = [layer for layer in ("depth", "motion", "motion_next") if getattr(frame, layer) is None]
         frame = complete(frame, self.scene) if missing and self.scene else frame
         return self.surfaces.give(frame) if self.surfaces else frame
+
+    def planes(self, i: int, names: Collection[str]) -> dict[str, np.ndarray]:
+        """Channels of frame i, `[H, W]` float32, as stored within the `region`."""
+        planes = self.files[i].read(names)
+        return {name: self.region.mirrored(x) for name, x in planes.items()} if self.region else planes
+
+    def within(self, image: np.ndarray) -> np.ndarray:
+        """An image `[…, H, W]` with 0 beyond the `region`."""
+        return self.region.alone(image) if self.region else image
 
     def besides(self, files: FrameFiles) -> tuple[Rule | None, dict[str, Rule]]:
         """What is read of a frame beside its layers: the path length for virtual motion, None without; and the light of

@@ -6,6 +6,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 from ..data.lost import lost_samples
+from ..data.region import find_region
 from ..data.sequences import Sequence, open_sequence
 from ..models.hybrid_config import HybridConfig
 from ..models.weights import read_config
@@ -41,6 +42,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     if options.motion_blur:
         sequence.require("depth", "motion")
     sequence, options, notes = with_lens_if_lacking(sequence, options)
+    sequence = _with_region(sequence)
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter, and what it writes
     if options.samples == sequence.header.samples:
         options = replace(options, samples=0)  # what the files say, too, is the same run without
@@ -128,6 +130,14 @@ def _share_of_lost_samples(sequence: Sequence) -> float:
 def as_rendered(sequence: Sequence) -> Sequence:
     """The sequence without what is mended in layers of Cycles."""
     return replace(sequence, soft_edges=False, virtual_motion=False, fog=False, lost_samples=False, veiled=False)
+
+
+def _with_region(sequence: Sequence) -> Sequence:
+    """The sequence with the render region of its first frame, where Blender has not cropped files to it."""
+    if sequence.layout.name != "cycles" or sequence.surfaces or "depth" not in sequence.available:
+        return sequence
+    (channel,) = sequence.available["depth"].channels
+    return replace(sequence, region=find_region(sequence.files[0].read([channel])[channel]))
 
 
 def known_samples(sequence: Sequence, given: int) -> float:

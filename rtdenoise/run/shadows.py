@@ -47,7 +47,7 @@ def find_shadows(sequence: Sequence, options: Options) -> str:
         return ""
     rendered = as_rendered(sequence).only({"radiance", "depth"})
     for i in range(0, len(sequence), EVERY):
-        alpha = sequence.files[i].read([channel])[channel]
+        alpha = sequence.planes(i, [channel])[channel]
         if ((alpha > LIT) & (alpha < DEEP)).mean() > LEAST and are_shadows(alpha, rendered.read(i)):
             return channel
     return ""
