@@ -9,8 +9,9 @@ from synthetic import assert_goes_on, make_frames, save_tiny, write_sequence
 
 from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.sequences import open_sequence
+from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import denoise
-from rtdenoise.run.options import Options
+from rtdenoise.run.options import CombineOptions, Options
 from rtdenoise.run.shadows import EVERY, are_shadows, find_shadows
 
 H, W = 48, 64
@@ -75,6 +76,15 @@ def test_a_catcher_that_comes_later_is_found(tmp_path):
     assert find_shadows(open_sequence(shot), DEFAULT) == "A"
     assert not find_shadows(open_sequence(shot / "frame.000*.exr"), DEFAULT)
     assert not find_shadows(open_sequence(shot, signal="indirect"), DEFAULT)
+
+
+@pytest.mark.parametrize("alpha", ["auto", "rendered"])
+def test_combine_takes_alpha_from_the_denoised_frames(shot, tmp_path, alpha):
+    denoise(str(shot), tmp_path / "clean", DEFAULT)
+    options = CombineOptions(model="shrinkage", alpha=alpha)
+    combine(str(shot), str(tmp_path / "clean"), tmp_path / "out", options)
+    wanted = (tmp_path / "clean" if alpha == "auto" else shot) / "frame.0003.exr"
+    assert np.array_equal(*(read_channels(p, ["A"])["A"] for p in (tmp_path / "out" / wanted.name, wanted)))
 
 
 def test_what_cannot_says_so(shot, tmp_path):

@@ -21,7 +21,8 @@ from ..splat import completed
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
 from .memory import explained
 from .options import SUMMARY, CombineOptions, Summary, add, of_output
-from .pairs import both, read_estimate
+from .pairs import both, read_alpha, read_estimate
+from .shadows import find_shadows
 from .state import STATE, read_state, save_state
 from .windows import windows
 
@@ -60,6 +61,7 @@ class Run:
         self.written = Written(self.out, self.names[:done])
         self.summary.skipped, self.summary.gaps = done, list(self.source.gaps)
         self.summary.notes = notes
+        self.shadows = find_shadows(self.source, self.options)  # which the denoised frames may have without noise
         if not done:
             self._save(0)
         self.on_frame(done, count)
@@ -87,7 +89,8 @@ class Run:
             combined = self.combiner.combine(Window(frames, estimates, halves if self.second else ()))
         extra = {"confidence": combined.confidence.cpu().numpy()} if self.options.confidence else {}
         image = combined.image.cpu().numpy()
-        nans = write_frame(self.out, self.source, pair.index, pair.raw, image, **of_output(self.options), extra=extra)
+        nans = write_frame(self.out, self.source, pair.index, pair.raw, image, **of_output(self.options), extra=extra,
+                           coverage=read_alpha(self.estimates, pair.index) if self.shadows else None)  # fmt: skip
         if pair.index >= self.counted:
             lost = int((~pair.estimate.isfinite()).any(1).sum())
             add(self.summary.replaced, faults(pair.raw) | ({"denoised: NaN or Inf": lost} if lost else {}))

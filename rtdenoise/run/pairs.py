@@ -64,6 +64,12 @@ def read_estimate(denoised: Sequence, i: int) -> Tensor:
     return torch.from_numpy(convert(rule, denoised.files[i].read(rule.channels), "radiance").astype(np.float32))
 
 
+def read_alpha(denoised: Sequence, i: int) -> np.ndarray | None:
+    """The alpha of denoised frame i, `[H, W]`; None where it has none."""
+    channel = denoised.layout.alpha(denoised.header)
+    return denoised.files[i].read([channel])[channel].clip(0, 1) if channel else None
+
+
 def both(frame: Frame, second: Tensor) -> tuple[Frame, Tensor]:
     """A frame with the mean of two renders, and the light of the first one. Where a pixel is finite in one render
     alone, the mean is its value there, and the light NaN: nothing tells its noise apart."""

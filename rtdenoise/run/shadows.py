@@ -19,7 +19,7 @@ from ..frame import Frame
 from .backends import Backend, TorchBackend
 from .choice import KERNELS, as_rendered
 from .following import Following
-from .options import Options
+from .options import CombineOptions, Options
 
 SHADOWS = "shadows in alpha"  # what the light is called
 EVERY = 16  # frames from one that is examined to the next
@@ -37,7 +37,7 @@ class Shadows:
     backend: Following
 
 
-def find_shadows(sequence: Sequence, options: Options) -> str:
+def find_shadows(sequence: Sequence, options: Options | CombineOptions) -> str:
     """The channel of an alpha that holds shadows, in one of the frames 0, EVERY, 2 EVERY and so on; "" if none does, or
     it stays as rendered by `options`."""
     channel = sequence.layout.alpha(sequence.header)
