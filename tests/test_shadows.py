@@ -87,10 +87,18 @@ def test_combine_takes_alpha_from_the_denoised_frames(shot, tmp_path, alpha):
     assert np.array_equal(*(read_channels(p, ["A"])["A"] for p in (tmp_path / "out" / wanted.name, wanted)))
 
 
-def test_what_cannot_says_so(shot, tmp_path):
-    summary = denoise(str(shot), tmp_path / "out", Options(model=str(save_tiny(tmp_path))))
+@pytest.mark.parametrize("choose", [
+    lambda folder: (Options(model=str(save_tiny(folder))), "tiny"),
+    lambda folder: (Options(offline=True, motion_blur=True), "--offline with --motion-blur"),
+    lambda folder: (Options(model="default", correct=True, samples=16), "--correct"),
+], ids=["tiny", "offline", "correct"])  # fmt: skip
+def test_what_cannot_says_so(shot, tmp_path, choose):
+    options, why = choose(tmp_path)
+    summary = denoise(str(shot), tmp_path / "out", options)
     (told,) = [note for note in summary.notes if "shadow catcher" in note]
-    assert "stay as noisy as rendered" in told
+    assert "stay as noisy as rendered" in told and why in told
+    if options.motion_blur:
+        return
     frame = make_frames(4, H=H, W=W)[3]
     assert error(tmp_path / "out" / "frame.0003.exr", caught(frame)[1]) < 1e-3
 

@@ -25,7 +25,7 @@ from .following import Following
 from .light import in_parts
 from .offline_picture import Picture
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples, of_output
-from .shadows import find_shadows, open_shadows
+from .shadows import LEFT, find_shadows, open_shadows
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, finish_state, last_of_shot, read_state, save_state
 from .unmoved import Watch
@@ -58,13 +58,16 @@ def denoise(
     """
     _check(options)
     in_passes, picture = bool(options.lights or options.also), None
-    if options.offline and (in_passes or _casts_shadows(source, options)):
+    shadows = options.offline and not in_passes and _casts_shadows(source, options)
+    if options.offline and (in_passes or (shadows and not _is_final(options))):
         picture = Picture(source, Path(out), options, overwrite, on_frame)
         options, on_frame = picture.options_of_light, picture.on_frame_of_light
     elif options.offline:
         from .offline import denoise_offline
 
-        return denoise_offline(source, out, options, overwrite, on_frame)
+        summary = denoise_offline(source, out, options, overwrite, on_frame)
+        summary.notes += [LEFT.format(f"--offline with {_is_final(options)}")] if shadows else []
+        return summary
     reads = () if options.model == AUTO else read_config(options.model).reads
     layers = (*reads, *(["samples"] if options.correct else []))
     sequence, options, notes = open_chosen(source, options, layers)
@@ -172,11 +175,15 @@ def _run(
 
 
 def _casts_shadows(source: str, options: Options) -> bool:
-    """Whether alpha is denoised as light once the picture is made by all frames."""
-    if options.recombine or options.confidence:
-        return False
+    """Whether alpha holds shadows."""
     chosen = {name: getattr(options, name) for name in ("signal", "preset", "allow_gaps")}
     return bool(find_shadows(open_sequence(source, **chosen), options))
+
+
+def _is_final(options: Options) -> str:
+    """The option for which a picture by all frames is written as it is to be, and no other follows; "" for none."""
+    final = "recombine", "confidence", "motion_blur"
+    return next((f"--{name.replace('_', '-')}" for name in final if getattr(options, name)), "")
 
 
 def _read(sequence: Sequence, i: int) -> Frame:
