@@ -1,5 +1,6 @@
 """Shadows on a shadow catcher, which lie in alpha (`run.shadows`)."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -69,6 +70,20 @@ def test_the_noise_goes_and_the_picture_stays(shot, tmp_path, options):
 
 def test_an_interrupted_run_goes_on_to_the_same_end(shot, tmp_path):
     assert_goes_on(shot, tmp_path, DEFAULT, 2)
+
+
+def test_a_run_goes_on_where_frames_with_a_catcher_are_appended(tmp_path):
+    shot, parts = write_caught(tmp_path / "shot", EVERY + 1, first=EVERY), tmp_path / "parts"
+    parts.mkdir()
+    frames = sorted(shot.iterdir())
+    for count in (3, len(frames)):
+        for path in frames[:count]:
+            shutil.copy2(path, parts)
+        summary = denoise(str(parts), tmp_path / "appended", DEFAULT)
+    assert summary.skipped == 3
+    denoise(str(shot), tmp_path / "whole", DEFAULT)
+    for path in frames:
+        assert (tmp_path / "whole" / path.name).read_bytes() == (tmp_path / "appended" / path.name).read_bytes()
 
 
 def test_a_catcher_that_comes_later_is_found(tmp_path):
