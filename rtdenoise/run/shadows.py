@@ -16,10 +16,11 @@ from ..data.around import EIGHT, shifted
 from ..data.layout import Rule
 from ..data.sequences import Sequence
 from ..frame import Frame
-from .backends import Backend, TorchBackend
+from .backends import Backend
 from .choice import KERNELS, as_rendered
 from .following import Following
 from .options import CombineOptions, Options
+from .torch_backend import TorchBackend
 
 SHADOWS = "shadows in alpha"  # what the light is called
 EVERY = 16  # frames from one that is examined to the next
