@@ -25,7 +25,7 @@ MODULES = (
     "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies",
     "diagnosis.fog", "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve",
     "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost", "diagnosis.many", "diagnosis.motion_blur",
-    "diagnosis.outdated", "diagnosis.scattered", "diagnosis.soft_edges", "diagnosis.turned",
+    "diagnosis.outdated", "diagnosis.scattered", "diagnosis.shadows", "diagnosis.soft_edges", "diagnosis.turned",
     "diagnosis.virtual_motion", "diagnosis.where",
 )  # fmt: skip
 

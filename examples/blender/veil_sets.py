@@ -1,11 +1,11 @@
-"""Scenes for `render.py` that are seen through fog or a veil, as those of `sets`."""
+"""Scenes for `render.py` that are seen through fog or a veil, or in alpha, as those of `sets`."""
 
 from __future__ import annotations
 
 import math
 
 import bpy
-from sets import box, build
+from sets import ball, box, build, keyframe, lamp_and_sky, material, plain_material
 
 
 def build_mist(scene: bpy.types.Scene, frames: int, density: float = 0.06) -> None:
@@ -43,4 +43,22 @@ def build_veil(scene: bpy.types.Scene, frames: int) -> None:
     wave.height, wave.width, wave.narrowness, wave.speed, wave.time_offset = 0.08, 0.25, 6, 0.04, -200
 
 
-VEIL_SETS = {"mist": build_mist, "fog": build_fog, "veil": build_veil}
+def build_catcher(scene: bpy.types.Scene, frames: int) -> None:
+    """A ball and a ring that slide over a shadow catcher before a transparent film: their shadows lie in alpha."""
+    bpy.ops.mesh.primitive_plane_add(size=12)
+    bpy.context.object.is_shadow_catcher = True
+    patched = ball("ball", (0, 0, 0.7), 0.7, material("patches", (0.7, 0.1, 0.05), (0.9, 0.8, 0.6), 6.0, 0.25))
+    keyframe(patched, frames, (-0.5, 0, 0.7), (0.4, 0, 0.7))
+    bpy.ops.mesh.primitive_torus_add(major_radius=0.4, minor_radius=0.14)
+    bpy.ops.object.shade_smooth()
+    ring = bpy.context.object
+    ring.data.materials.append(plain_material("gold", Metallic=1.0, Roughness=0.2, Base_Color=(0.9, 0.6, 0.2, 1)))
+    keyframe(ring, frames, (0.9, -0.6, 0.25), (0.5, -1.0, 0.25))
+    lamp_and_sky(scene)
+    bpy.ops.object.camera_add(location=(0, -5, 2), rotation=(math.radians(74), 0, 0))
+    scene.camera = bpy.context.object
+    keyframe(scene.camera, frames, (0, -5, 2), (0.4, -4.7, 2))
+    scene.render.film_transparent = True
+
+
+VEIL_SETS = {"mist": build_mist, "fog": build_fog, "veil": build_veil, "catcher": build_catcher}

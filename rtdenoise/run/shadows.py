@@ -2,8 +2,8 @@
 
 A renderer shows a catcher by alpha alone, over black: each sample has the share of the light that is kept from it. So
 this alpha is as noisy as light, at any number of samples. It is denoised as light: what it lets through, 1 − alpha, is
-the picture of a white ground in the shadows. Kernels alone do so better than networks that write pixels
-(docs/notes/alpha.md).
+the picture of a white ground in the shadows. Of few samples kernels alone make the best of it; of many the network that
+makes the picture does (docs/notes/alpha.md).
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def open_shadows(channel: str, options: Options, backend: Backend) -> tuple[Shad
     averages = isinstance(backend, TorchBackend) and "mean" in backend.config.carries and not backend.config.reads
     if options.correct or not averages:
         return None, [LEFT.format("--correct" if options.correct else f"model {options.model}")]
-    model = KERNELS[str(options.model).endswith("many")]
+    model = str(options.model) if str(options.model).endswith("many") else KERNELS[0]
     ran = backend.ran
     kernels = TorchBackend(model, ran["device"], options.precision, lookahead=options.lookahead)
     rule = Rule((channel,) * 3, (1, 1, 1))
