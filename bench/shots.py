@@ -3,10 +3,11 @@
     render="bpyenv/bin/python examples/blender/render.py"
     $render shots/night --set night --frames 8                      # likewise all other sets
     $render shots/night-reference --set night --frames 8 --samples 128 --seed 77
+    $render shots/night-reference-2 --set night --frames 8 --samples 64 --seed 78
     python bench/shots.py shots/night ...
 
-A shot has the name of its set, and its references lie in the folder of its name and "-reference". PSNR at 1 sample a
-pixel, of all frames but the first. OIDN takes frames as they are rendered; the other methods take them, and `denoise`
+A shot has the name of its set, and its references lie in the folder of its name and "-reference"; a second render, in
+that of "-reference-2", tells their noise. Corrected PSNR at 1 sample a pixel, of all frames but the first. OIDN takes frames as they are rendered; the other methods take them, and `denoise`
 its network, as the command does. Writes bench/results/shots.json and the table of docs/results/shots.md.
 """
 

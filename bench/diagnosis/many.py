@@ -3,9 +3,10 @@
     render="bpyenv/bin/python examples/blender/render.py"
     $render shots/meadow-16 --set meadow --frames 6 --samples 16
     $render shots/meadow-reference --set meadow --frames 6 --samples 192 --seed 77
+    $render shots/meadow-reference-2 --set meadow --frames 6 --samples 64 --seed 78
     python bench/diagnosis/many.py shots/{turntable,meadow,still-life,ocean,glass,pool,room}-{4,16}
 
-PSNR of all frames but the first, read as `denoise` reads them. Writes bench/results/many.json and the table of
+Corrected PSNR of all frames but the first, read as `denoise` reads them. Writes bench/results/many.json and the table of
 docs/notes/many.md.
 """
 
