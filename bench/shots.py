@@ -7,8 +7,9 @@
     python bench/shots.py shots/night ...
 
 A shot has the name of its set, and its references lie in the folder of its name and "-reference"; a second render, in
-that of "-reference-2", tells their noise. Corrected PSNR at 1 sample a pixel, of all frames but the first. OIDN takes frames as they are rendered; the other methods take them, and `denoise`
-its network, as the command does. Writes bench/results/shots.json and the table of docs/results/shots.md.
+that of "-reference-2", tells their noise. Corrected PSNR at 1 sample a pixel, of all frames but the first. OIDN takes
+frames as they are rendered; the other methods take them, and `denoise` its network, as the command does. Writes
+bench/results/shots.json and the table of docs/results/shots.md.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@
     $render shots/meadow-reference-2 --set meadow --frames 6 --samples 64 --seed 78
     python bench/diagnosis/many.py shots/{turntable,meadow,still-life,ocean,glass,pool,room}-{4,16}
 
-Corrected PSNR of all frames but the first, read as `denoise` reads them. Writes bench/results/many.json and the table of
-docs/notes/many.md.
+Corrected PSNR of all frames but the first, read as `denoise` reads them. Writes bench/results/many.json and the table
+of docs/notes/many.md.
 """
 
 from __future__ import annotations
