@@ -164,6 +164,18 @@ def test_edges_that_move(weights, assert_images_close, monkeypatch):
         assert np.allclose(expected, without, rtol=1e-3) == many
 
 
+def test_a_wide_pixel_filter(weights, assert_images_close):
+    """It changes the picture of a network for many samples a pixel alone."""
+    frames = make_frames(4, noise=0.3)
+    frames = [replace(f, motion=f.motion + 0.3, motion_next=f.motion_next - 0.3) for f in frames]  # off the pixel
+    for many in (False, True):
+        model = weights(replace(HYBRID, many=many))
+        narrow = both(model, frames)[0]
+        expected, found, _, _ = both(model, [replace(frame, wide_filter=True) for frame in frames])
+        assert_images_close(found, expected, "frame")
+        assert np.allclose(expected, narrow, rtol=1e-3) != many
+
+
 @pytest.mark.parametrize("preset, noise", [("default", 0.0), ("recent", 0.0), ("recent", 0.2)])
 def test_light_behind_glass_is_followed(weights, assert_images_close, preset, noise):
     """Without noise within its frame, with noise in the denoised pictures, where more can be told of it."""

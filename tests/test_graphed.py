@@ -225,6 +225,18 @@ def test_a_kind_is_recorded_when_it_comes_again_and_the_idle_make_room(denoiser,
     assert widths() == [16, 24]
 
 
+def test_frames_of_another_pixel_filter_are_another_kind(device, assert_images_close):
+    small = replace(HYBRID, widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, down=(8, 12, 4), up=(12, 8), out=(8, 4))
+    denoiser = network(replace(small, many=True)).to(device)
+    frames = [replace(f, motion=f.motion + 0.3).to(device) for f in make_frames(2, noise=0.3)]  # lookups off the pixel
+    graph, (_, history) = recorded(denoiser, device), denoiser.step(frames[0])
+    for wide in (False, False, True, True):
+        frame = replace(frames[1], wide_filter=wide)
+        image, _ = graph.step(frame, history)
+        assert_images_close(image.cpu(), denoiser.step(frame, history)[0].cpu(), tolerance(device))
+    assert len(graph.recordings) == 2
+
+
 def test_large_steps_are_not_recorded(denoiser, monkeypatch):
     frame = make_frames(1)[0]
     for largest, count in ((frame.radiance[:, 0].numel(), 1), (frame.radiance[:, 0].numel() - 1, 0)):

@@ -102,7 +102,7 @@ class Pipeline:
         try:
             with self._stage("upload"):
                 layers = self.upload(frame, history)
-            result, history = self.run(layers, history, known)
+            result, history = self.run(layers, history, known, frame.wide_filter)
         except GpuMemoryError as error:
             H, W = frame.size
             raise InputError(
@@ -123,7 +123,11 @@ class Pipeline:
 
     @_in_context
     def run(
-        self, layers: Mapping[str, GpuArray], history: History | None = None, known: Known = NOTHING_KNOWN
+        self,
+        layers: Mapping[str, GpuArray],
+        history: History | None = None,
+        known: Known = NOTHING_KNOWN,
+        wide_filter: bool = False,  # of `Frame`
     ) -> tuple[GpuArray, History]:
         """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
         the history is not."""
@@ -152,7 +156,7 @@ class Pipeline:
                 past = passes.warp(chosen, inputs, history, flagged)
             means = Means(inputs.light, inputs.guide)
             if averages:
-                means = passes.reproject(chosen, inputs, history, flagged)
+                means = passes.reproject(chosen, inputs, history, flagged, wide_filter)
             turned = passes.turned(chosen, inputs, history, known.still) if averages else None
             if averages and bool(history.recent) == (self.config.recent > 0):
                 past = passes.outdated(inputs, noisy, past, means, turned, len(history.recent))

@@ -161,7 +161,7 @@ def misplaced(config: Config, frame: Frame, known: Known) -> Tensor | None:
     if not weighs_noise(config):
         return None
     noise = noise_level(frame.radiance, frame.depth) if known.noise is None else known.noise
-    return off_pixel(noise)
+    return off_pixel(noise, frame.wide_filter)
 
 
 def weighs_noise(config: Config) -> bool:

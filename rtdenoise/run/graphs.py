@@ -98,7 +98,7 @@ class Graphed:
             return self.denoiser.step(frame, history, known)
         self._steps += 1
         given = _tensors(frame, history, known, (*LAYERS, *self.denoiser.config.reads))
-        flags = replace(known, exposure=None, distance=None, noise=None, shift=None, ahead=())
+        flags = replace(known, exposure=None, distance=None, noise=None, shift=None, ahead=()), frame.wide_filter
         kind = flags, tuple(_description(name, tensor) for name, tensor in given.items())
         if kind not in self.recordings and kind in self._seen and self._room():
             self._add(kind, given)
@@ -140,7 +140,7 @@ class RecordedStep:
     def __init__(
         self,
         denoiser: nn.Module,
-        known: Known,
+        flags: tuple[Known, bool],  # and `Frame.wide_filter`
         given: dict[str, Tensor],
         read: dict[Hashable, Tensor],
         record: Recorder,
@@ -153,15 +153,17 @@ class RecordedStep:
             self._addresses = table(len(kept), given["frame.radiance"].device)
             self.elsewhere = {n: Elsewhere(t, self._addresses[i, :1]) for i, (n, t) in enumerate(kept.items())}
             try:
-                self._record(denoiser, known, given, record)
+                self._record(denoiser, flags, given, record)
             except NotHere:
                 self.elsewhere = {}
                 self.read |= _memory(kept, read)
-                self._record(denoiser, known, given, record)
+                self._record(denoiser, flags, given, record)
 
-    def _record(self, denoiser: nn.Module, known: Known, given: dict[str, Tensor], record: Recorder) -> None:
+    def _record(
+        self, denoiser: nn.Module, flags: tuple[Known, bool], given: dict[str, Tensor], record: Recorder
+    ) -> None:
         held = self._point_to(given)  # what is recorded runs before
-        arguments = _arguments(self.read | self.elsewhere, known)
+        arguments = _arguments(self.read | self.elsewhere, *flags)
         self._replay, self._written = record(lambda: denoiser.step(*arguments))
         del held
 
@@ -218,12 +220,14 @@ def _tensors(frame: Frame, history: History | None, known: Known, read: Collecti
     return {f"{owner}.{name}": tensor for owner, tensors in owners.items() for name, tensor in tensors.items()}
 
 
-def _arguments(tensors: dict[str, Tensor], known: Known) -> tuple[Frame, History | None, Known]:
-    """The arguments of a step that reads these tensors, with the flags of `known`."""
+def _arguments(
+    tensors: dict[str, Tensor], known: Known, wide_filter: bool
+) -> tuple[Frame, History | None, Known]:
+    """The arguments of a step that reads these tensors, with these flags."""
 
     def of(owner: str) -> dict[str, Tensor]:
         return {n.removeprefix(owner): t for n, t in tensors.items() if n.startswith(owner)}
 
     past, count = of("history."), len({name.partition(".")[0] for name in tensors if name.startswith("ahead")})
     known = replace(known, **of("known."), ahead=tuple(Frame(**of(f"ahead{i}.")) for i in range(count)))
-    return Frame(**of("frame.")), History.from_layers(past) if past else None, known
+    return Frame(**of("frame."), wide_filter=wide_filter), History.from_layers(past) if past else None, known

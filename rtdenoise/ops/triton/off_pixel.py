@@ -7,7 +7,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import RECALL_MISPLACED, RECALL_NOISY
+from ...constants import RECALL_NOISY
 from .common import BLOCK
 
 
@@ -19,8 +19,8 @@ def _off_pixel(noise, out, count, share, less, BLOCK: tl.constexpr):
     tl.store(out + at, share * tl.where(x < 0, 0.0, x), mask=at < count)
 
 
-def off_pixel(noise: Tensor) -> Tensor:
+def off_pixel(noise: Tensor, share: float) -> Tensor:
     noise, count = noise.contiguous(), noise.numel()
     out = torch.empty_like(noise)
-    _off_pixel[(triton.cdiv(count, BLOCK),)](noise, out, count, RECALL_MISPLACED, 1 / RECALL_NOISY, BLOCK=BLOCK)
+    _off_pixel[(triton.cdiv(count, BLOCK),)](noise, out, count, share, 1 / RECALL_NOISY, BLOCK=BLOCK)
     return out
