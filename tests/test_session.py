@@ -281,6 +281,18 @@ def test_the_choices_in_the_docs_are_there():
     eval(line)
 
 
+def test_a_wide_pixel_filter_is_known_to_the_network(assert_images_close):
+    frames = [replace(frame, motion=frame.motion + 0.3) for frame in make_frames(2, noise=0.3)]  # lookups off the pixel
+    options = {"convert": pictures, "model": "hybrid-many", "precision": "fp32"}
+    wide, narrow = (play(frames, wide_filter=known, **options)[-1] for known in (True, False))
+    network, history = models.load("hybrid-many", precision="fp32"), None
+    with torch.inference_mode():
+        for frame in frames:
+            expected, history = network.step(replace(frame, wide_filter=True), history)
+    assert_images_close(np.moveaxis(wide, 2, 0)[None], expected, "float32 network")
+    assert not np.allclose(wide, narrow, rtol=1e-3)
+
+
 def test_step_answers_what_is_no_frame(frames):
     network, pipeline = models.load("fast"), Pipeline.load("fast")
     for wrong in (np.zeros((8, 8, 3), np.float32), torch.zeros(8, 8, 3)):
