@@ -22,7 +22,7 @@ from .choice import open_chosen, told_of_samples
 from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
 from .following import Following
-from .light import in_parts
+from .in_parts import in_parts
 from .offline_picture import Picture
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples, of_output
 from .shadows import LEFT, find_shadows, open_shadows

@@ -12,26 +12,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..data.light import LightPasses, find_light, read_light
-from ..data.light_output import write_light
-from ..data.output import write_frame
+from ..data.light import LightPasses, read_light
 from ..data.sequences import Sequence
 from ..data.soft_edges import with_soft_edges
 from ..data.stored import OF
-from ..errors import INSTALL_TORCH, InputError
+from ..errors import InputError
 from ..frame import NOTHING_KNOWN, Frame, History
 from ..sanitise import GREATEST_ALBEDO
-from .backends import Backend
 from .following import Following, unfollowed
 from .memory import explained
 from .offline_picture import Picture
-from .options import Options, of_output
 from .parts import BACKGROUND, Parts, check_sign, compare_sum, shared_out, sum_of, valid, whole_groups
 from .plan import Plan, count, look
 from .shadows import SHADOWS, Shadows
@@ -48,46 +42,6 @@ SHARES = 0.5, 0.0, 0.0  # of `mix`: usually half of the picture as a whole, half
 GROUP = "Combined_"  # how the names of Cycles' light groups begin
 
 Histories = dict[str, Any]  # of the picture, and of each light by name that was ever there in the shot
-
-
-def in_parts(
-    sequence: Sequence,
-    options: Options,
-    backend: Backend,
-    picture: Picture | None = None,
-    shadows: Shadows | None = None,
-) -> tuple[Backend, Any, Any]:
-    """A backend for light in parts around `backend`, and the functions that read its frames and write its results.
-    `picture`: instead of that which `backend` makes of the whole. `shadows`: alpha is one of the parts.
-
-    Raises InputError for options that do not go together, and as `find_light`.
-    """
-    told = "--lights" if options.lights else "--also"
-    if options.signal != "color":
-        raise InputError(f"{told}: goes with --signal color, not {options.signal}")
-    if options.keep and (options.lights or options.also):
-        raise InputError(f"{told}: goes without --keep; --layout source passes every channel on")
-    if options.lights and options.layout != "source":
-        raise InputError(f"--lights: goes with --layout source, which has a place for every pass, not {options.layout}")
-    passes = find_light(sequence, options.lights, options.also)
-    if not isinstance(backend, TorchBackend):
-        raise InputError(f"{told}: goes with --backend torch; {INSTALL_TORCH}")
-    if shadows:
-        passes = replace(passes, alpha=shadows.rules)
-    lit = LightBackend(backend, passes, told, picture, sequence.soft_edges, options.detect_exposure, shadows)
-    return lit, lit.read, partial(_write, passes=passes, options=options)
-
-
-def _write(
-    out: Path, sequence: Sequence, index: int, frame: Frame, image: dict[str, np.ndarray],
-    passes: LightPasses, options: Options,
-) -> dict[str, int]:  # fmt: skip
-    parts = {name: part for name, part in image.items() if name not in (PICTURE, SHADOWS)}
-    coverage = (1 - image[SHADOWS][0].mean(0)).clip(0, 1) if SHADOWS in image else None
-    if not (options.lights or options.also):
-        return write_frame(out, sequence, index, frame, image[PICTURE], coverage=coverage, **of_output(options))
-    chosen = {name: getattr(options, name) for name in ("layout", "float32", "alpha")}
-    return write_light(out, sequence, index, passes, image[PICTURE], parts, coverage=coverage, **chosen)
 
 
 def _seen(sequence: Sequence, index: int, passes: LightPasses) -> dict[str, np.ndarray]:
