@@ -505,5 +505,7 @@ def test_what_cannot_be_described(tmp_path):
 def test_text_and_layout_are_one(tmp_path):
     layout, notes = describe(write(tmp_path / "shot", files('{}/a "b" ü.{{}}.exr')))
     path = tmp_path / "guessed.toml"
-    path.write_text(layout_text(layout, notes))
-    assert read_layout(path) == layout
+    for wide in (False, True):
+        layout = replace(layout, wide_filter=wide)
+        path.write_text(layout_text(layout, notes))
+        assert read_layout(path) == layout

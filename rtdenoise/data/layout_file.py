@@ -2,6 +2,7 @@
 
     name = "tracer"
     demodulated = ["indirect"]           # signals that are already divided by the albedo
+    wide_filter = true                   # a pixel is the mean of more than its own square (`Frame.wide_filter`)
 
     [color]
     channels = ["R", "G", "B"]
@@ -57,11 +58,13 @@ def parse_layout(text: str, path: Path) -> Layout:
     except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
         raise InputError(f"{path}: not valid TOML: {error}") from None
     name = document.pop("name", path.stem)
-    demodulated = document.pop("demodulated", [])
+    demodulated, wide_filter = document.pop("demodulated", []), document.pop("wide_filter", False)
     if not isinstance(name, str):
         raise InputError(f"{path}: name is {repr(name)}, expected a string")
     if not isinstance(demodulated, list) or not all(signal in list(SIGNALS) for signal in demodulated):
         raise InputError(f"{path}: demodulated is {repr(demodulated)}, expected a list of {', '.join(SIGNALS)}")
+    if not isinstance(wide_filter, bool):
+        raise InputError(f"{path}: wide_filter is {repr(wide_filter)}, expected true or false")
     layers = {layer: _rule(path, layer, table) for layer, table in document.items()}
     if not layers.keys() & SIGNALS.keys():
         raise InputError(f"{path}: describes no signal; expected a table [color] or [indirect]")
@@ -74,13 +77,14 @@ def parse_layout(text: str, path: Path) -> Layout:
         with_components({layer: (rule.of_buffer(layer) if files else rule,) for layer, rule in layers.items()}),
         demodulated=frozenset(demodulated),
         buffers={layer: (pattern,) for layer, pattern in files.items()},
+        wide_filter=wide_filter,
     )
 
 
 def layout_text(layout: Layout, notes: Mapping[str, str]) -> str:
     """A layout, whose layers have one rule each, as the text of a file that `read_layout` reads. `notes`: a line about
     a layer, also about one that is not described, for whoever edits it."""
-    lines = [f"name = {_text(layout.name)}"]
+    lines = [f"name = {_text(layout.name)}", *(["wide_filter = true"] if layout.wide_filter else [])]
     for layer, (rule,) in layout.layers.items():
         if layer not in COUNTS:  # made of others
             continue

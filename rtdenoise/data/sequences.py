@@ -107,11 +107,11 @@ class Sequence:
         read = *rules.values(), *([path] if path else ()), *fog.values()
         channels = self.planes(i, {name for rule in read for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
-        of_cycles = self.layout.name == "cycles"
-        frame = Frame(**layers, number=files.number, name=str(files.path), wide_filter=of_cycles)
+        wide = self.layout.wide_filter
+        frame = Frame(**layers, number=files.number, name=str(files.path), wide_filter=wide)
         if veiled:
             frame = with_veiled(frame)
-        if of_cycles:
+        if self.layout.name == "cycles":
             frame = without_stale_sky(frame)
         if path:
             frame = with_virtual_motion(frame, convert(path, channels, "path"))
