@@ -40,12 +40,12 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """`shots`: folders of noisy frames, without "-1" and so on."""
     rows = []
     for shot in shots:
-        truth = [layers(path, CYCLES) for path in sorted(Path(f"{shot}-reference").glob("*.exr"))][1:]
+        truth = frames_of(Path(f"{shot}-reference"), CYCLES)[1:]
         for samples in SAMPLES:
             noisy = Path(f"{shot}-{samples}")
             with tempfile.TemporaryDirectory() as out:
                 denoise(str(noisy), out, Options(float32=True, alpha="rendered", precision="fp32"))
-                frames = [layers(path, "RGBA") for path in sorted(Path(out).glob("*.exr"))][1:]
+                frames = frames_of(Path(out), "RGBA")[1:]
             smooth = [(picture, denoise_alpha(alpha, picture)) for picture, alpha in frames]
             ideal = [(picture, best) for (picture, _), (_, best) in zip(frames, truth, strict=True)]
             for name, found in (("as rendered", frames), ("denoised", smooth), ("the reference's", ideal)):
@@ -53,6 +53,11 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
                 rows.append(row | {str(plate): over(plate, found, truth) for plate in PLATES})
                 print(rows[-1], flush=True)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+
+
+def frames_of(folder: Path, names: list[str] | str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """`layers` of each frame in a folder."""
+    return [layers(path, names) for path in sorted(folder.glob("*.exr"))]
 
 
 def layers(path: Path, names: list[str] | str) -> tuple[np.ndarray, np.ndarray]:

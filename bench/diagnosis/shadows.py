@@ -25,7 +25,7 @@ import numpy as np
 import torch
 import tyro
 
-from bench.diagnosis.alpha import CYCLES, layers, over
+from bench.diagnosis.alpha import CYCLES, frames_of, over
 from rtdenoise.baselines import Oidn
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.run.denoise import denoise
@@ -53,10 +53,6 @@ def main(shot: tyro.conf.Positional[Path]) -> None:
             rows.append({"samples": samples, "alpha": name, "psnr": over(PLATE, found[name][1:], truth[1:])})
             print(rows[-1], flush=True)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
-
-
-def frames_of(folder: Path, names: list[str] | str) -> list[tuple[np.ndarray, np.ndarray]]:
-    return [layers(path, names) for path in sorted(folder.glob("*.exr"))]
 
 
 def of_oidn(noisy: Path) -> list[np.ndarray]:

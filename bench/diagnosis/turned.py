@@ -95,17 +95,17 @@ def with_references(folder: Path, signal: str) -> list[Frame]:
 def paired(noisy: Sequence, references: Path | str) -> list[Frame]:
     """Sanitised frames with references; with halves of them, so that errors are corrected, where a folder of the same
     name and "-2" has them with other noise, of fewer samples or as many."""
-    truths, others = open_sequence(references), Path(f"{references}-2")
-    if not others.is_dir():
-        pairs = zip(noisy, truths, strict=True)
-        return [replace(sanitise(frame), reference=truth.radiance) for frame, truth in pairs]
-    others = open_sequence(others)
-    n, m = truths.header.samples, others.header.samples
+    truths, beside = open_sequence(references), Path(f"{references}-2")
+    others = open_sequence(beside) if beside.is_dir() else None
     found = []
-    for frame, one, other in zip(noisy, truths, others, strict=True):
-        mean = (n * one.radiance + m * other.radiance) / (n + m)
-        apart = math.sqrt(n * m) / (n + m) * (one.radiance - other.radiance)  # as two halves of all samples would be
-        found.append(replace(sanitise(frame), reference=mean, reference_half=mean + apart))
+    for i, (frame, truth) in enumerate(zip(noisy, truths, strict=True)):
+        known = {"reference": truth.radiance}
+        if others is not None:
+            n, m, other = truths.header.samples, others.header.samples, others[i].radiance
+            mean = (n * truth.radiance + m * other) / (n + m)
+            apart = math.sqrt(n * m) / (n + m) * (truth.radiance - other)  # as two halves of all samples would be
+            known = {"reference": mean, "reference_half": mean + apart}
+        found.append(replace(sanitise(frame), **known))
     return found
 
 

@@ -58,15 +58,15 @@ def denoise(
     """
     _check(options)
     in_passes, picture = bool(options.lights or options.also), None
-    shadows = options.offline and not in_passes and _casts_shadows(source, options)
-    if options.offline and (in_passes or (shadows and not _is_final(options))):
+    channel = _shadows_in(source, options) if options.offline and not in_passes else None  # None: not looked for yet
+    if options.offline and (in_passes or (channel and not _is_final(options))):
         picture = Picture(source, Path(out), options, overwrite, on_frame)
         options, on_frame = picture.options_of_light, picture.on_frame_of_light
     elif options.offline:
         from .offline import denoise_offline
 
         summary = denoise_offline(source, out, options, overwrite, on_frame)
-        summary.notes += [LEFT.format(f"--offline with {_is_final(options)}")] if shadows else []
+        summary.notes += [LEFT.format(f"--offline with {_is_final(options)}")] if channel else []
         return summary
     reads = () if options.model == AUTO else read_config(options.model).reads
     layers = (*reads, *(["samples"] if options.correct else []))
@@ -83,7 +83,8 @@ def denoise(
     )
     notes += told_of_samples(sequence, options.samples)
     notes += told_of_missing(sequence, backend.config.motion is not None, source)
-    shadows, told = open_shadows(find_shadows(sequence, options), options, backend)
+    channel = find_shadows(sequence, options) if channel is None else channel
+    shadows, told = open_shadows(channel, options, backend)
     notes += told
     write = partial(write_frame, **of_output(options))
     read = _read
@@ -174,10 +175,10 @@ def _run(
     return summary
 
 
-def _casts_shadows(source: str, options: Options) -> bool:
-    """Whether alpha holds shadows."""
+def _shadows_in(source: str, options: Options) -> str:
+    """As `find_shadows`, before it is known how the sequence is read."""
     chosen = {name: getattr(options, name) for name in ("signal", "preset", "allow_gaps")}
-    return bool(find_shadows(open_sequence(source, **chosen), options))
+    return find_shadows(open_sequence(source, **chosen), options)
 
 
 def _is_final(options: Options) -> str:
