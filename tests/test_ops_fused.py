@@ -381,17 +381,17 @@ def test_convolve_bytes_that_enlarges(both, size, dtype, below, beside, outputs)
     assert plain.shape == (2, outputs, 2 * H, 2 * W) and torch.equal(plain, fused)
 
 
-@pytest.mark.parametrize("lanes", [8, 4])
+@pytest.mark.parametrize("has", [{"LANES": 8}, {"LANES": 4}, {"LANES": 4, "EMULATED": 1}, {"EMULATED": 1}], ids=str)
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.bfloat16], ids=str)
-@pytest.mark.parametrize("outputs", [24, 48, 13])
-def test_convolve_bytes_on_other_cpus(both, monkeypatch, lanes, dtype, outputs):
-    """With vectors of 256 bits, where this one has their instructions, and without any for products of bytes."""
-    less = functools.partial(compiler.library, LANES=lanes)
-    monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.library", less)
-    x, coarse, bias = some_bytes(1, 16, 6, 14), some_bytes(1, 8, 3, 7), 50 * torch.randn(4, outputs)
-    weights = [packed([whole_weights(outputs, 8, 2, 2), whole_weights(outputs, 16, 3, 3)]) for _ in range(4)]
+@pytest.mark.parametrize(("channels", "outputs"), [(16, 24), (16, 48), (36, 13)])
+def test_convolve_bytes_on_other_cpus(both, monkeypatch, has, dtype, channels, outputs):
+    """With vectors of 256 bits, where this one has their instructions; without any for products of bytes; with tiles."""
+    other = functools.partial(compiler.library, **has)
+    monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.library", other)
+    x, coarse, bias = some_bytes(1, channels, 4, 70), some_bytes(1, 8, 2, 35), 50 * torch.randn(4, outputs)
+    weights = [packed([whole_weights(outputs, 8, 2, 2), whole_weights(outputs, channels, 3, 3)]) for _ in range(4)]
     factor = torch.rand(4, outputs) * 2e-3
-    alone = x, packed([whole_weights(outputs, 16, 3, 3)])[None], factor[:1], bias[:1], None
+    alone = x, packed([whole_weights(outputs, channels, 3, 3)])[None], factor[:1], bias[:1], None
     for arguments in (alone, (x, torch.stack(weights), factor, bias, coarse)):
         plain, fused = both(lambda *tensors: convolve_bytes(*tensors, dtype), *arguments)
         assert torch.equal(plain, fused)

@@ -51,11 +51,11 @@ def resolve(precision: str, device: str | torch.device) -> torch.dtype:
 
 
 def takes_bytes(precision: str, device: str | torch.device) -> bool:
-    """Whether a network that can computes in bytes: with 'int8', and with 'auto' on CPUs that multiply bytes faster
-    than anything else (`multiplies_bytes`; AMX multiplies bfloat16 faster)."""
+    """Whether a network that can computes in bytes: with 'int8', and with 'auto' on CPUs that multiply them
+    (`multiplies_bytes`)."""
     if precision != "auto":
         return precision == INT8
-    return torch.device(device).type == "cpu" and not _has("amx_tile") and multiplies_bytes()
+    return torch.device(device).type == "cpu" and multiplies_bytes()
 
 
 def automatic(device: str | torch.device) -> str:
