@@ -70,9 +70,17 @@ static inline void transpose(row r[WORDS]) {
     }
 }
 
-// The words of pixels at[0 ... n) of a kept frame; those of its first pixel up to a multiple of WORDS.
-static inline void fetch(const uint32_t *kept, int64_t plane, int words, int n, const int *at, uint32_t (*pixels)[PART]) {
+// Bring PART pixels of a kept frame near: paths of a row to come lead there where motion is even.
+static inline void ahead(const uint32_t *kept, int words, int64_t at) {
+    for (int i = 0; i < words; i++) __builtin_prefetch(kept + at * words + i * PART);
+}
+
+// The words of pixels at[0 ... n) of a kept frame; those of its first pixel up to a multiple of WORDS. `beyond`: from a pixel to
+// the one that a row to come needs. All of a block at once: what was just written in halves of a vector is slow to read.
+static inline void fetch(const uint32_t *kept, int64_t plane, int words, int n, const int *at, int64_t beyond,
+                         uint32_t (*pixels)[BLOCK]) {
     for (int x = 0; x < n; x += WORDS) {
+        if (x % PART == 0) ahead(kept, words, at[x] + beyond);
         row rows[WORDS];
         for (int i = 0; i < WORDS; i++) {
             int64_t from = x + i < n ? (int64_t)at[x + i] * words : 0;
@@ -84,16 +92,11 @@ static inline void fetch(const uint32_t *kept, int64_t plane, int words, int n, 
     }
 }
 
-// Bring PART pixels of a kept frame near: paths of a row to come lead there where motion is even.
-static inline void ahead(const uint32_t *kept, int words, int64_t at) {
-    for (int i = 0; i < words; i++) __builtin_prefetch(kept + at * words + i * PART);
-}
-
-// Read pixels of a kept frame for n pixels of this one from `first` on, whose paths are those from `p` on: light, whether they
-// are the same surface, and the path beyond.
-static inline void read(Job j, uint32_t (*pixels)[PART], int64_t first, int n, const int *inside, Paths *paths, int p,
+// Read pixels of a kept frame for n pixels of this one from `first` on: light, whether they are the same surface, and the path
+// beyond.
+static inline void read(Job j, uint32_t (*pixels)[BLOCK], int64_t first, int n, const int *inside, Paths *paths,
                         uint32_t *found) {
-    float *mx = paths->mx + p, *my = paths->my + p, *s = paths->s + p;
+    float *mx = paths->mx, *my = paths->my, *s = paths->s;
     int64_t plane = j.plane;
 #pragma omp simd
     for (int x = 0; x < n; x++) {
@@ -169,17 +172,11 @@ static inline void look(Job j, int y) {
     for (int x = 0; x < n; x++) p.s[x] = 1;
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
-        uint32_t *found = found_of(j, y / CELL, k) + y % CELL * BLOCK;
+        uint32_t pixels[WORDS][BLOCK];
         places(j, y, from, n, &p, at, inside);
-        for (int part = 0; part < n; part += PART) {
-            int size = MIN(PART, n - part);
-            uint32_t pixels[WORDS][PART];
-            ahead(j.kept[k], j.words, at[part] + 2 * (int64_t)j.W);
-            if (j.words == WORDS && size == PART) fetch(j.kept[k], j.plane, WORDS, PART, at + part, pixels);
-            else fetch(j.kept[k], j.plane, j.words, size, at + part, pixels);
-            if (size == PART) read(j, pixels, first + part, PART, inside + part, &p, part, found + part);
-            else read(j, pixels, first + part, size, inside + part, &p, part, found + part);
-        }
+        if (j.words == WORDS) fetch(j.kept[k], j.plane, WORDS, n, at, 2 * (int64_t)j.W, pixels);
+        else fetch(j.kept[k], j.plane, LESS, n, at, 2 * (int64_t)j.W, pixels);
+        read(j, pixels, first, n, inside, &p, found_of(j, y / CELL, k) + y % CELL * BLOCK);
     }
 }
 
@@ -269,13 +266,12 @@ static inline void surroundings(Job j, int y, int from, int n, Surroundings *s) 
     }
 }
 
-// Add to n sums what pixels of a kept frame hold, for footprints of pixels from `p` on of a block, and go on along their
-// paths. `nearest`: the least distance of what belongs to each pixel, `least` and `greatest`: depths of what is scattered there;
+// Add to n sums what pixels of a kept frame hold, for footprints of the pixels of a block, and go on along their paths. `nearest`: the least distance of what belongs to each pixel, `least` and `greatest`: depths of what is scattered there;
 // the first two are NaN where nothing belongs to it.
-static inline void see(Job j, uint32_t (*pixels)[PART], int n, const int *inside, Paths *paths, int p,
+static inline void see(Job j, uint32_t (*pixels)[BLOCK], int n, const int *inside, Paths *paths,
                        const Surroundings *around, const float *nearest, const float *least, const float *greatest,
                        const float *weight, float sum[][BLOCK]) {
-    float *mx = paths->mx + p, *my = paths->my + p, *s = paths->s + p;
+    float *mx = paths->mx, *my = paths->my, *s = paths->s;
 #pragma omp simd
     for (int x = 0; x < n; x++) {
         int in = inside[x], beside = 0;
@@ -285,28 +281,28 @@ static inline void see(Job j, uint32_t (*pixels)[PART], int n, const int *inside
         Surface its = surface(high(words[1]), low(words[2]), high(words[2]), low(words[3]));
 #pragma GCC unroll 5
         for (int i = 0; i < 5; i++) {
-            int row = (int[]){1, 0, 1, 1, 2}[i], column = p + x + (int[]){1, 1, 0, 2, 1}[i];
+            int row = (int[]){1, 0, 1, 1, 2}[i], column = x + (int[]){1, 1, 0, 2, 1}[i];
             Surface here = {around->depth[row][column], around->x[row][column], around->y[row][column], around->z[row][column],
                             around->square[row][column]};
             beside |= alike(here, its, j.depth_tolerance, j.normal_tolerance);
         }
-        beside &= distance(its.depth) >= nearest[p + x];
-        beside |= (its.depth >= least[p + x]) & (its.depth <= greatest[p + x]);
+        beside &= distance(its.depth) >= nearest[x];
+        beside |= (its.depth >= least[x]) & (its.depth <= greatest[x]);
         beside &= in;
         float cover_x = covered(mx[x]), cover_y = covered(my[x]);
         float off = (1 - cover_x) * (1 - cover_x) + (1 - cover_y) * (1 - cover_y);
-        float w = beside ? weight[p + x] * (s[x] * cover_x * cover_y) / (1 + j.misplaced * off) : 0;
+        float w = beside ? weight[x] * (s[x] * cover_x * cover_y) / (1 + j.misplaced * off) : 0;
         float albedo[3] = {low(words[5]), high(words[5]), low(words[6])};
         float light[3] = {low(words[0]), high(words[0]), low(words[1])};
 #pragma GCC unroll 3
         for (int c = 0; c < 3; c++) {
-            sum[c][p + x] += w * light[c] * (its.depth > 0 ? albedo[c] + (float)GLOSS : 1);
-            sum[3 + c][p + x] += w * albedo[c];
+            sum[c][x] += w * light[c] * (its.depth > 0 ? albedo[c] + (float)GLOSS : 1);
+            sum[3 + c][x] += w * albedo[c];
         }
-        sum[6][p + x] += w * its.x;
-        sum[7][p + x] += w * its.y;
-        sum[8][p + x] += w * its.z;
-        sum[9][p + x] += w;
+        sum[6][x] += w * its.x;
+        sum[7][x] += w * its.y;
+        sum[8][x] += w * its.z;
+        sum[9][x] += w;
         s[x] *= 1 - high(words[3]);
         mx[x] = in ? mx[x] + high(words[6]) : FAR_AWAY;
         my[x] = in ? my[x] + low(words[7]) : FAR_AWAY;
@@ -329,19 +325,10 @@ static inline void footprints(Job j, int y, int from, int n, float weight[][BLOC
     }
     for (int k = 0; k < j.K; k++) {
         int at[BLOCK], inside[BLOCK];
+        uint32_t pixels[WORDS][BLOCK];
         places(j, y, from, n, &paths, at, inside);
-        for (int part = 0; part < n; part += PART) {
-            int size = MIN(PART, n - part);
-            uint32_t pixels[WORDS][PART];
-            ahead(j.kept[k], WORDS, at[part] + (int64_t)j.W);
-            if (size == PART) {
-                fetch(j.kept[k], j.plane, WORDS, PART, at + part, pixels);
-                see(j, pixels, PART, inside + part, &paths, part, &around, nearest, least, greatest, weight[k], sum);
-            } else {
-                fetch(j.kept[k], j.plane, WORDS, size, at + part, pixels);
-                see(j, pixels, size, inside + part, &paths, part, &around, nearest, least, greatest, weight[k], sum);
-            }
-        }
+        fetch(j.kept[k], j.plane, WORDS, n, at, j.W, pixels);
+        see(j, pixels, n, inside, &paths, &around, nearest, least, greatest, weight[k], sum);
     }
     divide(sum, SUMMED, j.footprint, j.footprint_count, j.plane, first, n);
 }
