@@ -140,12 +140,12 @@ def test_bytes_that_do_not_fit_are_refused(change, message):
 
 def test_features_have_their_channels():
     light, albedo, normal = inputs(4, 6)
-    light[..., 0, 0], normal = 1e9, as_color(normal)
+    light[..., 0, 0] = 1e9
     x = feature_bytes(light, albedo, normal).double()
     assert x.shape == (1, CHANNELS, 4, 6) and (x[:, :6, 0, 0] == 255).all()
     compressed = (1 + light).log().clamp(max=510 / 40)
     torch.testing.assert_close((x[:, :3] + x[:, 3:6]) / 40, compressed.double(), rtol=0, atol=0.51 / 40)
-    surfaces = torch.cat([albedo, normal], dim=1).double()
+    surfaces = torch.cat([albedo, as_color(normal)], dim=1).double()
     torch.testing.assert_close(x[:, 6:] / 255, surfaces, rtol=0, atol=0.51 / 255)
 
 

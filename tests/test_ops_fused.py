@@ -30,6 +30,7 @@ from rtdenoise.ops.native import compiler
 from rtdenoise.ops.replace_invalid import replace_invalid
 from rtdenoise.ops.scattered import scattered
 from rtdenoise.ops.shares import shares
+from rtdenoise.ops.to_bytes import to_bytes
 from rtdenoise.ops.to_planes import to_planes
 from rtdenoise.ops.turned import turned
 from rtdenoise.ops.window_noise import window_noise
@@ -240,7 +241,7 @@ def test_running_means_are_tested_alike(both, assert_images_close, size):
 
 
 @pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)
-@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("backend", ["native", "triton"], indirect=True)
 def test_light_is_evened_alike(both, assert_images_close, size):
     """Of one frame, of one to two, and of many; and where one frame is in all pixels around."""
     light, image = torch.rand(2, 2, 3, *size).unbind()
@@ -253,7 +254,7 @@ def test_light_is_evened_alike(both, assert_images_close, size):
 
 
 @pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)
-@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("backend", ["native", "triton"], indirect=True)
 def test_the_frame_tells_alike(both, assert_images_close, size):
     held = torch.rand(2, 1, *size) < 0.99
     held[1], held[0, 0, -1, -1] = False, True
@@ -349,6 +350,16 @@ def test_to_planes(both, backend, assert_images_close, monkeypatch, size, dtypes
     assert_images_close(fused, plain, "float32")
 
 
+@pytest.mark.parametrize(("channels", "planes", "size"), [(32, 3, (4, 40)), (64, 1, (1, 34)), (96, 4, (3, 18))], ids=str)
+def test_to_planes_with_tiles(both, assert_images_close, monkeypatch, channels, planes, size):
+    other = functools.partial(compiler.library, EMULATED=1)
+    monkeypatch.setattr("rtdenoise.ops.native.to_planes.library", other)
+    x = torch.randn(1, channels, *size).bfloat16().to(memory_format=torch.channels_last)
+    weight, bias = torch.randn(planes, channels, 3, 3).bfloat16(), torch.randn(planes).bfloat16()
+    plain, fused = both(lambda *given: to_planes(*given), x, weight, bias)
+    assert (fused - plain).abs().max() < 1e-5 * plain.abs().max()
+
+
 def some_bytes(*shape):
     return torch.randint(0, 256, shape, dtype=torch.uint8).to(memory_format=torch.channels_last)
 
@@ -416,15 +427,32 @@ def test_feature_bytes(both, size):
     assert (plain != fused).float().mean() < 1e-3  # light at the edge of two steps
 
 
-@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("backend", ["native", "triton"], indirect=True)
 @pytest.mark.parametrize("size", [(2, 2), (4, 90), (6, 10)], ids=str)
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
 def test_max_pool(both, size, dtype):
     x = torch.randn(2, 24, *size).to(dtype).to(memory_format=torch.channels_last)
-    x[0, 3, 1, 0] = math.nan
+    x[0, 3, 1, 0], x[1, 5, 0, 0], x[1, 6, 0, 1] = math.nan, -math.inf, math.inf
     plain, fused = both(max_pool, x)
     assert fused.dtype == dtype and fused.is_contiguous(memory_format=torch.channels_last)
     assert torch.equal(fused.nan_to_num(7), plain.nan_to_num(7)) and fused[0, 3, 0, 0].isnan()
+
+
+@pytest.mark.parametrize("size", [(2, 2), (4, 90)], ids=str)
+def test_max_pool_of_bytes(both, size):
+    plain, fused = both(max_pool, some_bytes(2, 24, *size))
+    assert torch.equal(plain, fused) and fused.is_contiguous(memory_format=torch.channels_last)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16], ids=str)
+@pytest.mark.parametrize("size", [(1, 1), (5, 7), (24, 12)], ids=str)
+def test_to_bytes(both, size, dtype):
+    x = (300 * torch.rand(2, 24, *size)).to(dtype).to(memory_format=torch.channels_last)
+    x[0, 3, 0, 0], scale = 1e30, torch.rand(24, 1, 1).to(dtype)
+    plain, fused = both(to_bytes, x, scale)
+    assert plain.stride() == fused.stride() and (plain.int() - fused.int()).abs().max() <= 1
+    assert (plain != fused).float().mean() < 1e-3 and fused[0, 3, 0, 0] == 255
+    assert torch.equal(*both(to_bytes, x, torch.ones_like(scale)))
 
 
 def test_to_planes_falls_back():

@@ -23,7 +23,7 @@ from rtdenoise.files import write_atomically
 from rtdenoise.models import Denoiser, read
 from rtdenoise.models.bytes_layout import INPUT, PIXELS, UNET, Picture, layout, made_for, shapes
 from rtdenoise.models.in_bytes import WHOLE, phases
-from rtdenoise.models.pixel_network import PixelNetwork, as_color
+from rtdenoise.models.pixel_network import PixelNetwork
 from rtdenoise.models.weights import find
 from rtdenoise.ops.convolve_bytes import packed
 from rtdenoise.ops.feature_bytes import CHANNELS, LIGHT, SURFACE, feature_bytes
@@ -106,7 +106,7 @@ class Seen:
         lit, albedo, normal = inputs
         if network.surfaces:
             albedo, normal = network.clean(albedo, normal)
-        self.given = feature_bytes(lit, albedo, as_color(normal)).float()
+        self.given = feature_bytes(lit, albedo, normal).float()
 
     def _measure(self, name: str, x: Tensor) -> None:
         most = x[0].flatten(1).topk(1 + int(RARE * x.shape[2] * x.shape[3])).values[:, -1].clamp(min=1e-3)

@@ -65,7 +65,8 @@ class Heads:
         """With so much less of history, `[B, 1, H, W]` in [0, 1]: of light, and of the denoised picture."""
         if share is None:
             return self
-        alpha, reset = (x + (1 - x) * share for x in (self.alpha_temporal, self.reset))
+        one = share.new_ones(())
+        alpha, reset = (torch.lerp(x, one, share) for x in (self.alpha_temporal, self.reset))
         return replace(self, alpha_temporal=alpha, reset=reset)
 
 

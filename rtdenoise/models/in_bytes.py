@@ -20,11 +20,12 @@ from torch.nn import functional as F
 from ..ops.convolve_bytes import QUAD, convolve_bytes, packed
 from ..ops.feature_bytes import SURFACE, feature_bytes
 from ..ops.features import filled
+from ..ops.to_bytes import to_bytes
 from .bytes_layout import INPUT, PIXELS, UNET, Layer, Picture, layout
 from .config import AccumulatedKPNConfig
 from .hybrid_config import HybridConfig
 from .inference import enlarging
-from .pixel_network import PixelNetwork, PixelUNet, as_color
+from .pixel_network import PixelNetwork, PixelUNet
 from .unet import UNet
 
 WHOLE = 127  # the greatest weight
@@ -84,7 +85,7 @@ class PixelNetworkInBytes(PixelUNetInBytes, PixelNetwork):
 
     def input(self, lit: Tensor, albedo: Tensor, normal: Tensor) -> Tensor:
         """As that of `PixelNetwork`, in bytes."""
-        return feature_bytes(lit, albedo, as_color(normal))
+        return feature_bytes(lit, albedo, normal)
 
 
 def _convolutions(network: nn.Module, prefix: str, layers: dict[str, Layer], stored: Stored) -> dict[str, Convolution]:
@@ -121,10 +122,7 @@ class ToBytes(nn.Module):
         self.register_buffer("scale", 1 / step.view(-1, 1, 1), persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        # What is below the point is cut off. A whole number and a half is none in bfloat16 from 128 on: rounded to the
-        # next one, it would be one too many.
-        x = torch.addcmul(x.new_tensor(0.498), x, self.scale.to(x.dtype))
-        return x.clamp_(max=255).to(torch.uint8, memory_format=torch.channels_last)
+        return to_bytes(x, self.scale.to(x.dtype))
 
 
 class Convolution(nn.Module):

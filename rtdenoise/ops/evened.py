@@ -10,8 +10,10 @@ from ..constants import MIX_SEEN_ONCE
 from .around import greatest_around
 from .dispatch import Fused, Support, falls_back
 
-EVENED = Fused("evened", triton=Support(max_channels=8, channels={"count": (1,), "image": (0,), "trust": (1,)}))
-TOLD = Fused("evened.held_and_tells", triton=Support(max_channels=1, bytes=("flags",)))
+IMAGES = {"light": (3,), "count": (1,), "image": (3,), "trust": (1,)}
+FLAGS = Support(max_channels=1, bytes=("flags",))
+EVENED = Fused("evened", native=Support(channels=IMAGES), triton=Support(channels=IMAGES))
+TOLD = Fused("evened.held_and_tells", native=FLAGS, triton=FLAGS)
 
 
 @falls_back

@@ -17,9 +17,9 @@ CHANNELS = 12  # of the result
 def feature_bytes(
     light: Tensor,  # [B, 3, H, W] linear, ≥ 0
     albedo: Tensor,  # [B, 3, H, W] in [0, 1]
-    normal: Tensor,  # [B, 3, H, W] in [0, 1]: half of it and 0.5
+    normal: Tensor,  # [B, 3, H, W] in [-1, 1]
 ) -> Tensor:  # [B, CHANNELS, H, W] uint8, channels last
-    """Whole steps of log(1 + light), of albedo and of normal, by channels:
+    """Whole steps of log(1 + light), of albedo and of half a normal and 0.5, by channels:
 
         0-2    light, at most 255 steps
         3-5    the steps of light beyond
@@ -32,5 +32,5 @@ def feature_bytes(
     if run := FUSED(layers=layers):
         return run(*layers)
     steps = (compress(light) * LIGHT).round()
-    parts = torch.cat([steps, steps - 255, *((x * SURFACE).round() for x in (albedo, normal))], dim=1)
+    parts = torch.cat([steps, steps - 255, *((x * SURFACE).round() for x in (albedo, 0.5 * normal + 0.5))], dim=1)
     return parts.clamp(0, 255).to(torch.uint8, memory_format=torch.channels_last)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("max_pool", triton=Support(halves=("x",), channels_last=True))
+SUPPORT = Support(halves=("x",), channels_last=True)
+FUSED = Fused("max_pool", native=replace(SUPPORT, bytes=("whole",)), triton=SUPPORT)
 
 
 @falls_back
@@ -19,7 +22,8 @@ def max_pool(x: Tensor) -> Tensor:
     if x.requires_grad:
         return F.max_pool2d(x, 2)
     even = x.shape[2] % 2 == x.shape[3] % 2 == 0  # torch says what does not fit
-    if even and x.is_contiguous(memory_format=torch.channels_last) and (run := FUSED(x=x)):
+    given = {"whole" if x.dtype is torch.uint8 else "x": x}
+    if even and x.is_contiguous(memory_format=torch.channels_last) and (run := FUSED(**given)):
         return run(x)
     x = torch.maximum(x[:, :, 0::2], x[:, :, 1::2])
     return torch.maximum(x[..., 0::2], x[..., 1::2])

@@ -3,16 +3,16 @@
 // EMULATED may be given, for code of CPUs that have tiles.
 #include <stdlib.h>
 #include "common.h"
-
-#include "byte_vectors.h"
 #if EMULATED || defined __AMX_INT8__ && defined __linux__ && !defined LANES
 #define TILES 1
+#include "tiles.h"
 #endif
+#include "byte_vectors.h"
 
 #define PARTS 2                // vectors of outputs at once
 #define BLOCK (PARTS * LANES)  // outputs
 #if TILES
-#define SPAN (4 * 16 + 2)  // pixels of a row that a block reads at most
+#define SPAN (4 * TILE + 2)  // pixels of a row that a block reads at most
 #else
 #define SPAN (2 * PIXELS + 1)
 #endif
@@ -108,7 +108,7 @@ static inline __attribute__((always_inline)) void convolved(Row r, int parts) {
 }
 
 #if TILES
-#include "tiles.h"
+#include "convolve_tiles.h"
 #endif
 
 // x is `beside`, a picture of the result's size; where `below` has taps, its weights come first. weight [phases, quads, stored,

@@ -25,7 +25,7 @@ void feature_bytes(const float *const *planes, uint32_t *out, int64_t pixels, in
                 steps[c][x] = rintf(log1p_positive(light[x]) * LIGHT);
                 steps[3 + c][x] = steps[c][x] - 255;
                 steps[6 + c][x] = rintf(albedo[x] * SURFACE);
-                steps[9 + c][x] = rintf(normal[x] * SURFACE);
+                steps[9 + c][x] = rintf((0.5f * normal[x] + 0.5f) * SURFACE);
             }
         }
         for (int w = 0; w < WORDS; w++)

@@ -1,30 +1,42 @@
-// Registers of 16 rows of 64 bytes (AMX) for the products of convolve_bytes.c. Pixels are the rows of one factor, of 64
-// bytes of a window each; four inputs at a time those of the other one, for TILE outputs; sums are int32. EMULATED does the
-// same with memory, for tests on other CPUs.
+// Registers of TILE rows of DEEP bytes (AMX), in which one instruction multiplies matrices: bytes in groups of four, or bfloat16
+// in pairs, whose products are summed to int32 or float32. EMULATED does the same with memory, for tests on other CPUs.
 #define TILE 16
-#define DEEP 64  // bytes of a pixel's window that a product takes
+#define DEEP 64
 
 #if EMULATED
-static _Thread_local union { uint8_t u[TILE][DEEP]; int8_t s[TILE][DEEP]; int32_t sum[TILE][TILE]; } tile[8];
+typedef union {
+    uint8_t u[TILE][DEEP];
+    int8_t s[TILE][DEEP];
+    uint16_t half[TILE][DEEP / 2];
+    int32_t whole[TILE][TILE];
+    float number[TILE][TILE];
+} Tile;
+static _Thread_local Tile tile[8];
 #define TILE_ZERO(t) memset(tile + t, 0, sizeof *tile)
 #define TILE_LOAD(t, from, stride) \
-    for (int row = 0; row < TILE; row++) memcpy(tile[t].u[row], (const uint8_t *)(from) + (int64_t)row * (stride), DEEP)
+    for (int row = 0; row < TILE; row++) memcpy(tile[t].u[row], (const uint8_t *)(from) + row * (int64_t)(stride), DEEP)
 #define TILE_STORE(t, to, stride) \
-    for (int row = 0; row < TILE; row++) memcpy((uint8_t *)(to) + (int64_t)row * (stride), tile[t].sum[row], DEEP)
-#define TILE_PRODUCTS(t, x, w) \
+    for (int row = 0; row < TILE; row++) memcpy((uint8_t *)(to) + row * (int64_t)(stride), tile[t].u[row], DEEP)
+#define EACH_SUM(products) \
     for (int p = 0; p < TILE; p++) \
         for (int o = 0; o < TILE; o++) \
-            for (int c = 0; c < DEEP; c++) tile[t].sum[p][o] += tile[x].u[p][c] * tile[w].s[c / 4][o * 4 + c % 4]
+            for (int c = 0; c < products; c++)
+#define TILE_PRODUCTS(t, x, w) EACH_SUM(DEEP) tile[t].whole[p][o] += tile[x].u[p][c] * tile[w].s[c / 4][o * 4 + c % 4]
+#define TILE_HALF_PRODUCTS(t, x, w) \
+    EACH_SUM(DEEP / 2) tile[t].number[p][o] += from_bits((uint32_t)tile[x].half[p][c] << 16) \
+                                             * from_bits((uint32_t)tile[w].half[c / 2][o * 2 + c % 2] << 16)
 static int tiles_allowed(void) { return 1; }
 static void tiles_begin(void) {}
 static void tiles_end(void) {}
 #else
+#include <immintrin.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 #define TILE_ZERO _tile_zero
 #define TILE_LOAD _tile_loadd
 #define TILE_STORE _tile_stored
 #define TILE_PRODUCTS _tile_dpbusd  // the first factor unsigned, the second signed
+#define TILE_HALF_PRODUCTS _tile_dpbf16ps
 
 // Linux gives a process the registers when it asks.
 static int tiles_allowed(void) {
@@ -40,80 +52,3 @@ static void tiles_begin(void) {
 }
 static void tiles_end(void) { _tile_release(); }
 #endif
-
-static int tiles_across(const source *s) { return (s->taps * s->channels + DEEP - 1) / DEEP; }
-
-// The weights as tiles, those of TILE outputs of a phase after each other; NULL where there is no memory. What a row of a window
-// lacks to whole tiles has weights of zero.
-static int8_t *in_tiles(const source *const *sources, const int8_t *weight, int phases, int quads, int stored) {
-    int tiles = 0;
-    for (int k = 0; k < 2; k++) tiles += sources[k]->taps * tiles_across(sources[k]);
-    int8_t *all = aligned_alloc(DEEP, (size_t)phases * (stored / TILE) * tiles * TILE * DEEP), *to = all;
-    for (int phase = 0; all && phase < phases; phase++)
-        for (int first = 0; first < stored; first += TILE) {
-            const int8_t *from = weight + ((int64_t)phase * quads * stored + first) * 4;
-            for (int k = 0; k < 2; k++)
-                for (int v = 0; v < sources[k]->taps; v++)
-                    for (int q = 0; q < tiles_across(sources[k]) * TILE; q++, to += DEEP)
-                        if (q < sources[k]->taps * sources[k]->channels / 4) memcpy(to, from, DEEP), from += stored * 4;
-                        else memset(to, 0, DEEP);
-        }
-    return all;
-}
-
-// Add a source's products to the sums of TILE or 2·TILE pixels, in tiles 0 and 2, and 1 and 3 for outputs from TILE on, whose
-// weights are `further` bytes away; returns the weights after its own.
-static inline const int8_t *
-add_tiles(const source *s, const uint8_t *const *rows, const int8_t *weight, int64_t further, int parts, int wide) {
-    int64_t stride = (int64_t)s->step * s->channels;
-    for (int v = 0; v < s->taps; v++)
-        for (int k = 0; k < tiles_across(s); k++, weight += TILE * DEEP) {
-            const uint8_t *x = rows[v] + k * DEEP;
-            TILE_LOAD(4, x, stride);
-            TILE_LOAD(6, weight, DEEP);
-            TILE_PRODUCTS(0, 4, 6);
-            if (parts > 1) {
-                TILE_LOAD(7, weight + further, DEEP);
-                TILE_PRODUCTS(1, 4, 7);
-            }
-            if (!wide) continue;
-            TILE_LOAD(5, x + TILE * stride, stride);
-            TILE_PRODUCTS(2, 5, 6);
-            if (parts > 1) TILE_PRODUCTS(3, 5, 7);
-        }
-    return weight;
-}
-
-// As `convolved`; the weights are tiles.
-static void convolved_by_tiles(Row r, int64_t further) {
-    int scale = r.below->taps ? 2 : 1, parts = r.many > TILE ? 2 : 1;
-    for (int j = 0; j * scale + r.b < r.W; j += 2 * TILE) {
-        uint8_t space[3][SPAN * MOST];
-        const uint8_t *rows[3];
-        int32_t sums[2][2][TILE][TILE];
-        int wide = (j + TILE) * scale + r.b < r.W, last = (wide ? 2 * TILE : TILE) - 1;
-        const int8_t *w = r.weight;
-        TILE_ZERO(0);
-        TILE_ZERO(1);
-        TILE_ZERO(2);
-        TILE_ZERO(3);
-        for (int k = scale == 1; k < 2; k++) {
-            const source *s = k ? r.beside : r.below;
-            int unread = (DEEP - 1) / s->channels + 1;  // pixels after a window that its last tile holds, too
-            int top = k ? r.i - 1 : r.i / 2 + r.a - 1, left = k ? j * scale + r.b - 1 : j + r.b - 1;
-            window(s, top, left, last * s->step + s->taps + unread, rows, space);
-            w = add_tiles(s, rows, w, further, parts, wide);
-        }
-        TILE_STORE(0, sums[0][0], DEEP);
-        TILE_STORE(1, sums[0][1], DEEP);
-        TILE_STORE(2, sums[1][0], DEEP);
-        TILE_STORE(3, sums[1][1], DEEP);
-        number *to = r.out + (int64_t)(j * scale + r.b) * r.outputs;
-        for (int p = 0; p <= last && (j + p) * scale + r.b < r.W; p++, to += scale * r.outputs)
-            for (int o = 0; o < r.many; o += LANES) {
-                vector sum;
-                memcpy(&sum, sums[p / TILE][o / TILE][p % TILE] + o % TILE, sizeof sum);
-                store(to + o, sum, r.factor + o, r.bias + o, MIN(LANES, r.many - o));
-            }
-    }
-}

@@ -1,7 +1,12 @@
 // A 3×3 convolution of features, channels last, to O planes of float32. The specification is ops/to_planes.py. C is the
 // number of channels, a multiple of SUMS; HALF is 1 for bfloat16 features, 0 for float32; HALF_TAPS is 1 for bfloat16 weights,
-// which go with bfloat16 features only.
+// which go with bfloat16 features only. EMULATED may be given, for code of CPUs that have tiles.
+#include <stdlib.h>
 #include "common.h"
+#if HALF_TAPS && C % 32 == 0 && (EMULATED || defined __AMX_BF16__ && defined __linux__)
+#define TILES 1
+#include "tiles.h"
+#endif
 
 #define SUMS 16  // parts of a sum
 #ifdef __AVX512F__
@@ -84,16 +89,71 @@ pixels(const number *x, const tap *taps, const float *bias, float *out, int H, i
         for (int o = 0; o < O; o++) out[((int64_t)o * H + i) * W + j + p] = bias[o] + total(sums[p][o]);
 }
 
+#if TILES
+#define ACROSS (3 * C / 32)  // tiles of a row of taps
+
+// The taps as tiles, those of a row after each other, with zeros for outputs that are not there; NULL where there is no memory.
+static tap *in_tiles(const tap *taps) {
+    tap *all = aligned_alloc(DEEP, 3 * ACROSS * TILE * DEEP);
+    if (!all) return NULL;
+    memset(all, 0, 3 * ACROSS * TILE * DEEP);
+    for (int k = 0; k < 9; k++)
+        for (int o = 0; o < O; o++)
+            for (int c = 0; c < C; c++) all[(k * C + c) / 2 * DEEP / 2 + o * 2 + c % 2] = taps[(k * O + o) * C + c];
+    return all;
+}
+
+// TILE pixels from (i, j) on, of which none is beside the image; rows v0 … v1 - 1 of the taps, which are tiles.
+static inline void by_tiles(const number *x, const tap *tiles, const float *bias, float *out, int H, int W, int i, int j, int v0,
+                            int v1) {
+    float sums[TILE][TILE];
+    TILE_ZERO(0);
+    for (int v = v0; v < v1; v++)
+        for (int k = 0; k < ACROSS; k++) {
+            TILE_LOAD(1, x + ((int64_t)(i + v - 1) * W + j - 1) * C + k * (DEEP / 2), C * sizeof *x);
+            TILE_LOAD(2, tiles + (v * ACROSS + k) * TILE * (DEEP / 2), DEEP);
+            TILE_HALF_PRODUCTS(0, 1, 2);
+        }
+    TILE_STORE(0, sums, DEEP);
+    for (int o = 0; o < O; o++)
+        for (int p = 0; p < TILE; p++) out[((int64_t)o * H + i) * W + j + p] = bias[o] + sums[p][o];
+}
+#endif
+
 // x [H, W, C]; taps [3, 3, O, C]; out [O, H, W]
 void to_planes(const number *x, const tap *taps, const float *bias, float *out, int H, int W, int threads) {
-#pragma omp parallel for num_threads(threads) schedule(static)
-    for (int i = 0; i < H; i++)
-        for (int j = 0; j < W;)
-            if (i > 0 && i < H - 1 && j > 0 && j + MANY < W) {
-                pixels(x, taps, bias, out, H, W, i, j, MANY, 0, 3, 0, 3);  // all constant: unrolled
-                j += MANY;
-            } else {
-                pixels(x, taps, bias, out, H, W, i, j, 1, i == 0, 3 - (i == H - 1), j == 0, 3 - (j == W - 1));
-                j++;
+#if TILES
+    tap *tiles = tiles_allowed() ? in_tiles(taps) : NULL;
+#endif
+#pragma omp parallel num_threads(threads)
+    {
+#if TILES
+        if (tiles) tiles_begin();
+#endif
+#pragma omp for schedule(static)
+        for (int i = 0; i < H; i++)
+            for (int j = 0; j < W;) {
+                int v0 = i == 0, v1 = 3 - (i == H - 1);
+#if TILES
+                if (tiles && j > 0 && j + TILE < W) {
+                    by_tiles(x, tiles, bias, out, H, W, i, j, v0, v1);
+                    j += TILE;
+                    continue;
+                }
+#endif
+                if (v0 == 0 && v1 == 3 && j > 0 && j + MANY < W) {
+                    pixels(x, taps, bias, out, H, W, i, j, MANY, 0, 3, 0, 3);  // all constant: unrolled
+                    j += MANY;
+                } else {
+                    pixels(x, taps, bias, out, H, W, i, j, 1, v0, v1, j == 0, 3 - (j == W - 1));
+                    j++;
+                }
             }
+#if TILES
+        if (tiles) tiles_end();
+#endif
+    }
+#if TILES
+    free(tiles);
+#endif
 }
