@@ -26,14 +26,14 @@ from bench.latency import methods
 from bench.latency.methods import Method
 from bench.latency.shaders import measurable
 from bench.latency.stages import STAGES, peak_bytes, staged
-from bench.latency.tables import TOTAL, plot, scaling, table
+from bench.latency.tables import TOTAL, plot, scaling, short_table, table
 from rtdenoise import models, ops
 from rtdenoise.baselines.oidn import installed
 from rtdenoise.frame import Frame
 
 RESULT, PAGES = RESULTS / "latency_720p.json", (DOCS / "results" / "performance.md",)
-ON_CUDA = RESULTS / "latency_720p_cuda.json"
-OTHER_RESULTS = (ON_CUDA,)  # with tables on the same pages
+ON_CUDA, ON_AMX = RESULTS / "latency_720p_cuda.json", RESULTS / "latency_720p_amx.json"
+OTHER_RESULTS = (ON_CUDA, ON_AMX)  # with tables on the same pages
 SIZES = {
     "quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
     "4k": (3840, 2160),
@@ -95,7 +95,9 @@ def main(o: Options) -> None:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Sections `latency` and `scaling`, or `latency-cuda` and `scaling-cuda`."""
+    """Sections `latency` and `scaling`, or `latency-cuda` and `scaling-cuda`; of `ON_AMX` totals alone."""
+    if ON_AMX.name in document["command"]:
+        return {"latency-amx": short_table(document, "720p")}
     where = "-cuda" if document["device"] == "cuda" else ""
     return {f"latency{where}": table(document, "720p"), f"scaling{where}": scaling(document["rows"])}
 

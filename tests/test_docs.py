@@ -78,6 +78,8 @@ def test_the_latency_table_is_that_of_the_result(monkeypatch):
     for result in (latency.RESULT, latency.ON_CUDA):
         document = json.loads(result.read_text())
         assert latency.table(document, "720p") in (DOCS / "results" / "performance.md").read_text()
+    document = json.loads(latency.ON_AMX.read_text())
+    assert latency.short_table(document, "720p") in (DOCS / "results" / "performance.md").read_text()
 
 
 def test_every_result_says_where_it_is_from():

@@ -350,7 +350,9 @@ def test_to_planes(both, backend, assert_images_close, monkeypatch, size, dtypes
     assert_images_close(fused, plain, "float32")
 
 
-@pytest.mark.parametrize(("channels", "planes", "size"), [(32, 3, (4, 40)), (64, 1, (1, 34)), (96, 4, (3, 18))], ids=str)
+@pytest.mark.parametrize(
+    ("channels", "planes", "size"), [(32, 3, (4, 40)), (64, 1, (1, 34)), (96, 4, (3, 18))], ids=str
+)
 def test_to_planes_with_tiles(both, assert_images_close, monkeypatch, channels, planes, size):
     other = functools.partial(compiler.library, EMULATED=1)
     monkeypatch.setattr("rtdenoise.ops.native.to_planes.library", other)
@@ -396,7 +398,7 @@ def test_convolve_bytes_that_enlarges(both, size, dtype, below, beside, outputs)
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.bfloat16], ids=str)
 @pytest.mark.parametrize(("channels", "outputs"), [(16, 24), (16, 48), (36, 13)])
 def test_convolve_bytes_on_other_cpus(both, monkeypatch, has, dtype, channels, outputs):
-    """With vectors of 256 bits, where this one has their instructions; without any for products of bytes; with tiles."""
+    """With vectors of 256 bits, where this one has their instructions; without any for products of bytes; by tiles."""
     other = functools.partial(compiler.library, **has)
     monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.library", other)
     x, coarse, bias = some_bytes(1, channels, 4, 70), some_bytes(1, 8, 2, 35), 50 * torch.randn(4, outputs)

@@ -30,6 +30,18 @@ def table(document: dict, size: str) -> str:
     return "\n".join(lines)
 
 
+def short_table(document: dict, size: str) -> str:
+    """Totals at one size, of methods in bfloat16 and in bytes, and of OIDN."""
+    rows = [row for row in document["rows"] if row["size"] == size]
+    base, (W, H) = next(row[TOTAL]["median_ms"] for row in rows if row["method"] == BASE), rows[0]["pixels"]
+    lines = [f"| {W}×{H}, ms | total | against OIDN high |", "|---|---|---|"]
+    for row in rows:
+        if row["method"].split()[-1] not in ("eager", "fp32"):
+            total = _cells(row, base, document["measured_peaks"], 1)[len(STAGES) : len(STAGES) + 2]
+            lines.append(f"| {row['method']} | {' | '.join(total)} |")
+    return "\n".join(lines)
+
+
 def _cells(row: dict, base: float | None, peaks: dict[str, float], places: int) -> list[str]:
     """Stages, total, ratio to `base`, rates of kernels and network relative to `peaks`, memory; milliseconds with so
     many decimal `places`."""

@@ -8,8 +8,8 @@ from torch import Tensor
 from .dispatch import Fused, Support, falls_back
 
 FUSED = Fused("to_bytes", native=Support(halves=("x",), channels_last=True))
-# What is below the point is cut off, so this rounds. A whole number and a half is none in bfloat16 from 128 on: rounded to
-# the next one, it would be one too many.
+# What is below the point is cut off, so this rounds. A whole number and a half is none in bfloat16 from 128 on: rounded
+# to the next one, it would be one too many.
 HALF = 0.498
 
 
