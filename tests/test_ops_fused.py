@@ -394,11 +394,14 @@ def test_convolve_bytes_that_enlarges(both, size, dtype, below, beside, outputs)
     assert plain.shape == (2, outputs, 2 * H, 2 * W) and torch.equal(plain, fused)
 
 
-@pytest.mark.parametrize("has", [{"LANES": 8}, {"LANES": 4}, {"LANES": 4, "EMULATED": 1}, {"EMULATED": 1}], ids=str)
+OTHER_CPUS = [{"LANES": 16}, {"LANES": 8}, {"LANES": 4}, {"LANES": 4, "EMULATED": 1}, {"EMULATED": 1}]
+
+
+@pytest.mark.parametrize("has", OTHER_CPUS, ids=str)
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.bfloat16], ids=str)
 @pytest.mark.parametrize(("channels", "outputs"), [(16, 24), (16, 48), (36, 13)])
 def test_convolve_bytes_on_other_cpus(both, monkeypatch, has, dtype, channels, outputs):
-    """With vectors of 256 bits, where this one has their instructions; without any for products of bytes; by tiles."""
+    """By vectors of 512 and 256 bits, where this one has their instructions, by none, and by tiles."""
     other = functools.partial(compiler.library, **has)
     monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.library", other)
     x, coarse, bias = some_bytes(1, channels, 4, 70), some_bytes(1, 8, 2, 35), 50 * torch.randn(4, outputs)

@@ -1,5 +1,5 @@
-// Vectors of sums of products of bytes, for convolve_bytes.c, and its results. LANES may be given: 8 or 4, for code of CPUs
-// that have less.
+// Vectors of sums of products of bytes, for convolve_bytes.c, and its results. LANES may be given: 16, 8 or 4, for code of
+// CPUs that have less.
 #if HALF
 typedef uint16_t number;
 static inline number result(float y) {  // rounded to nearest, ties to even
@@ -16,7 +16,8 @@ static inline number result(float y) { return (number)rintf(MIN(MAX(y, 0), 255))
 #if defined __AVX512VNNI__ || defined __AVXVNNI__
 #include <immintrin.h>
 #endif
-#if defined __AVX512VNNI__ && !defined LANES
+#if defined __AVX512VNNI__ && (!defined LANES || LANES == 16)
+#undef LANES
 #define LANES 16
 #define PIXELS 12  // times PARTS vectors of sums: they fill the registers
 typedef __m512i vector;
