@@ -39,7 +39,7 @@ def srgb_decode(encoded: Image) -> Image:
 def luminance(rgb: Tensor) -> Tensor:
     """Rec. 709 luminance, `[B, 3, H, W] -> [B, 1, H, W]`."""
     (red, green, blue), (r, g, b) = LUMINANCE_WEIGHTS, rgb.unbind(1)
-    return (red * r).add(g, alpha=green).add(b, alpha=blue).unsqueeze(1)
+    return (red * r + green * g + blue * b).unsqueeze(1)
 
 
 def albedo_divisor(albedo: Tensor, depth: Tensor) -> Tensor:

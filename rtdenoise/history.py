@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .constants import CUT_ALIKE, CUT_AROUND, CUT_UNMOVED, MOVES, SHIFT_CELL
+from .constants import CUT_AROUND, CUT_UNMOVED, MOVES, SHIFT_CELL
 from .data.stored import FOUND, read_history, write_history
 from .errors import InputError
 from .frame import MAX_CUT_MISMATCH, RECENT, SHIFTS, Frame, History
 from .motion import on_screen, same_surface
-from .ops.alike import alike
+from .ops.unlike import unlike
 
 # Must not be mixed across silhouettes.
 NEAREST = ("depth", "normal", "motion_next", "length", "residual_length", "footprint_count")
@@ -46,12 +46,16 @@ def mismatch(frame: Frame, history: History) -> Tensor:
     Where motion is zero in all pixels the picture should stand still. If more than MOVES find another surface, as after
     a render with motion blur, for which Cycles writes zeros, the result is CUT_UNMOVED times the share of those that
     find their surface nowhere around."""
-    seen, usual = on_screen(frame.motion), _unlike_beside(frame)
-    count = seen.sum((1, 2, 3)).clamp(min=1)
-    share = (seen & ~_alike(frame, history)).sum((1, 2, 3)) / count
+    if any(layer is None for layer in (frame.depth, frame.normal, history.depth, history.normal)):
+        return frame.motion.new_zeros(len(frame.motion))  # all that is known is alike
+    (H, W), surfaces = frame.size, (history.depth, history.normal)
+    count, share, usual = unlike(frame.depth, frame.normal, frame.motion, *surfaces).to(frame.motion.dtype).unbind(1)
+    count = count.clamp(min=1)
+    share, usual = share / count, usual / (H * max(1, W - 1))
     found = (share - usual).clamp(min=0) / (1 - usual).clamp(min=1e-6)
     if not (found > MOVES).any():
         return found
+    seen = on_screen(frame.motion)
     unmoved = ~(seen & (frame.motion != 0).any(1, keepdim=True)).flatten(1).any(1) & (found > MOVES)
     if not (unmoved | (found > MAX_CUT_MISMATCH)).any():
         return found
@@ -66,16 +70,6 @@ def _alike(frame: Frame, history: History, offset: Tensor | float = 0.0) -> Tens
     if any(layer is None for layer in (frame.depth, frame.normal, history.depth, history.normal)):
         return torch.ones_like(frame.motion[:, :1], dtype=torch.bool)
     return same_surface(frame.depth, frame.normal, history.depth, history.normal, frame.motion + offset)
-
-
-def _unlike_beside(frame: Frame) -> Tensor:
-    """Share of the pixels that show another surface than the one to their right, and move as it does, `[B]`."""
-    if frame.depth is None or frame.normal is None or frame.size[1] < 2:
-        return frame.motion.new_zeros(len(frame.motion))
-    surface = frame.depth, frame.normal
-    here, right = tuple(x[..., :-1] for x in surface), tuple(x[..., 1:] for x in surface)
-    apart = (frame.motion[..., 1:] - frame.motion[..., :-1]).square().sum(1, keepdim=True)
-    return (~alike(here, right) & (apart < CUT_ALIKE**2)).to(frame.motion.dtype).mean((1, 2, 3))
 
 
 def resize(history: History, size: tuple[int, int]) -> History:

@@ -8,6 +8,7 @@ from torch import Tensor
 from .constants import DEPTH_TOLERANCE, MIN_NORMAL_COSINE
 from .frame import OCCLUSION_THRESHOLD, Frame
 from .ops import alike, fetch
+from .ops.targets import on_screen as on_screen
 
 
 def dual_motion(
@@ -25,14 +26,6 @@ def dual_motion(
     and where nothing was hidden z = x and dual = motion. A target off the screen has no occluder: there dual = motion.
     """
     return torch.where(on_screen(motion), -fetch(motion_next_previous, motion), motion)
-
-
-def on_screen(motion: Tensor) -> Tensor:
-    """Whether p + motion(p) lies on the image, `[B, 1, H, W]` bool. False for a motion that is not finite."""
-    _, _, H, W = motion.shape
-    u = motion[:, 0:1] + torch.arange(W, device=motion.device, dtype=motion.dtype)
-    v = motion[:, 1:2] + torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]
-    return (u >= -0.5) & (u <= W - 0.5) & (v >= -0.5) & (v <= H - 0.5)
 
 
 def occlusion_mask(dual: Tensor, motion: Tensor, threshold: float = OCCLUSION_THRESHOLD) -> Tensor:

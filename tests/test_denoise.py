@@ -88,6 +88,22 @@ def test_an_interrupted_run_goes_on_to_the_same_result(shot, tmp_path, model, mo
     assert denoise(str(shot), tmp_path / "halves", options).written == 0
 
 
+def test_of_large_pictures_an_interrupted_run_repeats_the_frames_since_its_state(shot, tmp_path, model, monkeypatch):
+    """To the same files. A finished run has its state, whatever the time."""
+    options = Options(model=model, float32=True)
+    denoise(str(shot), tmp_path / "whole", options)
+    monkeypatch.setattr("rtdenoise.run.state.LARGE", 0)
+    monkeypatch.setattr("rtdenoise.run.state.PAUSE", 1e9)
+    with pytest.raises(Stop):
+        denoise(str(shot), tmp_path / "halves", options, on_frame=stop_after(2))
+    summary = denoise(str(shot), tmp_path / "halves", options)
+    assert (summary.skipped, summary.written) == (0, 4)
+    for i in range(4):
+        name = f"frame.{i:04d}.exr"
+        assert np.array_equal(pixels(tmp_path / "whole" / name), pixels(tmp_path / "halves" / name)), name
+    assert denoise(str(shot), tmp_path / "halves", options).written == 0
+
+
 def test_appended_frames_continue_a_finished_run(tmp_path, model):
     """As if all frames had been there at once, also beside a scene.json that grows with them."""
 

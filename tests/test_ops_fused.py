@@ -132,14 +132,15 @@ def test_statistics_by_rank(both, assert_images_close, values):
     assert_images_close(fused.nan_to_num(), plain.nan_to_num(), "float32")
 
 
-@pytest.mark.parametrize("backend", ["triton"], indirect=True)
+@pytest.mark.parametrize("backend", ["native", "triton"], indirect=True)
 @pytest.mark.parametrize("size", [(1, 1), (4, 139)], ids=str)
 @pytest.mark.parametrize("usual", [(0.5, 0.0), (1e-9, 2.0)])
-def test_bright_pixels_are_dimmed_alike(both, size, usual):
+def test_bright_pixels_are_dimmed_alike(both, assert_images_close, backend, size, usual):
     radiance = torch.rand(2, 3, *size).pow(20)
     radiance[:, :, ::2, ::5] = 1e15
     plain, fused = both(dim, radiance, torch.tensor(usual).view(2, 1), 5.0)
-    assert torch.equal(fused, plain)
+    assert_images_close(fused, plain, "float32")
+    assert torch.equal(fused, plain) or backend[0] == "native"  # where C multiplies and adds at once
     assert min(size) == 1 or not torch.equal(plain, radiance)
 
 

@@ -14,6 +14,7 @@ from rtdenoise.ops.off_pixel import off_pixel
 from rtdenoise.ops.over import over, over_and_coverage
 from rtdenoise.ops.recall import keep, recall
 from rtdenoise.ops.scattered import scattered
+from rtdenoise.ops.unlike import unlike
 from rtdenoise.shift.displacement import compressed, displacement, displacement_sums
 from rtdenoise.shift.light import light_shift, one_surface
 from rtdenoise.shift.picture import find, moved
@@ -33,6 +34,19 @@ def test_reprojection(both, assert_images_close, op, size):
         motion = torch.floor(motion) + 0.25  # never half-way, where a rounding decides
     plain, fused = both(op, torch.randn(2, 3, *size), motion)
     assert_images_close(fused, plain, "float32")
+
+
+@pytest.mark.parametrize("size", [(1, 1), (17, 5), (24, 139)], ids=str)
+def test_unlike(both, size):
+    motion = torch.floor(3 * torch.randn(2, 2, *size)) + 0.25
+    motion[0, :, 0, 0], motion[1] = math.nan, 0.25
+    here, there = (
+        (2 * torch.rand(2, 1, *size).round(), torch.randn(2, 3, *size) + torch.tensor([0, 0, 3.0])[:, None, None])
+        for _ in range(2)
+    )
+    plain, fused = both(unlike, *here, motion, *there)
+    assert torch.equal(plain, fused) and plain.shape == (2, 3)
+    assert min(size) == 1 or (0 < plain).all() and (plain[:, 1] < plain[:, 0]).all()
 
 
 def kept(*layers):

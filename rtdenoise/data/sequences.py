@@ -236,9 +236,13 @@ def open_sequence(
 def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarray:
     """A layer `[1, C, H, W]` from channels `[H, W]`, in the conventions of `frame.py`."""
     stored = [channels[name] for name in rule.channels]
-    image = np.stack([sign * (c - rule.offset) for c, sign in zip(stored, rule.signs, strict=True)])
+    image = np.empty((len(stored), *stored[0].shape), np.float32)
+    for plane, channel, sign in zip(image, stored, rule.signs, strict=True):
+        np.subtract(channel, rule.offset, out=plane)
+        if sign != 1:
+            plane *= sign
     if layer == "depth":
-        image = np.where(np.abs(image) >= rule.miss, np.float32(0), image)
+        image[np.abs(image) >= rule.miss] = 0
     if layer == "normal" and rule.offset:  # black, which is no direction, is written where nothing was hit
         image = np.where(np.any(stored, axis=0), image, np.float32(0))
     if rule.scale in SCALES:

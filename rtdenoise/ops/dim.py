@@ -9,7 +9,8 @@ from torch.nn import functional as F
 from ..color import luminance
 from .dispatch import Fused, Support, falls_back
 
-FUSED = Fused("dim", triton=Support(channels={"radiance": (3,)}))
+SUPPORT = Support(channels={"radiance": (3,)})
+FUSED = Fused("dim", native=SUPPORT, triton=SUPPORT)
 
 
 @falls_back

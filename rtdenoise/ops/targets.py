@@ -1,4 +1,4 @@
-"""Targets of motion vectors: shared by `warp`, `fetch` and `reproject`."""
+"""Targets of motion vectors: shared by `warp`, `fetch`, `reproject` and `unlike`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,14 @@ def clamped_targets(motion: Tensor, H: int, W: int) -> tuple[Tensor, Tensor]:
     x = torch.arange(W, device=motion.device, dtype=motion.dtype)
     y = torch.arange(H, device=motion.device, dtype=motion.dtype)
     return (motion[:, 0] + x).clamp(0, W - 1), (motion[:, 1] + y[:, None]).clamp(0, H - 1)
+
+
+def on_screen(motion: Tensor) -> Tensor:
+    """Whether p + motion(p) lies on the image, `[B, 1, H, W]` bool. False for a motion that is not finite."""
+    _, _, H, W = motion.shape
+    u = motion[:, 0:1] + torch.arange(W, device=motion.device, dtype=motion.dtype)
+    v = motion[:, 1:2] + torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]
+    return (u >= -0.5) & (u <= W - 0.5) & (v >= -0.5) & (v <= H - 0.5)
 
 
 def check(image: Tensor, motion: Tensor, **others: tuple[Tensor, int]) -> None:

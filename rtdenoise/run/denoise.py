@@ -27,7 +27,7 @@ from .offline_picture import Picture
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples, of_output
 from .shadows import LEFT, find_shadows, open_shadows
 from .stand_ins import told_of_missing, with_stand_ins
-from .state import STATE, finish_state, last_of_shot, read_state, save_state
+from .state import STATE, Due, finish_state, last_of_shot, read_state, save_state
 from .unmoved import Watch
 
 BLURS = "depth", "motion", "motion_next"  # what --motion-blur reads
@@ -149,7 +149,7 @@ def _run(
         return found.with_samples(options.samples or sequence.header.samples) if options.correct else found
 
     reader = Reader(frame, sequence.numbers, backend, options.lookahead, options.detect_cuts)
-    spent, watch = summary.seconds, Watch(summary.notes)
+    spent, watch, due = summary.seconds, Watch(summary.notes), Due(sequence.size)
     for i in range(done, len(sequence)):
         this, ahead = reader.take(i, history)
         add(summary.replaced, faults(this.raw))
@@ -164,7 +164,8 @@ def _run(
         add(summary.passed_on, write(out, sequence, i, this.raw, image))
         written.add(names[i])
         summary.written += 1
-        if i + reach < len(sequence):  # no frame that is appended changes this one
+        last = len(sequence) - reach - 1  # no frame that is appended changes this one and those before
+        if i <= last and due.now(i == last):
             mark = fingerprints[i + 1 + reach]
             save_state(out / STATE, backend.save(history), i + 1, mark, summary, options, written.digest)
         on_frame(i + 1, len(sequence))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,24 @@ from .options import Options, Summary
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
 MARKS = ("fingerprint", "written")  # of the input, and of the finished files
 FINISHED = "finished"  # of a whole run whose state is that before its last frames
+LARGE, PAUSE = 2**18, 2.0  # pixels beyond which a picture is large, and seconds between states then
 COUNTS = ("replaced", "passed_on", "cuts", "left_out", "exposure")  # of the summary, which a state keeps
+
+
+class Due:
+    """When the state of a run is saved: after each frame; of large pictures, whose states take a tenth of the time that
+    their frames do, once in a while. A run that is interrupted repeats the frames since."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._pause = PAUSE if math.prod(size) > LARGE else 0.0
+        self._last = time.monotonic()
+
+    def now(self, last: bool) -> bool:
+        """Whether it is saved now, as it always is after the `last` frame."""
+        if not last and time.monotonic() - self._last < self._pause:
+            return False
+        self._last = time.monotonic()
+        return True
 
 
 def read_state(path: Path, backend: Backend | None = None) -> tuple[int, Any, Summary, dict]:
