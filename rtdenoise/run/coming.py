@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 from ..frame import MAX_CUT_MISMATCH, Frame, geometry
+from ..sanitise import faults
 from .backends import Backend
 from .stand_ins import with_stand_ins
 
@@ -20,10 +22,14 @@ class Coming:
     prepared: Any  # by the backend
     goes_on: bool  # with the shot of the frame before
     cut: bool  # it would, but for what it shows
+    faults: dict[str, int]  # of the frame as it was read (`sanitise.faults`)
 
 
 class Reader:
-    """Reads on `lookahead` frames beyond the one to denoise. `seconds`: how long the backend took to prepare them."""
+    """Reads on `lookahead` frames beyond the one to denoise. `seconds`: how long the backend took to prepare them.
+
+    While a frame is denoised the next one is read in a thread; for that, use it in a `with` block. It is read once the
+    one before is prepared: a backend may keep what was read last."""
 
     def __init__(
         self, read: Callable[[int], Frame], numbers: list[int], backend: Backend, lookahead: int, detect_cuts: bool
@@ -33,6 +39,16 @@ class Reader:
         self._read, self._numbers, self._backend = read, numbers, backend
         self._lookahead, self._detect_cuts = lookahead, detect_cuts
         self._waiting: list[Coming] = []
+        self._thread: ThreadPoolExecutor | None = None
+        self._next: Future[tuple[Frame, dict[str, int]]] | None = None
+
+    def __enter__(self) -> Self:
+        self._thread = ThreadPoolExecutor(1, "rtdenoise-read")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._thread.shutdown(cancel_futures=True)
+        self._thread = self._next = None
 
     def take(self, i: int, history: Any) -> tuple[Coming, tuple[Frame, ...]]:
         """Frame i, which comes after the last one taken, and those after it in its shot, prepared. `history`: after the
@@ -43,9 +59,14 @@ class Reader:
         end = next((k for k, other in enumerate(self._waiting) if not other.goes_on), len(self._waiting))
         return this, tuple(other.prepared for other in self._waiting[:end])
 
+    def _examined(self, i: int) -> tuple[Frame, dict[str, int]]:
+        """Frame i, and its faults."""
+        frame = self._read(i)
+        return frame, faults(frame)
+
     def _add(self, i: int, history: Any) -> None:
-        """Read frame i."""
-        raw = self._read(i)
+        """Take in frame i."""
+        raw, found = self._next.result() if self._next else self._examined(i)
         started = time.perf_counter()
         prepared, last = self._backend.prepare(with_stand_ins(raw)), self._waiting[-1] if self._waiting else None
         if last is not None:
@@ -57,5 +78,7 @@ class Reader:
             from ..splat import completed
 
             self._waiting[-1] = replace(last, prepared=completed(last.prepared, prepared))
-        self._waiting.append(Coming(raw, prepared, goes_on and not cut, cut))
+        self._waiting.append(Coming(raw, prepared, goes_on and not cut, cut, found))
         self.seconds += time.perf_counter() - started
+        more = self._thread and i + 1 < len(self._numbers)
+        self._next = self._thread.submit(self._examined, i + 1) if more else None

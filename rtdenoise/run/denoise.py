@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from copy import deepcopy
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,15 +17,15 @@ from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import Frame
 from ..models.weights import read_config
-from ..sanitise import faults
 from .backends import Backend, open_backend
+from .behind import Behind
 from .choice import open_chosen, told_of_samples
 from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
 from .following import Following
 from .in_parts import in_parts
 from .offline_picture import Picture
-from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check_lookahead, check_samples, of_output
+from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check, of_output
 from .shadows import LEFT, find_shadows, open_shadows
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, Due, finish_state, last_of_shot, read_state, save_state
@@ -56,7 +57,7 @@ def denoise(
 
     Raises InputError for anything wrong with the input, the options or the output folder.
     """
-    _check(options)
+    check(options)
     in_passes, picture = bool(options.lights or options.also), None
     channel = _shadows_in(source, options) if options.offline and not in_passes else None  # None: not looked for yet
     if options.offline and (in_passes or (channel and not _is_final(options))):
@@ -148,27 +149,40 @@ def _run(
         found = read(sequence, i)
         return found.with_samples(options.samples or sequence.header.samples) if options.correct else found
 
-    reader = Reader(frame, sequence.numbers, backend, options.lookahead, options.detect_cuts)
-    spent, watch, due = summary.seconds, Watch(summary.notes), Due(sequence.size)
-    for i in range(done, len(sequence)):
-        this, ahead = reader.take(i, history)
-        add(summary.replaced, faults(this.raw))
-        watch.see(this.raw, this.goes_on)
-        if this.cut:
-            summary.cuts.append(this.raw.number)
-        started = time.perf_counter()
-        image, history = backend.step(this.prepared, history if this.goes_on else None, ahead)
-        spent += time.perf_counter() - started
-        summary.seconds = spent + reader.seconds
-        summary.exposure[i:] = [backend.gain(history)]
-        add(summary.passed_on, write(out, sequence, i, this.raw, image))
+    def finish(i: int, raw: Frame, image: Any, so_far: Summary | None, save: Callable | None) -> dict[str, int]:
+        """Write a frame, and the state after it; `so_far` lacks what was passed on of it."""
+        passed_on = write(out, sequence, i, raw, image)
         written.add(names[i])
+        if save:
+            add(so_far.passed_on, passed_on)
+            save(summary=so_far, written=written.digest)
+        return passed_on
+
+    def finished(passed_on: dict[str, int]) -> None:
+        add(summary.passed_on, passed_on)
         summary.written += 1
-        last = len(sequence) - reach - 1  # no frame that is appended changes this one and those before
-        if i <= last and due.now(i == last):
-            mark = fingerprints[i + 1 + reach]
-            save_state(out / STATE, backend.save(history), i + 1, mark, summary, options, written.digest)
-        on_frame(i + 1, len(sequence))
+        on_frame(done + summary.written, len(sequence))
+
+    spent, watch, due = summary.seconds, Watch(summary.notes), Due(sequence.size)
+    last = len(sequence) - reach - 1  # no frame that is appended changes this one and those before
+    with Reader(frame, sequence.numbers, backend, reach, options.detect_cuts) as reader, Behind(finished) as behind:
+        for i in range(done, len(sequence)):
+            this, ahead = reader.take(i, history)
+            add(summary.replaced, this.faults)
+            watch.see(this.raw, this.goes_on)
+            if this.cut:
+                summary.cuts.append(this.raw.number)
+            started = time.perf_counter()
+            image, history = backend.step(this.prepared, history if this.goes_on else None, ahead)
+            spent += time.perf_counter() - started
+            summary.seconds = spent + reader.seconds
+            summary.exposure[i:] = [backend.gain(history)]
+            behind.wait()
+            save = so_far = None
+            if i <= last and due.now(i == last):
+                state, mark, so_far = backend.save(history), fingerprints[i + 1 + reach], deepcopy(summary)
+                save = partial(save_state, out / STATE, state, i + 1, mark, options=options)
+            behind.start(partial(finish, i, this.raw, image, so_far, save))
     if reach and done < len(sequence):
         finish_state(out / STATE, fingerprints[-1], summary, written.digest)
     watch.end(len(sequence), len(summary.cuts))
@@ -202,27 +216,6 @@ def _notes(sequence: Sequence, options: Options, backend: Backend) -> list[str]:
     if len(sequence) == 1 and options.correct:
         notes.append("--correct: there is one frame, and the correction needs the frames before")
     return notes
-
-
-def _check(options: Options) -> None:
-    if options.correct and (options.offline or options.lights or options.also):
-        raise InputError("--correct: goes without --offline, --lights and --also; `rtdenoise combine` corrects their "
-                         "frames")  # fmt: skip
-    check_samples(options.samples)
-    if options.lookahead != AUTO:
-        check_lookahead(options.lookahead)
-    if options.offline and options.backend == "glsl":
-        raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
-    if options.lookahead not in (0, AUTO) and options.offline:
-        raise InputError("--lookahead: goes without --offline, which looks at all frames")
-    if options.motion_blur and (options.signal != "color" or options.recombine or options.lights or options.also):
-        raise InputError("--motion-blur: goes with --signal color, without --recombine, --lights and --also")
-    if options.motion_blur and options.surfaces:
-        raise InputError("--motion-blur: is for frames that were rendered without, --surfaces for frames that have it")
-    if options.confidence and (not options.offline or options.lights or options.also):
-        raise InputError("--confidence: goes with --offline, and without --lights and --also")
-    if options.samples and not options.correct and options.model != AUTO:
-        raise InputError(f"--samples {options.samples}: goes with --correct, or without --model")
 
 
 def _resume(

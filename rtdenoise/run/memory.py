@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 from ..errors import InputError
 
-_MMAP_MAX, _TRIM_THRESHOLD = -4, -1  # glibc's names M_MMAP_MAX and M_TRIM_THRESHOLD (mallopt(3))
+_MMAP_MAX, _TRIM_THRESHOLD, _ARENA_MAX = -4, -1, -8  # glibc's names M_MMAP_MAX and so on (mallopt(3))
 _UNITS = {"bytes": 1 / 2**20, "KiB": 1 / 2**10, "MiB": 1.0, "GiB": 2.0**10, "TiB": 2.0**20}
 
 
@@ -18,13 +18,13 @@ def keep_freed() -> bool:
 
     By default it returns every large tensor to the system and requests it anew, page by page and zeroed: on a CPU that
     costs about as much as the arithmetic of a frame. The setting holds for the whole process: programs such as
-    `rtdenoise denoise` make it, libraries should not. Memory in use stays at its peak.
+    `rtdenoise denoise` make it, libraries should not. Memory in use stays at its peak. Threads share it.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # another C library
         return False
-    return bool(mallopt(_MMAP_MAX, 0)) and bool(mallopt(_TRIM_THRESHOLD, 2**31 - 1))
+    return all([mallopt(_MMAP_MAX, 0), mallopt(_TRIM_THRESHOLD, 2**31 - 1), mallopt(_ARENA_MAX, 1)])
 
 
 @contextmanager

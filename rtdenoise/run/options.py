@@ -213,3 +213,25 @@ def check_samples(samples: int, told: str = "--samples") -> None:
     """Raise InputError for a number of samples a pixel that no frame has; `told` names the option."""
     if not (isinstance(samples, Real) and 0 <= samples <= MAX_SAMPLES):
         raise InputError(f"{told}: expected 1 to {MAX_SAMPLES}, or 0 for unknown, got {samples!r}")
+
+
+def check(options: Options) -> None:
+    """Raise InputError for options of `denoise` that do not go together."""
+    if options.correct and (options.offline or options.lights or options.also):
+        raise InputError("--correct: goes without --offline, --lights and --also; `rtdenoise combine` corrects their "
+                         "frames")  # fmt: skip
+    check_samples(options.samples)
+    if options.lookahead != AUTO:
+        check_lookahead(options.lookahead)
+    if options.offline and options.backend == "glsl":
+        raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
+    if options.lookahead not in (0, AUTO) and options.offline:
+        raise InputError("--lookahead: goes without --offline, which looks at all frames")
+    if options.motion_blur and (options.signal != "color" or options.recombine or options.lights or options.also):
+        raise InputError("--motion-blur: goes with --signal color, without --recombine, --lights and --also")
+    if options.motion_blur and options.surfaces:
+        raise InputError("--motion-blur: is for frames that were rendered without, --surfaces for frames that have it")
+    if options.confidence and (not options.offline or options.lights or options.also):
+        raise InputError("--confidence: goes with --offline, and without --lights and --also")
+    if options.samples and not options.correct and options.model != AUTO:
+        raise InputError(f"--samples {options.samples}: goes with --correct, or without --model")
