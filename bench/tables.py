@@ -21,12 +21,12 @@ MODULES = (
     "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "combine_cycles",
     "combine_papers", "cycles", "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis",
     "missing_layers", "mltd", "mltd_memory", "modes", "offline", "plan", "quality", "sample", "shots", "stability",
-    "tiles", "calibration.cuts", "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias", "diagnosis.clean",
-    "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies",
-    "diagnosis.fog", "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve",
-    "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost", "diagnosis.many", "diagnosis.motion_blur",
-    "diagnosis.outdated", "diagnosis.scattered", "diagnosis.shadows", "diagnosis.soft_edges", "diagnosis.turned",
-    "diagnosis.virtual_motion", "diagnosis.where",
+    "tiles", "whole_run", "calibration.cuts", "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias",
+    "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.exposure", "diagnosis.extremes",
+    "diagnosis.fireflies", "diagnosis.fog", "diagnosis.generalisation", "diagnosis.ideal_history",
+    "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost", "diagnosis.many",
+    "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.scattered", "diagnosis.shadows", "diagnosis.soft_edges",
+    "diagnosis.turned", "diagnosis.virtual_motion", "diagnosis.where",
 )  # fmt: skip
 
 

@@ -44,9 +44,10 @@ def denoise(
     """Denoise every frame of `source` (folder or glob) into `out`, one file of the same name each; see `data.output`
     for what is in it.
 
-    Frames that an earlier run with the same options has finished are skipped, and history goes on from its saved
-    state, so the outcome is that of one undisturbed run: also where it was interrupted, and where frames have been
-    appended to the input since. `on_frame(done, total)` is called at the start and after each frame.
+    Frames that an earlier run with the same options has finished are skipped (of large pictures all but the last ones,
+    `state.Due`), and history goes on from its saved state, so the outcome is that of one undisturbed run: also where it
+    was interrupted, and where frames have been appended to the input since. `on_frame(done, total)` is called at the
+    start and after each frame.
 
     With `options.lookahead` the last frames that lacked some of those after them are denoised again once frames have
     been appended. With `offline` appended frames change all before them, so that a finished run is not continued:
