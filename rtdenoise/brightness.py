@@ -10,10 +10,10 @@ and denoised pictures are multiplied by it. Networks scale with the exposure, an
     gain(i) = gain(i - 1) · exp(m)   where |m| > BRIGHTER · σ,    m = median over blocks of log(Σ frame / Σ earlier)
 
 where both frames are divided by their gains, and σ is the standard error of the median. Elsewhere the gain stays, to
-the bit; so it does where a quarter of the picture says otherwise: one lamp of several is not all light. The earlier
-frame is one, up to `OLDEST` frames old: noise is skewed, so that the median ratio of a frame and a mean of several is
-not 1 where light stays, but that of two frames is. A slow change is told once it has grown, if it grows beyond noise in
-so many frames. A black frame is compared with nothing.
+the bit; so it does where a quarter of the picture says otherwise: one lamp of several is not all light, however bright.
+The earlier frame is one, up to `OLDEST` frames old: noise is skewed, so that the median ratio of a frame and a mean of
+several is not 1 where light stays, but that of two frames is. A slow change is told once it has grown, if it grows
+beyond noise in so many frames. A black frame is compared with nothing.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ BLOCK = 16  # pixels, of those that are compared (`data.stored.seen_step`)
 LEAST_BLOCKS = 16
 BRIGHTER = 3.5  # standard errors
 LIKE = 3.0  # standard errors of a quarter's median that may lie between it and that of the whole
+APART = 0.35  # likewise whatever its error, a factor of 1.4; half of the change at most
 OLDEST = 6  # frames
 LARGEST = 1e15  # gain, and one over the smallest
 STANDARD_ERROR = 1.4826 * 1.2533  # of a median, over √n times the median distance from it
@@ -104,7 +105,7 @@ def _change(light: Tensor, earlier: Tensor, found: Tensor) -> Tensor:
     told = (blocks >= LEAST_BLOCKS) & (change.abs() > BRIGHTER * error)
     for quarter in (part for rows in ratios.chunk(2, 2) for part in rows.chunk(2, 3)):
         its, its_error, its_blocks = _median(quarter)
-        apart = (its - change).abs() > torch.maximum(LIKE * its_error, change.abs() / 2)
+        apart = (its - change).abs() > torch.maximum(LIKE * its_error, (change.abs() / 2).clamp(max=APART))
         told &= ~apart | (its_blocks < LEAST_BLOCKS / 4)
     return torch.where(told, change, 0).exp()
 

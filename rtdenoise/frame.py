@@ -227,6 +227,7 @@ class Known:
     # The frames after, the next one first, sanitised and with motion; all but the last have motion_next, as has the
     # frame itself. For networks that keep recent frames (`run.lookahead`).
     ahead: tuple[Frame, ...] = ()
+    waits: bool = False  # the frame before had such, too: what is older counts even where its own light was another
 
 
 NOTHING_KNOWN = Known()

@@ -93,6 +93,15 @@ def test_one_light_of_several_is_not_all_light(columns):
     assert gains_of(frames) == [1.0] * 6
 
 
+def test_a_strobe_beside_light_that_stays_is_not_all_light():
+    """Ten times as bright in one corner, and thirty times in the opposite one."""
+    frames = make_frames(6, H=128, W=224)
+    lamp = torch.linspace(2, 3.6, 224) + torch.linspace(-0.3, 0.3, 128)[:, None]
+    for frame in frames[1::2]:
+        frame.radiance.mul_(lamp.exp())
+    assert gains_of(frames) == [1.0] * 6
+
+
 def test_a_camera_that_turns_to_the_light_sees_no_change():
     """What is on the screen becomes brighter; no surface does."""
     scene = torch.empty(1, 3, 64, 400).exponential_(generator=torch.Generator().manual_seed(0))

@@ -7,12 +7,12 @@ import pytest
 import torch
 from synthetic import make_frames
 
-from rtdenoise import glsl, models, ops
+from rtdenoise import Denoiser, glsl, models, ops
 from rtdenoise.constants import OUTDATED_CELL, OUTDATED_FRAMES, OUTDATED_RIM
 from rtdenoise.frame import Known
 from rtdenoise.models import past
 from rtdenoise.ops.agrees import agrees
-from rtdenoise.ops.outdated import outdated
+from rtdenoise.ops.outdated import flashed, outdated
 
 KINDS = ["default", "fast", "hybrid-fast", "many"]
 
@@ -118,6 +118,22 @@ def test_beside_light_that_has_changed_more_frames_must_agree():
     assert torch.equal(outdated(found, agree, 2), (agree == 0).float()), "all that were asked agree"
 
 
+def test_a_flash_is_one_where_cells_that_touch_fail():
+    side = OUTDATED_CELL
+    agree, found = torch.ones(1, 1, 6 * side, 9 * side), torch.ones(1, 1, 6 * side, 9 * side, dtype=torch.bool)
+    agree[..., : 2 * side, : 4 * side] = 0  # at the border
+    agree[..., 3 * side :, 5 * side : 8 * side] = 0.25
+    agree[..., 4 * side : 5 * side, : 3 * side] = 0  # no body
+    expected = 1 - agree
+    expected[..., 4 * side : 5 * side, : 3 * side] = 0
+    assert torch.equal(flashed(found, agree), expected)
+    found[..., 4 * side :, 6 * side] = False  # cells in part
+    assert torch.equal(flashed(found, agree), expected)
+    found[..., 3 * side :, 5 * side :] = False  # nothing was there before
+    expected[..., 3 * side :, 5 * side :] = 0
+    assert torch.equal(flashed(found, agree), expected)
+
+
 def flickering(light, still=False):
     """A shot whose light is another in each frame; the noise is small."""
     size = {"H": 48, "W": 64, "noise": 0.4}
@@ -167,6 +183,19 @@ def test_a_lamp_that_flickers_leaves_nothing_behind(name, still):
         alone = network.step(frame)[0]
         if i >= 2:
             assert error(image, frame) < 1.15 * error(alone, frame), i
+
+
+@torch.inference_mode()
+def test_a_strobe_leaves_nothing_behind_with_frames_ahead():
+    """Frames ahead agree with each frame but one, as frames before do: their light counts, and the previous picture
+    does not. The last frames have none ahead."""
+    shot = flickering([(1.0,) * 3, (0.4, 1.0, 4.0)] * 3, still=True)
+    denoiser = Denoiser("default", precision="fp32", lookahead=2, detect_exposure=False)
+    layers = "albedo", "normal", "depth", "motion", "motion_next"
+    images = [denoiser(f.radiance, **{layer: getattr(f, layer) for layer in layers}) for f in shot][2:]
+    network = models.load("default", precision="fp32")
+    for i, (image, frame) in enumerate(zip(images + denoiser.flush(), shot, strict=True)):
+        assert error(image, frame) < 0.95 * error(network.step(frame)[0], frame), i
 
 
 @torch.inference_mode()

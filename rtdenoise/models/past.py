@@ -16,7 +16,7 @@ from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
 from ..ops.agrees import agrees
 from ..ops.off_pixel import off_pixel
-from ..ops.outdated import outdated
+from ..ops.outdated import flashed, outdated
 from ..ops.over import over, over_and_coverage
 from ..ops.pixels import accumulate, demodulate, joined
 from ..ops.recall import Recalled, keep, recall
@@ -92,6 +92,9 @@ def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known
     old = _outdated(found, agree, history.recent, turn)
     output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
     shown = old < OUTDATED_PICTURE
+    if known.waits and len(history.recent) > 1:  # in a strobe frames agree, but for those beside
+        newest = recall(noisy, motion, here, history.recent[:1]).count
+        shown &= (1 - turn) * flashed(found, newest) < OUTDATED_PICTURE
     output, seen = torch.where(shown, output, frame.radiance), seen & shown
     return Past(light, albedo, length, (1 - turn) * albedo_length, output, seen, uncovered, turn, old, *seen_there)
 

@@ -7,6 +7,7 @@ fail, a lamp has gone out, or a shadow has moved on, and the previous picture is
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -38,6 +39,24 @@ def outdated(
     h, w = some.shape[2:]
     rim = near[..., :h, :w].minimum(_share(some, most / min(frames, OUTDATED_FRAMES)))
     return F.interpolate(rim.maximum(whole[..., :h, :w]), scale_factor=OUTDATED_RIM)[..., :H, :W]
+
+
+def flashed(
+    found: Tensor,  # [B, 1, H, W] bool: the previous frame shows the pixel's surface
+    agree: Tensor,  # [B, 1, H, W] ≥ 0: weight of the previous frame alone (`recall`)
+) -> Tensor:  # [B, 1, H, W] in [0, 1]
+    """How far the previous frame alone has other light than this one, as after a flash, whatever older frames say:
+
+        share = min(whole, greatest body of a cell and the eight around)
+        body = least whole of a cell and the eight around, but for those whose surfaces are all new
+
+    with `whole` of `outdated`. One frame fails the test of noise by chance, but seldom in so many cells that touch."""
+    H, W = agree.shape[2:]
+    some, most = (F.max_pool2d(x.to(agree.dtype), OUTDATED_CELL, ceil_mode=True) for x in (found, agree))
+    whole = _share(some, most)
+    body = -F.max_pool2d(-torch.where(some > 0, whole, 1), 3, stride=1, padding=1)
+    share = whole.minimum(F.max_pool2d(body, 3, stride=1, padding=1))
+    return F.interpolate(share, scale_factor=OUTDATED_CELL)[..., :H, :W]
 
 
 def _share(some: Tensor, most: Tensor) -> Tensor:

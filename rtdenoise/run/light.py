@@ -76,7 +76,7 @@ class LightBackend:
         if not isinstance(self._network, AccumulatedKPN):
             raise InputError(f"{told}: goes with --model hybrid, default, many or fast, which average light")
         self._passes, self._picture, self._soft, self._device = passes, picture, soft_edges, inner.device
-        self._inner = Following(inner, detect_exposure)
+        self._inner, self._waits = Following(inner, detect_exposure), inner.waits
         self._shadows = shadows
         self._stored: dict[str, np.ndarray] = {}  # the passes of the frame that was read last
         self._seen: dict[str, np.ndarray] = {}  # likewise those without noise, as a shutter sees them
@@ -187,7 +187,7 @@ class LightBackend:
             picture, after = self._inner.denoise(frame, history, ahead)
             return picture, {}, after
         given = self._inner.enter(frame, history, ahead)
-        known = replace(known, first=known.first and not ahead, sanitised=True, ahead=given.ahead)
+        known = replace(known, first=known.first and not ahead, sanitised=True, ahead=given.ahead, waits=self._waits)
         layers = dict(parts.passed)
         if not parts.background:
             layers[BACKGROUND] = torch.zeros_like(layers[BACKGROUND])

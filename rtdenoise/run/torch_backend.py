@@ -63,7 +63,7 @@ class TorchBackend:
             if isinstance(self._denoiser, Hybrid):
                 self._denoiser.keeps_footprint = footprint
         self._step = self._whole = stepper(self._denoiser)
-        self._lookahead = lookahead
+        self.waits = lookahead > 0  # `Known.waits`
 
     @property
     def config(self) -> Config:
@@ -109,14 +109,14 @@ class TorchBackend:
         step = self._step if len(frame.radiance) == 1 else self._whole  # the plan is for single pictures
         step = corrected(step) if self._correct else step
         with self._inference(frame):
-            return step(frame, history, Known(sanitised=True, ahead=ahead))
+            return step(frame, history, Known(sanitised=True, ahead=ahead, waits=self.waits))
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         from .planned import Planned
 
         config = self._denoiser.config
         windows = config.network_reach is not None
-        motion = "dual" if self._lookahead else config.motion  # frames after are led to by motion_next
+        motion = "dual" if self.waits else config.motion  # frames after are led to by motion_next
         plan = make_plan(size, frames, motion, first, windows, config.reads)
         planned = Planned(self._denoiser, plan, self._whole)
         left_out |= planned.left_out | left_out  # the counts of earlier runs, where there are any
