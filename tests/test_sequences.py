@@ -437,9 +437,10 @@ def test_control_characters_in_names_are_escaped(tmp_path):
 @pytest.mark.parametrize(
     "name",
     ["shot.{:04d}_v02.exr", "beauty.{:04d}.denoise.exr", "frame_{:04d}_v003.exr", "f{}v2.exr", "v1_{:02d}.V12.exr",
-     "shot_{:04d}_64spp.exr", "shot.{}.4spp.v02.exr"],
+     "shot_{:04d}_64spp.exr", "shot.{}.4spp.v02.exr", "shot_{}_4k.exr", "shot.{:04d}.ap1.exr", "s1_{}_1920x1080.exr",
+     "shot_{}_cam2_v01.exr", "Shot{}_4k.exr"],
 )  # fmt: skip
-def test_a_version_or_a_number_of_samples_is_no_frame_number(tmp_path, name):
+def test_a_version_or_another_word_is_no_frame_number(tmp_path, name):
     folder = write_native(tmp_path / "s", [9, 10, 12], name=name)
     assert "the next frame is 12, missing: 11" in message(open_sequence, folder)
     found = open_sequence(folder, allow_gaps=True)
@@ -452,6 +453,14 @@ def test_versions_of_one_frame_and_versions_alone(tmp_path):
     assert "frame number 1 is there twice" in message(open_sequence, folder)
     assert open_sequence(write_native(tmp_path / "versions", [2, 3], name="look_v{:02d}.exr")).numbers == (2, 3)
     assert open_sequence(write_native(tmp_path / "samples", [2, 3], name="look_{}spp.exr")).numbers == (2, 3)
+
+
+def test_words_with_digits(tmp_path):
+    """One file, numbers of words alone, and lights of one frame, which are no sequence."""
+    assert open_sequence(write_native(tmp_path / "one", [12], name="shot_{}_4k.exr")).numbers == (12,)
+    assert open_sequence(write_native(tmp_path / "words", [2, 3], name="cam1_look{}_4k.exr")).numbers == (2, 3)
+    lights = write_native(tmp_path / "lights", [1, 2], name="light{}.0012.exr")
+    assert "frame number 12 is there twice" in message(open_sequence, lights)
 
 
 def test_numbers_before_zero(tmp_path):

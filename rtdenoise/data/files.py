@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from glob import glob, has_magic
 from pathlib import Path
@@ -144,10 +144,10 @@ def fits(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]
 
 
 def number_files(files: list[Path]) -> list[tuple[int, Path]]:
-    """Files with their frame numbers, ascending: the last run of digits in a name, negative in `shot.-0001.exr`, not in
-    `shot-0001.exr`; a version such as `_v02`, and samples such as `_64spp`, only where there is no other. Raises
-    `InputError` for a name without digits, and for repeated numbers."""
-    runs = {file: frame_number(file.stem) for file in files}
+    """Files with their frame numbers (`frame_numbers`), ascending. Raises `InputError` for a name without digits, and
+    for repeated numbers."""
+    found = frame_numbers(file.stem for file in files)
+    runs = {file: found[file.stem] for file in files}
     unnumbered = [file for file in sorted(files) if not runs[file]]
     if unnumbered and len(files) > 1:
         raise InputError(f"{unnumbered[0]}: no frame number in the name; expected digits, as in frame.0001.exr")
@@ -160,13 +160,33 @@ def number_files(files: list[Path]) -> list[tuple[int, Path]]:
     return [(numbers[file], file) for file in ordered]
 
 
-def frame_number(name: str) -> re.Match | None:
-    """Where a name has its frame number: the last run of digits that is no version and no number of samples, else the
-    last; None without any."""
+def frame_numbers(names: Iterable[str]) -> dict[str, re.Match | None]:
+    """Where each name has its frame number; None without digits.
+
+    It is the last run of digits, negative in `shot.-0001`, not in `shot-0001`; a version such as `_v02`, and samples
+    such as `_64spp`, only where there is no other. Nor is it what belongs to a word and is the same in all names of a
+    kind, as `shot_0012_4k` and `shot_0013_4k`, unless there is no other."""
+    found, kinds = {}, {}
+    for name in names:
+        kinds.setdefault(re.sub(NUMBER, "0", name), {})[name] = _numbers(name)
+    for kind in kinds.values():
+        runs = list(zip(*kind.values(), strict=True)) or [(None,) * len(kind)]
+        free = [of for of in runs if of[0] and (_alone(of[0]) or len({int(run[0]) for run in of}) > 1)]
+        found |= zip(kind, (free or runs)[-1], strict=True)
+    return found
+
+
+def _alone(run: re.Match) -> bool:
+    """Whether digits touch no letter."""
+    start, end = run.span()
+    return not any(c.isalpha() for c in run.string[max(start - 1, 0) : start] + run.string[end : end + 1])
+
+
+def _numbers(name: str) -> list[re.Match]:
+    """The runs of digits that may be a frame number."""
     taken = [match.span() for match in re.finditer(f"{VERSION}|{SAMPLES}", name)]
     runs = list(re.finditer(NUMBER, name))
-    others = [run for run in runs if not any(start < run.end() and run.start() < end for start, end in taken)]
-    return next(reversed(others or runs), None)
+    return [run for run in runs if not any(start < run.end() and run.start() < end for start, end in taken)] or runs
 
 
 def _buffers(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]) -> tuple[FrameFiles, ...]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +16,7 @@ from pathlib import Path, PurePath
 from ..errors import InputError
 from .exr import read_header
 from .exr_format import ExrHeader
-from .files import find_files, frame_number
+from .files import find_files, frame_numbers
 from .labels import NAMES, UNKNOWN, FileLabel, layers_of, of_file
 from .layers import LAYERS
 from .layout import OWN, Layout, Rule, first_match, with_components
@@ -203,10 +204,11 @@ def _inside(source: str | PathLike, groups: list[_Group]) -> list[_Group]:
 def _by_pattern(files: Iterable[Path], base: Path | None = None) -> list[_Group]:
     """EXR files by their patterns beneath `base`, else their folder, those with most files first."""
     groups: dict[str, dict[int, Path]] = {}
-    for file in sorted(files):
-        if file.suffix.lower() == ".exr" and not file.name.startswith("."):
-            pattern, number = _pattern(file.relative_to(base or file.parent))
-            groups.setdefault(pattern, {})[number] = file
+    files = [file for file in sorted(files) if file.suffix.lower() == ".exr" and not file.name.startswith(".")]
+    runs = frame_numbers(file.stem for file in files)
+    for file in files:
+        pattern, number = _pattern(file.relative_to(base or file.parent), runs[file.stem])
+        groups.setdefault(pattern, {})[number] = file
     found = [_Group(pattern, files) for pattern, files in groups.items()]
     return sorted(found, key=lambda group: -len(group.files))
 
@@ -216,9 +218,9 @@ def _apart(some: frozenset[str], others: frozenset[str]) -> bool:
     return not (some <= others or others <= some)
 
 
-def _pattern(path: PurePath) -> tuple[str, int]:
-    """The path with `{frame}` for its frame number, and that number."""
-    run, stem = frame_number(path.stem), path.stem
+def _pattern(path: PurePath, run: re.Match | None) -> tuple[str, int]:
+    """The path with `{frame}` for its frame number, and that number. `run`: where its stem has it."""
+    stem = path.stem
     if not run:
         return path.as_posix(), 0
     return path.with_name(f"{stem[: run.start()]}{{frame}}{stem[run.end() :]}{path.suffix}").as_posix(), int(run[0])
