@@ -68,6 +68,17 @@ def test_vectors_that_are_right_lack_nothing(pan):
     assert find_drift(*shot(2, pan=pan, noise=0.05)) is None
 
 
+def test_a_film_on_a_screen_is_no_zoom():
+    """It moves alone, bright before a wall that stands still, and says most of what differs."""
+    room, film = shot(2, noise=0.02), shot(2, shift=(2.0, -1.0))
+    frames = []
+    for wall, other in zip(room, film, strict=True):
+        albedo = 0.3 * wall.albedo
+        albedo[..., 4:68, 40:104] = other.albedo[..., 4:68, 40:104]
+        frames.append(replace(wall, albedo=albedo))
+    assert find_drift(*frames) is None
+
+
 def test_a_large_picture_says_what_moves():
     """There little zoom is much motion."""
     drift = find_drift(*shot(2, zoom=4e-4, size=(90, 3200)))

@@ -26,6 +26,7 @@ LEVELS, ROUNDS = (8, 4, 2, 1), 4  # pixels of a cell, from coarse to fine; steps
 MOST = 8000  # pixels that are examined in each pair of frames
 LEAST_MOTION = 0.5  # pixels at the corner of the picture
 LEFT = 0.7  # share of the difference that may be left
+NEARER = 0.75  # least share of the pixels that differ less with it: a film on a screen moves by itself
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,9 @@ def find_drift(previous: Frame, current: Frame) -> Drift | None:
     errors = [(target - _at(before, place, 1)).abs().mean(0) for place in (there, _moved(there, fit, middle, reach))]
     bound = 2 * errors[0].mean()  # what lies beyond is uncovered, or off the screen
     as_is, fitted = (error.clamp(max=bound).mean() for error in errors)
+    nearer = (errors[1] < errors[0]).float().mean()
     zooms, shifts = fit[0].abs(), fit[1:].norm()
-    if zooms + shifts < LEAST_MOTION or fitted > LEFT * as_is:
+    if zooms + shifts < LEAST_MOTION or fitted > LEFT * as_is or nearer < NEARER:
         return None
     zoom = 1 / (1 + fit[0].item() / reach) - 1
     shift = tuple((-fit[1:]).tolist())
