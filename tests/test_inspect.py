@@ -387,6 +387,15 @@ def test_motion_of_zeros_in_a_picture_that_changes_is_told_once(tmp_path, capsys
     assert capsys.readouterr().out.count(words) == moves
 
 
+def test_smoke_before_nothing_has_no_motion(tmp_path):
+    """Nor a surface, though its albedo is another in each frame."""
+    zeros = torch.zeros_like(make_frames(1)[0].motion)
+    made = [replace(f, motion=zeros, motion_next=zeros, depth=0 * f.depth, albedo=torch.rand_like(f.albedo))
+            for f in make_frames(3)]  # fmt: skip
+    found = inspect(write_sequence(tmp_path / "shot", made))
+    assert found.unmoved == () and next_step(found).startswith("rtdenoise denoise")
+
+
 def test_of_large_frames_fewer_are_in_memory_at_once():
     numbers = tuple(range(24))
     counts = [len(choose_pairs(numbers, size)) for size in ((180, 320), (1080, 1920), (1440, 2560), (4320, 7680))]

@@ -48,15 +48,19 @@ FLAT = "albedo is the same in all pixels of {}, so textures blur: was its pass f
 
 
 def is_unmoved(before: Frame, now: Frame) -> bool:
-    """Whether the motion of a frame is zero in every pixel, while depth or albedo tell that things have moved."""
+    """Whether the motion of a frame is zero in every pixel, while depth or albedo tell that things have moved. What
+    has no surface, as smoke before nothing, has no motion either: its albedo does not count."""
     if now.motion is None or np.asarray(now.motion).any():
         return False
+    solid = np.array(True) if now.depth is None else _valid(np.asarray(now.depth)) > 0
+    layers = (
+        (before.depth, now.depth, DEPTH_CHANGE, 0.0, np.array(True)),
+        (before.albedo, now.albedo, 0.0, ALBEDO_CHANGE, solid),
+    )
     return any(
-        old is not None and new is not None and _changed(np.asarray(old), np.asarray(new), relative, absolute) > LEAST
-        for old, new, relative, absolute in (
-            (before.depth, now.depth, DEPTH_CHANGE, 0.0), (before.albedo, now.albedo, 0.0, ALBEDO_CHANGE),
-        )
-    )  # fmt: skip
+        old is not None and new is not None and _changed(np.asarray(old), np.asarray(new), *bounds) > LEAST
+        for old, new, *bounds in layers
+    )
 
 
 class Stops:
@@ -167,8 +171,8 @@ class Watch:
             self._notes.append(str(self._drifts[0]))
 
 
-def _changed(before: np.ndarray, now: np.ndarray, relative: float, absolute: float) -> float:
-    """Share of the pixels of `[1, C, H, W]` that have changed."""
+def _changed(before: np.ndarray, now: np.ndarray, relative: float, absolute: float, counts: np.ndarray) -> float:
+    """Share of the pixels of `[1, C, H, W]` that have changed and count, `[1, 1, H, W]` bool."""
     if np.array_equal(before, now):
         return 0.0
     H, W = now.shape[2:]
@@ -177,7 +181,7 @@ def _changed(before: np.ndarray, now: np.ndarray, relative: float, absolute: flo
     around = [_valid(padded[..., i : i + H : step, j : j + W : step]) for i in range(3) for j in range(3)]
     low, high, now = np.minimum.reduce(around), np.maximum.reduce(around), _valid(now[..., ::step, ::step])
     outside = (now < low * (1 - relative) - absolute) | (now > high * (1 + relative) + absolute)
-    return float(outside.any(1).mean())
+    return float((outside.any(1) & np.broadcast_to(counts, (1, 1, H, W))[:, 0, ::step, ::step]).mean())
 
 
 def _valid(x: np.ndarray) -> np.ndarray:
