@@ -296,6 +296,37 @@ def test_names_of_programs_are_left_to_their_presets(tmp_path):
     assert "--write is for files that no preset knows; these are cycles's" in message(describe, cycles)
 
 
+@pytest.mark.parametrize("like", ["cycles", "cycles:ViewLayer"])
+def test_motion_of_cycles_that_is_mirrored_is_mended_and_all_else_stays(tmp_path, like):
+    """As Blender 4.2 writes it behind a fisheye."""
+    def mirrored(frame):
+        vectors = np.concatenate([frame["motion"] * [-1, -1], frame["motion_next"] * [1, 1]], 2)
+        passes = {"Combined": (frame["color"], "RGB"), "Denoising Albedo": (frame["albedo"], "RGB"),
+                  "Normal": (frame["normal"], "XYZ"), "Depth": (frame["depth"], "Z"), "Vector": (vectors, "XYZW")}
+        return {k: v for name, of in passes.items() for k, v in channels(f"ViewLayer.{name}.", *of).items()}
+
+    shot, preset = write(tmp_path / "shot", mirrored), tmp_path / "my.toml"
+    assert next_step(inspect(shot)).endswith("--write my.toml: with these, history comes from wrong places")
+    write_description(shot, preset)
+    preset.write_text(preset.read_text().replace('like = "cycles"', f'like = "{like}"'))
+    as_preset, mended = open_sequence(shot), open_sequence(shot, preset=str(preset))
+    motion = {"motion": (-1, -1), "motion_next": (1, 1)}
+    for layer, rule in as_preset.rules.items():
+        assert mended.rules[layer] == (replace(rule, signs=motion[layer]) if layer in motion else rule)
+    others = replace(mended.layout, layers=as_preset.layout.layers)
+    assert others == as_preset.layout and inspect(shot, preset=str(preset)).convention.status == "ok"
+
+
+@pytest.mark.parametrize(("text", "told"), [
+    ('like = 3', "like is 3, expected the name of a preset"),
+    ('like = "falcor"', "like is 'falcor', expected native, cycles, mitsuba"),
+    ('like = "cycles"\n[motion]\nchannels = ["X", "Y"]\nfile = "{frame}.exr"', "does not go with like = 'cycles'"),
+])  # fmt: skip
+def test_a_preset_that_is_like_none_is_told(tmp_path, text, told):
+    (tmp_path / "my.toml").write_text(text)
+    assert told in message(open_sequence, Path(__file__).parent / "data" / "cycles", preset=str(tmp_path / "my.toml"))
+
+
 def test_layers_of_this_project_stay(tmp_path):
     def more(frame):
         vectors = channels("motion.", -frame["motion"], "XY")

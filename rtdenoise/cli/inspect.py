@@ -24,8 +24,8 @@ class Inspect:
     allow_gaps: bool = False
     """Accept missing frame numbers."""
     write: Annotated[Path | None, arg(metavar="FILE.toml")] = None
-    """Write a layout preset for files that no preset knows: layers by the names of channels and files, the convention
-    of motion vectors as measured."""
+    """Write a layout preset for files that no preset knows, layers by the names of channels and files, or for frames
+    of Cycles whose motion vectors are otherwise. What these mean is measured."""
     verbose: bool = False
     """Also list the work that every frame needs."""
 

@@ -1,6 +1,7 @@
 """Layouts of one's own, from a TOML file: the channels, and files, that make each layer.
 
     name = "tracer"
+    like = "cycles"                      # what is not described here is as in this preset; leave out for other programs
     demodulated = ["indirect"]           # signals that are already divided by the albedo
     wide_filter = true                   # a pixel is the mean of more than its own square (`Frame.wide_filter`)
 
@@ -59,16 +60,21 @@ def parse_layout(text: str, path: Path) -> Layout:
         raise InputError(f"{path}: not valid TOML: {error}") from None
     name = document.pop("name", path.stem)
     demodulated, wide_filter = document.pop("demodulated", []), document.pop("wide_filter", False)
+    like = document.pop("like", "")
     if not isinstance(name, str):
         raise InputError(f"{path}: name is {repr(name)}, expected a string")
     if not isinstance(demodulated, list) or not all(signal in list(SIGNALS) for signal in demodulated):
         raise InputError(f"{path}: demodulated is {repr(demodulated)}, expected a list of {', '.join(SIGNALS)}")
     if not isinstance(wide_filter, bool):
         raise InputError(f"{path}: wide_filter is {repr(wide_filter)}, expected true or false")
+    if not isinstance(like, str):
+        raise InputError(f"{path}: like is {repr(like)}, expected the name of a preset")
     layers = {layer: _rule(path, layer, table) for layer, table in document.items()}
-    if not layers.keys() & SIGNALS.keys():
+    if not like and not layers.keys() & SIGNALS.keys():
         raise InputError(f"{path}: describes no signal; expected a table [color] or [indirect]")
     files = {layer: table["file"] for layer, table in document.items() if "file" in table}
+    if files and like:
+        raise InputError(f"{path}: [{next(iter(files))}] has a 'file', which does not go with like = {repr(like)}")
     if files and (without := [layer for layer in layers if layer not in files]):
         raise InputError(f"{path}: [{without[0]}] has no 'file', [{next(iter(files))}] has one; give all layers a "
                          "file, or none where one file holds all of them")  # fmt: skip
@@ -78,6 +84,7 @@ def parse_layout(text: str, path: Path) -> Layout:
         demodulated=frozenset(demodulated),
         buffers={layer: (pattern,) for layer, pattern in files.items()},
         wide_filter=wide_filter,
+        like=like,
     )
 
 
@@ -85,6 +92,7 @@ def layout_text(layout: Layout, notes: Mapping[str, str]) -> str:
     """A layout, whose layers have one rule each, as the text of a file that `read_layout` reads. `notes`: a line about
     a layer, also about one that is not described, for whoever edits it."""
     lines = [f"name = {_text(layout.name)}", *(["wide_filter = true"] if layout.wide_filter else [])]
+    lines += [f"like = {_text(layout.like)}"] if layout.like else []
     for layer, (rule,) in layout.layers.items():
         if layer not in COUNTS:  # made of others
             continue

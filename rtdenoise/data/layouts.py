@@ -23,6 +23,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import InputError, did_you_mean
@@ -175,6 +176,7 @@ OIDN = Layout(
 )
 
 LAYOUTS = {layout.name: layout for layout in (NATIVE, MITSUBA, FALCOR, BMFR, OIDN)}
+ONE_FILE = ("native", "cycles", "mitsuba")
 NAMES = ("native", "cycles", "mitsuba", "falcor", "bmfr", "oidn", "noisebase")
 
 
@@ -219,6 +221,19 @@ def find(name: str, header: ExrHeader) -> Layout:
     """The layout of a file: "auto" detects it, "cycles:NAME" picks one of several view layers. Raises `InputError`
     where none fits."""
     return detect(header) if name == "auto" else cycles(_choose_view_layer(header, name.partition(":")[2]))
+
+
+def settled(layout: Layout, header: ExrHeader) -> Layout:
+    """A layout that is `like` a preset as that preset, with its own layers in place of others. Raises `InputError` as
+    `find` does, and where no such preset has all layers in one file."""
+    if not layout.like:
+        return layout
+    preset = layout.like.partition(":")[0]
+    if preset not in ONE_FILE:
+        raise InputError(f"preset {layout.name}: like is '{layout.like}', expected {', '.join(ONE_FILE)}")
+    base = LAYOUTS[preset] if preset in LAYOUTS else find(layout.like, header)
+    own = layout.demodulated | base.demodulated, layout.wide_filter or base.wide_filter
+    return replace(base, layers={**base.layers, **layout.layers}, demodulated=own[0], wide_filter=own[1])
 
 
 def detect(header: ExrHeader) -> Layout:

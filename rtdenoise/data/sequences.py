@@ -17,7 +17,7 @@ from .files import FrameFiles, find_frames, find_gaps
 from .fog import with_fog
 from .layers import SIGNALS
 from .layout import SCALES, Layout, Rule, pixels
-from .layouts import choose, find, samples
+from .layouts import choose, find, samples, settled
 from .lost import with_lost_samples
 from .noisebase import NOISEBASE, find_archives
 from .region import Region
@@ -215,7 +215,7 @@ def open_sequence(
     else:
         files = find_frames(path_or_glob, chosen.buffers if chosen else {}, allow_gaps)
     header = files[0].header()
-    found = chosen or find(preset, header)
+    found = settled(chosen, header) if chosen else find(preset, header)
     available = found.resolve(header, signal)
     if "radiance" not in available:
         raise InputError(_missing(header, found, signal, "radiance"))

@@ -1,4 +1,4 @@
-"""Describe files that no preset knows: `rtdenoise inspect SEQ --write my.toml`.
+"""Describe files that no preset knows, or whose motion is not as its says: `rtdenoise inspect SEQ --write my.toml`.
 
 Names say which channels are which layer (`data/names.py`). What their numbers mean is measured: motion vectors by
 warping one frame to the next (`vectors`), and by their values depth where nothing was hit, and normals.
@@ -17,8 +17,8 @@ import numpy as np
 
 from ..data.layout import Layout, Rule
 from ..data.layout_file import layout_text, parse_layout
-from ..data.names import guess
-from ..data.sequences import open_sequence
+from ..data.names import GUESSED, guess
+from ..data.sequences import Sequence, open_sequence
 from ..errors import INSTALL_TORCH, InputError, printable
 from ..files import write_atomically
 from .inspect import choose_pairs
@@ -32,6 +32,7 @@ MANY, FAR, ENDLESS = 8, 1e3, 1e6  # pixels of the greatest depth, and times the 
 OFTEN = 0.01  # share of pixels with the greatest depth, of which a note tells
 BETTER = 0.95  # times the error of another reading
 MOTIONS = "motion", "motion_next"
+CYCLES = "cycles"
 STORED = "measured: stored as n / 2 + 1/2; "
 SPACE = "not measured: world space is right, the camera's is not"
 
@@ -61,7 +62,10 @@ def write_description(
 def describe(
     source: str | os.PathLike, signal: str = "color", allow_gaps: bool = False
 ) -> tuple[Layout, dict[str, str]]:
-    """The layout of a sequence, and a note on each layer that was measured, or whose files are in doubt."""
+    """The layout of a sequence, and a note on each layer that was measured, or whose files are in doubt. Where
+    motion in frames of Cycles is not as its preset says, as behind a fisheye, that is the preset, mended."""
+    if mended := _mended(source, signal, allow_gaps):
+        return mended
     doubts = dict[str, str]()
     layout = guess(source, signal, doubts)
     sequence = open_sequence(source, signal=signal, preset=layout, allow_gaps=allow_gaps)
@@ -89,6 +93,41 @@ def describe(
             layers[layer] = (rule,)
     notes |= {layer: "; ".join(filter(None, [notes.get(layer), told])) for layer, told in doubts.items()}
     return replace(layout, layers=layers, buffers=buffers), notes
+
+
+def _mended(
+    source: str | os.PathLike, signal: str, allow_gaps: bool
+) -> tuple[Layout, dict[str, str]] | None:
+    """`describe` for frames of Cycles whose motion is not as its preset says; None for others. Takes PyTorch."""
+    try:
+        sequence = open_sequence(source, signal=signal, allow_gaps=allow_gaps)
+    except InputError:
+        return None
+    chosen, notes = choose_pairs(sequence.numbers, sequence.size), dict[str, str]()
+    if sequence.layout.name != CYCLES or not (chosen and sequence.has("motion")) or find_spec("torch") is None:
+        return None
+    if not _is_wrong(_pairs(sequence, chosen)):
+        return None
+    fields = {m: replace(r, signs=(1, 1)) for m, r in sequence.available.items() if m in MOTIONS}
+    stored = replace(sequence.layout, layers={**sequence.layout.layers, **{m: (r,) for m, r in fields.items()}})
+    sequence = open_sequence(source, signal=signal, preset=stored, allow_gaps=allow_gaps)
+    found = _measured(fields, _pairs(sequence, chosen), notes)
+    return Layout(GUESSED, {layer: (rule,) for layer, (_, rule) in found.items()}, like=CYCLES), notes
+
+
+def _is_wrong(pairs: list[tuple[Frame, Frame]]) -> bool:
+    """Whether motion in these frames has another convention."""
+    import torch
+
+    from .conventions import check_motion
+
+    return check_motion([tuple(x.map(torch.from_numpy) for x in pair) for pair in pairs]).status == "wrong"
+
+
+def _pairs(sequence: Sequence, chosen: list[tuple[int, int]]) -> list[tuple[Frame, Frame]]:
+    """Pairs of frames by their indices."""
+    frames = {i: sequence.read(i) for i in {i for pair in chosen for i in pair}}
+    return [(frames[a], frames[b]) for a, b in chosen]
 
 
 def _decoded(rule: Rule, frames: list[Frame]) -> Rule:

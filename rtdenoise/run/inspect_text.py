@@ -29,7 +29,7 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     given = [w for n, v in options.items() if n != "preset" for w in _words(n, v)]
     describe = shlex.join(["rtdenoise", "inspect", found.source, *given, "--write", "my.toml"])
     if found.convention and found.convention.status == "wrong":
-        advice = f", or describe them: {describe}" if found.preset == NATIVE.name else ""
+        advice = f", or describe them: {describe}" if found.preset in (NATIVE.name, "cycles") else ""
         return f"mend the motion vectors as said above{advice}: with these, history comes from wrong places"
     if found.guessed:
         return f"{describe}, which describes {', '.join(found.guessed)}: the files seem to call them otherwise"
