@@ -201,9 +201,9 @@ def open_sequence(
 
     `signal` chooses the light in `radiance`: 'color', the beauty, or 'indirect' light. `preset` is the files' layout;
     'auto' finds it. All headers are checked at once: one size, one set of layers, complete files, consecutive numbers.
-    The frame number is the last run of digits in a file's name that is no version (`_v02`) and no number of samples
-    (`_64spp`), or where a layout's pattern has it. Missing numbers are an error unless `allow_gaps`. Raises InputError,
-    in one line, for whatever does not fit.
+    The frame number is the last run of digits in a file's name that is no version (`_v02`), no number of samples
+    (`_64spp`) and no part of a word that all share (`_4k`), or where a layout's pattern has it. Missing numbers are an
+    error unless `allow_gaps`. Raises InputError, in one line, for whatever does not fit.
     """
     if signal not in SIGNALS:
         raise InputError(f"unknown signal '{signal}': known are {', '.join(SIGNALS)}")
