@@ -25,6 +25,7 @@ from rtdenoise.models.pixel_network import PixelNetwork, as_color
 from rtdenoise.models.weights import bytes_of, find
 from rtdenoise.ops.convolve_bytes import convolve_bytes, multiplies_bytes, packed, unpacked
 from rtdenoise.ops.feature_bytes import CHANNELS, feature_bytes
+from rtdenoise.ops.to_bytes import to_bytes
 
 SMALL = HybridConfig(
     widths=(8, 8, 8, 8), scales=4, edge_kernel=3, detail=True, recent=3, down=(16, 12, 20), up=(12, 8), out=(16, 4)
@@ -136,6 +137,14 @@ def test_bytes_that_do_not_fit_are_refused(change, message):
     assert call().shape == (1, 6, 6, 8)
     with pytest.raises(ValueError, match=message):
         call(**change)
+
+
+def test_steps_need_not_be_one_for_each_channel():
+    """Compiled code reads as many as there are channels, of the type of x."""
+    x = torch.rand(1, 24, 4, 6).contiguous(memory_format=torch.channels_last)
+    expected = to_bytes(x, torch.full((24, 1, 1), 100.0))
+    for scale in (torch.full((1, 1, 1), 100.0), torch.full((24, 1, 6), 100.0)):
+        assert torch.equal(to_bytes(x, scale), expected)
 
 
 def test_features_have_their_channels():

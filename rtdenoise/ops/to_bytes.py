@@ -20,7 +20,8 @@ def to_bytes(
 ) -> Tensor:  # [B, C, H, W] uint8, channels last
     """The nearest whole number to x · scale, at most 255."""
     last = x.is_contiguous(memory_format=torch.channels_last)
-    if last and x.dtype != torch.float16 and (run := FUSED(x=x)):
+    fits = scale.shape == (x.shape[1], 1, 1) and scale.dtype == x.dtype
+    if last and fits and x.dtype != torch.float16 and (run := FUSED(x=x)):
         return run(x, scale)
     steps = torch.addcmul(x.new_tensor(HALF), x, scale)
     return steps.clamp_(max=255).to(torch.uint8, memory_format=torch.channels_last)

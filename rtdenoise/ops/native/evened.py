@@ -20,7 +20,7 @@ def evened(light: Tensor, count: Tensor, image: Tensor, trust: Tensor) -> Tensor
 
 def held_and_tells(held: Tensor) -> tuple[Tensor, Tensor]:
     held = held.contiguous()
-    most, (numbers, tells) = _greatest(held), torch.empty(2, *held.shape, device="cpu").unbind()
+    most, (numbers, tells) = _greatest(held), _empty(2, *held.shape).unbind()
     flags = int(held.dtype is torch.bool)
     _code().held_and_tells(pointer(held), flags, *map(pointer, (most, numbers, tells)), *_size(held))
     return numbers, tells
@@ -28,9 +28,13 @@ def held_and_tells(held: Tensor) -> tuple[Tensor, Tensor]:
 
 def _greatest(x: Tensor) -> Tensor:
     B, _, H, W = x.shape
-    most = torch.empty(B, -(-H // AROUND_CELL), -(-W // AROUND_CELL), device="cpu")
+    most = _empty(B, -(-H // AROUND_CELL), -(-W // AROUND_CELL))
     _code().greatest(pointer(x), int(x.dtype is torch.bool), pointer(most), *_size(x))
     return most
+
+
+def _empty(*shape: int) -> Tensor:
+    return torch.empty(shape, dtype=torch.float32, device="cpu")
 
 
 def _size(x: Tensor) -> tuple[int, int, int, int]:
