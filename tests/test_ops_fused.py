@@ -1,16 +1,18 @@
 """The fused ops against the plain ones, which are the specification: every size, dtype and layout, extreme logits,
 gradients. The CUDA ops run on a GPU if there is one, else in Triton's interpreter."""
 
+import ctypes
 import functools
 import importlib
 import math
+from pathlib import Path
 
 import pytest
 import torch
 from fused_cases import CASES, DTYPES, SIZES
 
 from rtdenoise import ops
-from rtdenoise.ops import pixels, ranks
+from rtdenoise.ops import native, pixels, ranks
 from rtdenoise.ops.agrees import agrees
 from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.blend_history import blend_history
@@ -36,6 +38,15 @@ from rtdenoise.ops.turned import turned
 from rtdenoise.ops.window_noise import window_noise
 from rtdenoise.sanitise import VALID
 
+SHAPE = """
+#include "common.h"
+#include "tiles.h"
+void begin(void) { if (tiles_allowed()) tiles_begin(); }
+void end(uint8_t *shape) {
+    __asm__ volatile("sttilecfg (%0)" : : "r"(shape) : "memory");
+    tiles_end();
+}
+"""
 NARROW = [("native", size) for size in [(1, 5), (4, 1)]]
 KERNELS = [(*case, K, dtype) for case in CASES for K in (3, 5) for dtype in DTYPES if K == 3 or case[0] == "native"]
 
@@ -354,13 +365,27 @@ def test_to_planes(both, backend, assert_images_close, monkeypatch, size, dtypes
 @pytest.mark.parametrize(
     ("channels", "planes", "size"), [(32, 3, (4, 40)), (64, 1, (1, 34)), (96, 4, (3, 18))], ids=str
 )
-def test_to_planes_with_tiles(both, assert_images_close, monkeypatch, channels, planes, size):
+def test_to_planes_with_tiles(both, monkeypatch, channels, planes, size):
     other = functools.partial(compiler.library, EMULATED=1)
     monkeypatch.setattr("rtdenoise.ops.native.to_planes.library", other)
     x = torch.randn(1, channels, *size).bfloat16().to(memory_format=torch.channels_last)
     weight, bias = torch.randn(planes, channels, 3, 3).bfloat16(), torch.randn(planes).bfloat16()
     plain, fused = both(lambda *given: to_planes(*given), x, weight, bias)
     assert (fused - plain).abs().max() < 1e-5 * plain.abs().max()
+
+
+def test_registers_of_tiles_have_their_shape(monkeypatch, tmp_path):
+    """Also in a function that does nothing else: GCC left out what its instructions do not say that they read."""
+    if not torch.cpu._is_amx_tile_supported():
+        return
+    for name in ("common.h", "tiles.h"):
+        (tmp_path / name).write_text((Path(native.__file__).parent / name).read_text(encoding="utf-8"))
+    (tmp_path / "shape.c").write_text(SHAPE)
+    monkeypatch.setattr(compiler.resources, "files", lambda package: tmp_path)
+    found, code = (ctypes.c_uint8 * 64)(), compiler.library("shape")
+    code.begin()
+    code.end(found)
+    assert list(found) == [1, *[0] * 15, *[64, 0] * 8, *[0] * 16, *[16] * 8, *[0] * 8]
 
 
 def some_bytes(*shape):
