@@ -2,8 +2,9 @@
 
 Every op runs on ordinary input, NaN, denormals, huge and hostile motion, in all layouts of logits, with gradients where
 it has them. Memory of tensors comes from the sanitizer's allocator, so reads and writes beside a tensor end the process
-with a report. Prints a line of JSON for each size: the calls, and which ops made values that are not finite of input
-without NaN. `--few`: one kernel size and type of logits, for less compilation.
+with a report; of instructions for tiles it knows nothing, so these are emulated. Prints a line of JSON for each size:
+the calls, and which ops made values that are not finite of input without NaN. `--few`: one kernel size and type of
+logits, for less compilation.
 
 Above 1920×1080 it is fewer kinds of input, each with every op; above 64×64 the C is slightly optimised, for time.
 
@@ -18,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 SANITIZERS = ("-g", "-fsanitize=address,undefined,float-cast-overflow,bounds-strict",
@@ -73,12 +75,13 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.around import expand_within
     from rtdenoise.ops.blend_history import blend_history
     from rtdenoise.ops.block_luminance import block_luminance
-    from rtdenoise.ops.convolve_bytes import convolve_bytes
     from rtdenoise.ops.even_sky import even_sky
+    from rtdenoise.ops.evened import evened, held_and_tells
     from rtdenoise.ops.feature_bytes import feature_bytes
     from rtdenoise.ops.features import features
     from rtdenoise.ops.fireflies import without_fireflies
     from rtdenoise.ops.logits import cells
+    from rtdenoise.ops.max_pool import max_pool
     from rtdenoise.ops.mix import mix
     from rtdenoise.ops.over import over_and_coverage
     from rtdenoise.ops.recall import keep, recall
@@ -86,7 +89,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.scattered import scattered
     from rtdenoise.ops.shares import shares
     from rtdenoise.ops.soften import soften
-    from rtdenoise.ops.to_planes import to_planes
+    from rtdenoise.ops.to_bytes import to_bytes
     from rtdenoise.ops.turned import turned
     from rtdenoise.shift.displacement import displacement_sums
     from rtdenoise.splat import history_motion
@@ -132,6 +135,9 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     for for_footprints in ((), (seen,), (seen, one), (seen, one, scattered(depth))):
         yield f"recall {len(for_footprints)}", recall(image, motion, (depth, normal), kept, *for_footprints)
     yield "turned", turned(normal, other)
+    yield "evened", evened(image, depth, other, share)
+    for held in (seen, share):
+        yield "held_and_tells", held_and_tells(held, torch.float32)
     yield "agrees", agrees(image, other, seen)
     yield "retextured", retextured(image, other, seen)
     yield "scattered", scattered(depth)
@@ -144,17 +150,14 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
         yield "features", features([image], [normal, depth, seen], one, like.to(dtype))
     x = feature_bytes(image, other, normal)
     yield "feature_bytes", x
-    whole = torch.arange(9 * 3 * 32 * 4).to(torch.int8).view(1, 27, 32, 4)
-    for outputs in (32, 20):
-        numbers = torch.full((1, outputs), 0.01), torch.zeros(1, outputs)
-        for dtype in (torch.uint8, torch.bfloat16):
-            yield "convolve_bytes", convolve_bytes(x, whole, *numbers, dtype=dtype)
-    fine = feature_bytes(*(layer.repeat_interleave(2, 2).repeat_interleave(2, 3) for layer in (image, other, normal)))
-    both = torch.cat([whole[:, :12], whole], dim=1).expand(4, -1, -1, -1).contiguous()
-    yield "convolve_bytes", convolve_bytes(fine, both, torch.full((4, 20), 0.01), torch.zeros(4, 20), x)
-    for channels, dtype in ((32, torch.float32), (48, torch.bfloat16), (32, torch.bfloat16)):
-        x = image.repeat(1, 16, 1, 1)[:, :channels].to(dtype).contiguous(memory_format=torch.channels_last)
-        yield "to_planes", to_planes(x, torch.ones(3, channels, 3, 3, dtype=dtype), torch.zeros(3))
+    for dtype in (torch.uint8, torch.float32, torch.bfloat16):
+        wide = _wide(image) if dtype.is_floating_point else _wide(x)
+        yield f"max_pool {dtype}", max_pool(wide.to(dtype).contiguous(memory_format=torch.channels_last))
+    for dtype in (torch.float32, torch.bfloat16):
+        wide = image.abs().to(dtype).contiguous(memory_format=torch.channels_last)
+        yield f"to_bytes {dtype}", to_bytes(wide, torch.full((3, 1, 1), 9.0, dtype=dtype))
+    for own in (True, False):
+        yield from _convolutions(image, other, normal, own)
     many = small and not few
     for K in (1, 3, 5, 7) if many else (3,):
         for dtype in (torch.float32, torch.bfloat16, torch.float16) if many else (torch.bfloat16,):
@@ -177,6 +180,43 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
         "reproject gradients",
         _gradients(lambda i: ops.reproject([i], motion, (depth, normal), (depth, normal))[0], image),
     )
+
+
+def _convolutions(image, other, normal, own: bool) -> Iterator[tuple[str, object]]:
+    """Of as many channels as fit to vectors and tiles, and of others; by this CPU's `own` instructions, or tiles."""
+    import torch
+
+    from rtdenoise.ops.convolve_bytes import MOST, convolve_bytes
+    from rtdenoise.ops.feature_bytes import feature_bytes
+    from rtdenoise.ops.native import compiler
+    from rtdenoise.ops.native import convolve_bytes as one
+    from rtdenoise.ops.native import to_planes as another
+    from rtdenoise.ops.to_planes import to_planes
+
+    one.library = another.library = compiler.library if own else partial(compiler.library, EMULATED=1)
+    H, W = image.shape[2:]
+    x = feature_bytes(image, other, normal)
+    fine = feature_bytes(*(_wide(layer) for layer in (image, other, normal)))
+    whole = torch.arange(9 * 3 * 64 * 4).to(torch.int8).view(1, 27, 64, 4)
+    for outputs in (48, 13):
+        numbers = torch.full((4, outputs), 0.01), torch.zeros(4, outputs)
+        weight = whole[:, :, : -(-outputs // 32) * 32]
+        both = torch.cat([weight[:, :12], weight], dim=1).expand(4, -1, -1, -1)
+        for dtype in (torch.uint8, torch.bfloat16):
+            yield "convolve_bytes", convolve_bytes(x, weight, *(n[:1] for n in numbers), dtype=dtype)
+            yield "convolve_bytes below", convolve_bytes(fine, both, *numbers, x, dtype)
+    if H * W <= SMALL:
+        most = x.repeat(1, MOST // x.shape[1] + 1, 1, 1)[:, :MOST].contiguous(memory_format=torch.channels_last)
+        weight, numbers = torch.ones(1, 9 * MOST // 4, 32, 4, dtype=torch.int8), torch.ones(2, 1, 32)
+        yield "convolve_bytes most", convolve_bytes(most, weight, *numbers)
+    for channels, dtype in ((32, torch.float32), (48, torch.bfloat16), (32, torch.bfloat16)):
+        x = image.repeat(1, 16, 1, 1)[:, :channels].to(dtype).contiguous(memory_format=torch.channels_last)
+        yield "to_planes", to_planes(x, torch.ones(3, channels, 3, 3, dtype=dtype), torch.zeros(3))
+
+
+def _wide(image):
+    """Of twice the size: every pixel as 2×2."""
+    return image.repeat_interleave(2, 2).repeat_interleave(2, 3)
 
 
 def _gradients(op, *inputs):
