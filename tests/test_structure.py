@@ -52,3 +52,9 @@ def test_inference_imports_no_training_rendering_or_plotting():
     code = f"import sys, rtdenoise, rtdenoise.run.denoise; sys.exit(sorted(set({heavy}) & set(sys.modules)) or 0)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
+
+
+def test_lines_of_c_and_shaders_fit():
+    files = [*(ROOT / "ops" / "native").glob("*.[ch]"), *(ROOT.parent / "shaders").rglob("*.glsl")]
+    lines = [(path, line) for path in files for line in path.read_text(encoding="utf-8").splitlines()]
+    assert len(lines) > 3000 and [(path.name, line) for path, line in lines if len(line) > 132] == []

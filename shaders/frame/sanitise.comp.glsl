@@ -1,5 +1,6 @@
 #version 430
-// Replace values that no filter can use (sanitise.sanitise), and pack the layers into images. One work group per block of 8×8 pixels.
+// Replace values that no filter can use (sanitise.sanitise), and pack the layers into images. One work group per block of 8×8
+// pixels.
 #pragma constants DEMODULATE BRIGHTEST FAR GREATEST_ALBEDO LONGEST_NORMAL
 #include "image.glsl"
 #include "finite.glsl"

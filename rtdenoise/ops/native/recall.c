@@ -266,8 +266,9 @@ static inline void surroundings(Job j, int y, int from, int n, Surroundings *s) 
     }
 }
 
-// Add to n sums what pixels of a kept frame hold, for footprints of the pixels of a block, and go on along their paths. `nearest`: the least distance of what belongs to each pixel, `least` and `greatest`: depths of what is scattered there;
-// the first two are NaN where nothing belongs to it.
+// Add to n sums what pixels of a kept frame hold, for footprints of the pixels of a block, and go on along their paths.
+// `nearest`: the least distance of what belongs to each pixel, `least` and `greatest`: depths of what is scattered there; the
+// first two are NaN where nothing belongs to it.
 static inline void see(Job j, uint32_t (*pixels)[BLOCK], int n, const int *inside, Paths *paths,
                        const Surroundings *around, const float *nearest, const float *least, const float *greatest,
                        const float *weight, float sum[][BLOCK]) {
@@ -384,9 +385,9 @@ static void strip(Job j, int top, int bottom, int left, int n) {
 // depth, or all three NULL; lone [B, 2, H, W] or NULL; all contiguous. found and cells hold the scratch of `threads` threads.
 void recall(const float *light, const float *motion, const float *depth, const float *normal,
             const uint8_t *uncovered, const float *lone, const float *misplaced, const uint32_t *const *kept, float *mean,
-            float *count, float *footprint, float *footprint_count, uint32_t *found, float *cells, int K, int B, int H, int W, int words,
-            float depth_tolerance, float normal_tolerance, float alike, float changed, float wide_alike, float wide_changed,
-            float speed, int threads) {
+            float *count, float *footprint, float *footprint_count, uint32_t *found, float *cells,
+            int K, int B, int H, int W, int words, float depth_tolerance, float normal_tolerance, float alike, float changed,
+            float wide_alike, float wide_changed, float speed, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, wide = (rows + WIDE - 1) / WIDE, width = BLOCK - 2 * MARGIN;
 #pragma omp parallel for num_threads(threads) schedule(static)
