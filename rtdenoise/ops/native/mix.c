@@ -1,5 +1,5 @@
 // One picture of two, and of the previous one. The specification is ops/mix.py; CELL, DARK, FAR, LARGEST, NOISE, TELLS and
-// UNCOVERED are those of constants.py.
+// UNCOVERED are those of constants.py. BEFORE and NOISY are 1 where there is a previous picture, and the frame, else 0.
 #include "common.h"
 #include "expm1.h"
 #include "log1p.h"
@@ -93,19 +93,17 @@ static inline void leave_the_sky(Job j, int y, float *share) {
 }
 
 // A row of one colour; `share` of the first picture in each pixel.
-static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int c, const float *share, int has_before,
-                                                         int has_noisy) {
+static inline void colour(Job j, int64_t row, int c, const float *share) {
     int64_t at = row + c * j.plane;
-    const float *first = j.first + at, *other = j.other + at, *before = j.before + (has_before ? at : 0);
-    const float *trust = j.trust + row, *held = j.held + (has_before ? row : 0);
-    const float *tells = j.tells + (has_noisy ? row : 0);
+    const float *first = j.first + at, *other = j.other + at, *before = BEFORE ? j.before + at : NULL;
+    const float *trust = j.trust + row, *held = BEFORE ? j.held + row : NULL, *tells = NOISY ? j.tells + row : NULL;
     float *out = j.out + at, scale = j.scale, part = j.share;
 #pragma omp simd
     for (int x = 0; x < j.W; x++) {
         float p = log1p_positive(scale * MAX(first[x], 0)), q = log1p_positive(scale * MAX(other[x], 0));
-        if (has_noisy) p = tells[x] < (float)TELLS ? q + MIN(MAX(p - q, -(float)UNCOVERED), (float)UNCOVERED) : p;
+        if (NOISY) p = tells[x] < (float)TELLS ? q + MIN(MAX(p - q, -(float)UNCOVERED), (float)UNCOVERED) : p;
         float mixed = lerp(q, p, trust[x] * share[x]);
-        if (has_before) {
+        if (BEFORE) {
             float apart = log1p_positive(scale * MAX(before[x], 0)) - mixed;
             mixed += trust[x] * part * held[x] * MIN(MAX(apart, -(float)FAR), (float)FAR);
         }
@@ -113,20 +111,19 @@ static inline __attribute__((always_inline)) void colour(Job j, int64_t row, int
     }
 }
 
-// first, other, before, noisy, out [B, 3, H, W], trust, held, tells, depth [B, 1, H, W], scale [B]; before and held, noisy and
-// tells, and depth may be NULL. cells and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads`
-// threads.
+// first, other, before, noisy, out [B, 3, H, W], trust, held, tells, depth [B, 1, H, W], scale [B]; depth may be NULL. cells
+// and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads` threads.
 void mix(const float *first, const float *other, const float *scale, const float *trust, const float *before, const float *held,
          const float *noisy, const float *tells, const float *depth, float *cells, float *around, float *space, float *out, int B,
          int H, int W, float usual, float share, float least, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
     for (int b = 0; b < B; b++) {
-        Job j = {first + 3 * b * plane, other + 3 * b * plane, before ? before + 3 * b * plane : NULL,
-                 noisy ? noisy + 3 * b * plane : NULL, trust + b * plane, before ? held + b * plane : NULL,
-                 noisy ? tells + b * plane : NULL, depth ? depth + b * plane : NULL, cells, around, out + 3 * b * plane, scale[b],
+        Job j = {first + 3 * b * plane, other + 3 * b * plane, BEFORE ? before + 3 * b * plane : NULL,
+                 NOISY ? noisy + 3 * b * plane : NULL, trust + b * plane, BEFORE ? held + b * plane : NULL,
+                 NOISY ? tells + b * plane : NULL, depth ? depth + b * plane : NULL, cells, around, out + 3 * b * plane, scale[b],
                  usual, share, least, plane, H, W, rows, columns};
-        for (int step = noisy ? 0 : 2; step < 3; step++) {
+        for (int step = NOISY ? 0 : 2; step < 3; step++) {
             int count = step < 2 ? rows : H;
 #pragma omp parallel for num_threads(threads) schedule(static)
             for (int t = 0; t < threads; t++) {
@@ -136,13 +133,9 @@ void mix(const float *first, const float *other, const float *scale, const float
                     if (step == 1) smooth(j, i);
                     if (step < 2) continue;
                     for (int x = 0; x < W; x++) shares[x] = usual;
-                    if (noisy) told(j, i, sums, shares);
+                    if (NOISY) told(j, i, sums, shares);
                     if (depth) leave_the_sky(j, i, shares);
-                    for (int c = 0; c < 3; c++)
-                        if (before && noisy) colour(j, (int64_t)i * W, c, shares, 1, 1);
-                        else if (before) colour(j, (int64_t)i * W, c, shares, 1, 0);
-                        else if (noisy) colour(j, (int64_t)i * W, c, shares, 0, 1);
-                        else colour(j, (int64_t)i * W, c, shares, 0, 0);
+                    for (int c = 0; c < 3; c++) colour(j, (int64_t)i * W, c, shares);
                 }
             }
         }

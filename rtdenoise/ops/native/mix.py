@@ -32,6 +32,7 @@ def mix(
     cells = first.new_empty(2, -(-H // MIX_CELL), SUMS, -(-W // MIX_CELL))
     space, out = first.new_empty(threads, SUMS + 1, W), torch.empty_like(images[0])
     constants = {"CELL": MIX_CELL, "DARK": MIX_DARK, "FAR": MIX_FAR, "LARGEST": MIX_LARGEST, "NOISE": MIX_NOISE}
-    run = library("mix", TELLS=MIX_TELLS, UNCOVERED=MIX_UNCOVERED, **constants).mix
+    given = {"BEFORE": int(before is not None), "NOISY": int(noisy is not None)}
+    run = library("mix", TELLS=MIX_TELLS, UNCOVERED=MIX_UNCOVERED, **constants, **given).mix
     run(*map(pointer, (*images, cells[0], cells[1], space, out)), B, H, W, *map(c_float, shares), threads)
     return out
