@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..errors import InputError
-from ..models.window import Combined, Window, comparable, completed
+from ..models.window import Combined, Window, comparable, with_features
 from ..ops import apply_kernel
 from ..ops.mean_distance import mean_distance
 
@@ -55,7 +55,7 @@ class DeepCombiner(nn.Module):
     def combine(self, window: Window) -> Combined:
         """Correct the middle frame of a window from itself alone."""
         place = len(window.frames) // 2
-        frame = completed(window.frames[place])
+        frame = with_features(window.frames[place])
         noisy, estimate = comparable(frame.radiance, window.estimates[place])
         depth = frame.depth / mean_distance(frame.depth)
         x = torch.cat([noisy, estimate, frame.albedo, frame.normal, depth], dim=1)

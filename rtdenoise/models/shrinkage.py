@@ -31,7 +31,7 @@ from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops import reproject
 from ..ops.scattered import scattered
 from ..sanitise import sanitise
-from .window import Combined, Window, aligned, box, changed, comparable, completed, current_of, divisor_of
+from .window import Combined, Window, aligned, box, changed, comparable, current_of, divisor_of, with_features
 
 Step = Callable[..., tuple[Tensor, History]]
 
@@ -89,7 +89,7 @@ def by_halves(frame: Frame | None, estimate: Tensor | None, half: Tensor | None)
 
 def by_neighbours(window: Window, place: int) -> Tensor:
     """The correction that the neighbours of the frame at `place` support, `[B, 3, H, W]`."""
-    frame, (found, _) = completed(window.frames[place]), aligned(window, place)
+    frame, (found, _) = with_features(window.frames[place]), aligned(window, place)
     others = [one for k, one in enumerate(found) if one is not None and k != place]
     if not others:
         return torch.zeros_like(frame.radiance)

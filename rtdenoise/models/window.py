@@ -72,7 +72,7 @@ def current_of(window: Window, place: int, frames: int) -> tuple[Frame, Tensor]:
         if frame is not None and not (isinstance(estimate, Tensor) and shape == frame.radiance.shape):
             got = type(estimate).__name__ if shape is None else tuple(shape)
             raise ValueError(f"expected a tensor {tuple(frame.radiance.shape)} as the estimate of a frame, got {got}")
-    return completed(window.frames[place]), window.estimates[place]
+    return with_features(window.frames[place]), window.estimates[place]
 
 
 def aligned(window: Window, current: int, *, relative: bool = True) -> tuple[list[Aligned | None], Tensor]:
@@ -82,7 +82,7 @@ def aligned(window: Window, current: int, *, relative: bool = True) -> tuple[lis
     Residuals and z are fetched with the same taps, which test that they show the same surface (`ops.reproject`).
     Residuals that are not `relative` are at that exposure.
     """
-    frame = completed(window.frames[current])
+    frame = with_features(window.frames[current])
     noisy, estimate = comparable(frame.radiance, window.estimates[current])
     scale = exposure(estimate)
 
@@ -100,7 +100,7 @@ def aligned(window: Window, current: int, *, relative: bool = True) -> tuple[lis
             if onward is None:
                 break
             motion = onward if motion is None else two_step(motion, onward)
-            there = completed(window.frames[place])
+            there = with_features(window.frames[place])
             surfaces = (frame.depth, frame.normal), (there.depth, there.normal)
             noisy, estimate = comparable(there.radiance, window.estimates[place])
             both, valid = reproject(((noisy - estimate) / divisor(estimate), estimate), motion, *surfaces)
@@ -123,7 +123,7 @@ def divisor_of(
     return estimate + DARK / scale
 
 
-def completed(frame: Frame) -> Frame:
+def with_features(frame: Frame) -> Frame:
     """A frame with valid features: missing ones become a white, flat surface's. Radiance stays as it is."""
     nothing = torch.zeros_like(frame.radiance)
     albedo = torch.ones_like(nothing) if frame.albedo is None else frame.albedo
