@@ -384,6 +384,14 @@ def test_only_for_many_samples_noise_tells_how_far_lookups_off_the_pixel_count(m
     torch.testing.assert_close(others, torch.full_like(others, 0.0 if many else 0.25), atol=0.01, rtol=0)
 
 
+def test_its_histories_have_footprints_if_asked():
+    frame = make_frames(1)[0]
+    for options, channels in (({}, None), ({"footprint": True}, 9)):
+        with torch.no_grad():
+            history = load("hybrid-fast", precision="fp32", **options).step(frame)[1]
+        assert channels == (history.footprint if channels is None else history.footprint.shape[1])
+
+
 def test_what_it_cannot_do_is_refused():
     with pytest.raises(ValueError, match="expected"):
         grow(read("default"), SMALL)

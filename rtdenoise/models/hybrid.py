@@ -33,7 +33,7 @@ class Hybrid(AccumulatedKPN):
         super().__init__(config)
         self.pixels = PixelNetwork(config)
         self.shares = config.shares  # of `mix`
-        self.keeps_footprint = False  # in its history, for others who filter it
+        self.keeps_footprint = False  # in its history, for others who filter it: `load` with `footprint=True`
         self.keeps_fireflies = config.many  # a lone bright pixel of many samples is true more often than not
 
     def step_and_kernels(

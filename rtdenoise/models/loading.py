@@ -49,13 +49,15 @@ def load(
     its networks in bytes (`in_bytes`), and what is left of them in bfloat16 or float32. 'auto' leaves the pixels of a
     `Hybrid` for many samples out, and both those of a file with no bytes of them beside it.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
-    `motion="traditional"` for an ablation.
+    `motion="traditional"` for an ablation, or `footprint=True`: histories have `History.footprint` then.
 
     Raises InputError for an unknown model or precision, CUDA without a GPU, a combiner, an unreadable file, an override
     that is no field, weights that are not finite or do not fit their configuration, and a model that has none in bytes.
     """
     (device, dtype), file = _placed(device, precision), read_denoiser(model, **overrides)
     network = _built(file)
+    if isinstance(network, Hybrid):  # which need footprints themselves
+        network.keeps_footprint = overrides.get("footprint", False)
     if precision == INT8 or (has_bytes(file.path) and takes_bytes(precision, device)):
         _into_bytes(network, file.path, must=precision == INT8)
     return prepare(network.to(device), dtype)
