@@ -18,6 +18,7 @@ import pytest
 import torch
 from rendering import render_here
 from safetensors.numpy import save_file
+from synthetic import write_clips
 
 from rtdenoise.cli.clips import Clips
 from rtdenoise.cli.main import main
@@ -27,6 +28,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.files import write_atomically
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.motion import dual_motion, on_screen
+from rtdenoise.render.card import write_card
 from rtdenoise.render.clips import render_clips
 from rtdenoise.render.draw import HELD_OUT, scene_seed
 from rtdenoise.render.frames import RenderOptions, describe_frame, features
@@ -422,6 +424,12 @@ def test_a_scene_that_does_not_load_says_why(room, wrong, complaint):
     with pytest.raises(InputError, match=complaint) as caught:
         open_scene(str(room))
     assert "\n" not in str(caught.value) and str(room) in str(caught.value)
+
+
+def test_clips_of_others_have_no_card(tmp_path):
+    write_clips(tmp_path, [1])
+    with pytest.raises(InputError, match=r"clip_000000.*: was not rendered by .* does not tell its frames, size"):
+        write_card(tmp_path, "rtdenoise clips")
 
 
 def test_a_full_disk_is_one_line_and_leaves_no_half_clip(tmp_path, monkeypatch):

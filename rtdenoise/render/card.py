@@ -9,6 +9,7 @@ import numpy as np
 
 from ..data.clip_file import LEAD_IN, read_facts
 from ..data.clips import ClipDataset
+from ..errors import InputError
 from ..files import utf8, write_atomically
 from .options import CAUSTIC
 
@@ -18,12 +19,23 @@ and open ground with textured surfaces, moving objects and cameras"""
 CAUSTIC_SCENES = """closed rooms
 with glass, plastic and metal objects under small lamps"""
 GENERATED = "program"  # source of clips without third-party data
+IN_EVERY_CLIP = (
+    "frames", "size", "generator", "seed", "spp", "reference_spp", "uncovered", "kind", "seconds", "versions"
+)  # fmt: skip
+"""Facts that `render_clips` writes whatever its options."""
 
 
 def write_card(folder: Path, command: str) -> dict:
-    """Write the card for the clips that are in the folder now. Returns the content of `dataset.json`."""
-    folder = Path(folder)
-    facts = [read_facts(path) for path in ClipDataset(folder).paths]
+    """Write the card for the clips that are in the folder now. Returns the content of `dataset.json`.
+
+    Raises InputError where one was not rendered here, but cut from a shot, say.
+    """
+    folder, facts = Path(folder), []
+    for path in ClipDataset(folder).paths:
+        facts.append(read_facts(path))
+        if missing := [name for name in IN_EVERY_CLIP if name not in facts[-1]]:
+            raise InputError(f"{path}: was not rendered by rtdenoise clips, as it does not tell its "
+                             f"{', '.join(missing)}; move it to a folder of its own")  # fmt: skip
     shares = np.array([f["uncovered"] for f in facts])
     first = facts[0]
     card = {
