@@ -19,11 +19,11 @@ from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.ops import warp
-from rtdenoise.run.conventions import READINGS, Reading
 from rtdenoise.run.describe import describe
 from rtdenoise.run.inspect import choose_pairs, inspect
 from rtdenoise.run.inspect_text import next_step, render_text
 from rtdenoise.run.normals import ENCODED, IN_CAMERA
+from rtdenoise.run.readings import READINGS, Reading
 from rtdenoise.run.unmoved import STOPPED, Watch
 
 CYCLES = Path(__file__).parent / "data" / "cycles"

@@ -1,7 +1,6 @@
 """Find the convention of motion vectors: warp the previous frame with every likely reading and compare.
 
-A reading says which field it is (`motion`, or `motion_next` under the wrong name), which component is x, which sign
-each component has, and in which unit. The right one makes the previous frame look like the current one:
+The right one of the `readings` makes the previous frame look like the current one:
 
     error(reading) = mean over textured, moving pixels p of min(|cur(p) - prev(p + m_reading(p))|, cap)
 
@@ -14,14 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import product
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..data.layout import SCALES
 from ..frame import OFF_SCREEN, Frame
+from .readings import DOUBLE, HALF, READINGS, Reading
 
 MIN_MOTION = 0.25  # pixels: least motion of a compared pixel, and least difference between readings there
 MIN_CONTRAST = 0.02  # least difference between neighbours at a textured pixel, of a feature in [0, 1]
@@ -29,73 +27,6 @@ MIN_PIXELS = 200  # textured, moving pixels that a verdict needs
 MAX_SAMPLES = 20_000  # pixels that are examined in each pair of frames
 TILES = 8  # along each side of the picture; errors inside one tile count as dependent
 STANDARD_ERRORS, MARGIN = 3.0, 0.02  # least lead of a better reading: in standard errors, and as a share of the error
-SIZED = {"UV": SCALES["uv"], "NDC": SCALES["ndc"]}  # units that go by the size of the picture
-UNITS = {"pixels": (1.0, "", ""), **SIZED, "double": (0.5, "½·", "½·"), "half": (2.0, "2·", "2·")}
-REMEDIES = {
-    "pixels": "", "UV": "UV units: multiply by (W, H)", "NDC": "NDC units: multiply by (W/2, H/2)",
-    "double": "pixels of a picture twice as large: multiply by ½",
-    "half": "pixels of a picture half as large: multiply by 2",
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One way to read the two numbers of a motion vector. The default is this project's convention."""
-
-    source: str = "motion"  # or "motion_next": the two fields are swapped
-    swapped: bool = False  # (y, x) instead of (x, y)
-    signs: tuple[int, int] = (1, 1)  # of x and y
-    unit: str = "pixels"  # "UV": fractions of the picture's size; "NDC": of half its size; or as in REMEDIES
-
-    def apply(
-        self,
-        field: Tensor,  # [..., 2] of `source`, as stored
-        size: tuple[int, int],  # (H, W) of the picture
-    ) -> Tensor:  # [..., 2]
-        """Motion in this project's convention."""
-        H, W = size
-        factor = UNITS[self.unit][0]
-        scale = (W * factor, H * factor) if self.unit in SIZED else (factor, factor)
-        return (field.flip(-1) if self.swapped else field) * torch.tensor(self.signs) * torch.tensor(scale)
-
-    @property
-    def changes(self) -> int:
-        """Number of differences from this project's convention: among tied readings the one with fewest is named."""
-        flips = 0 if self.signs == (1, 1) else 1 if self.signs in ((-1, -1), (1, -1)) else 2
-        return flips + 2 * self.swapped + 2 * (self.unit != "pixels") + 3 * (self.source != "motion")
-
-    @property
-    def formula(self) -> str:
-        """`motion = (W·X, -H·Y)`, in the components of the layer as it was read."""
-        _, *scales = UNITS[self.unit]
-        components = "YX" if self.swapped else "XY"
-        x, y = (("-" if s < 0 else "") + k + c for s, k, c in zip(self.signs, scales, components, strict=True))
-        return f"motion = {'' if self.source == 'motion' else 'motion_next '}({x}, {y})"
-
-    def __str__(self) -> str:
-        """The reading in words, and the remedy."""
-        signs = {
-            (-1, -1): "current - previous: negate it",
-            (1, -1): "y up: flip y",
-            (-1, 1): "current - previous with y up: flip x",
-        }
-        parts = [
-            "the content of motion_next: read that layer" if self.source != "motion" else "",
-            "(row, column): swap the components" if self.swapped else "",
-            REMEDIES[self.unit],
-            signs.get(self.signs, ""),
-        ]
-        return f"{'; '.join(p for p in parts if p) or 'previous - current, pixels, y down'} [{self.formula}]"
-
-
-READINGS = tuple(
-    Reading(source, swapped, signs, unit)
-    for source, swapped, signs, unit in product(
-        ("motion", "motion_next"), (False, True), ((1, 1), (-1, -1), (1, -1), (-1, 1)), UNITS
-    )
-    if unit in ("pixels", *SIZED) or (source, swapped) == ("motion", False)
-)
-_DOUBLE, _HALF = Reading(unit="double"), Reading(unit="half")
 
 
 @dataclass(frozen=True)
@@ -232,7 +163,7 @@ def _judge(samples: _Samples, feature: str) -> Verdict:
         return Verdict("wrong", message, readings[nearest], tied, **shared)
     # -motion_next differs from motion only by acceleration, and motion of a pixel from its half by as little: a tie
     # with them leaves no doubt about the convention.
-    alike = [i for i in others if readings[i].source != "motion" or readings[i] in (_DOUBLE, _HALF)]
+    alike = [i for i in others if readings[i].source != "motion" or readings[i] in (DOUBLE, HALF)]
     rivals = [i for i in others if i not in alike and _compare(samples, 0, i) != "same"]
     if rivals:
         message = f"as declared fits, but as well does: {' | '.join(str(readings[i]) for i in rivals)}"
