@@ -14,9 +14,7 @@ needs none of those passes, and holds for scenes with further ones (volumes).
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
-from itertools import chain
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -29,85 +27,12 @@ from ..sanitise import valid
 from .alpha import denoise_alpha
 from .exr import read_attributes, read_channels, write_layers, write_like
 from .layout import Rule
+from .output_files import kept_channels, name_of, place_of
 from .sequences import Sequence, convert
 from .shutter import over_shutter
 
-LAYOUTS = ("plain", "source")
-ALPHAS = ("auto", "rendered")
 NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
 PLAIN = Rule(("R", "G", "B"), (1, 1, 1))
-
-
-def check_output(
-    sequence: Sequence, layout: str, recombine: bool, keep: tuple[str, ...], alpha: str = "auto"
-) -> None:
-    """Raise `InputError` for output that cannot be written, before anything is denoised."""
-    for what, given, known in (("layout", layout, LAYOUTS), ("alpha", alpha, ALPHAS)):
-        if given not in known:
-            raise InputError(f"unknown {what} '{given}': known are {', '.join(known)}")
-    if layout == "source" and sequence.paths[0].suffix.lower() != ".exr":
-        raise InputError(f"{sequence.paths[0]}: layout 'source' copies EXR files, this is none: choose 'plain'")
-    if layout == "source" and keep:
-        raise InputError("layout 'source' passes every channel on: leave --keep out")
-    sequence.require_channels(_kept(sequence, keep), "--keep")
-    if recombine and sequence.signal != "color":
-        beauty = sequence.layout.resolve(sequence.header, "color").get("radiance")
-        if beauty is None:
-            raise InputError(f"{sequence.paths[0]}: --recombine needs the beauty, the file has "
-                             f"{sequence.header.summary}; {sequence.layout.hint('radiance', 'color')}")  # fmt: skip
-        sequence.require_channels(beauty.channels, "--recombine")
-    if recombine and sequence.demodulated and "albedo" not in sequence.rules:
-        raise InputError(f"{sequence.paths[0]}: --recombine needs the albedo that the signal was divided by; "
-                         f"{sequence.layout.hint('albedo', sequence.signal)}")  # fmt: skip
-    sources: dict[str, Path] = {}
-    for name, file in _written(sequence, layout, recombine):
-        if name in sources:
-            raise InputError(f"{file}: would be written to the same file as {sources[name]}: {name}; rename the files, "
-                             "so that each has a name of its own")  # fmt: skip
-        sources[name] = file
-
-
-def protect_input(sequence: Sequence, out: Path, layout: str, recombine: bool) -> None:
-    """Raise `InputError` where the output folder holds the input, or one of the output files is an input file: links
-    are followed."""
-    inputs = [path for frame in sequence.files for path in frame.files.values()]
-    folders = {folder for path in inputs for folder in (path.parent.resolve(), path.resolve().parent)}
-    if out.resolve() in folders or _identity(out) in {_identity(folder) for folder in folders}:
-        raise InputError(f"{out}: this folder holds the input, which is never written to; choose another --out")
-    identities = {_identity(path) for path in inputs}
-    for name, _ in _written(sequence, layout, recombine):
-        if (found := _identity(out / name)) and found in identities:
-            raise InputError(f"{out / name}: is a file of the input, which is never written to; choose another --out")
-
-
-def _identity(path: Path) -> tuple[int, int] | None:
-    """Device and number of a file or folder, links followed; None where there is none."""
-    try:
-        found = os.stat(path)
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
-
-
-def output_names(sequence: Sequence, layout: str, recombine: bool) -> list[list[str]]:
-    """The names of the files that a run writes for each frame."""
-    return [[name for name, _ in frame] for frame in _files(sequence, layout, recombine)]
-
-
-def _written(sequence: Sequence, layout: str, recombine: bool) -> Iterator[tuple[str, Path]]:
-    """(name in the output folder, the input file that it is made from) of every file that a run writes."""
-    return chain.from_iterable(_files(sequence, layout, recombine))
-
-
-def _files(sequence: Sequence, layout: str, recombine: bool) -> Iterator[list[tuple[str, Path]]]:
-    """`_written`, a list a frame."""
-    if layout == "plain":
-        yield from ([pair] for pair in zip(sequence.names, sequence.paths, strict=True))
-        return
-    beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
-    channels = {*_place(sequence).channels, *(beauty.channels if beauty else ())}
-    for files, path in zip(sequence.files, sequence.paths, strict=True):
-        yield [(_name(file, path), file) for file in files.locate(channels)]
 
 
 def recombined(sequence: Sequence, index: int, frame: Frame, image: np.ndarray) -> np.ndarray:
@@ -132,9 +57,9 @@ def read_result(
         plain = read_channels(out / sequence.names[index], PLAIN.channels)
         return convert(PLAIN, plain, "radiance")
     beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
-    rule = beauty or _place(sequence)
+    rule = beauty or place_of(sequence)
     ((file, names),) = sequence.files[index].locate(rule.channels).items()
-    stored = read_channels(out / _name(file, path), tuple(names))
+    stored = read_channels(out / name_of(file, path), tuple(names))
     return convert(rule, {full: stored[name] for name, full in names.items()}, "radiance")
 
 
@@ -183,7 +108,7 @@ def write_frame(
     if layout == "plain":
         result = image if beauty is None else beauty
         return _write_plain(out / sequence.names[index], sequence, index, result, covered, keep, float32, extra)
-    planes = _planes(_place(sequence), image)
+    planes = _planes(place_of(sequence), image)
     if beauty is not None and (rule := sequence.layout.beauty_rule(sequence.header)):
         planes |= _planes(rule, beauty)
     if alpha != "rendered" or shutter:
@@ -191,7 +116,7 @@ def write_frame(
     nans = {}
     for file, names in sequence.files[index].locate(planes).items():
         changed = {stored: planes[full] for stored, full in names.items()}
-        nans |= write_like(out / _name(file, path), file, changed, dtype="float" if float32 else None)
+        nans |= write_like(out / name_of(file, path), file, changed, dtype="float" if float32 else None)
     return nans
 
 
@@ -226,17 +151,6 @@ def beyond_half(result: np.ndarray) -> bool:
     return bool(result.max() > MAX_HALF)
 
 
-def _place(sequence: Sequence) -> Rule:
-    """The channels of the input that the denoised signal replaces."""
-    beauty = sequence.layout.beauty_rule(sequence.header) if sequence.signal == "color" else None
-    return beauty or sequence.rules["radiance"]
-
-
-def _name(file: Path, signal: Path) -> str:
-    """The name of the output for `file`: its own, with its folder in front where the signal's file has the same."""
-    return f"{file.parent.name}.{file.name}" if file != signal and file.name == signal.name else file.name
-
-
 def _planes(rule: Rule, image: np.ndarray) -> dict[str, np.ndarray]:
     """The inverse of `convert` for radiance."""
     return {name: sign * plane for name, sign, plane in zip(rule.channels, rule.signs, image[0], strict=True)}
@@ -257,7 +171,7 @@ def _write_plain(
     file = sequence.files[index]
     for channel, plane in alpha.items():
         layers["A"], dtypes["A"] = plane, file.header().channels[channel]
-    passed = [name for name in _kept(sequence, keep) if name not in layers]  # the picture's alpha stands already
+    passed = [name for name in kept_channels(sequence, keep) if name not in layers]  # the picture's alpha is one
     layers |= file.read(passed, as_stored=True)
     dtypes |= {name: sequence.header.channels[name] for name in passed}
     write_layers(path, layers, dtypes=dtypes, attributes=attributes_of(sequence, index))
@@ -266,21 +180,3 @@ def _write_plain(
         for name, plane in layers.items()
         if name not in ("color", *extra) and (bad := int((plane != plane).sum()))
     }
-
-
-def _kept(sequence: Sequence, keep: tuple[str, ...]) -> list[str]:
-    """The channels that are passed on, without `R,G,B`, where the result stands.
-
-    Each of `keep` is a layer or channel as the file calls it, with or without the view layer, a layer of `Frame` that
-    the file has under whatever name, or 'all'. Raises InputError for what is none of these.
-    """
-    kept, channels = set(), sequence.header.channels
-    layers = {channel: channel.rpartition(".")[0] for channel in channels}
-    for name in keep:
-        rule = sequence.available.get(name)
-        found = {c for c, layer in layers.items() if name in ("all", c, layer, layer.rpartition(".")[2])}
-        found = found or set(rule.channels if rule else ())
-        if not found:
-            raise InputError(f"{sequence.paths[0]}: no '{name}' to keep; the file has {sequence.header.summary}")
-        kept |= found
-    return [channel for channel in channels if channel in kept - {"R", "G", "B"}]

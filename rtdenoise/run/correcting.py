@@ -11,7 +11,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ..data.output import output_names, write_frame
+from ..data.output import write_frame
+from ..data.output_files import output_names
 from ..data.sequences import Sequence
 from ..frame import MAX_CUT_MISMATCH, Frame, geometry
 from ..history import mismatch

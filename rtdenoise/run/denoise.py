@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from ..constants import SOFTWARE_RENDERER
-from ..data.output import check_output, output_names, write_frame
+from ..data.output import write_frame
+from ..data.output_files import check_output, output_names
 from ..data.sequences import Sequence, open_sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished

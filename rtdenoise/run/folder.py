@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..data.exr import read_header
-from ..data.output import protect_input
+from ..data.output_files import protect_input
 from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import dumps, remove_unfinished, write_atomically
@@ -58,7 +58,7 @@ def clear(hidden: Path, is_ours: Callable[[str], object]) -> None:
 
 
 def refuse_foreign(out: Path, names: Iterable[list[str]]) -> None:
-    """Raise InputError where `out`, which has no state, holds a file of the output. `names`: `data.output_names`."""
+    """Raise InputError where `out`, which has no state, holds a file of the output. `names`: of `output_names`."""
     if clash := [name for name in chain(*names) if (out / name).exists()]:
         raise InputError(
             f"{out / clash[0]}: exists and is not from an earlier run; choose another --out or pass --overwrite"

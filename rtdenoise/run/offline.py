@@ -19,7 +19,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..data.output import check_output, output_names, write_frame
+from ..data.output import write_frame
+from ..data.output_files import check_output, output_names
 from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished

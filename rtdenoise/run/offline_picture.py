@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data.output import output_names, read_result
+from ..data.output import read_result
+from ..data.output_files import output_names
 from ..data.sequences import Sequence
 from ..files import LOCK
 from .folder import clear, refuse_no_folder
