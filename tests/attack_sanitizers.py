@@ -3,8 +3,8 @@
 Every op runs on ordinary input, NaN, denormals, huge and hostile motion, in all layouts of logits, with gradients where
 it has them. Memory of tensors comes from the sanitizer's allocator, so reads and writes beside a tensor end the process
 with a report; of instructions for tiles it knows nothing, so these are emulated. Prints a line of JSON for each size:
-the calls, and which ops made values that are not finite of input without NaN. `--few`: one kernel size and type of
-logits, for less compilation.
+the calls, which ops made values that are not finite of input without NaN, and which C files were not called. `--few`:
+one kernel size and type of logits, for less compilation.
 
 Above 1920×1080 it is fewer kinds of input, each with every op; above 64×64 the C is slightly optimised, for time.
 
@@ -51,7 +51,10 @@ def attack(H: int, W: int, few: bool) -> dict[str, object]:
     """Every op at one size, `few`: with one kernel size and type of logits."""
     import torch
 
-    calls, unexpected = {}, []
+    from rtdenoise.ops.native import compiler
+
+    calls, unexpected, called = {}, [], set()
+    load, compiler.cache.load = compiler.cache.load, lambda name, *more: called.add(name) or load(name, *more)
     for kind in KINDS if H * W <= LARGE else AT_LARGE:
         for name, results in _calls(H, W, kind, few):
             calls[name] = calls.get(name, 0) + 1
@@ -60,8 +63,10 @@ def attack(H: int, W: int, few: bool) -> dict[str, object]:
             bad = [r for r in results if isinstance(r, torch.Tensor) and not r.float().isfinite().all()]
             if bad and kind != "NaN" and name not in PASSES_ON:
                 unexpected.append(f"{name}, {kind}")
+    compiler.cache.load = load
+    left_out = {path.stem for path in Path(compiler.__file__).parent.glob("*.c")} - called
     return {"size": [H, W], "calls": sum(calls.values()), "ops": len({name.split()[0] for name in calls}),
-            "not_finite": unexpected}  # fmt: skip
+            "not_finite": unexpected, "left_out": sorted(left_out)}  # fmt: skip
 
 
 def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]:
@@ -80,6 +85,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.feature_bytes import feature_bytes
     from rtdenoise.ops.features import features
     from rtdenoise.ops.fireflies import without_fireflies
+    from rtdenoise.ops.lift import lift, lower
     from rtdenoise.ops.logits import cells
     from rtdenoise.ops.max_pool import max_pool
     from rtdenoise.ops.mix import mix
@@ -135,6 +141,8 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     for for_footprints in ((), (seen,), (seen, one), (seen, one, scattered(depth))):
         yield f"recall {len(for_footprints)}", recall(image, motion, (depth, normal), kept, *for_footprints)
     yield "turned", turned(normal, other)
+    yield "lift", lift(image.abs())
+    yield "lower", lower(other)
     yield "evened", evened(image, depth, other, share)
     for held in (seen, share):
         yield "held_and_tells", held_and_tells(held, torch.float32)
@@ -145,7 +153,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     yield "over_and_coverage", over_and_coverage(footprint, footprint, motion, depth, kept)
     shift = torch.zeros(1, 2, -(-H // 16), -(-W // 16))
     yield "displacement_sums", displacement_sums(depth, share, motion, shift, share, depth, depth, 16, 2)
-    like = torch.zeros(1, 1, 1, 1).contiguous(memory_format=torch.channels_last)
+    like = torch.zeros(1, 2, 1, 2).contiguous(memory_format=torch.channels_last)  # with one channel it is planes, too
     for dtype in (torch.float32, torch.bfloat16):
         yield "features", features([image], [normal, depth, seen], one, like.to(dtype))
     x = feature_bytes(image, other, normal)
@@ -186,7 +194,7 @@ def _convolutions(image, other, normal, own: bool) -> Iterator[tuple[str, object
     """Of as many channels as fit to vectors and tiles, and of others; by this CPU's `own` instructions, or tiles."""
     import torch
 
-    from rtdenoise.ops.convolve_bytes import MOST, convolve_bytes
+    from rtdenoise.ops.convolve_bytes import MOST, convolve_bytes, multiplies_bytes
     from rtdenoise.ops.feature_bytes import feature_bytes
     from rtdenoise.ops.native import compiler
     from rtdenoise.ops.native import convolve_bytes as one
@@ -194,6 +202,7 @@ def _convolutions(image, other, normal, own: bool) -> Iterator[tuple[str, object
     from rtdenoise.ops.to_planes import to_planes
 
     one.library = another.library = compiler.library if own else partial(compiler.library, EMULATED=1)
+    yield "multiplies_bytes", multiplies_bytes()
     H, W = image.shape[2:]
     x = feature_bytes(image, other, normal)
     fine = feature_bytes(*(_wide(layer) for layer in (image, other, normal)))
