@@ -12,7 +12,7 @@ import pytest
 import torch
 from synthetic import message
 
-from rtdenoise.data import layouts
+from rtdenoise.data import layouts, recognise
 from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.data.output import write_frame
 from rtdenoise.data.sequences import open_sequence
@@ -221,7 +221,7 @@ def test_presets_that_do_not_fit(tmp_path):
         open_sequence, folder, preset="cycles"
     )
     write_layers(tmp_path / "1.exr", {"foo": np.ones((H, W, 3)), "bar": np.ones((H, W, 1))})
-    found = message(layouts.detect, read_header(tmp_path / "1.exr"))
+    found = message(recognise.detect, read_header(tmp_path / "1.exr"))
     assert "no known layout (presets: native, cycles, mitsuba, falcor, bmfr, oidn, noisebase)" in found
     assert found.endswith("among bar.V, foo.{R,G,B}; describe your files (rtdenoise inspect SEQ --write my.toml)")
 

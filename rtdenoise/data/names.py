@@ -20,7 +20,8 @@ from .files import find_files, frame_numbers
 from .labels import NAMES, UNKNOWN, FileLabel, layers_of, of_file
 from .layers import LAYERS
 from .layout import OWN, Layout, Rule, first_match, with_components
-from .layouts import MITSUBA, NATIVE, choose, detect, view_layers
+from .layouts import MITSUBA, NATIVE
+from .recognise import choose, detect, view_layers
 
 GUESSED = "guessed"
 DENOISED = "albedo", "normal", "depth", "motion", "motion_next"  # what a denoiser reads beside the picture

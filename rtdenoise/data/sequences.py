@@ -17,9 +17,9 @@ from .files import FrameFiles, find_frames, find_gaps
 from .fog import with_fog
 from .layers import SIGNALS
 from .layout import SCALES, Layout, Rule, pixels
-from .layouts import choose, find, samples, settled
 from .lost import with_lost_samples
 from .noisebase import NOISEBASE, find_archives
+from .recognise import choose, find, samples, settled
 from .region import Region
 from .scene_file import read_scene
 from .scene_motion import complete
