@@ -232,7 +232,7 @@ def test_frames_are_sanitised_as_in_torch(gl, assert_images_close):
     frame = with_faults(make_frames(1)[0], (np.nan, np.inf, -np.inf, -1.0, 1e9, 1e30, -1e30))
     layers = {name: GpuArray.upload(gl, tensor[0].numpy()) for name, tensor in frame.layers()}
     clean, pipeline = sanitise(frame), Pipeline.load("paper")
-    light, surface, guide, _ = pipeline.passes.prepare(layers)
+    light, surface, guide, *_ = pipeline.passes.prepare(layers)
     for image, channels in (
         (light, clean.radiance), (surface, torch.cat([clean.normal, clean.depth], 1)), (guide, clean.albedo),
         (pipeline.passes.vectors(layers), torch.cat([clean.motion, clean.motion_next], 1)),
@@ -253,8 +253,8 @@ def test_exposure_and_distance_are_those_of_the_frame(gl, assert_images_close, s
     pipeline = Pipeline.load("paper")
     for radiance in cases.values():
         layers = {"radiance": radiance, "albedo": radiance, "normal": radiance, "depth": depth}
-        *_, statistics = pipeline.passes.prepare({k: GpuArray.upload(gl, v[0].numpy()) for k, v in layers.items()})
-        scale, distance = statistics.read()
+        inputs = pipeline.passes.prepare({k: GpuArray.upload(gl, v[0].numpy()) for k, v in layers.items()})
+        scale, distance = inputs.statistics.read()
         assert_images_close(scale, exposure(limit_fireflies(radiance)).item(), "float32")
         assert_images_close(distance, mean_distance(depth.clamp(min=0)).item(), "float32")
 

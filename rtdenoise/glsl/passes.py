@@ -42,6 +42,7 @@ class Inputs(NamedTuple):
     surface: GpuArray  # [H, W] normal, depth
     guide: GpuArray  # [H, W] albedo, and whether light was divided by it
     statistics: GpuArray  # [2] exposure, mean distance
+    wide_filter: bool = False  # of `Frame`
 
 
 class Means(NamedTuple):
@@ -65,9 +66,11 @@ class Passes:
         else:
             self._network = UNet(scratch, tensors, config.features, config.widths)
 
-    def prepare(self, layers: Mapping[str, GpuArray], into_history: bool = False) -> Inputs:
+    def prepare(
+        self, layers: Mapping[str, GpuArray], into_history: bool = False, wide_filter: bool = False
+    ) -> Inputs:
         """Sanitise the layers and measure the frame. `into_history`: history will keep light and guide, as it keeps
-        surface, so they need buffers of their own."""
+        surface, so they need buffers of their own. `wide_filter`: that of `Frame`."""
         H, W = layers["radiance"].shape[1:]
         blocks_size = _cells((H, W), BRIGHTNESS_BLOCK)
         count = blocks_size[0] * blocks_size[1]
@@ -87,7 +90,7 @@ class Passes:
         dispatch("frame/light", size, buffers, group=BLOCK_GROUP)
         buffers = {"blocks": blocks, "statistics": statistics}
         dispatch("frame/statistics", (1,), buffers, {"count": count}, SELECT_GROUP)
-        return Inputs(light, surface, guide, statistics)
+        return Inputs(light, surface, guide, statistics, wide_filter)
 
     def vectors(self, layers: Mapping[str, GpuArray]) -> GpuArray | None:
         """Sanitised motion and motion_next as one image; None if both are missing. If one is missing, the other fills
@@ -145,14 +148,12 @@ class Passes:
         dispatch("frame/warp", past.shape[1::-1], buffers, DUAL=int(dual), CUBIC=int(self._accumulates))
         return past
 
-    def reproject(
-        self, chosen: GpuArray, inputs: Inputs, history: History, dual: bool, wide_filter: bool = False
-    ) -> Means:
+    def reproject(self, chosen: GpuArray, inputs: Inputs, history: History, dual: bool) -> Means:
         """The running means, reprojected to this frame from the same surfaces only. `chosen`: as for `warp`."""
         size, seen = inputs.surface.shape[:2], None
         running, mean_albedo = self._scratch.image("running", size), self._scratch.fresh(size)
         if self._config.recent:
-            seen = self.recent.recall(chosen, inputs, history.recent, running, dual, wide_filter)
+            seen = self.recent.recall(chosen, inputs, history.recent, running, dual)
         buffers = {"chosen": chosen, "surface": inputs.surface, "guide": inputs.guide}
         buffers |= {"surface_before": history.surface, "mean_before": history.mean}
         buffers |= {"mean_albedo_before": history.mean_albedo, "running": running, "mean_albedo": mean_albedo}
@@ -201,7 +202,9 @@ class Passes:
         (H, W), cell = inputs.light.shape[:2], self._network.cell
         padded = (W + -W % cell, H + -H % cell)
         result = self._scratch.activations("features", self._config.features, padded[::-1])
-        buffers, parameters = {**inputs._asdict(), "past": past, "result": result}, {"image_size": (W, H)}
+        buffers = {"light": inputs.light, "surface": inputs.surface, "guide": inputs.guide}
+        buffers |= {"statistics": inputs.statistics, "past": past, "result": result}
+        parameters = {"image_size": (W, H)}
         constants = {"HALF": int(self._scratch.half)}
         if self._accumulates:
             buffers |= {"running": means.running, "mean_albedo": means.mean_albedo}

@@ -136,7 +136,7 @@ class Pipeline:
         follows = averages and history.noisy is not None and not known.on_surfaces
         dual = not first and not known.covered and self.config.motion == "dual"
         with self._stage("features"):
-            inputs = passes.prepare(layers, into_history=self.accumulates and first)
+            inputs = passes.prepare(layers, self.accumulates and first, wide_filter)
             vectors = passes.vectors(layers)
         with self._stage("reprojection"):
             chosen = passes.history_motion(vectors, inputs.surface, history) if dual else vectors
@@ -156,7 +156,7 @@ class Pipeline:
                 past = passes.warp(chosen, inputs, history, flagged)
             means = Means(inputs.light, inputs.guide)
             if averages:
-                means = passes.reproject(chosen, inputs, history, flagged, wide_filter)
+                means = passes.reproject(chosen, inputs, history, flagged)
             turned = passes.turned(chosen, inputs, history, known.still) if averages else None
             if averages and bool(history.recent) == (self.config.recent > 0):
                 past = passes.outdated(inputs, noisy, past, means, turned, len(history.recent))

@@ -42,13 +42,7 @@ class Recent:
         dispatch("accumulated_kpn/forget", kept.shape[:0:-1], {"reset": reset, "kept": kept})
 
     def recall(
-        self,
-        chosen: GpuArray,
-        inputs: Inputs,
-        recent: tuple[GpuArray, ...],
-        running: GpuArray,
-        dual: bool,
-        wide_filter: bool,  # of `Frame`
+        self, chosen: GpuArray, inputs: Inputs, recent: tuple[GpuArray, ...], running: GpuArray, dual: bool
     ) -> GpuArray | None:
         """Write the mean light of recent frames, and the sum of their weights. Returns the footprints [3, H, W] of
         `hybrid/look`. `chosen` comes from `history_motion`, or without `dual` from `vectors`."""
@@ -61,7 +55,7 @@ class Recent:
         if self._footprints:
             seen = self._scratch("seen", (3, *size, 4))
             through = {"surface": inputs.surface, "chosen": chosen, "stays": stays, "seen": seen}
-            through |= {"edge": self._scratch.image("edge", size), "misplaced": self._misplaced(inputs, wide_filter)}
+            through |= {"edge": self._scratch.image("edge", size), "misplaced": self._misplaced(inputs)}
             through["lone"] = self._scattered(inputs) if self._few and recent else inputs.surface
         if not recent:
             fill(running)
@@ -106,7 +100,7 @@ class Recent:
         dispatch("hybrid/scattered", size[::-1], {"alone": alone, "lone": lone})
         return lone
 
-    def _misplaced(self, inputs: Inputs, wide_filter: bool) -> GpuArray:
+    def _misplaced(self, inputs: Inputs) -> GpuArray:
         """How much less lookups off the pixel count, [1]: `models.past.misplaced`."""
         misplaced = self._scratch("misplaced", (1,))
         H, W = inputs.surface.shape[:2]
@@ -118,5 +112,5 @@ class Recent:
         buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "relative": relative}
         dispatch("hybrid/noise", windows[::-1], buffers, {"image_size": (W, H)})
         buffers, parameters = {"relative": relative, "misplaced": misplaced}, {"count": windows[0] * windows[1]}
-        dispatch("hybrid/misplaced", (1,), buffers, parameters, SELECT_GROUP, WIDE=int(wide_filter))
+        dispatch("hybrid/misplaced", (1,), buffers, parameters, SELECT_GROUP, WIDE=int(inputs.wide_filter))
         return misplaced
