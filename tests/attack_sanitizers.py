@@ -80,6 +80,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.around import expand_within
     from rtdenoise.ops.blend_history import blend_history
     from rtdenoise.ops.block_luminance import block_luminance
+    from rtdenoise.ops.dim import dim
     from rtdenoise.ops.even_sky import even_sky
     from rtdenoise.ops.evened import evened, held_and_tells
     from rtdenoise.ops.feature_bytes import feature_bytes
@@ -97,6 +98,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.soften import soften
     from rtdenoise.ops.to_bytes import to_bytes
     from rtdenoise.ops.turned import turned
+    from rtdenoise.ops.unlike import unlike
     from rtdenoise.shift.displacement import displacement_sums
     from rtdenoise.splat import history_motion
 
@@ -129,6 +131,8 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     for sky in (depth, torch.zeros_like(depth), torch.where(seen, 1.0, 0.0)):
         yield "even_sky", even_sky(other, torch.where(seen, other, 0.5), sky)
     yield "without_fireflies", without_fireflies(other, depth, normal, share)
+    yield "dim", dim(image, torch.full((1, 1), 0.1), 2.0)
+    yield "unlike", unlike(depth, normal, motion, depth, normal)
     yield "within", pixels.within(image, 0.0, 1.0)
     yield "expand_within", expand_within(3 * other, other, image.abs())
     pictures = other, other.flip(3), one, share, (0.4, 0.1, 0.1)
