@@ -7,7 +7,7 @@ static int tiles_across(const source *s) { return (s->taps * s->channels + DEEP 
 static int8_t *in_tiles(const source *const *sources, const int8_t *weight, int phases, int quads, int stored) {
     int tiles = 0;
     for (int k = 0; k < 2; k++) tiles += sources[k]->taps * tiles_across(sources[k]);
-    int8_t *all = aligned_alloc(DEEP, (size_t)phases * (stored / TILE) * tiles * TILE * DEEP), *to = all;
+    int8_t *all = TILE_ROOM((size_t)phases * (stored / TILE) * tiles * TILE * DEEP), *to = all;
     for (int phase = 0; all && phase < phases; phase++)
         for (int first = 0; first < stored; first += TILE) {
             const int8_t *from = weight + ((int64_t)phase * quads * stored + first) * 4;

@@ -12,6 +12,7 @@ typedef union {
     float number[TILE][TILE];
 } Tile;
 static _Thread_local Tile tile[8];
+#define TILE_ROOM malloc  // Windows has no other
 #define TILE_ZERO(t) memset(tile + t, 0, sizeof *tile)
 #define TILE_LOAD(t, from, stride) \
     for (int row = 0; row < TILE; row++) memcpy(tile[t].u[row], (const uint8_t *)(from) + row * (int64_t)(stride), DEEP)
@@ -33,6 +34,7 @@ static void tiles_end(void) {}
 #include <immintrin.h>
 #include <sys/syscall.h>
 #include <unistd.h>
+#define TILE_ROOM(bytes) aligned_alloc(DEEP, bytes)
 #define TILE_ZERO _tile_zero
 #define TILE_LOAD _tile_loadd
 #define TILE_STORE _tile_stored

@@ -94,7 +94,7 @@ pixels(const number *x, const tap *taps, const float *bias, float *out, int H, i
 
 // The taps as tiles, those of a row after each other, with zeros for outputs that are not there; NULL where there is no memory.
 static tap *in_tiles(const tap *taps) {
-    tap *all = aligned_alloc(DEEP, 3 * ACROSS * TILE * DEEP);
+    tap *all = TILE_ROOM(3 * ACROSS * TILE * DEEP);
     if (!all) return NULL;
     memset(all, 0, 3 * ACROSS * TILE * DEEP);
     for (int k = 0; k < 9; k++)
