@@ -1,7 +1,7 @@
 """Time of a frame from file to file: `rtdenoise denoise` as a whole, reading and writing included.
 
 python bench/whole_run.py            # 1280×720: the bundled sequence, enlarged and with new noise
-python bench/whole_run.py --frames 8 --scale 1 --out /tmp/quick.json
+python bench/whole_run.py --frames 8 --scale 1 --out quick.json
 
 Two runs of each mode, of few and of many frames: their difference is the time of the frames between, without that of
 the start. Times on a busy machine say nothing.
