@@ -99,7 +99,7 @@ class Layout:
     path: Rule | None = None  # length of the path to what is seen in mirrors and through glass (`virtual_motion`)
     wide_filter: bool = False  # a pixel is the mean of more than its own square
     fog: Mapping[str, tuple[Rule, ...]] = field(default_factory=dict)  # light of volumes and of the "sky" (`with_fog`)
-    like: str = ""  # a preset, whose layers count where this has none (`layouts.settled`)
+    like: str = ""  # a preset, whose layers count where this has none (`recognise.settled`)
 
     def resolve(self, header: ExrHeader, signal: str) -> dict[str, Rule]:
         """The layers of `Frame` that this file has for a signal, each with the rule that makes it."""

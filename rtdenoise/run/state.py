@@ -23,8 +23,8 @@ COUNTS = ("replaced", "passed_on", "cuts", "left_out", "exposure")  # of the sum
 
 
 class Due:
-    """When the state of a run is saved: after each frame; of large pictures, whose states take a tenth of the time that
-    their frames do, once in a while. A run that is interrupted repeats the frames since."""
+    """When the state of a run is saved: after each frame; of large pictures, whose states are large, too, once in a
+    while. A run that is interrupted repeats the frames since."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._pause = PAUSE if math.prod(size) > LARGE else 0.0
