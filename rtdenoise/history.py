@@ -46,8 +46,8 @@ def mismatch(frame: Frame, history: History) -> Tensor:
     Where motion is zero in all pixels the picture should stand still. If more than MOVES find another surface, as after
     a render with motion blur, for which Cycles writes zeros, the result is CUT_UNMOVED times the share of those that
     find their surface nowhere around."""
-    if any(layer is None for layer in (frame.depth, frame.normal, history.depth, history.normal)):
-        return frame.motion.new_zeros(len(frame.motion))  # all that is known is alike
+    if _unknown(frame, history):
+        return frame.motion.new_zeros(len(frame.motion))
     (H, W), surfaces = frame.size, (history.depth, history.normal)
     count, share, usual = unlike(frame.depth, frame.normal, frame.motion, *surfaces).to(frame.motion.dtype).unbind(1)
     count = count.clamp(min=1)
@@ -65,9 +65,14 @@ def mismatch(frame: Frame, history: History) -> Tensor:
     return (CUT_UNMOVED * lost).clamp(max=1).where(unmoved, torch.minimum(found, CUT_AROUND * lost))
 
 
+def _unknown(frame: Frame, history: History) -> bool:
+    """Whether one of them does not tell its surfaces. Then all are alike."""
+    return any(layer is None for layer in (frame.depth, frame.normal, history.depth, history.normal))
+
+
 def _alike(frame: Frame, history: History, offset: Tensor | float = 0.0) -> Tensor:
     """Whether the surface is alike at the end of the motion, or so many pixels beside."""
-    if any(layer is None for layer in (frame.depth, frame.normal, history.depth, history.normal)):
+    if _unknown(frame, history):
         return torch.ones_like(frame.motion[:, :1], dtype=torch.bool)
     return same_surface(frame.depth, frame.normal, history.depth, history.normal, frame.motion + offset)
 

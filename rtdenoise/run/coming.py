@@ -28,8 +28,8 @@ class Coming:
 class Reader:
     """Reads on `lookahead` frames beyond the one to denoise. `seconds`: how long the backend took to prepare them.
 
-    While a frame is denoised the next one is read in a thread; for that, use it in a `with` block. It is read once the
-    one before is prepared: a backend may keep what was read last."""
+    While a frame is denoised the next one is read in a thread, which ends with a `with` block. It is read once the one
+    before is prepared: a backend may keep what was read last."""
 
     def __init__(
         self, read: Callable[[int], Frame], numbers: list[int], backend: Backend, lookahead: int, detect_cuts: bool
@@ -39,16 +39,14 @@ class Reader:
         self._read, self._numbers, self._backend = read, numbers, backend
         self._lookahead, self._detect_cuts = lookahead, detect_cuts
         self._waiting: list[Coming] = []
-        self._thread: ThreadPoolExecutor | None = None
+        self._thread = ThreadPoolExecutor(1, "rtdenoise-read")
         self._next: Future[tuple[Frame, dict[str, int]]] | None = None
 
     def __enter__(self) -> Self:
-        self._thread = ThreadPoolExecutor(1, "rtdenoise-read")
         return self
 
     def __exit__(self, *_: object) -> None:
         self._thread.shutdown(cancel_futures=True)
-        self._thread = self._next = None
 
     def take(self, i: int, history: Any) -> tuple[Coming, tuple[Frame, ...]]:
         """Frame i, which comes after the last one taken, and those after it in its shot, prepared. `history`: after the
@@ -80,5 +78,4 @@ class Reader:
             self._waiting[-1] = replace(last, prepared=completed(last.prepared, prepared))
         self._waiting.append(Coming(raw, prepared, goes_on and not cut, cut, found))
         self.seconds += time.perf_counter() - started
-        more = self._thread and i + 1 < len(self._numbers)
-        self._next = self._thread.submit(self._examined, i + 1) if more else None
+        self._next = self._thread.submit(self._examined, i + 1) if i + 1 < len(self._numbers) else None

@@ -119,9 +119,9 @@ void convolve_bytes(const source *below, const source *beside, const int8_t *wei
     int scale = below->taps ? 2 : 1, block = BLOCK;
 #if TILES
     const source *const sources[] = {below, beside};
-    int8_t *tiles = tiles_allowed() ? in_tiles(sources, weight, scale * scale, quads, stored) : NULL;
     int64_t further = 0;  // from the tiles of TILE outputs to those of the next
     for (int k = 0; k < 2; k++) further += sources[k]->taps * tiles_across(sources[k]) * TILE * DEEP;
+    int8_t *tiles = tiles_allowed() ? in_tiles(sources, weight, scale * scale, quads, stored, further) : NULL;
     if (tiles) block = 2 * TILE;
 #endif
 #pragma omp parallel num_threads(threads)

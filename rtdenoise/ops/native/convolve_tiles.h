@@ -2,12 +2,10 @@
 // inputs at a time those of the other one, for TILE outputs.
 static int tiles_across(const source *s) { return (s->taps * s->channels + DEEP - 1) / DEEP; }
 
-// The weights as tiles, those of TILE outputs of a phase after each other; NULL where there is no memory. What a row of a window
-// lacks to whole tiles has weights of zero.
-static int8_t *in_tiles(const source *const *sources, const int8_t *weight, int phases, int quads, int stored) {
-    int tiles = 0;
-    for (int k = 0; k < 2; k++) tiles += sources[k]->taps * tiles_across(sources[k]);
-    int8_t *all = TILE_ROOM((size_t)phases * (stored / TILE) * tiles * TILE * DEEP), *to = all;
+// The weights as tiles, those of TILE outputs of a phase after each other, `further` bytes apart; NULL where there is no memory.
+// What a row of a window lacks to whole tiles has weights of zero.
+static int8_t *in_tiles(const source *const *sources, const int8_t *weight, int phases, int quads, int stored, int64_t further) {
+    int8_t *all = TILE_ROOM((size_t)phases * (stored / TILE) * further), *to = all;
     for (int phase = 0; all && phase < phases; phase++)
         for (int first = 0; first < stored; first += TILE) {
             const int8_t *from = weight + ((int64_t)phase * quads * stored + first) * 4;
