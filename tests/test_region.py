@@ -71,7 +71,7 @@ def test_only_a_rectangle_that_is_not_all_is_a_region():
 def test_the_region_is_mirrored_however_small(there):
     plane = np.random.default_rng(0).random((12, 16))
     rows, columns = there
-    mirrored = Region(rows, columns).mirrored(plane)
+    mirrored = Region(rows, columns).around(plane)
     before, after = rows.start, 12 - rows.stop
     if max(before, after) <= rows.stop - rows.start:
         expected = np.pad(plane[rows, columns], ((before, after), (0, 0)), "symmetric")

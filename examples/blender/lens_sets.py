@@ -82,4 +82,32 @@ def build_macro(scene: bpy.types.Scene, frames: int) -> None:
     focus(scene.camera, 2.0, 0.5)
 
 
-LENS_SETS = {"portrait": build_portrait, "focus-pull": build_focus_pull, "macro": build_macro}
+def build_panorama(scene: bpy.types.Scene, frames: int) -> None:
+    """A courtyard all around a camera that walks through it, as an equirectangular panorama. Its left and right edges
+    meet behind the camera, where a ball passes. Render it twice as wide as high."""
+    draw = random.Random(12)
+    box("ground", (0, 0, -0.05), (12, 12, 0.1), material("tiles", (0.2, 0.18, 0.16), (0.6, 0.55, 0.5), 1.5))
+    for number, (x, y) in enumerate(((6, 0), (-6, 0), (0, 6), (0, -6))):
+        colours = [[draw.uniform(0.2, 0.9) for _ in range(3)] for _ in range(2)]
+        size = (0.2, 12, 4) if x else (12, 0.2, 4)
+        box(f"wall {number}", (x, y, 2), size, material(f"wall {number}", *colours, 2.0))
+    for number in range(16):
+        turn, far, height = number * math.tau / 16, draw.uniform(2.2, 5.0), draw.uniform(0.4, 2.6)
+        colours = [[draw.uniform(0.05, 0.9) for _ in range(3)] for _ in range(2)]
+        place = far * math.cos(turn), far * math.sin(turn), height / 2
+        box(f"post {number}", place, (0.5, 0.5, height), material(f"post {number}", *colours, 4.0))
+    passing = ball("passing", (0, 0, 0), 0.35, material("red", (0.8, 0.1, 0.1), (0.9, 0.8, 0.7), 8.0))
+    keyframe(passing, frames, (-0.6, -1.8, 1.2), (-0.6 + 0.08 * (frames - 1), -1.8, 1.2))
+    bpy.ops.object.light_add(type="AREA", location=(2.5, 1.5, 3.8))
+    bpy.context.object.data.energy, bpy.context.object.data.size = 200, 0.5
+    sky(scene, (0.25, 0.32, 0.45))
+    bpy.ops.object.camera_add(rotation=(math.radians(90), 0, 0))
+    scene.camera = bpy.context.object
+    scene.render.engine = "CYCLES"  # its cameras have the panorama's kind
+    scene.camera.data.type, scene.camera.data.panorama_type = "PANO", "EQUIRECTANGULAR"
+    keyframe(scene.camera, frames, (0, 0, 1.5), (0.03 * (frames - 1), 0.02 * (frames - 1), 1.5))
+
+
+LENS_SETS = {
+    "portrait": build_portrait, "focus-pull": build_focus_pull, "macro": build_macro, "panorama": build_panorama,
+}  # fmt: skip

@@ -41,9 +41,10 @@ def write_light(
         if bad := int((~np.isfinite(image)).any(1).sum()):
             raise InputError(f"{path}: {name} has {bad} pixels that are not finite after denoising, so nothing was "
                              "written; are the weights of --model sound, and the frame plausible?")  # fmt: skip
-    picture, parts = sequence.within(picture), {name: sequence.within(part) for name, part in parts.items()}
-    float32 = float32 or any(map(beyond_half, (picture, *parts.values())))
     covered = alpha_of(sequence, index, picture, alpha, coverage)
+    picture = sequence.within(picture)
+    covered, parts = ({name: sequence.within(plane) for name, plane in its.items()} for its in (covered, parts))
+    float32 = float32 or any(map(beyond_half, (picture, *parts.values())))
     if layout == "source":
         planes = _source_planes(sequence, passes, picture, parts) | ({} if alpha == "rendered" else covered)
         return write_like(out / path.name, path, planes, dtype="float" if float32 else None)

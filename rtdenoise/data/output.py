@@ -96,8 +96,6 @@ def write_frame(
         if result is not None and (bad := int((~np.isfinite(result)).any(1).sum())):
             raise InputError(f"{path}: the result has {bad} pixels that are not finite, so it was not written; are the "
                              "weights of --model sound, and the frame's values plausible?")  # fmt: skip
-    extra = {name: sequence.within(layer) for name, layer in extra.items()}
-    image, beauty = (result if result is None else sequence.within(result) for result in (image, beauty))
     float32 = float32 or any(beyond_half(result) for result in (image, beauty) if result is not None)
     picture = image if sequence.signal == "color" and beauty is None else beauty
     covered = {} if picture is None else alpha_of(sequence, index, picture, alpha, coverage)
@@ -105,6 +103,8 @@ def write_frame(
         surface = frame.depth, frame.motion, frame.motion_next
         image = over_shutter(image, *surface, *shutter)
         covered = {name: over_shutter(plane[None, None], *surface, *shutter)[0, 0] for name, plane in covered.items()}
+    extra, covered = ({name: sequence.within(plane) for name, plane in its.items()} for its in (extra, covered))
+    image, beauty = (result if result is None else sequence.within(result) for result in (image, beauty))
     if layout == "plain":
         result = image if beauty is None else beauty
         return _write_plain(out / sequence.names[index], sequence, index, result, covered, keep, float32, extra)
@@ -127,17 +127,15 @@ def alpha_of(
     alpha: str,  # of `ALPHAS`
     coverage: np.ndarray | None = None,  # [H, W] instead of what would be found
 ) -> dict[str, np.ndarray]:
-    """The channel of a frame's alpha and its values `[H, W]` beside the denoised picture; empty where it has none."""
+    """The channel of a frame's alpha and its values `[H, W]` beside the denoised picture, of the same size; empty where
+    it has none."""
     stored = sequence.layout.alpha(sequence.header)
     if not stored or stored not in sequence.files[index].header().channels:
         return {}
     if coverage is None:
-        plane = sequence.files[index].read([stored], as_stored=True)[stored]
-        if alpha == "rendered":
-            return {stored: plane}
-        plane = sequence.region.mirrored(plane) if sequence.region else plane
-        coverage = denoise_alpha(plane, np.moveaxis(picture[0], 0, 2))
-    return {stored: sequence.within(coverage)}
+        plane = sequence.around(sequence.files[index].read([stored], as_stored=True)[stored])
+        coverage = plane if alpha == "rendered" else denoise_alpha(plane, np.moveaxis(picture[0], 0, 2))
+    return {stored: coverage}
 
 
 def attributes_of(sequence: Sequence, index: int) -> dict[str, object]:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..frame import Frame
+
 NEVER = 5e10  # Blender fills depth with 1e11 before it renders; where nothing is hit Cycles writes 1e10
 
 
@@ -21,16 +23,24 @@ class Region:
     rows: slice
     columns: slice
 
-    def mirrored(self, plane: np.ndarray) -> np.ndarray:
+    def size(self, height: int, width: int) -> tuple[int, int]:
+        """(H, W) of frames as they are read."""
+        return height, width
+
+    def around(self, plane: np.ndarray) -> np.ndarray:
         """A channel `[H, W]` with the region mirrored beyond its rim."""
         rows, columns = map(_folded, plane.shape, (self.rows, self.columns))
         return plane[rows[:, None], columns]
 
-    def alone(self, image: np.ndarray) -> np.ndarray:
+    def within(self, image: np.ndarray) -> np.ndarray:
         """An image `[…, H, W]` with 0 beyond the region."""
         out = np.zeros_like(image)
         out[..., self.rows, self.columns] = image[..., self.rows, self.columns]
         return out
+
+    def joined(self, frame: Frame) -> Frame:
+        """A frame that was read so, as it is."""
+        return frame
 
 
 def _folded(n: int, there: slice) -> np.ndarray:

@@ -19,6 +19,7 @@ from .layers import SIGNALS
 from .layout import SCALES, Layout, Rule, pixels
 from .lost import with_lost_samples
 from .noisebase import NOISEBASE, find_archives
+from .panorama import Panorama
 from .recognise import choose, find, samples, settled
 from .region import Region
 from .scene_file import read_scene
@@ -57,7 +58,7 @@ class Sequence:
     lost_samples: bool = False  # frames are read `with_lost_samples`
     veiled: bool = False  # frames are read `with_veiled`
     surfaces: Surfaces | None = field(default=None, repr=False)  # without motion blur: layers that these give
-    region: Region | None = None  # frames are read with it mirrored beyond its rim
+    beyond: Region | Panorama | None = None  # frames are read with what continues them beyond what was rendered
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -74,6 +75,11 @@ class Sequence:
     def names(self) -> tuple[str, ...]:
         """The file name of each frame's output."""
         return tuple(files.output_name(path) for files, path in zip(self.files, self.paths, strict=True))
+
+    @property
+    def read_size(self) -> tuple[int, int]:
+        """(H, W) of frames as they are read."""
+        return self.beyond.size(*self.size) if self.beyond else self.size
 
     @property
     def demodulated(self) -> bool:
@@ -109,6 +115,7 @@ class Sequence:
         layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
         wide = self.layout.wide_filter
         frame = Frame(**layers, number=files.number, name=str(files.path), wide_filter=wide)
+        frame = self.beyond.joined(frame) if self.beyond else frame
         if veiled:
             frame = with_veiled(frame)
         if self.layout.name == "cycles":
@@ -130,13 +137,16 @@ class Sequence:
         return self.surfaces.give(frame) if self.surfaces else frame
 
     def planes(self, i: int, names: Collection[str]) -> dict[str, np.ndarray]:
-        """Channels of frame i, `[H, W]` float32, as stored within the `region`."""
-        planes = self.files[i].read(names)
-        return {name: self.region.mirrored(x) for name, x in planes.items()} if self.region else planes
+        """Channels of frame i, float32, as stored where it was rendered: `[H, W]` of `read_size`."""
+        return {name: self.around(plane) for name, plane in self.files[i].read(names).items()}
+
+    def around(self, plane: np.ndarray) -> np.ndarray:
+        """A channel `[H, W]` as it is stored, with what continues it: of `read_size`."""
+        return self.beyond.around(plane) if self.beyond else plane
 
     def within(self, image: np.ndarray) -> np.ndarray:
-        """An image `[…, H, W]` with 0 beyond the `region`."""
-        return self.region.alone(image) if self.region else image
+        """The inverse of `around`, of an image `[…, H, W]` of `read_size`."""
+        return self.beyond.within(image) if self.beyond else image
 
     def besides(self, files: FrameFiles) -> tuple[Rule | None, dict[str, Rule]]:
         """What is read of a frame beside its layers: the path length for virtual motion, None without; and the light of

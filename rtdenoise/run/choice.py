@@ -6,6 +6,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 from ..data.lost import lost_samples
+from ..data.panorama import find_panorama
 from ..data.region import find_region
 from ..data.sequences import Sequence, open_sequence
 from ..models.hybrid_config import HybridConfig
@@ -38,7 +39,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         source, signal=options.signal, preset=options.preset, layers=(*layers, *(["samples"] if auto else [])),
         allow_gaps=options.allow_gaps,
     )  # fmt: skip
-    sequence = with_surfaces(sequence, options)
+    sequence = _with_panorama(with_surfaces(sequence, options), options)
     if options.motion_blur:
         sequence.require("depth", "motion")
     sequence, options, notes = with_lens_if_lacking(sequence, options)
@@ -132,12 +133,23 @@ def as_rendered(sequence: Sequence) -> Sequence:
     return replace(sequence, soft_edges=False, virtual_motion=False, fog=False, lost_samples=False, veiled=False)
 
 
+def _with_panorama(sequence: Sequence, options: Options) -> Sequence:
+    """The sequence joined at its edges, where its first frame is a panorama."""
+    if not options.detect_panorama or sequence.scene or not (sequence.has("depth") and sequence.has("normal")):
+        return sequence
+    found = find_panorama(sequence.only({"radiance", "depth", "normal"}).read(0))
+    surfaces = sequence.surfaces
+    if found and surfaces:
+        surfaces = replace(surfaces, sequence=replace(surfaces.sequence, beyond=found))
+    return replace(sequence, beyond=found, surfaces=surfaces)
+
+
 def _with_region(sequence: Sequence) -> Sequence:
     """The sequence with the render region of its first frame, where Blender has not cropped files to it."""
-    if sequence.layout.name != "cycles" or sequence.surfaces or "depth" not in sequence.available:
+    if sequence.beyond or sequence.layout.name != "cycles" or sequence.surfaces or "depth" not in sequence.available:
         return sequence
     (channel,) = sequence.available["depth"].channels
-    return replace(sequence, region=find_region(sequence.files[0].read([channel])[channel]))
+    return replace(sequence, beyond=find_region(sequence.files[0].read([channel])[channel]))
 
 
 def known_samples(sequence: Sequence, given: int) -> float:

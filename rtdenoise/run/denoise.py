@@ -137,7 +137,7 @@ def _run(
         summary.notes, summary.seconds = [*summary.notes, *made.notes], summary.seconds + made.seconds
     if options.plan:
         first = [sequence.read(i) for i in range(min(EXAMINED, len(sequence)))]
-        summary.plan = backend.plan(sequence.size, len(sequence), first, summary.left_out)
+        summary.plan = backend.plan(sequence.read_size, len(sequence), first, summary.left_out)
     if history is not None:
         recent = last_of_shot(sequence, done, summary.cuts, backend.config.recent + 1)
         history = backend.remember(history, [backend.prepare(with_stand_ins(read(sequence, i))) for i in recent])

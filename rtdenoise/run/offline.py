@@ -125,7 +125,7 @@ class _Run:
             self.estimates.mkdir(exist_ok=True)
             remove_unfinished(self.estimates)
         if self.options.plan:  # tiles for large frames
-            self.backend.plan(self.sequence.size, count, self._examined(), {})
+            self.backend.plan(self.sequence.read_size, count, self._examined(), {})
 
         if history is not None:
             history = self.backend.remember(history, self._recent(done))
@@ -173,7 +173,7 @@ class _Run:
             history = None
         raw, frame = self.sequence.read(i), self._completed(i)
         backward, history = self.passes.step(reverse(frame), history)
-        forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.size)
+        forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.read_size)
         combined, gain = self.passes.combine(frame, forward, backward), self.summary.exposure[i]
         extra = {"confidence": combined.spread.cpu().numpy() * gain} if self.options.confidence else {}
         image = combined.image.cpu().numpy() * gain
@@ -220,7 +220,7 @@ class _Run:
 
     def _check_disk(self, frames: int) -> None:
         """Raise InputError where so many frames more do not fit."""
-        H, W = self.sequence.size
+        H, W = self.sequence.read_size
         needed, free = BYTES_PER_PIXEL * H * W * frames, shutil.disk_usage(self.out).free
         if needed > free:
             raise InputError(f"{self.out}: --offline keeps {needed / 1e9:.1f} GB there while it runs, {free / 1e9:.1f} "

@@ -84,6 +84,9 @@ class Options:
     Cycles lack a camera shift, and before Blender 4.5 an animated focal length."""
     detect_lens: bool = True
     """Find out whether frames of Cycles need --lens, by one pair of frames in 16."""
+    detect_panorama: bool = True
+    """Find out whether frames are panoramas, whose left and right edges meet: twice as wide as high, with the same
+    surfaces at both."""
     plan: bool = True
     """Leave out work that a frame does not need (`rtdenoise inspect` lists it); off: everything runs."""
     backend: str = "auto"

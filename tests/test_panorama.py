@@ -1,0 +1,112 @@
+"""Panoramas, whose left and right edges meet (`data.panorama`)."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtdenoise.data.exr import read_channels, read_header, write_layers
+from rtdenoise.data.panorama import Panorama, find_panorama
+from rtdenoise.data.sequences import open_sequence
+from rtdenoise.frame import OFF_SCREEN, Frame
+from rtdenoise.run.denoise import denoise
+from rtdenoise.run.options import Options
+
+SHOT = sorted((Path(__file__).parent / "data" / "cycles").glob("*.exr"))
+SEAM = np.s_[:3, :, [0, 1, -2, -1]]
+SIDE = min(read_header(SHOT[0]).height, read_header(SHOT[0]).width) // 32 * 32
+
+
+def write_panorama(folder, turned=0, count=2):
+    """Frames of the shot beside their mirror images, whose edges meet, turned by so many columns."""
+    folder.mkdir()
+    for path in SHOT[:count]:
+        planes = read_channels(path, list(read_header(path).channels))
+        for name, plane in planes.items():
+            half = plane[:SIDE, :SIDE]
+            planes[name] = np.roll(np.concatenate([half, half[:, ::-1]], axis=1), turned, axis=1)
+        write_layers(folder / path.name, planes, dtypes=dict.fromkeys(planes, "float"))
+    return folder
+
+
+def denoised(folder, turned, options):
+    """The last frame of a panorama `[4, H, W]` that was denoised so turned, and turned back."""
+    shot, out = folder / f"shot-{turned}", folder / f"out-{turned}"
+    denoise(str(write_panorama(shot, turned)), out, options)
+    layer = "" if options.layout == "plain" else "ViewLayer.Combined."
+    planes = read_channels(sorted(out.glob("*.exr"))[-1], [f"{layer}{c}" for c in "RGBA"])
+    return np.roll(np.stack([*planes.values()]), -turned, axis=2)
+
+
+@pytest.mark.parametrize("options", [
+    Options(model="default"), Options(layout="source", lights=True, model="default"), Options(offline=True),
+    Options(signal="indirect", recombine=True, model="default"), Options(motion_blur=True, model="default"),
+], ids=["plain", "lights", "offline", "recombine", "motion-blur"])  # fmt: skip
+def test_a_panorama_has_no_seam(tmp_path, options):
+    # Turned by half its width a panorama has its edges in the middle.
+    whole, turned = (denoised(tmp_path, turn, options) for turn in (0, SIDE))
+    assert whole.shape == (4, SIDE, 2 * SIDE)
+    difference = np.abs(whole - turned)
+    assert difference[SEAM].mean() < 0.01 * whole[SEAM].mean()
+    assert difference[3].max() < 0.02
+
+
+def test_it_has_one_where_none_is_looked_for(tmp_path):
+    options = Options(model="default", detect_panorama=False)
+    whole, turned = (denoised(tmp_path, turn, options) for turn in (0, SIDE))
+    assert np.abs(whole - turned)[SEAM].mean() > 0.05 * whole[SEAM].mean()
+
+
+def test_frames_are_read_with_columns_of_the_other_side(tmp_path):
+    sequence = open_sequence(write_panorama(tmp_path / "shot", count=1))
+    whole, panorama = sequence.read(0), Panorama(2 * SIDE)
+    sequence = replace(sequence, beyond=panorama)
+    assert sequence.read_size == (SIDE, 2 * SIDE + 2 * panorama.beside)
+    for layer, image in sequence.read(0).layers():
+        assert image.shape[2:] == sequence.read_size
+        if "motion" not in layer:
+            assert np.array_equal(panorama.within(image), getattr(whole, layer))
+            assert np.array_equal(image[..., : panorama.beside], getattr(whole, layer)[..., -panorama.beside :])
+            assert np.array_equal(image[..., -panorama.beside :], getattr(whole, layer)[..., : panorama.beside])
+
+
+def test_motion_takes_the_shorter_way_round():
+    motion = np.zeros((1, 2, 1, 6), np.float32)
+    motion[0, 0, 0] = 3, 199, -198.5, 100, OFF_SCREEN, np.nan
+    frame = Panorama(200).joined(Frame(np.zeros((1, 3, 1, 6), np.float32), motion=motion, motion_next=motion))
+    expected = motion.copy()
+    expected[0, 0, 0, 1:3] = -1, 1.5
+    for found in (frame.motion, frame.motion_next):
+        assert np.array_equal(found, expected, equal_nan=True) and found.dtype == np.float32
+    assert Panorama(200).joined(replace(frame, motion=None, motion_next=None)).motion is None
+
+
+@pytest.mark.parametrize(("width", "beside"), [(32, 16), (100, 48), (512, 64), (1024, 64), (4096, 256)])
+def test_so_many_columns_lie_beside(width, beside):
+    assert Panorama(width).beside == beside
+    assert Panorama(width).around(np.zeros((2, width))).shape == (2, width + 2 * beside)
+
+
+def around(depth, normal=(0, 0, 1)):
+    """A frame of a depth `[H, W]`, and one normal."""
+    H, W = depth.shape
+    normal = np.broadcast_to(np.float32(normal).reshape(1, 3, 1, 1), (1, 3, H, W)).copy()
+    return Frame(np.zeros((1, 3, H, W), np.float32), normal=normal, depth=np.float32(depth)[None, None])
+
+
+def test_a_panorama_is_found_by_its_edges():
+    rows, turn = np.mgrid[:64, :128]
+    room = 3 + np.cos(turn * np.pi / 64) + rows / 64
+    assert find_panorama(around(room)) == Panorama(128)
+    under_sky = np.where(rows < 32, 0, room)
+    assert find_panorama(around(under_sky)) == Panorama(128)
+    assert find_panorama(around(np.where(rows < 60, 0, room))) is None  # sky tells nothing
+    assert find_panorama(around(room[:, :64])) is None
+    assert find_panorama(around(np.repeat(room, 2, 0))) is None
+    assert find_panorama(around(3 + turn / 64)) is None
+    assert find_panorama(around(np.full_like(room, np.nan))) is None
+    turned = around(room)
+    turned.normal[..., -1] = np.float32([1, 0, 0]).reshape(1, 3, 1)
+    assert find_panorama(turned) is None
+    assert find_panorama(replace(turned, depth=None)) is None
