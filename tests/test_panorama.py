@@ -10,8 +10,9 @@ from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.panorama import Panorama, find_panorama
 from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import OFF_SCREEN, Frame
+from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import denoise
-from rtdenoise.run.options import Options
+from rtdenoise.run.options import CombineOptions, Options
 
 SHOT = sorted((Path(__file__).parent / "data" / "cycles").glob("*.exr"))
 SEAM = np.s_[:3, :, [0, 1, -2, -1]]
@@ -50,6 +51,24 @@ def test_a_panorama_has_no_seam(tmp_path, options):
     difference = np.abs(whole - turned)
     assert difference[SEAM].mean() < 0.01 * whole[SEAM].mean()
     assert difference[3].max() < 0.02
+
+
+@pytest.mark.parametrize("detect", [True, False])
+def test_nor_has_a_corrected_one(tmp_path, detect):
+    made = []
+    for turned in (0, SIDE):
+        noisy, flat, out = (tmp_path / f"{name}-{turned}" for name in ("noisy", "flat", "out"))
+        write_panorama(noisy, turned, count=4)
+        write_panorama(flat, turned, count=4)
+        for path in flat.iterdir():  # the mean of each row is far from what is there, so that much is corrected
+            light = read_channels(path, [f"ViewLayer.Combined.{c}" for c in "RGB"]).values()
+            means = [np.broadcast_to(plane.mean(1, keepdims=True), plane.shape) for plane in light]
+            write_layers(path, dict(zip("RGB", means, strict=True)), dtypes=dict.fromkeys("RGB", "float"))
+        combine(str(noisy), str(flat), out, CombineOptions(samples=4, detect_panorama=detect))
+        planes = read_channels(sorted(out.glob("*.exr"))[1], [*"RGB"])
+        made.append(np.roll(np.stack([*planes.values()]), -turned, axis=2))
+    difference = np.abs(made[0] - made[1])[SEAM].mean()
+    assert difference < 1e-4 if detect else difference > 1e-3
 
 
 def test_it_has_one_where_none_is_looked_for(tmp_path):

@@ -6,13 +6,13 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 from ..data.lost import lost_samples
-from ..data.panorama import find_panorama
 from ..data.region import find_region
 from ..data.sequences import Sequence, open_sequence
 from ..models.hybrid_config import HybridConfig
 from ..models.weights import read_config
 from .lens_motion import with_lens_if_lacking
 from .options import AHEAD, AUTO, MIXED, Options
+from .panorama import with_panorama
 from .surfaces import with_surfaces
 
 BEST = "hybrid", "hybrid-many"  # for few samples a pixel and for many: the best picture in OIDN's time
@@ -39,7 +39,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         source, signal=options.signal, preset=options.preset, layers=(*layers, *(["samples"] if auto else [])),
         allow_gaps=options.allow_gaps,
     )  # fmt: skip
-    sequence = _with_panorama(with_surfaces(sequence, options), options)
+    sequence = with_panorama(with_surfaces(sequence, options), options)
     if options.motion_blur:
         sequence.require("depth", "motion")
     sequence, options, notes = with_lens_if_lacking(sequence, options)
@@ -131,17 +131,6 @@ def _share_of_lost_samples(sequence: Sequence) -> float:
 def as_rendered(sequence: Sequence) -> Sequence:
     """The sequence without what is mended in layers of Cycles."""
     return replace(sequence, soft_edges=False, virtual_motion=False, fog=False, lost_samples=False, veiled=False)
-
-
-def _with_panorama(sequence: Sequence, options: Options) -> Sequence:
-    """The sequence joined at its edges, where its first frame is a panorama."""
-    if not options.detect_panorama or sequence.scene or not (sequence.has("depth") and sequence.has("normal")):
-        return sequence
-    found = find_panorama(sequence.only({"radiance", "depth", "normal"}).read(0))
-    surfaces = sequence.surfaces
-    if found and surfaces:
-        surfaces = replace(surfaces, sequence=replace(surfaces.sequence, beyond=found))
-    return replace(sequence, beyond=found, surfaces=surfaces)
 
 
 def _with_region(sequence: Sequence) -> Sequence:

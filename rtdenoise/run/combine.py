@@ -20,6 +20,7 @@ from .choice import told_of_samples
 from .folder import prepare
 from .lens_motion import with_lens_if_lacking
 from .options import CombineOptions, Summary, check_samples
+from .panorama import with_panorama
 from .surfaces import with_surfaces
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def combine(
     source = open_sequence(
         noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
     )
-    source = with_surfaces(source, options)
+    source = with_panorama(with_surfaces(source, options), options)
     source, options, found = with_lens_if_lacking(source, options)
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
     check_output(source, options.layout, options.recombine, options.keep, options.alpha)

@@ -181,6 +181,8 @@ class CombineOptions:
     """Add the zoom or shift of the picture that motion vectors lack: as for denoise."""
     detect_lens: bool = True
     """Find out whether frames of Cycles need --lens: as for denoise."""
+    detect_panorama: bool = True
+    """Find out whether frames are panoramas, whose left and right edges meet: as for denoise."""
     device: str = "auto"
     """'auto', 'cpu' or 'cuda'."""
     precision: str = "auto"

@@ -36,14 +36,14 @@ def open_denoised(denoised: str, source: Sequence, preset: str, allow_gaps: bool
         found = open_sequence(denoised, allow_gaps=allow_gaps)
         found = replace(found, rules={"radiance": found.rules["radiance"]})
     _check_frames(found, source, "denoised")
-    return found
+    return replace(found, beyond=source.beyond)
 
 
 def open_second(second: str, source: Sequence, preset: str, allow_gaps: bool) -> Sequence:
     """Another render of `source`, where a renderer writes its noisy light. Raises InputError as `open_denoised`."""
     found = open_sequence(second, signal=source.signal, preset=preset, allow_gaps=allow_gaps).only(("radiance",))
     _check_frames(found, source, "second")
-    return found
+    return replace(found, beyond=source.beyond)
 
 
 def _check_frames(found: Sequence, source: Sequence, kind: str) -> None:
@@ -59,15 +59,15 @@ def _check_frames(found: Sequence, source: Sequence, kind: str) -> None:
 
 
 def read_estimate(denoised: Sequence, i: int) -> Tensor:
-    """Denoised frame i, `[1, 3, H, W]`."""
+    """Denoised frame i, `[1, 3, H, W]` of `read_size`."""
     rule = denoised.rules["radiance"]
-    return torch.from_numpy(convert(rule, denoised.files[i].read(rule.channels), "radiance").astype(np.float32))
+    return torch.from_numpy(convert(rule, denoised.planes(i, rule.channels), "radiance").astype(np.float32))
 
 
 def read_alpha(denoised: Sequence, i: int) -> np.ndarray | None:
-    """The alpha of denoised frame i, `[H, W]`; None where it has none."""
+    """The alpha of denoised frame i, `[H, W]` of `read_size`; None where it has none."""
     channel = denoised.layout.alpha(denoised.header)
-    return denoised.files[i].read([channel])[channel].clip(0, 1) if channel else None
+    return denoised.planes(i, [channel])[channel].clip(0, 1) if channel else None
 
 
 def both(frame: Frame, second: Tensor) -> tuple[Frame, Tensor]:

@@ -1,0 +1,21 @@
+"""Panoramas are joined at their left and right edges, where a sequence is one. Needs no torch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ..data.panorama import find_panorama
+from ..data.sequences import Sequence
+from .options import CombineOptions, Options
+
+
+def with_panorama(sequence: Sequence, options: Options | CombineOptions) -> Sequence:
+    """The sequence, and its `surfaces`, joined at their edges where the first frame is a panorama; itself where it is
+    not, or by `options`."""
+    if not options.detect_panorama or sequence.scene or not (sequence.has("depth") and sequence.has("normal")):
+        return sequence
+    found = find_panorama(sequence.only({"radiance", "depth", "normal"}).read(0))
+    surfaces = sequence.surfaces
+    if found and surfaces:
+        surfaces = replace(surfaces, sequence=replace(surfaces.sequence, beyond=found))
+    return replace(sequence, beyond=found, surfaces=surfaces)
