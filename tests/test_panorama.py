@@ -13,6 +13,7 @@ from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import CombineOptions, Options
+from rtdenoise.run.panorama import JOINED
 
 SHOT = sorted((Path(__file__).parent / "data" / "cycles").glob("*.exr"))
 SEAM = np.s_[:3, :, [0, 1, -2, -1]]
@@ -34,7 +35,8 @@ def write_panorama(folder, turned=0, count=2):
 def denoised(folder, turned, options):
     """The last frame of a panorama `[4, H, W]` that was denoised so turned, and turned back."""
     shot, out = folder / f"shot-{turned}", folder / f"out-{turned}"
-    denoise(str(write_panorama(shot, turned)), out, options)
+    summary = denoise(str(write_panorama(shot, turned)), out, options)
+    assert (JOINED in summary.notes) == options.detect_panorama
     layer = "" if options.layout == "plain" else "ViewLayer.Combined."
     planes = read_channels(sorted(out.glob("*.exr"))[-1], [f"{layer}{c}" for c in "RGBA"])
     return np.roll(np.stack([*planes.values()]), -turned, axis=2)
@@ -64,7 +66,8 @@ def test_nor_has_a_corrected_one(tmp_path, detect):
             light = read_channels(path, [f"ViewLayer.Combined.{c}" for c in "RGB"]).values()
             means = [np.broadcast_to(plane.mean(1, keepdims=True), plane.shape) for plane in light]
             write_layers(path, dict(zip("RGB", means, strict=True)), dtypes=dict.fromkeys("RGB", "float"))
-        combine(str(noisy), str(flat), out, CombineOptions(samples=4, detect_panorama=detect))
+        summary = combine(str(noisy), str(flat), out, CombineOptions(samples=4, detect_panorama=detect))
+        assert (JOINED in summary.notes) == detect
         planes = read_channels(sorted(out.glob("*.exr"))[1], [*"RGB"])
         made.append(np.roll(np.stack([*planes.values()]), -turned, axis=2))
     difference = np.abs(made[0] - made[1])[SEAM].mean()

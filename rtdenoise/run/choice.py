@@ -39,10 +39,11 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         source, signal=options.signal, preset=options.preset, layers=(*layers, *(["samples"] if auto else [])),
         allow_gaps=options.allow_gaps,
     )  # fmt: skip
-    sequence = with_panorama(with_surfaces(sequence, options), options)
+    sequence, joined = with_panorama(with_surfaces(sequence, options), options)
     if options.motion_blur:
         sequence.require("depth", "motion")
     sequence, options, notes = with_lens_if_lacking(sequence, options)
+    notes = [*joined, *notes]
     sequence = _with_region(sequence)
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter, and what it writes
     if options.samples == sequence.header.samples:

@@ -58,7 +58,7 @@ def combine(
     source = open_sequence(
         noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
     )
-    source = with_panorama(with_surfaces(source, options), options)
+    source, joined = with_panorama(with_surfaces(source, options), options)
     source, options, found = with_lens_if_lacking(source, options)
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
     check_output(source, options.layout, options.recombine, options.keep, options.alpha)
@@ -71,7 +71,7 @@ def combine(
         check_second(source, second)
         check_pairs(source, second, "second")
     same = f"{estimates.paths[0]} is the same picture as {source.paths[0]}: name the denoised frames"
-    notes = [*found, *([same] if repeats(source, estimates) else [])]
+    notes = [*joined, *found, *([same] if repeats(source, estimates) else [])]
     device = choose_device(options.device)
     combiner = load_combiner(options.model, device, options.precision)
     for one in (estimates, *([second] if second else [])):

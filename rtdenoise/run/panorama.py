@@ -8,14 +8,16 @@ from ..data.panorama import find_panorama
 from ..data.sequences import Sequence
 from .options import CombineOptions, Options
 
+JOINED = "a panorama: its left and right edges are joined; --no-detect-panorama leaves them apart"
 
-def with_panorama(sequence: Sequence, options: Options | CombineOptions) -> Sequence:
-    """The sequence, and its `surfaces`, joined at their edges where the first frame is a panorama; itself where it is
-    not, or by `options`."""
+
+def with_panorama(sequence: Sequence, options: Options | CombineOptions) -> tuple[Sequence, list[str]]:
+    """The sequence, and its `surfaces`, joined at their edges where the first frame is a panorama, and what to tell of
+    it; itself where it is none, or by `options`."""
     if not options.detect_panorama or sequence.scene or not (sequence.has("depth") and sequence.has("normal")):
-        return sequence
+        return sequence, []
     found = find_panorama(sequence.only({"radiance", "depth", "normal"}).read(0))
     surfaces = sequence.surfaces
     if found and surfaces:
         surfaces = replace(surfaces, sequence=replace(surfaces.sequence, beyond=found))
-    return replace(sequence, beyond=found, surfaces=surfaces)
+    return replace(sequence, beyond=found, surfaces=surfaces), [JOINED] if found else []
