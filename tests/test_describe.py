@@ -381,6 +381,21 @@ def test_letters_at_the_end_of_a_word_are_no_label(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("depth", [["V"], []])
+def test_the_z_of_vectors_in_files_of_their_own_is_no_depth(tmp_path, depth):
+    """As Blender's File Output node writes passes."""
+    for name, written in {"Image": "RGBA", "Depth": depth, "Normal": "XYZ", "Vector": "XYZ"}.items():
+        for number in (1, 2) if written else ():
+            write_layers(tmp_path / f"{name}_{number:04d}.exr", {c: np.ones((4, 4), np.float32) for c in written})
+    layout = guess(tmp_path)
+    assert {layer: (*rules[0].channels, *layout.buffers[layer]) for layer, rules in layout.layers.items()} == {
+        "color": ("color.R", "color.G", "color.B", "Image_{frame}.exr"),
+        "normal": ("normal.X", "normal.Y", "normal.Z", "Normal_{frame}.exr"),
+        "motion": ("motion.X", "motion.Y", "Vector_{frame}.exr"),
+        **({"depth": ("depth.V", "Depth_{frame}.exr")} if depth else {}),
+    }
+
+
 UNLIKE = "{}.{{frame}}.exr is called otherwise than the picture, {}.{{frame}}.exr{}"
 LEFT_OUT = ", and left out: describe it here if it belongs to the picture"
 DOUBT = ": does it belong to it?"

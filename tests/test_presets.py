@@ -249,6 +249,18 @@ def test_a_preset_file(tmp_path):
     assert inspect(tmp_path, preset=str(tmp_path / "tracer.toml")).convention.status == "ok"
 
 
+def test_two_layers_may_be_of_the_same_channels_of_a_file(tmp_path):
+    write_tracer(tmp_path)
+    own = TRACER + """
+[position]
+channels = ["X", "Y", "Z"]
+file = "n{frame}.exr"
+"""
+    (tmp_path / "tracer.toml").write_text(own)
+    frame = open_sequence(tmp_path, preset=str(tmp_path / "tracer.toml"), layers=("position",))[1]
+    assert (frame.position == frame.normal).all() and is_close(frame.normal, buffers(1)["normal"])
+
+
 def test_a_channel_that_a_buffers_file_lacks_is_named(tmp_path):
     write_tracer(tmp_path)
     (tmp_path / "tracer.toml").write_text(TRACER.replace('"Z"', '"A"'))

@@ -62,16 +62,16 @@ class FrameFiles:
         them."""
         pixels: dict[str, np.ndarray] = {}
         for path, wanted in self.locate(names).items():
-            stored = read_channels(path, list(wanted), as_stored)
-            pixels |= {full: stored[name] for name, full in wanted.items()}
+            stored = read_channels(path, list(dict.fromkeys(wanted.values())), as_stored)
+            pixels |= {full: stored[name] for full, name in wanted.items()}
         return pixels
 
     def locate(self, names: Collection[str]) -> dict[Path, dict[str, str]]:
-        """Where channels are: file -> name in that file -> name as `header` gives it."""
+        """Where channels are: file -> name as `header` gives it -> name in that file, which several may share."""
         found: dict[Path, dict[str, str]] = {}
         for full in names:
             buffer, _, name = ("", "", full) if "" in self.files else full.partition(".")
-            found.setdefault(self.files[buffer], {})[name] = full
+            found.setdefault(self.files[buffer], {})[full] = name
         return found
 
 

@@ -120,7 +120,9 @@ def _labelled(names: list[str], pattern: str) -> Iterator[tuple[str, int, dict[s
     bare = groups.pop("", {})
     if (file := of_file(pattern)).layer:
         yield file.layer, file.rank, bare
-    for label, parts in [*((name, {"": name}) for name in bare.values()), *groups.items()]:
+    vector = {"x", "y"} <= bare.keys()  # whose Z is no depth
+    single = [(name, {"": name}) for ending, name in bare.items() if not (vector and ending == "z")]
+    for label, parts in [*single, *groups.items()]:
         if found := _of_label(label):
             yield *found, parts
 

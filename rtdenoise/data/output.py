@@ -59,8 +59,8 @@ def read_result(
     beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
     rule = beauty or place_of(sequence)
     ((file, names),) = sequence.files[index].locate(rule.channels).items()
-    stored = read_channels(out / name_of(file, path), tuple(names))
-    return convert(rule, {full: stored[name] for name, full in names.items()}, "radiance")
+    stored = read_channels(out / name_of(file, path), tuple(names.values()))
+    return convert(rule, {full: stored[name] for full, name in names.items()}, "radiance")
 
 
 def write_frame(
@@ -115,7 +115,7 @@ def write_frame(
         planes |= covered
     nans = {}
     for file, names in sequence.files[index].locate(planes).items():
-        changed = {stored: planes[full] for stored, full in names.items()}
+        changed = {stored: planes[full] for full, stored in names.items()}
         nans |= write_like(out / name_of(file, path), file, changed, dtype="float" if float32 else None)
     return nans
 
