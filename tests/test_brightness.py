@@ -93,6 +93,29 @@ def test_one_light_of_several_is_not_all_light(columns):
     assert gains_of(frames) == [1.0] * 6
 
 
+def test_a_coloured_light_that_shines_everywhere_is_not_all_light():
+    """As a green sign that blinks among red and blue ones: most of the luminance is its."""
+    frames = make_frames(6, H=128, W=224)
+    for frame in frames[2::2]:
+        frame.radiance[:, 1] *= 0.2
+    assert gains_of(frames) == [1.0] * 6
+
+
+def test_light_of_one_colour_dims_as_a_whole():
+    gains = [1.0, 0.5, 0.25, 0.5, 1.0]
+    frames = shot(gains)
+    for frame in frames:
+        frame.radiance[:, 1:] = 0
+    np.testing.assert_allclose(gains_of(frames), gains, rtol=0.08)
+
+
+def test_lamps_that_dim_turn_warmer():
+    frames = make_frames(6, H=128, W=224)
+    for i, frame in enumerate(frames):
+        frame.radiance.mul_(torch.tensor([0.93, 0.88, 0.8]).pow(i).reshape(1, 3, 1, 1))
+    np.testing.assert_allclose(gains_of(frames), [0.88**i for i in range(6)], rtol=0.08)
+
+
 def test_a_strobe_beside_light_that_stays_is_not_all_light():
     """Ten times as bright in one corner, and thirty times in the opposite one."""
     frames = make_frames(6, H=128, W=224)
@@ -247,9 +270,9 @@ def test_a_damaged_state_is_told(tmp_path, weights):
     with pytest.raises(Stop):
         denoise(str(source), tmp_path / "out", options, on_frame=stop_after(3))
     stored, metadata = read_history(tmp_path / "out" / STATE)
-    assert stored[BRIGHTNESS].shape == (1, 6, 64, 112)
+    assert stored[BRIGHTNESS].shape == (1, 9, 64, 112)
     write_history(tmp_path / "out" / STATE, stored | {BRIGHTNESS: stored[BRIGHTNESS][..., :-1]}, metadata)
-    assert "brightness is (1, 6, 64, 111), expected (1, 6, 64, 112)" in message(
+    assert "brightness is (1, 9, 64, 111), expected (1, 9, 64, 112)" in message(
         denoise, str(source), tmp_path / "out", options
     )
 

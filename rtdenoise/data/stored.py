@@ -91,7 +91,7 @@ def _check(label: str, name: str, array: np.ndarray, like: tuple[int, ...]) -> N
     if name == FOUND or name.startswith(SHIFTS):
         channels, size = 2, tuple(-(-n // SHIFT_CELL) for n in size)
     if name == BRIGHTNESS:
-        channels, size = 6, tuple(-(-n // seen_step(size)) for n in size)
+        channels, size = 9, tuple(-(-n // seen_step(size)) for n in size)
     if name == GAINS:
         channels, size = array.size, (1, 1)
     if channels is not None:
