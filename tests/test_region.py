@@ -8,6 +8,7 @@ import pytest
 from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.region import Region, find_region
 from rtdenoise.run.denoise import denoise
+from rtdenoise.run.inspect import inspect
 from rtdenoise.run.options import Options
 
 SHOT = Path(__file__).parent / "data" / "cycles"
@@ -54,6 +55,12 @@ def test_alpha_and_the_outside_stay_as_rendered_where_asked(tmp_path):
     for path in shot.iterdir():
         (alpha,) = read_channels(path, ["ViewLayer.Combined.A"]).values()
         assert np.array_equal(read_channels(tmp_path / "out" / path.name, ["A"])["A"], alpha)
+
+
+def test_what_lies_beyond_says_nothing_to_inspect(tmp_path):
+    whole, cropped = (inspect(write_region(tmp_path / name, name == "whole")) for name in ("whole", "cropped"))
+    assert whole.convention == cropped.convention and whole.motion == cropped.motion
+    assert (whole.size, whole.faults) == ((H, W), cropped.faults)
 
 
 def test_only_a_rectangle_that_is_not_all_is_a_region():

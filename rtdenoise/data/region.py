@@ -32,10 +32,14 @@ class Region:
         rows, columns = map(_folded, plane.shape, (self.rows, self.columns))
         return plane[rows[:, None], columns]
 
+    def cropped(self, image: np.ndarray) -> np.ndarray:
+        """The region of an image `[…, H, W]`."""
+        return image[..., self.rows, self.columns]
+
     def within(self, image: np.ndarray) -> np.ndarray:
         """An image `[…, H, W]` with 0 beyond the region."""
         out = np.zeros_like(image)
-        out[..., self.rows, self.columns] = image[..., self.rows, self.columns]
+        out[..., self.rows, self.columns] = self.cropped(image)
         return out
 
     def joined(self, frame: Frame) -> Frame:

@@ -44,7 +44,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         sequence.require("depth", "motion")
     sequence, options, notes = with_lens_if_lacking(sequence, options)
     notes = [*joined, *notes]
-    sequence = _with_region(sequence)
+    sequence = with_region(sequence)
     wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter, and what it writes
     if options.samples == sequence.header.samples:
         options = replace(options, samples=0)  # what the files say, too, is the same run without
@@ -134,7 +134,7 @@ def as_rendered(sequence: Sequence) -> Sequence:
     return replace(sequence, soft_edges=False, virtual_motion=False, fog=False, lost_samples=False, veiled=False)
 
 
-def _with_region(sequence: Sequence) -> Sequence:
+def with_region(sequence: Sequence) -> Sequence:
     """The sequence with the render region of its first frame, where Blender has not cropped files to it."""
     if sequence.beyond or sequence.layout.name != "cycles" or sequence.surfaces or "depth" not in sequence.available:
         return sequence

@@ -12,6 +12,7 @@ from ..data.layout import Rule
 from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
 from ..frame import Frame
 from ..sanitise import faults
+from .choice import with_region
 from .normals import told_of_normals
 from .options import add
 from .plan import Plan, make_plan
@@ -80,13 +81,17 @@ def inspect(
     preset: str = "auto",
     allow_gaps: bool = False,
 ) -> Inspection:
-    """Examine a sequence. All headers are read, and the pixels of a few frames.
+    """Examine a sequence. All headers are read, and the pixels of a few frames; of a render region those within.
 
     Raises `InputError` as `open_sequence` does.
     """
     sequence = open_sequence(source, signal=signal, preset=preset, layers=("reference",), allow_gaps=allow_gaps)
+    sequence = with_region(sequence)
     chosen = choose_pairs(sequence.numbers, sequence.size)
     frames = {i: sequence.read(i) for i in sorted({i for pair in chosen for i in pair} or {0})}
+    plan = make_plan(sequence.size, len(sequence), "dual", list(frames.values()))
+    if region := sequence.beyond:
+        frames = {i: frame.map(region.cropped) for i, frame in frames.items()}
     moving = [(frames[a], frames[b]) for a, b in chosen if frames[b].motion is not None]
     counts, flatness, stops = dict[str, int](), Flatness(), Stops()
     for frame in frames.values():
@@ -130,7 +135,7 @@ def inspect(
         stopped=stops.found and not drifts,
         convention=convention,
         drifts=drifts,
-        plan=make_plan(sequence.size, len(sequence), "dual", list(frames.values())),
+        plan=plan,
     )
 
 
