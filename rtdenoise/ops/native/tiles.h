@@ -18,14 +18,20 @@ static _Thread_local Tile tile[8];
     for (int row = 0; row < TILE; row++) memcpy(tile[t].u[row], (const uint8_t *)(from) + row * (int64_t)(stride), DEEP)
 #define TILE_STORE(t, to, stride) \
     for (int row = 0; row < TILE; row++) memcpy((uint8_t *)(to) + row * (int64_t)(stride), tile[t].u[row], DEEP)
-#define EACH_SUM(products) \
-    for (int p = 0; p < TILE; p++) \
-        for (int o = 0; o < TILE; o++) \
-            for (int c = 0; c < products; c++)
-#define TILE_PRODUCTS(t, x, w) EACH_SUM(DEEP) tile[t].whole[p][o] += tile[x].u[p][c] * tile[w].s[c / 4][o * 4 + c % 4]
-#define TILE_HALF_PRODUCTS(t, x, w) \
-    EACH_SUM(DEEP / 2) tile[t].number[p][o] += from_bits((uint32_t)tile[x].half[p][c] << 16) \
-                                             * from_bits((uint32_t)tile[w].half[c / 2][o * 2 + c % 2] << 16)
+#define TILE_PRODUCTS(t, x, w) tile_products(tile + (t), tile + (x), tile + (w))
+#define TILE_HALF_PRODUCTS(t, x, w) tile_half_products(tile + (t), tile + (x), tile + (w))
+static inline void tile_products(Tile *sums, const Tile *x, const Tile *w) {
+    for (int p = 0; p < TILE; p++)
+        for (int o = 0; o < TILE; o++)
+            for (int c = 0; c < DEEP; c++) sums->whole[p][o] += x->u[p][c] * w->s[c / 4][o * 4 + c % 4];
+}
+static inline float half_of(uint16_t bits) { return from_bits((uint32_t)bits << 16); }
+static inline void tile_half_products(Tile *sums, const Tile *x, const Tile *w) {
+    for (int p = 0; p < TILE; p++)
+        for (int o = 0; o < TILE; o++)
+            for (int c = 0; c < DEEP / 2; c++)
+                sums->number[p][o] += half_of(x->half[p][c]) * half_of(w->half[c / 2][o * 2 + c % 2]);
+}
 static int tiles_allowed(void) { return 1; }
 static void tiles_written(const void *memory) { (void)memory; }
 static void tiles_begin(void) {}
