@@ -82,6 +82,7 @@ def test_both_sides_are_joined_by_how_many_frames_they_are(frames):
     assert torch.equal(both.output, before.output) and torch.equal(both.uncovered, before.uncovered)
 
 
+@torch.inference_mode()
 def test_what_was_just_uncovered_was_seen_again(frames):
     frame, network = frames[2], models.load("default")
     _, history = network.step(frames[0])
