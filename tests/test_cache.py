@@ -6,6 +6,7 @@ import logging
 import os
 import resource
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -166,6 +167,14 @@ def test_a_disk_that_has_filled_up_since_the_start_runs_plain(place, caplog):
     assert image.grad.isfinite().all()
     with full_disk(), pytest.raises(RuntimeError, match="no fused path"):
         warped("fused")
+
+
+def test_threads_that_need_one_library_compile_it_once(place, monkeypatch):
+    built, compile_ = [], compiler._compile
+    monkeypatch.setattr(compiler, "_compile", lambda *given: built.append(given[-1]) or compile_(*given))
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda _: compiler.library("downsample", POOL=0).downsample, range(4)))
+    assert len(found) == 4 and len(built) == len(list(place.glob("*.so"))) > 0
 
 
 def test_a_read_only_cache_is_used(place, monkeypatch):

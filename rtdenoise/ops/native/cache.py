@@ -13,11 +13,13 @@ import hashlib
 import os
 import secrets
 import stat
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 MARK = "rtdenoise_key"  # a symbol of every library: its key
+_loading = threading.Lock()
 
 
 def folder() -> Path:
@@ -29,19 +31,20 @@ def folder() -> Path:
 
 
 def load(name: str, key: str, build: Callable[[Path], None]) -> ctypes.CDLL:
-    """The library `name` of this key: the one in the folder, else `build(path)` writes it.
+    """The library `name` of this key: the one in the folder, else `build(path)` writes it, once for all threads.
 
     Raises OSError where the folder is not safe, cannot be written, or the library cannot be loaded.
     """
     place = folder()
-    for path in sorted(place.glob(f"{name}-{key}-*.so")):
-        if (found := _opened(path, key)) is not None:
-            return found
-        path.unlink(missing_ok=True)
-    path = _built(place, name, key, build)
-    if (found := _opened(path, key)) is None:
-        raise OSError(f"{path}: cannot be loaded")
-    return found
+    with _loading:
+        for path in sorted(place.glob(f"{name}-{key}-*.so")):
+            if (found := _opened(path, key)) is not None:
+                return found
+            path.unlink(missing_ok=True)
+        path = _built(place, name, key, build)
+        if (found := _opened(path, key)) is None:
+            raise OSError(f"{path}: cannot be loaded")
+        return found
 
 
 def _built(place: Path, name: str, key: str, build: Callable[[Path], None]) -> Path:
