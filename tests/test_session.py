@@ -89,6 +89,30 @@ def test_a_picture_that_fails_leaves_no_trace(frames, lookahead):
     assert not denoiser._forms
 
 
+def test_frames_that_always_fail_do_not_stop_those_after(frames):
+    """As large ones that do not fit into memory. Pictures that were ready still come."""
+    denoiser = rtdenoise.Denoiser("fast", lookahead=2)
+    real = denoiser._backend.denoise
+
+    def dies(frame, *more):
+        if frame.number in (2, 3):
+            raise InputError("no")
+        return real(frame, *more)
+
+    denoiser._delayed = Delayed(dies, 2)
+    color, features = pictures(frames[0])
+    assert [denoiser(color, **features) for _ in range(2)] == [None] * 2
+    denoiser.reset()
+    images = [denoiser(color, **features) for _ in range(2)]  # 2 and 3
+    assert all(image is not None for image in images)
+    for _ in range(2):  # as the picture of 2, and once more
+        with pytest.raises(InputError, match="no"):
+            denoiser(color, **features)
+    assert denoiser(color, **features) is None
+    (image,) = denoiser.flush()
+    assert image.shape == color.shape and not denoiser._forms
+
+
 @pytest.mark.parametrize("failing", ["mismatch", "denoise", "arguments"])
 def test_the_frame_after_a_call_that_fails_starts_anew(frames, monkeypatch, failing):
     """Its motion leads to the frame that failed, not to the one before."""

@@ -65,11 +65,19 @@ class Delayed:
         return self._images.popleft() if self._waiting + len(self._images) > self._step.delay else None
 
     def end_shot(self) -> None:
-        """The next frame has nothing to do with those so far."""
-        while self._waiting:
-            image, self._history = self._step.step(None, self._history)
-            self._took(image)
-        self._history = None
+        """The next frame has nothing to do with those so far. Where one of them cannot be denoised, it and those after
+        it are given up."""
+        try:
+            while self._waiting:
+                image, self._history = self._step.step(None, self._history)
+                self._took(image)
+        finally:
+            self._waiting, self._history = 0, None
+
+    @property
+    def ready(self) -> int:
+        """How many images are yet to come without further frames."""
+        return len(self._images)
 
     def flush(self) -> list[Tensor]:
         """All images that are yet to come, in order. The next frame begins a shot."""

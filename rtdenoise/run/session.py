@@ -44,7 +44,8 @@ class Denoiser:
     Only `color` is required; a warning names the cost of a missing layer once. `rtdenoise.screen_motion` computes
     motion from positions and cameras. History starts anew after `reset()`, after a call that raised an error, after a
     cut (`detect_cuts`), where a frame has another size than the one before, and where it has no motion, for all
-    pictures of a batch together. Arguments are copied, results are yours to change.
+    pictures of a batch together. Frames that `lookahead` has delayed are tried once more after an error; those that
+    raise it again never come. Arguments are copied, results are yours to change.
     """
 
     def __init__(
@@ -134,7 +135,7 @@ class Denoiser:
             image, self._history = self._backend.denoise(prepared, history)
             return from_planes(image, form)
         if history is None:
-            self._delayed.end_shot()
+            self._end_shot()
         image = self._delayed.add(prepared)
         self._history = geometry(prepared)
         self._forms.append(form)
@@ -144,12 +145,22 @@ class Denoiser:
         """With `lookahead`, the frames that are yet to come, in order, at the end of an animation. The next frame
         starts a new shot."""
         self._history = None
-        images = self._delayed.flush() if self._delayed else []
-        return [from_planes(image, self._forms.popleft()) for image in images]
+        if not self._delayed:
+            return []
+        self._end_shot()
+        return [from_planes(image, self._forms.popleft()) for image in self._delayed.flush()]
 
     def reset(self) -> None:
         """Forget the frames so far: the next one starts a new shot. What `lookahead` has delayed still comes."""
         self._history = None
+
+    def _end_shot(self) -> None:
+        """Denoise what `lookahead` has delayed without the frames after; what cannot be is given up."""
+        try:
+            self._delayed.end_shot()
+        finally:
+            while len(self._forms) > self._delayed.ready:
+                self._forms.pop()
 
     def _completed(self, radiance: np.ndarray | Tensor, layers: dict[str, np.ndarray | Tensor]) -> Frame:
         """The frame, with each missing layer that the networks read replaced by a constant."""
@@ -167,7 +178,7 @@ class Denoiser:
         shape = tuple(frame.radiance.shape)
         if self._shape != shape:
             if self._delayed:
-                self._delayed.end_shot()  # by the plan of its size
+                self._end_shot()  # by the plan of its size
             self._backend.plan(frame.size, 2, [], {})
         if before is None:
             return None
