@@ -141,7 +141,8 @@ def pictures(frames: list[Frame], name: str, ahead: int, **settings: object) -> 
     vars(network).update(settings)
     frames = completed_shot(frames)
     for i, frame in enumerate(frames):
-        image, history = network.step(frame, history, Known(ahead=tuple(frames[i + 1 : i + 1 + ahead])))
+        known = Known(ahead=tuple(frames[i + 1 : i + 1 + ahead]), waits=ahead > 0)
+        image, history = network.step(frame, history, known)
         found.append(image)
     return found
 
