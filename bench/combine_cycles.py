@@ -29,7 +29,8 @@ from bench.combine import MAX_RATIO
 from bench.diagnosis.turned import pictures_of_oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.data.exr import write_layers
-from rtdenoise.data.sequences import Sequence, open_sequence
+from rtdenoise.data.opening import open_sequence
+from rtdenoise.data.sequences import Sequence
 from rtdenoise.metrics import mse
 from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import denoise

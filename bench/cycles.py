@@ -32,8 +32,9 @@ from rtdenoise.baselines.oidn import Oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.data.exr import read_channels
 from rtdenoise.data.light import find_light, read_light
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.output import read_result
-from rtdenoise.data.sequences import Sequence, open_sequence
+from rtdenoise.data.sequences import Sequence
 from rtdenoise.frame import Frame
 from rtdenoise.glsl import Pipeline
 from rtdenoise.metrics import psnr, relmse

@@ -30,7 +30,7 @@ import tyro
 
 from rtdenoise.baselines import Oidn
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.evaluate import Step, evaluate
 from rtdenoise.evaluate.inputs import Source
 from rtdenoise.files import write_atomically

@@ -28,7 +28,7 @@ import torch
 import tyro
 
 from rtdenoise.color import display, display_exposure
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.evaluate.run import EvaluateOptions, run
 from rtdenoise.frame import Frame, reverse
 from rtdenoise.run import combination

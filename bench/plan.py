@@ -32,7 +32,7 @@ import torch
 from torch import Tensor, nn
 
 from rtdenoise.color import display_exposure
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.glsl import default_context
 from rtdenoise.metrics import psnr

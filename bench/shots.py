@@ -27,7 +27,7 @@ import tyro
 
 from bench.diagnosis.outdated import offline, singles
 from bench.diagnosis.turned import errors, paired, pictures, pictures_of_oidn
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options
 

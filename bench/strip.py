@@ -20,7 +20,7 @@ from bench import DOCS, ROOT, harness
 from PIL import Image
 
 from rtdenoise.color import display_exposure
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.evaluate import choose, outputs
 from rtdenoise.run.preview import FRAMES_PER_SECOND, strip
 

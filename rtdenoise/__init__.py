@@ -25,7 +25,7 @@ __all__ = [
 # Imported on first use: `rtdenoise.glsl` runs without torch.
 _HOMES = {
     "Denoiser": "run.session", "Frame": "frame", "History": "frame", "denoise_alpha": "data.alpha", "load": "models",
-    "open_sequence": "data.sequences", "pinhole_camera": "data.camera", "screen_motion": "data.camera",
+    "open_sequence": "data.opening", "pinhole_camera": "data.camera", "screen_motion": "data.camera",
 }  # fmt: skip
 
 

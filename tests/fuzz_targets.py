@@ -23,7 +23,7 @@ from synthetic import make_frames, save_tiny, write_clips, write_sequence
 from rtdenoise.data.clip_file import read_facts, read_layers
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.exr import read_channels, read_header, write_layers
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import run as evaluate
 from rtdenoise.evaluate.document import NAME, Document

@@ -13,7 +13,7 @@ from synthetic import make_frames, write_clips, write_sequence
 from rtdenoise.color import albedo_divisor, compress
 from rtdenoise.data.clip_file import clip_path, read_layers, write_clip
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.exposure import exposure

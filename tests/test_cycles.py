@@ -11,7 +11,7 @@ import torch
 import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers, write_like
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.run.inspect import inspect
 

@@ -15,7 +15,8 @@ from rtdenoise.data.exr import write_layers
 from rtdenoise.data.layout import Rule
 from rtdenoise.data.layout_file import layout_text, read_layout
 from rtdenoise.data.names import guess
-from rtdenoise.data.sequences import convert, open_sequence
+from rtdenoise.data.opening import open_sequence
+from rtdenoise.data.sequences import convert
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.describe import describe, write_description
 from rtdenoise.run.inspect import inspect

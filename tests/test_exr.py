@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from synthetic import message
 
 from rtdenoise.data.exr import read_attributes, read_channels, read_header, write_layers
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 
 H, W = 37, 23

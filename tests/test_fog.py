@@ -9,7 +9,7 @@ from test_virtual_motion import SHOT
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.fog import REACH, with_fog
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options

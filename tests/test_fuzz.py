@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rtdenoise.data.exr import read_channels, read_header, write_layers
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 
 BOUNDED = settings(max_examples=150, deadline=None, derandomize=True,

@@ -17,7 +17,7 @@ from synthetic import TINY, assert_goes_on, behind_glass, make_frames, write_seq
 
 from rtdenoise import glsl, models
 from rtdenoise.data.exr import read_channels
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.frame import Known

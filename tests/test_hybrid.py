@@ -17,7 +17,7 @@ from synthetic import assert_goes_on, make_frames, write_sequence
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import compress
 from rtdenoise.constants import MIX_SHARES_OF_MANY, PIXELS_LIGHT
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.models import HybridConfig, create, grow, hybrid, load, read, save

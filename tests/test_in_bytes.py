@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from rtdenoise import ops
 from rtdenoise.color import display_exposure
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError, NotCompiled
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.metrics import psnr

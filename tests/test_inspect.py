@@ -15,7 +15,7 @@ from synthetic import make_frames, write_sequence
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import write_layers
 from rtdenoise.data.layout import OWN
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.ops import warp

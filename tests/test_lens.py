@@ -11,7 +11,7 @@ from test_combine import estimate, write_images
 from test_denoise import pixels, refused
 from test_virtual_motion import cycles
 
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.run.combine import combine

@@ -13,7 +13,7 @@ from synthetic import Stop, make_frames, stop_after, write_sequence
 import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.models import load, noiseless
 from rtdenoise.run.denoise import denoise

@@ -8,7 +8,7 @@ import pytest
 from test_virtual_motion import SHOT
 
 from rtdenoise.data.lost import CHUNK, with_lost_samples
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options

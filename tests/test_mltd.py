@@ -11,7 +11,7 @@ from tolerances import TOLERANCES
 
 from rtdenoise.data.clip_file import clip_path, write_clip
 from rtdenoise.data.exr import read_channels
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate
 from rtdenoise.evaluate.inputs import Source

@@ -14,7 +14,7 @@ from test_virtual_motion import SHOT
 
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, write_layers
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.shutter import _index, over_shutter
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, Frame

@@ -11,7 +11,7 @@ import pytest
 from synthetic import save_tiny
 
 from rtdenoise.data.exr import read_channels
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.run.denoise import Options, denoise

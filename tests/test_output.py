@@ -13,8 +13,8 @@ from synthetic import make_frames, write_sequence
 from rtdenoise.cli.denoise import write_preview
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.output import recombined
-from rtdenoise.data.sequences import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.run import preview
 from rtdenoise.run.denoise import Options, denoise

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rtdenoise.data.exr import read_channels, read_header, write_layers
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.panorama import Panorama, find_panorama
-from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import denoise

@@ -7,7 +7,7 @@ import torch
 
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import compress
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.frame import Frame
 from rtdenoise.run import pixel_filter

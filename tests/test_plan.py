@@ -7,7 +7,7 @@ import pytest
 import torch
 from synthetic import TINY, make_frames, save_tiny, write_sequence
 
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.frame import OFF_SCREEN, Known
 from rtdenoise.models import AccumulatedKPNConfig, TemporalKPN, available, create, load
 from rtdenoise.motion import dual_motion, occlusion_mask

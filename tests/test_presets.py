@@ -8,8 +8,8 @@ from plane import FRAMES, H, W, buffers, camera
 from synthetic import message
 
 from rtdenoise.data.exr import read_channels, write_layers
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.output import read_result
-from rtdenoise.data.sequences import open_sequence
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.inspect import inspect
 from rtdenoise.run.inspect_text import render_text

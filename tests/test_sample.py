@@ -8,7 +8,7 @@ import torch
 from synthetic import make_frames, write_sequence
 
 from rtdenoise.cli.main import main
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import uncovered
 from rtdenoise.evaluate.demo import SAMPLE, demo

@@ -14,8 +14,8 @@ from synthetic import message
 
 from rtdenoise.data import layouts, recognise
 from rtdenoise.data.exr import read_header, write_layers
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.output import write_frame
-from rtdenoise.data.sequences import open_sequence
 from rtdenoise.frame import OFF_SCREEN
 
 H, W = 12, 16

@@ -9,7 +9,7 @@ import torch
 from synthetic import assert_goes_on, make_frames, save_tiny, write_sequence
 
 from rtdenoise.data.exr import read_channels, read_header, write_layers
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.run.combine import combine
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import CombineOptions, Options

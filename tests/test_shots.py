@@ -11,7 +11,7 @@ from synthetic import make_frames, with_bad_pixels, write_sequence
 from rtdenoise.cli.main import main
 from rtdenoise.data.clips import ClipDataset
 from rtdenoise.data.exr import write_layers
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.training.batches import TrainingSet
 from rtdenoise.training.config import TrainConfig

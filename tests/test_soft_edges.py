@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.soft_edges import with_soft_edges
 from rtdenoise.frame import OFF_SCREEN, Frame
 from rtdenoise.run.choice import open_chosen

@@ -11,7 +11,7 @@ from rtdenoise.baselines import Svgf, Trmv
 from rtdenoise.baselines.atrous import SPLINE, Surface, atrous, gaussian
 from rtdenoise.baselines.svgf import estimate_variance, kind_of
 from rtdenoise.color import luminance
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, uncovered
 from rtdenoise.evaluate.demo import SAMPLE

@@ -8,7 +8,7 @@ from test_virtual_motion import SHOT
 
 from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.fog import REACH
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.veiled import with_veiled
 from rtdenoise.frame import Frame
 from rtdenoise.run.choice import open_chosen

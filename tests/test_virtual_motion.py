@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtdenoise.data.exr import read_channels, write_layers
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.virtual_motion import with_virtual_motion
 from rtdenoise.frame import Frame
 from rtdenoise.run.choice import open_chosen

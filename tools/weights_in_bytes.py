@@ -18,7 +18,7 @@ from torch.nn import functional as F
 from usage import call
 
 from rtdenoise.constants import PIXELS_UNIT
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.files import write_atomically
 from rtdenoise.models import Denoiser, read
 from rtdenoise.models.bytes_layout import INPUT, PIXELS, UNET, Picture, layout, made_for, shapes

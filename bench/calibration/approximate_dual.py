@@ -24,7 +24,7 @@ import tyro
 
 from rtdenoise.color import display, display_exposure
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.motion import dual_motion, occlusion_mask, on_screen
 from rtdenoise.ops import warp
 from rtdenoise.splat import DEPTH_TOLERANCE, splat_motion_next

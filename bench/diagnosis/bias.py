@@ -23,7 +23,7 @@ import tyro
 
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import display_exposure
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.evaluate.inputs import Source
 from rtdenoise.frame import Frame
 from rtdenoise.metrics.image import decibels, mse, mse_corrected

@@ -26,7 +26,7 @@ import tyro
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import display_exposure
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.metrics.image import decibels, mse_corrected
 from rtdenoise.models import load
 from rtdenoise.training.config import TrainConfig

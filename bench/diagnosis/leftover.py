@@ -27,7 +27,7 @@ from torch.nn import functional as F
 
 from rtdenoise.color import display_exposure
 from rtdenoise.constants import PIXELS_LIGHT
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.evaluate.inputs import Source
 from rtdenoise.frame import Frame
 from rtdenoise.metrics.image import decibels, mse_corrected

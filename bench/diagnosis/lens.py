@@ -23,7 +23,7 @@ import tyro
 
 from bench.diagnosis.outdated import METHODS
 from bench.diagnosis.turned import errors, with_references
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.run.lens_motion import with_lens
 from rtdenoise.sanitise import sanitise
 

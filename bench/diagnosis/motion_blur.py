@@ -28,7 +28,7 @@ from bench.diagnosis.outdated import METHODS
 from bench.diagnosis.turned import errors, paired
 from bench.diagnosis.virtual_motion import table
 from rtdenoise.color import display_exposure
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.run.options import Options
 from rtdenoise.run.preview import strip

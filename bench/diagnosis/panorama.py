@@ -29,7 +29,7 @@ from torch import Tensor
 
 from bench.diagnosis.turned import pictures_of_oidn
 from rtdenoise.color import display, display_exposure
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.metrics import psnr
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import Options

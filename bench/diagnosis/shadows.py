@@ -27,7 +27,7 @@ import tyro
 
 from bench.diagnosis.alpha import CYCLES, frames_of, over
 from rtdenoise.baselines import Oidn
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import Options
 from rtdenoise.sanitise import sanitise

@@ -29,7 +29,7 @@ from torch.nn import functional as F
 from bench.diagnosis.outdated import METHODS
 from bench.diagnosis.turned import paired
 from rtdenoise.color import display_exposure
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.frame import Frame
 from rtdenoise.metrics import psnr
 

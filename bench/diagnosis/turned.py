@@ -30,7 +30,8 @@ from torch import Tensor
 
 from rtdenoise import ops
 from rtdenoise.baselines import Oidn
-from rtdenoise.data.sequences import Sequence, open_sequence
+from rtdenoise.data.opening import open_sequence
+from rtdenoise.data.sequences import Sequence
 from rtdenoise.frame import Frame, Known
 from rtdenoise.models import load, past
 from rtdenoise.ops import turned

@@ -19,7 +19,7 @@ import torch
 import tyro
 
 from rtdenoise.data.layout import SCALES, pixels
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.run.inspect import choose_pairs
 from rtdenoise.run.vectors import Meaning, fit
 

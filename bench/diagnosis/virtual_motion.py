@@ -23,7 +23,7 @@ import tyro
 
 from bench.diagnosis.outdated import METHODS
 from bench.diagnosis.turned import errors, paired
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.frame import Frame
 
 RESULT, PAGES = RESULTS / "virtual_motion.json", (DOCS / "notes" / "virtual_motion.md",)

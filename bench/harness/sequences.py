@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from rtdenoise.data.clips import ClipDataset
-from rtdenoise.data.sequences import open_sequence
+from rtdenoise.data.opening import open_sequence
 from rtdenoise.evaluate import Step, evaluate, outputs
 from rtdenoise.frame import Frame
 

@@ -156,7 +156,7 @@ def denoise_shot(
 
 def write_preview(options: Options | CombineOptions, source: str, out: Path) -> list[str]:
     """Write the preview of a finished run. Returns what there is to say about it."""
-    from ..data.sequences import open_sequence
+    from ..data.opening import open_sequence
     from ..run.preview import preview
 
     sequence = open_sequence(

@@ -1,8 +1,7 @@
-"""A folder or glob of files as frames: headers are checked up front, pixels read when asked for."""
+"""A sequence of files as frames: pixels are read when they are asked for (`opening.open_sequence`)."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,19 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..frame import CHANNELS, Frame
+from ..frame import Frame
 from .components import check_components
 from .exr_format import ExrHeader
-from .files import FrameFiles, find_frames, find_gaps
+from .files import FrameFiles
 from .fog import with_fog
 from .layers import SIGNALS
 from .layout import SCALES, Layout, Rule, pixels
 from .lost import with_lost_samples
-from .noisebase import NOISEBASE, find_archives
 from .panorama import Panorama
-from .recognise import choose, find, samples, settled
 from .region import Region
-from .scene_file import read_scene
 from .scene_motion import complete
 from .shutter import Surfaces
 from .sky import without_stale_sky
@@ -179,7 +175,7 @@ class Sequence:
         Raises `InputError` naming the file, the first missing layer, the channels there are, and the remedy.
         """
         if missing := [layer for layer in layers if not self.has(layer)]:
-            raise InputError(_missing(self.header, self.layout, self.signal, missing[0]))
+            raise InputError(no_layer(self.header, self.layout, self.signal, missing[0]))
         return self
 
     def require_channels(self, names: Collection[str], what: str) -> None:
@@ -197,50 +193,6 @@ class Sequence:
         if layer in self.available or not self.scene or "position" not in self.available:
             return layer in self.available
         return layer in ("depth", "motion", "motion_next") and ("id" in self.available or not self.scene["objects"])
-
-
-def open_sequence(
-    path_or_glob: str | os.PathLike,  # a folder, a glob, or one file
-    *,
-    signal: str = "color",  # "color" or "indirect"
-    preset: str | Layout = "auto",  # a name of `layouts.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", .toml file
-    layers: Collection[str] | None = None,  # layers of `Frame` to read beside DEFAULT_LAYERS, where the files have them
-    allow_gaps: bool = False,  # accept missing frame numbers; `Sequence.gaps` lists them
-) -> Sequence:
-    """The EXR files of a folder, a glob or one name as a `Sequence` of `Frame`s: `[1, C, H, W]` float32 tensors.
-
-    `signal` chooses the light in `radiance`: 'color', the beauty, or 'indirect' light. `preset` is the files' layout;
-    'auto' finds it. All headers are checked at once: one size, one set of layers, complete files, consecutive numbers.
-    The frame number is the last run of digits in a file's name that is no version (`_v02`), no number of samples
-    (`_64spp`) and no part of a word that all share (`_4k`), or where a layout's pattern has it. Missing numbers are an
-    error unless `allow_gaps`. Raises InputError, in one line, for whatever does not fit.
-    """
-    if signal not in SIGNALS:
-        raise InputError(f"unknown signal '{signal}': known are {', '.join(SIGNALS)}")
-    if unknown := [layer for layer in layers or () if layer not in CHANNELS]:
-        raise InputError(f"unknown layer '{unknown[0]}': known are {', '.join(CHANNELS)}")
-    chosen = choose(preset, path_or_glob)
-    if chosen is NOISEBASE:
-        files = find_archives(path_or_glob, samples(preset), allow_gaps)
-    else:
-        files = find_frames(path_or_glob, chosen.buffers if chosen else {}, allow_gaps)
-    header = files[0].header()
-    found = settled(chosen, header) if chosen else find(preset, header)
-    available = found.resolve(header, signal)
-    if "radiance" not in available:
-        raise InputError(_missing(header, found, signal, "radiance"))
-    path = files[0].path.parent / found.cameras
-    scene = read_scene(path, header)
-    wanted = {*DEFAULT_LAYERS, *(layers or ())}
-    if scene and not {"depth", "motion", "motion_next"} <= available.keys():
-        wanted |= {"position", "id"}
-        if "position" in available:
-            _check_entries(files, scene, path)
-    rules = {layer: rule for layer, rule in available.items() if layer in wanted}
-    for frame_files in files[1:]:
-        _check_like_first(frame_files.header(), header, rules)
-    size, gaps = (header.height, header.width), find_gaps(files)
-    return Sequence(files, size, signal, found, header, rules, available, gaps, scene)
 
 
 def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarray:
@@ -262,31 +214,8 @@ def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarr
     return image[None]
 
 
-def _check_like_first(header: ExrHeader, first: ExrHeader, rules: dict[str, Rule]) -> None:
-    if (header.width, header.height) != (first.width, first.height):
-        raise InputError(f"{header.path}: is {header.width}×{header.height}, expected {first.width}×{first.height} as "
-                         f"{first.path.name}; all frames of a sequence must have one size")  # fmt: skip
-    windows = [h.placing["dataWindow"] for h in (header, first) if h.placing]
-    if len(set(windows)) > 1:
-        (x, y), (left, top) = (window[0] for window in windows)
-        raise InputError(f"{header.path}: its data window begins at ({x}, {y}), that of {first.path.name} at "
-                         f"({left}, {top}); render all frames with one, as motion counts from its corner")  # fmt: skip
-    for layer, rule in rules.items():
-        if missing := [name for name in rule.channels if name not in header.channels]:
-            raise InputError(f"{header.path}: lacks {layer} (channel {missing[0]}), which {first.path.name} has; "
-                             f"the file has {header.summary}")  # fmt: skip
-
-
-def _check_entries(files: tuple[FrameFiles, ...], scene: dict, path: Path) -> None:
-    """Raise InputError unless the scene, from which motion is computed, describes every frame."""
-    numbers = {entry["number"] for entry in scene["frames"]}
-    for frame in files:
-        if frame.number not in numbers:
-            raise InputError(f"{path}: no entry for frame {frame.number}, which {frame.path.name} is; render the scene "
-                             "file anew, or write the layers depth, motion and motion_next")  # fmt: skip
-
-
-def _missing(header: ExrHeader, layout: Layout, signal: str, layer: str) -> str:
+def no_layer(header: ExrHeader, layout: Layout, signal: str, layer: str) -> str:
+    """What to tell of files without a layer of `Frame`: the channels that there are, and the remedy."""
     label = f"signal '{signal}'" if layer == "radiance" else f"layer '{layer}'"
     others = [s for s in SIGNALS if layer == "radiance" and "radiance" in layout.resolve(header, s)]
     advice = f"choose the signal '{others[0]}', which is there, or " if others else ""

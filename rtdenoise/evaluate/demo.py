@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ..color import display_exposure
-from ..data.sequences import open_sequence
+from ..data.opening import open_sequence
 from ..errors import InputError
 from ..files import dumps, replacing, write_atomically
 from ..frame import Frame

@@ -20,7 +20,8 @@ import torch
 from torch import Tensor
 
 from ..color import display_exposure
-from ..data.sequences import Sequence, open_sequence
+from ..data.opening import open_sequence
+from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import read_json
 from ..frame import Frame

@@ -6,8 +6,9 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 from ..data.lost import lost_samples
+from ..data.opening import open_sequence
 from ..data.region import find_region
-from ..data.sequences import Sequence, open_sequence
+from ..data.sequences import Sequence
 from ..models.hybrid_config import HybridConfig
 from ..models.weights import read_config
 from .lens_motion import with_lens_if_lacking

@@ -12,8 +12,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..data.opening import open_sequence
 from ..data.output_files import check_output, protect_input
-from ..data.sequences import Sequence, open_sequence
+from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from .choice import told_of_samples

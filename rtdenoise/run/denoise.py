@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from ..constants import SOFTWARE_RENDERER
+from ..data.opening import open_sequence
 from ..data.output import write_frame
 from ..data.output_files import check_output, output_names
-from ..data.sequences import Sequence, open_sequence
+from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import Frame

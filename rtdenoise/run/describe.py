@@ -18,7 +18,8 @@ import numpy as np
 from ..data.layout import Layout, Rule
 from ..data.layout_file import layout_text, parse_layout
 from ..data.names import GUESSED, guess
-from ..data.sequences import Sequence, open_sequence
+from ..data.opening import open_sequence
+from ..data.sequences import Sequence
 from ..errors import INSTALL_TORCH, InputError, printable
 from ..files import write_atomically
 from .inspect import choose_pairs

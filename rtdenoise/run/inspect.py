@@ -9,7 +9,8 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from ..data.layout import Rule
-from ..data.sequences import DEFAULT_LAYERS, Sequence, open_sequence
+from ..data.opening import open_sequence
+from ..data.sequences import DEFAULT_LAYERS, Sequence
 from ..frame import Frame
 from ..sanitise import faults
 from .choice import with_region

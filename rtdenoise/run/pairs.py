@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from ..color import luminance
-from ..data.sequences import Sequence, convert, open_sequence
+from ..data.opening import open_sequence
+from ..data.sequences import Sequence, convert
 from ..errors import InputError
 from ..frame import Frame
 from ..ops.block_luminance import block_luminance

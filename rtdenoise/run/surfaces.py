@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..data.sequences import Sequence, open_sequence
+from ..data.opening import open_sequence
+from ..data.sequences import Sequence
 from ..data.shutter import GIVEN, Surfaces
 from ..errors import InputError
 from .options import MIXED, CombineOptions, Options, shutter_times
