@@ -11,7 +11,7 @@ from rtdenoise import glsl, models, ops
 from rtdenoise.constants import RETEXTURED_LEAST, RETEXTURED_MOST
 from rtdenoise.frame import Frame, Known
 from rtdenoise.models import past
-from rtdenoise.ops.recall import reset_of
+from rtdenoise.ops.kept import reset_of
 from rtdenoise.ops.retextured import retextured
 
 KINDS = ["default", "fast", "hybrid-fast", "many"]

@@ -11,7 +11,7 @@ from rtdenoise import glsl, models, ops
 from rtdenoise.constants import TURNED_ANGLE, TURNED_NOISE
 from rtdenoise.frame import Frame, Known
 from rtdenoise.models import past
-from rtdenoise.ops.recall import reset_of
+from rtdenoise.ops.kept import reset_of
 from rtdenoise.ops.turned import turned
 
 SIZE = 22, 30

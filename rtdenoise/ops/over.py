@@ -17,7 +17,7 @@ from ..color import albedo_divisor
 from ..constants import DEPTH_TOLERANCE, OVER_APART, OVER_LIGHT, OVER_SPEED, RECALL_FOOTPRINT_WORDS, RECALL_SAME
 from .dispatch import Fused, Support, falls_back
 from .fetch import fetch
-from .recall import BESIDE, Path, check_kept, distance
+from .kept import BESIDE, Path, check_kept, distance
 
 SUPPORT = Support(channels={"seen": (9,), "motion": (2,), "depth": (1,)})
 FUSED = Fused("over.over_and_coverage", native=SUPPORT, triton=SUPPORT)

@@ -19,7 +19,7 @@ from ..models import Denoiser
 from ..models.config import CELL
 from ..models.past import followed, shifted, weighs_noise
 from ..motion import on_screen
-from ..ops.recall import motion_of
+from ..ops.kept import motion_of
 from ..sanitise import sanitise
 
 GEOMETRY = ("motion_next", "depth", "normal")  # fields that a history copies from its frame

@@ -1,4 +1,4 @@
-"""Paths back through kept frames, for `recall` and `over`: `ops.recall.Path`.
+"""Paths back through kept frames, for `recall` and `over`: `ops.kept.Path`.
 
 A kernel follows a path through all kept frames, as each step depends on the one before alone. It takes the frames as
 `FRAMES` pointers or more, so that it is compiled once, not for every number of frames (`stacked`). In a recorded step
@@ -121,7 +121,7 @@ def beside(y, x, k: tl.constexpr, H, W):
 
 @triton.jit
 def edge_motion(motion, depth, plane, y, x, exists, H, W, depth_tolerance, edge_speed):
-    """`ops.recall.edge_motion` of one image: (x, y), and the distance of what has it."""
+    """`ops.kept.edge_motion` of one image: (x, y), and the distance of what has it."""
     at = y * W + x
     own_u = tl.load(motion + at, mask=exists, other=0.0)
     own_v = tl.load(motion + plane + at, mask=exists, other=0.0)
