@@ -26,10 +26,10 @@ from rtdenoise.models.accumulated_kpn import AccumulatedKPN
 from rtdenoise.models.weights import find
 from rtdenoise.run.combination import WEIGHTS, Candidates, combine
 from rtdenoise.run.denoise import Options, denoise
-from rtdenoise.run.offline import BYTES_PER_PIXEL, ESTIMATES
+from rtdenoise.run.offline import ESTIMATES
 from rtdenoise.run.passes import InMemory, Passes
 from rtdenoise.run.sides import Estimate, seen_on_both_sides
-from rtdenoise.run.stored_estimate import read_estimate, write_estimate
+from rtdenoise.run.stored_estimate import BYTES_PER_PIXEL, read_estimate, write_estimate
 from rtdenoise.sanitise import sanitise
 from rtdenoise.splat import completed
 
@@ -321,7 +321,7 @@ def test_what_does_not_go_together_is_refused(shot, tmp_path, model, capsys):
 
 
 def test_a_full_disk_is_found_before_the_first_frame(shot, tmp_path, options, monkeypatch):
-    monkeypatch.setattr("rtdenoise.run.offline.shutil.disk_usage", lambda path: type("Usage", (), {"free": 10}))
+    monkeypatch.setattr("rtdenoise.run.stored_estimate.shutil.disk_usage", lambda path: type("Usage", (), {"free": 10}))
     with pytest.raises(rtdenoise.InputError, match="GB there while it runs"):
         denoise(str(shot), tmp_path / "out", options)
     assert not list((tmp_path / "out").glob("*.exr"))

@@ -29,6 +29,7 @@ from .offline_picture import Picture
 from .parts import BACKGROUND, Parts, check_sign, compare_sum, shared_out, sum_of, valid, whole_groups
 from .plan import Plan, count, look
 from .shadows import SHADOWS, Shadows
+from .surfaces import light_seen
 from .torch_backend import TorchBackend
 
 if TYPE_CHECKING:
@@ -42,18 +43,6 @@ SHARES = 0.5, 0.0, 0.0  # of `mix`: usually half of the picture as a whole, half
 GROUP = "Combined_"  # how the names of Cycles' light groups begin
 
 Histories = dict[str, Any]  # of the picture, and of each light by name that was ever there in the shot
-
-
-def _seen(sequence: Sequence, index: int, passes: LightPasses) -> dict[str, np.ndarray]:
-    """Colours, emission and environment of a frame with motion blur, from the render without it; none where there is no
-    such render. Under motion blur they are noise."""
-    if not (surfaces := sequence.surfaces):
-        return {}
-    sharp, i = surfaces.sequence, surfaces.index(sequence.numbers[index])
-    there = sharp.files[i].header().channels.keys()
-    clean = {name: rule for name, rule in {**passes.colors, **passes.passed}.items() if there >= {*rule.channels}}
-    stored = read_light(sharp, i, LightPasses({}, {}, clean, {}, {}))
-    return surfaces.seen(sharp.read(i), {name: valid(image) for name, image in stored.items()})
 
 
 class LightBackend:
@@ -103,7 +92,7 @@ class LightBackend:
     def read(self, sequence: Sequence, index: int) -> Frame:
         """A frame; its passes are kept for `prepare`, which comes next."""
         self._stored = read_light(sequence, index, self._passes)
-        self._seen = _seen(sequence, index, self._passes)
+        self._seen = light_seen(sequence, index, self._passes)
         return replace(sequence, soft_edges=False).read(index)
 
     def prepare(self, frame: Frame) -> Frame:

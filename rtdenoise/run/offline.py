@@ -11,7 +11,6 @@ A shot begins at the first frame, after a gap, and at a cut, which the first pas
 from __future__ import annotations
 
 import re
-import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,7 +44,7 @@ from .following import Following
 from .options import EXAMINED, SUMMARY, Options, Summary, add, of_output
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, linked, read_state, save_state
-from .stored_estimate import read_estimate, write_estimate
+from .stored_estimate import BYTES_PER_PIXEL, check_disk, read_estimate, write_estimate
 from .unmoved import Watch
 
 if TYPE_CHECKING:
@@ -53,7 +52,6 @@ if TYPE_CHECKING:
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
 OF_ESTIMATE = re.compile(r"\d{6,}\.safetensors")  # names in it
-BYTES_PER_PIXEL = 28  # of a stored estimate: 14 halves
 
 
 def denoise_offline(
@@ -121,7 +119,7 @@ class _Run:
             clear(self.estimates, OF_ESTIMATE.fullmatch)
             self._save(0, None)
         if done < 2 * count:
-            self._check_disk(count - min(done, count))
+            check_disk(self.out, count - min(done, count), self.sequence.read_size)
             self.estimates.mkdir(exist_ok=True)
             remove_unfinished(self.estimates)
         if self.options.plan:  # tiles for large frames
@@ -217,14 +215,6 @@ class _Run:
         if len(self.sequence) > 1 and lacks:
             notes.append("the files have no motion_next: the backward pass approximates it from motion and depth")
         return notes
-
-    def _check_disk(self, frames: int) -> None:
-        """Raise InputError where so many frames more do not fit."""
-        H, W = self.sequence.read_size
-        needed, free = BYTES_PER_PIXEL * H * W * frames, shutil.disk_usage(self.out).free
-        if needed > free:
-            raise InputError(f"{self.out}: --offline keeps {needed / 1e9:.1f} GB there while it runs, {free / 1e9:.1f} "
-                             "GB are free; choose another --out or fewer frames at a time")  # fmt: skip
 
     @property
     def estimates(self) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,15 @@ LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twic
 STORED = {"radiance": "image"}  # in a file -> field
 STORED |= {name: name for name in ("footprint", "footprint_count", "surface_count")}
 LIGHT = ("radiance", "footprint")  # the first three channels of each
+BYTES_PER_PIXEL = 28  # 14 halves
+
+
+def check_disk(out: Path, frames: int, size: tuple[int, int]) -> None:
+    """Raise InputError where the estimates of so many frames of a size (height, width) do not fit into a folder."""
+    needed, free = BYTES_PER_PIXEL * size[0] * size[1] * frames, shutil.disk_usage(out).free
+    if needed > free:
+        raise InputError(f"{out}: --offline keeps {needed / 1e9:.1f} GB there while it runs, {free / 1e9:.1f} GB are "
+                         "free; choose another --out or fewer frames at a time")  # fmt: skip
 
 
 def write_estimate(path: Path, estimate: Estimate) -> None:

@@ -1,15 +1,19 @@
-"""Frames with motion blur: `--surfaces` takes albedo, normal, depth and motion of a second render without it. Needs no
-torch."""
+"""Frames with motion blur: `--surfaces` takes albedo, normal, depth and motion of a second render without it, and
+`--lights` the colours. Needs no torch."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from ..data.light import LightPasses, read_light
 from ..data.opening import open_sequence
 from ..data.sequences import Sequence
 from ..data.shutter import GIVEN, Surfaces
 from ..errors import InputError
 from .options import MIXED, CombineOptions, Options, shutter_times
+from .parts import valid
 
 
 def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequence:
@@ -35,6 +39,18 @@ def with_surfaces(sequence: Sequence, options: Options | CombineOptions) -> Sequ
         )  # fmt: skip
     layers = tuple(layer for layer in GIVEN if not (layer == "albedo" and sequence.demodulated))
     return replace(sequence, surfaces=Surfaces(surfaces, *times, layers))
+
+
+def light_seen(sequence: Sequence, index: int, passes: LightPasses) -> dict[str, np.ndarray]:
+    """Colours, emission and environment of a frame with motion blur, from the render without it; none where there is no
+    such render. Under motion blur they are noise."""
+    if not (surfaces := sequence.surfaces):
+        return {}
+    sharp, i = surfaces.sequence, surfaces.index(sequence.numbers[index])
+    there = sharp.files[i].header().channels.keys()
+    clean = {name: rule for name, rule in {**passes.colors, **passes.passed}.items() if there >= {*rule.channels}}
+    stored = read_light(sharp, i, LightPasses({}, {}, clean, {}, {}))
+    return surfaces.seen(sharp.read(i), {name: valid(image) for name, image in stored.items()})
 
 
 def _check(surfaces: Sequence, sequence: Sequence) -> None:
