@@ -26,6 +26,7 @@ from rtdenoise.models import (
     Shrinkage,
     Window,
     create,
+    evidence,
     load,
     load_combiner,
     losses,
@@ -533,12 +534,12 @@ def test_an_untrained_network_corrects_as_far_as_the_frames_agree():
 
 
 def test_the_share_of_a_correction_stays_within_its_bounds():
-    change = module.bounded(torch.tensor([-1e4, -0.01, 0.0, 0.01, 1e4]))
-    torch.testing.assert_close(change, torch.tensor([-module.MAX_LESS, -0.01, 0.0, 0.01, module.MAX_MORE]))
+    change = evidence.bounded(torch.tensor([-1e4, -0.01, 0.0, 0.01, 1e4]))
+    torch.testing.assert_close(change, torch.tensor([-evidence.MAX_LESS, -0.01, 0.0, 0.01, evidence.MAX_MORE]))
     residual = torch.ones(1, 3, 8, 8)
-    alone = module.evidence([None, residual, None], [None, residual[:, :1], None], 1, residual[:, :1])
-    agreed = module.evidence([residual] * 3, [residual[:, :1]] * 3, 1, residual[:, :1])
-    unbelieved = module.evidence([residual] * 3, [residual[:, :1]] * 3, 1, 0 * residual[:, :1])
+    alone = evidence.evidence([None, residual, None], [None, residual[:, :1], None], 1, residual[:, :1])
+    agreed = evidence.evidence([residual] * 3, [residual[:, :1]] * 3, 1, residual[:, :1])
+    unbelieved = evidence.evidence([residual] * 3, [residual[:, :1]] * 3, 1, 0 * residual[:, :1])
     assert (alone.sigmoid() == 0).all()
     assert (agreed.sigmoid() > 0.979).all() and (unbelieved.sigmoid() < 0.021).all()
 
