@@ -86,7 +86,7 @@ class Options:
     """Find out whether frames of Cycles need --lens, by one pair of frames in 16."""
     detect_panorama: bool = True
     """Find out whether frames are panoramas, whose left and right edges meet: twice as wide as high, with the same
-    surfaces at both."""
+    surfaces at both, and all of them facing a camera that looks around."""
     plan: bool = True
     """Leave out work that a frame does not need (`rtdenoise inspect` lists it); off: everything runs."""
     backend: str = "auto"

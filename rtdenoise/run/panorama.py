@@ -14,7 +14,9 @@ JOINED = "a panorama: its left and right edges are joined; --no-detect-panorama 
 def with_panorama(sequence: Sequence, options: Options | CombineOptions) -> tuple[Sequence, list[str]]:
     """The sequence, and its `surfaces`, joined at their edges where the first frame is a panorama, and what to tell of
     it; itself where it is none, or by `options`."""
-    if not options.detect_panorama or sequence.scene or not (sequence.has("depth") and sequence.has("normal")):
+    H, W = sequence.size
+    told = W == 2 * H and sequence.has("depth") and sequence.has("normal")
+    if not (options.detect_panorama and told) or sequence.scene:  # a scene tells of cameras with an angle of view
         return sequence, []
     found = find_panorama(sequence.only({"radiance", "depth", "normal"}).read(0))
     surfaces = sequence.surfaces
