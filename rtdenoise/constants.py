@@ -104,6 +104,7 @@ MIX_FAR = 0.2  # compressed light: a previous picture that differs by more count
 MIX_UNCOVERED = 0.2  # likewise the kernels' picture, in pixels that were just uncovered: it spreads what shone beside
 MIX_TELLS = 0.5  # in those the noisy frame tells less than so far of the pixel itself
 MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history
+EVENED_NOISE = 0.3  # noise (`exposure.noise_level`) from which on that is its share; without noise it is 1
 
 # The input of a network that writes pixels (`models.hybrid`).
 PIXELS_LIGHT = 0.4  # what light of a frame's brightness becomes (OIDN's auto-exposure: about a third)

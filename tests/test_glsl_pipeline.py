@@ -176,6 +176,16 @@ def test_a_wide_pixel_filter(weights, assert_images_close):
         assert np.allclose(expected, narrow, rtol=1e-3) != many
 
 
+def test_little_noise(assert_images_close, monkeypatch):
+    """Where there is little, light that one frame has seen is hardly evened, by trained weights."""
+    frames = make_frames(3, noise=0.1)
+    expected, found, _, _ = both("hybrid", frames)
+    assert_images_close(found, expected, "frame")
+    monkeypatch.setattr("rtdenoise.models.hybrid.EVENED_NOISE", 1e-6)
+    evened = both("hybrid", frames[:2])[0]
+    assert np.abs(evened - expected[:2]).max() > 0.02 * expected.mean()
+
+
 @pytest.mark.parametrize("preset, noise", [("default", 0.0), ("recent", 0.0), ("recent", 0.2)])
 def test_light_behind_glass_is_followed(weights, assert_images_close, preset, noise):
     """Without noise within its frame, with noise in the denoised pictures, where more can be told of it."""

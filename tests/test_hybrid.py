@@ -16,10 +16,11 @@ from synthetic import assert_goes_on, make_frames, write_sequence
 
 from rtdenoise.baselines import Oidn
 from rtdenoise.color import compress
-from rtdenoise.constants import MIX_SHARES_OF_MANY, PIXELS_LIGHT
+from rtdenoise.constants import EVENED_NOISE, MIX_SHARES_OF_MANY, PIXELS_LIGHT
 from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
+from rtdenoise.exposure import noise_level
 from rtdenoise.models import HybridConfig, create, grow, hybrid, load, read, save
 from rtdenoise.models.accumulated_kpn import AccumulatedKPN
 from rtdenoise.models.past import reprojected, seen
@@ -192,10 +193,11 @@ def test_averaged_light_is_less_noisy(model):
     assert averaged.square().mean() < 0.6 * noise.square().mean()
 
 
-def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model):
+@pytest.mark.parametrize("noise", [1.0, 0.1])
+def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model, noise):
     """Not in the first frame, where all of it is as noisy; in the second, the right half has come much nearer. In the
-    third all has, and all of it is as noisy again."""
-    first, second, third = make_frames(3, H=24, W=32)
+    third all has, and all of it is as noisy again. The less noise there is, the less."""
+    first, second, third = make_frames(3, H=24, W=32, noise=noise)
     right = torch.arange(32) >= 16
     second = replace(second, depth=torch.where(right, second.depth / 9, second.depth))
     third = replace(third, depth=third.depth / 99)
@@ -217,6 +219,9 @@ def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model):
     _, on_screen, uncovered = history_motion(second, history, "dual")
     trust = 1 - (on_screen & ~uncovered) * found.heads.reset
     share = 0.4 * trust * (2 - count).clamp(0, 1) * (count.max() - 1).clamp(0, 1)  # of the image
+    noisy = noise_level(sanitise(second).radiance, second.depth) / EVENED_NOISE
+    assert noisy > 1 if noise == 1 else 0.01 < noisy < 0.9
+    share = share * noisy.clamp(max=1)
     torch.testing.assert_close(evened, light + share * (kernels - light), rtol=1e-4, atol=1e-5)
 
 

@@ -111,6 +111,38 @@ def turning_camera(scene: bpy.types.Scene, place: tuple, down: float, angles: li
         scene.camera.keyframe_insert("rotation_euler", frame=number)
 
 
+def build_debris(scene: bpy.types.Scene, frames: int) -> None:
+    """Two hundred chips of a wall that tumble through the sun, before a camera that shakes: little noise, and little
+    that history knows."""
+    draw = random.Random(8)
+    box("ground", (0, 2, -0.05), (20, 20, 0.1), material("ground", (0.35, 0.3, 0.25), (0.2, 0.18, 0.15), 2.0))
+    box("wall", (0, 6, 2), (16, 0.1, 4), material("wall", (0.5, 0.45, 0.4), (0.3, 0.25, 0.3), 1.2))
+    looks = [material(f"chip {n}", (draw.uniform(0, 0.8), 0.4, 0.3), (0.7, draw.uniform(0, 0.6), 0.2), 6.0)
+             for n in range(5)]  # fmt: skip
+    for n in range(200):
+        side = draw.uniform(0.04, 0.25)
+        chip = box(f"chip {n}", (0, 0, 0), (side, side * draw.uniform(0.3, 1), side * 0.6), looks[n % 5])
+        start = draw.gauss(0, 0.8), draw.gauss(2.5, 0.5), draw.gauss(1, 0.5)
+        speed = draw.gauss(0, 0.14), draw.gauss(-0.03, 0.08), draw.gauss(0.12, 0.1)
+        spin = [draw.gauss(0, 0.3) for _ in range(3)]
+        for k in range(frames + 2):
+            x, y, z = (a + k * b for a, b in zip(start, speed, strict=True))
+            chip.location, chip.rotation_euler = (x, y, max(z - 0.012 * k * k, 0.05)), [k * a for a in spin]
+            chip.keyframe_insert("location", frame=k)
+            chip.keyframe_insert("rotation_euler", frame=k)
+    sunlight((0.7, 0.5, 0), 0.02)
+    sky(scene, (0.3, 0.4, 0.6))
+    bpy.ops.object.camera_add()
+    scene.camera = bpy.context.object
+    scene.camera.data.lens = 30
+    for k in range(frames + 2):
+        scene.camera.location = draw.gauss(0, 0.03), -3, 1.5 + draw.gauss(0, 0.03)
+        scene.camera.rotation_euler = math.radians(84) + draw.gauss(0, 0.006), 0, draw.gauss(0, 0.006)
+        scene.camera.keyframe_insert("location", frame=k)
+        scene.camera.keyframe_insert("rotation_euler", frame=k)
+
+
 VARIETY_SETS = {
     "walker": build_walker, "snow": build_snow, "night": build_night, "isometric": build_isometric, "whip": build_whip,
+    "debris": build_debris,
 }  # fmt: skip

@@ -148,12 +148,15 @@ class Passes:
         dispatch("frame/warp", past.shape[1::-1], buffers, DUAL=int(dual), CUBIC=int(self._accumulates))
         return past
 
-    def reproject(self, chosen: GpuArray, inputs: Inputs, history: History, dual: bool) -> Means:
-        """The running means, reprojected to this frame from the same surfaces only. `chosen`: as for `warp`."""
+    def reproject(
+        self, chosen: GpuArray, inputs: Inputs, history: History, level: GpuArray | None, dual: bool
+    ) -> Means:
+        """The running means, reprojected to this frame from the same surfaces only. `chosen`: as for `warp`; `level`:
+        of `Recent.level`."""
         size, seen = inputs.surface.shape[:2], None
         running, mean_albedo = self._scratch.image("running", size), self._scratch.fresh(size)
         if self._config.recent:
-            seen = self.recent.recall(chosen, inputs, history.recent, running, dual)
+            seen = self.recent.recall(chosen, inputs, history.recent, running, level, dual)
         buffers = {"chosen": chosen, "surface": inputs.surface, "guide": inputs.guide}
         buffers |= {"surface_before": history.surface, "mean_before": history.mean}
         buffers |= {"mean_albedo_before": history.mean_albedo, "running": running, "mean_albedo": mean_albedo}

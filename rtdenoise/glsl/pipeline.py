@@ -137,6 +137,7 @@ class Pipeline:
         dual = not first and not known.covered and self.config.motion == "dual"
         with self._stage("features"):
             inputs = passes.prepare(layers, self.accumulates and first, wide_filter)
+            level = passes.recent.level(inputs)
             vectors = passes.vectors(layers)
         with self._stage("reprojection"):
             chosen = passes.history_motion(vectors, inputs.surface, history) if dual else vectors
@@ -156,7 +157,7 @@ class Pipeline:
                 past = passes.warp(chosen, inputs, history, flagged)
             means = Means(inputs.light, inputs.guide)
             if averages:
-                means = passes.reproject(chosen, inputs, history, flagged)
+                means = passes.reproject(chosen, inputs, history, level, flagged)
             turned = passes.turned(chosen, inputs, history, known.still) if averages else None
             if averages and bool(history.recent) == (self.config.recent > 0):
                 past = passes.outdated(inputs, noisy, past, means, turned, len(history.recent))
@@ -180,7 +181,7 @@ class Pipeline:
                 seen = shown = passes.recent.see(inputs, past, means.seen, reset)
                 if not (first or known.still or self.config.many) and history.recent:
                     shown = passes.recent.over(seen, inputs, vectors, history.recent)
-                self.pixels.mix(inputs, past, seen, shown, result, denoised)
+                self.pixels.mix(inputs, past, seen, shown, level, result, denoised)
                 passes.keep_even_sky(inputs, result, denoised)
         after = History(denoised, inputs.surface, vectors if "motion_next" in layers else None)
         if self.config.recent:

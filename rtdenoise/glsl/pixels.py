@@ -34,6 +34,7 @@ class Pixels:
         past: GpuArray,  # [H, W] rgb, flags
         seen: GpuArray,  # [3, H, W] rgb, frames · albedo, trust · normal: with this frame
         shown: GpuArray,  # the same with edges that move: what is filtered
+        level: GpuArray,  # [2] of `Recent.level`
         result: GpuArray,  # [3, H, W] the kernels' picture, which becomes the mixture
         denoised: GpuArray,  # [H, W] the same as an image for history
     ) -> None:
@@ -52,7 +53,8 @@ class Pixels:
         features = self._network.input((H, W))
         padded = features.shape[2:0:-1]
         buffers = {"shown": shown, "denoised": denoised, "cells": cells, "statistics": statistics, "even": even}
-        buffers["result"], half = features, {"HALF": int(scratch.half)}
+        buffers |= {"level": level, "result": features}
+        half = {"HALF": int(scratch.half)}
         dispatch("hybrid/features", padded, buffers, {"image_size": size}, EVEN=int(not self._many), **half)
         wrote = self._network(features)
         dispatch("hybrid/bounds", size, {"even": even, "denoised": denoised, "bounds": bounds}, group=CELL_GROUP)

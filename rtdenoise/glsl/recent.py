@@ -14,6 +14,8 @@ from .scratch import Scratch
 if TYPE_CHECKING:
     from .passes import Inputs
 
+NO_WINDOW = 0xBF800000  # the word of -1: a window of `hybrid/noise` that tells nothing
+
 
 class Recent:
     """The passes of kept frames. With `footprints` these hold what was seen in each pixel, too (`hybrid`), with `few`
@@ -42,10 +44,16 @@ class Recent:
         dispatch("accumulated_kpn/forget", kept.shape[:0:-1], {"reset": reset, "kept": kept})
 
     def recall(
-        self, chosen: GpuArray, inputs: Inputs, recent: tuple[GpuArray, ...], running: GpuArray, dual: bool
+        self,
+        chosen: GpuArray,  # of `history_motion`, or without `dual` of `vectors`
+        inputs: Inputs,
+        recent: tuple[GpuArray, ...],
+        running: GpuArray,
+        level: GpuArray | None,  # of `level`
+        dual: bool,
     ) -> GpuArray | None:
         """Write the mean light of recent frames, and the sum of their weights. Returns the footprints [3, H, W] of
-        `hybrid/look`. `chosen` comes from `history_motion`, or without `dual` from `vectors`."""
+        `hybrid/look`."""
         size, last = inputs.surface.shape[:2], len(recent) - 1
         extent = tuple(-(-n // RECALL_CELL) for n in size)
         found, cells = self._scratch.image("recall.found", size), self._scratch.image("cells", extent)
@@ -55,7 +63,7 @@ class Recent:
         if self._footprints:
             seen = self._scratch("seen", (3, *size, 4))
             through = {"surface": inputs.surface, "chosen": chosen, "stays": stays, "seen": seen}
-            through |= {"edge": self._scratch.image("edge", size), "misplaced": self._misplaced(inputs)}
+            through |= {"edge": self._scratch.image("edge", size), "level": level}
             through["lone"] = self._scattered(inputs) if self._few and recent else inputs.surface
         if not recent:
             fill(running)
@@ -100,17 +108,20 @@ class Recent:
         dispatch("hybrid/scattered", size[::-1], {"alone": alone, "lone": lone})
         return lone
 
-    def _misplaced(self, inputs: Inputs) -> GpuArray:
-        """How much less lookups off the pixel count, [1]: `models.past.misplaced`."""
-        misplaced = self._scratch("misplaced", (1,))
+    def level(self, inputs: Inputs) -> GpuArray | None:
+        """What the noise of this frame decides of footprints, [2]: how much less lookups off the pixel count
+        (`models.past.misplaced`), and how far light is evened (`models.hybrid`). None without footprints."""
+        if not self._footprints:
+            return None
         H, W = inputs.surface.shape[:2]
-        if self._few or min(H, W) < NOISE_WINDOW:
-            fill(misplaced)
-            return misplaced
-        windows = tuple((n - NOISE_WINDOW) // NOISE_WINDOWS + 1 for n in (H, W))
-        relative = self._scratch("relative", windows)
-        buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "relative": relative}
-        dispatch("hybrid/noise", windows[::-1], buffers, {"image_size": (W, H)})
-        buffers, parameters = {"relative": relative, "misplaced": misplaced}, {"count": windows[0] * windows[1]}
-        dispatch("hybrid/misplaced", (1,), buffers, parameters, SELECT_GROUP, WIDE=int(inputs.wide_filter))
-        return misplaced
+        windows = tuple(max(n - NOISE_WINDOW, 0) // NOISE_WINDOWS + 1 for n in (H, W))
+        relative, level = self._scratch("relative", windows), self._scratch("level", (2,))
+        if min(H, W) < NOISE_WINDOW:
+            fill(relative, NO_WINDOW)
+        else:
+            buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "relative": relative}
+            dispatch("hybrid/noise", windows[::-1], buffers, {"image_size": (W, H)})
+        buffers, parameters = {"relative": relative, "level": level}, {"count": windows[0] * windows[1]}
+        kinds = {"FEW": int(self._few), "WIDE": int(inputs.wide_filter)}
+        dispatch("hybrid/level", (1,), buffers, parameters, SELECT_GROUP, **kinds)
+        return level

@@ -12,6 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from ..constants import EVENED_NOISE
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.even_sky import even_sky
@@ -22,7 +23,7 @@ from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN, Kernels
 from .hybrid_config import HybridConfig
-from .past import seen, weighs_noise
+from .past import seen
 from .pixel_network import PixelNetwork, written
 
 
@@ -45,7 +46,7 @@ class Hybrid(AccumulatedKPN):
         if known.exposure is None:
             exposure, distance = self.statistics(frame)
             known = replace(known, exposure=exposure, distance=distance)
-        if known.noise is None and weighs_noise(self.config):
+        if known.noise is None:
             known = replace(known, noise=noise_level(frame.radiance, frame.depth))
         with torch.no_grad():
             # Filter by kernels, and average.
@@ -58,7 +59,8 @@ class Hybrid(AccumulatedKPN):
             shown = after.footprint if self.config.many else seen(frame, history, after, known, past.later)
             radiance, *guides = shown.split(FOOTPRINT, dim=1)
             if not self.config.many:
-                radiance = evened(radiance, after.footprint_count, image, trust)
+                noisy = (known.noise / EVENED_NOISE).clamp(max=1)
+                radiance = evened(radiance, after.footprint_count, image, trust * noisy)
             held, tells = held_and_tells(held, image.dtype)
         pixels = written(
             lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure, self.pixels.greatest

@@ -161,15 +161,10 @@ def _recalled(
 def misplaced(config: Config, frame: Frame, known: Known) -> Tensor | None:
     """How much less lookups off the pixel count, `[B, 1, 1, 1]` (`ops.recall`): the less noise, the more. None for a
     network for few samples: one sample shows a place within the pixel that is as far off."""
-    if not weighs_noise(config):
+    if not (config.footprint and getattr(config, "many", True)):
         return None
     noise = noise_level(frame.radiance, frame.depth) if known.noise is None else known.noise
     return off_pixel(noise, frame.wide_filter)
-
-
-def weighs_noise(config: Config) -> bool:
-    """Whether its footprints go by `exposure.noise_level`."""
-    return config.footprint and getattr(config, "many", True)
 
 
 def shifted(frame: Frame, history: History | None, known: Known) -> Known:

@@ -17,7 +17,7 @@ from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, RECENT, Frame, History, Known
 from ..models import Denoiser
 from ..models.config import CELL
-from ..models.past import followed, shifted, weighs_noise
+from ..models.past import followed, shifted
 from ..motion import on_screen
 from ..ops.kept import motion_of
 from ..sanitise import sanitise
@@ -61,7 +61,7 @@ def step_in_windows(
     """One step, window by window."""
     frame = frame if known.sanitised else sanitise(frame)
     scale, distance = denoiser.statistics(frame)
-    noise = noise_level(frame.radiance, frame.depth) if weighs_noise(denoiser.config) else None
+    noise = noise_level(frame.radiance, frame.depth) if denoiser.config.footprint else None
     known = replace(known, sanitised=True, exposure=scale, distance=distance, noise=noise)
     known = shifted(frame, history, known)
     image = torch.zeros_like(frame.radiance) + elsewhere

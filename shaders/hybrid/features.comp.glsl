@@ -1,7 +1,7 @@
 #version 430
 // The input of the network that writes pixels: footprints, 9 channels, with light compressed in OIDN's unit, albedo and normal
 // in [0, 1]. Where one frame has seen a pixel, and more have seen those around it, some of the kernels' picture stands in for
-// light (EVEN, ops.evened).
+// light, the less noise there is, the less (EVEN, ops.evened, models.hybrid).
 // One invocation per pixel of the padded result, which is zero beyond the image.
 #pragma constants EVEN MIX_SEEN_ONCE PIXELS_LIGHT PIXELS_UNIT
 #pragma parameters ivec2 image_size
@@ -13,6 +13,7 @@
 #pragma reads vec4 denoised        // [image_size] the kernels' picture
 #pragma reads vec4 cells           // of `hybrid/cells`
 #pragma reads float statistics     // [2] exposure, ·
+#pragma reads float level          // [2] of `hybrid/level`
 #pragma writes vec4 even           // [image_size] the light that is filtered, with grey in it
 #pragma writes FOUR result         // [3, size]
 
@@ -35,7 +36,7 @@ void main() {
             ivec2 cell = pixel / AROUND_CELL + ivec2(k % 3, k / 3) - 1;
             if (inside(cell, extent)) most = max(most, cells[at(cell, extent)].x);
         }
-        float share = 1.0 - (1.0 - MIX_SEEN_ONCE) * albedo.w * once * clamp(most - 1.0, 0.0, 1.0);
+        float share = 1.0 - (1.0 - MIX_SEEN_ONCE) * albedo.w * level[1] * once * clamp(most - 1.0, 0.0, 1.0);
         rgb = mix(denoised[i].rgb, rgb, share);
     }
     rgb = greyed(rgb);

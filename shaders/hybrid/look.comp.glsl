@@ -12,7 +12,7 @@
 #pragma reads vec4 surface     // [H, W] normal, depth
 #pragma reads vec4 chosen      // [H, W] motion to the frame before, uncovered
 #pragma reads float stays      // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉]
-#pragma reads float misplaced  // [1]
+#pragma reads float level      // [2] of `hybrid/level`
 #pragma reads vec4 lone        // [H, W] least and greatest depth of what is scattered around (`scattered`)
 #pragma changes vec4 edge      // [H, W] motion to the kept frame, share that resets left, distance of what is followed
 #pragma changes vec4 seen      // [3, H, W] rgb, frames · albedo · normal
@@ -54,7 +54,7 @@ void main() {
         bool is_lone = LONE == 1 && there.surface.w >= lone[i].x && there.surface.w <= lone[i].y;
         if (!uncovered && (is_lone || !in_front && shown_beside(pixel, there.surface))) {
             float weight = come.z * stays[at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL)] * cover(motion) /
-                           (1.0 + misplaced[0] * dot(apart, apart));
+                           (1.0 + level[0] * dot(apart, apart));
             vec3 radiance = there.light * divisor(vec4(at_edge.albedo, there.surface.w));
             light += weight * vec4(radiance, 1.0);
             albedo.rgb += weight * at_edge.albedo;

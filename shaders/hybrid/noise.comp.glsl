@@ -1,5 +1,5 @@
 #version 430
-// The noise of each window of NOISE_WINDOW² pixels, one every NOISE_WINDOWS pixels, for `misplaced`.
+// The noise of each window of NOISE_WINDOW² pixels, one every NOISE_WINDOWS pixels, for `level`.
 #pragma constants NOISE_WINDOW NOISE_WINDOWS
 #pragma parameters ivec2 image_size
 #include "image.glsl"
