@@ -26,7 +26,7 @@ MODULES = (
     "diagnosis.extremes", "diagnosis.fireflies", "diagnosis.fog", "diagnosis.generalisation", "diagnosis.ideal_history",
     "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost", "diagnosis.many",
     "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.panorama", "diagnosis.scattered", "diagnosis.shadows",
-    "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion", "diagnosis.where",
+    "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion", "diagnosis.where", "diagnosis.white",
 )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ RECALL_RESET = 3  # of these the one whose higher half is the reset
 RECALL_CELL = 4  # side in pixels of the cells in which light is compared; 3 × 3 cells count together
 RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |differences|²: light counts whole; not at all
 RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED = 6.0, 12.0  # likewise over cells of twice the side
+RECALL_WHITE, RECALL_JOINED = 0.1, 0.25  # likewise correlation of differences in neighbouring pixels
 RECALL_ROUNDING = 4e-4  # share of this frame's light that squared differences have at least: bfloat16 rounds light
 RECALL_SAME = 2.0**-7  # values that differ by this share are the same: kept frames are bfloat16
 RECALL_NOISY = 0.25  # noise (`exposure.noise_level`) from which on lookups off the pixel count as far as they cover it

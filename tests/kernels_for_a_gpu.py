@@ -68,8 +68,10 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     masks = dict(seen="*u8", uncovered="*u8", threshold="fp32")
     images = dict(B=1, frames=1) if one else {}
     counts = dict(words="i32", step="i32", **dict.fromkeys({"B", "frames"} - {*images}, "i32"))
-    build(_stays, dict(BLOCK=128, **{n: v for n, v in {**one, **images}.items() if n in "HWB"}), **sizes, **counts,
-          **dict.fromkeys(["alike", "changed", "wide_alike", "wide_changed"], "fp32"))
+    tests = dict.fromkeys(["alike", "changed", "wide_alike", "wide_changed", "white", "joined"], "fp32")
+    for sums in (4, 6):
+        build(_stays, dict(SUMS=sums, BLOCK=128, **{n: v for n, v in {**one, **images}.items() if n in "HWB"}), **sizes,
+              **counts, **tests)
     for pointers in (("*i32",) * 8, ("*i64",) * 8):  # of frames, and of their addresses
         counts["recent"] = pointers
         build(_compare, dict(CELL=4, COLUMNS=32, FAR_AWAY=1e6, **one, **images), rounding="fp32", **near, **counts)

@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 from fused_cases import CASES, SIZES
+from torch.nn import functional as F
 
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
@@ -70,6 +71,9 @@ def test_recall(both, backend, assert_images_close, size, count):
         motion[0, :, 0, 0], motion[1, :, -1, -1] = math.nan, math.inf
         motion[:, :, :, 300:] = 1.0  # whole blocks move together
         light = torch.empty(2, 3, *size).exponential_() * (1 + 3 * torch.rand(2, 1, 1, size[1]).round())
+        light[..., : size[0] // 2, :] **= 0.1  # little noise, and shadows
+        shadows = F.interpolate(torch.rand(2, 1, *(-(-n // 5) for n in size)), scale_factor=5)
+        light *= 1 - 0.3 * shadows[..., : size[0], : size[1]]
         depth = 1 + 0.1 * torch.rand(2, 1, *size) - 2 * (torch.rand(2, 1, *size) < 0.1).float()
         depth += 2 * (torch.rand(2, 1, *size) < 0.05).float()  # hit here and there
         normal = torch.randn(2, 3, *size) + torch.tensor([0, 0, 3.0])[:, None, None]
@@ -101,6 +105,23 @@ def test_recall(both, backend, assert_images_close, size, count):
             sure = weight > 1  # dividing by less magnifies rounding
             assert_images_close(fused_mean * sure, mean * sure, "float32 quotient")
             assert weight.any() or min(size) < 4
+
+
+@pytest.mark.parametrize("backend", ["native", "triton"], indirect=True)
+def test_differences_that_are_not_white(both, assert_images_close):
+    """Shadows of some pixels that have moved: light and dark cancel in a cell and those around."""
+    size = 23, 43
+    light = 1 - 0.05 * F.interpolate(torch.rand(2, 1, 1, 5, 9).round().flatten(0, 1), scale_factor=5)[..., :23, :43]
+    light = light + 0.1 * torch.rand(2, 3, *size)
+    depth, normal = torch.ones(1, 1, *size), torch.tensor([0, 0, 1.0])[:, None, None].expand(1, 3, *size)
+    motion, reset = torch.zeros(1, 2, *size), torch.zeros(1, 1, *size)
+    before, now = light.split(1)
+    (_, count), (_, fused) = both(
+        lambda *f: tuple(vars(recall(f[0], f[1], f[2:4], (keep(f[4], f[2], f[3], f[5], f[1]),))).values())[:2],
+        now, motion, depth, normal, before, reset,
+    )  # fmt: skip
+    assert_images_close(fused, count, "float32 quotient")
+    assert ((count > 0.01) & (count < 0.99)).float().mean() > 0.05  # neither wholly the same nor another
 
 
 @pytest.mark.parametrize("backend", ["triton"], indirect=True)

@@ -56,7 +56,8 @@ class Recent:
         `hybrid/look`."""
         size, last = inputs.surface.shape[:2], len(recent) - 1
         extent = tuple(-(-n // RECALL_CELL) for n in size)
-        found, cells = self._scratch.image("recall.found", size), self._scratch.image("cells", extent)
+        found = self._scratch.image("recall.found", size)
+        cells, pairs = (self._scratch.image(name, extent) for name in ("cells", "pairs"))
         stays, seen = self._scratch("stays", extent), None
         now = {"light": inputs.light, "surface": inputs.surface, "chosen": chosen}
         now["path"] = self._scratch.image("path", size)
@@ -70,9 +71,10 @@ class Recent:
             if seen is not None:
                 fill(seen)
         for i, kept in enumerate(recent):
-            buffers, at = now | {"kept": kept, "found": found, "cells": cells}, {"FIRST": int(i == 0)}
+            buffers, at = now | {"kept": kept, "found": found, "cells": cells, "pairs": pairs}, {"FIRST": int(i == 0)}
             dispatch("accumulated_kpn/look", size[::-1], buffers, **at)
-            dispatch("accumulated_kpn/stays", extent[::-1], {"cells": cells, "stays": stays}, {"patience": 1.0})
+            sums = {"cells": cells, "pairs": pairs, "stays": stays}
+            dispatch("accumulated_kpn/stays", extent[::-1], sums, {"patience": 1.0}, PAIRS=1)
             buffers, at = {"found": found, "stays": stays, "running": running}, at | {"LAST": int(i == last)}
             dispatch("accumulated_kpn/add", size[::-1], buffers, **at)
             if seen is not None:

@@ -22,7 +22,9 @@ from ..constants import (
     RECALL_CELL,
     RECALL_CHANGED,
     RECALL_FOOTPRINT_WORDS,
+    RECALL_JOINED,
     RECALL_ROUNDING,
+    RECALL_WHITE,
     RECALL_WIDE_ALIKE,
     RECALL_WIDE_CHANGED,
     RECALL_WORDS,
@@ -62,13 +64,16 @@ def recall(
 
         p_1 = p + motion(p),    p_(j+1) = p_j + motion_j(p_j),    at the nearest pixel; a path ends off the screen
         w_j = same surface · u_j · Π_(i<j) (1 - reset_i(p_i)),
-        u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1) · the same of wider cells,
-        q_j = |Σ d|² / Σ (|d|² + ROUNDING · light)
+        u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1) · the same of wider cells
+              · clamp((JOINED - r_j) / (JOINED - WHITE), 0, 1),
+        q_j = |Σ d|² / Σ (|d|² + ROUNDING · light),    r_j = 2 min(Σ d d_x, Σ d d_y) / Σ (|d|² + ROUNDING · light)
 
     with the differences d = √light_j(p_j) - √light(p), over cells of CELL × CELL pixels and the eight around them, of
     pixels that show the same surface (`alike`): q_j is 1 on average if they are noise alone, and small if they are what
     bfloat16 rounds. The root keeps a few bright samples from being all that counts. Cells of twice the side tell of
-    weaker changes: what is common to more pixels stands out from their noise. `constants` has these numbers as
+    weaker changes: what is common to more pixels stands out from their noise. Noise is white, what has changed is not:
+    r_j is the correlation of d with that of the next pixel, over pairs of pixels that lie together in a cell. The
+    lesser of both directions is small, too, where lookups are off at an edge. `constants` has these numbers as
     RECALL_CELL, RECALL_WIDE_ALIKE ...
 
     With `uncovered` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
@@ -100,7 +105,8 @@ def recall(
     for kept in recent:
         there = path.look(kept)
         same = (alike(surface, (there.depth, there.normal)) & path.inside).to(light.dtype)
-        stays = unchanged(same * (_root(there.light) - root), same * least)
+        difference = same * (_root(there.light) - root)
+        stays = unchanged(difference, same * least) * white(difference, same * least)
         weight = same * stays * path.left
         mean, count = mean + weight * there.light, count + weight
         path.follow(there.motion, there.reset)
@@ -142,8 +148,8 @@ def keep(
 
 
 def unchanged(difference: Tensor, least: Tensor, patience: float = 1.0) -> Tensor:
-    """The second factor of w_j, `[B, 1, H, W]`, from the differences `[B, 3, H, W]` and what is added to their squares,
-    `[B, 1, H, W]`: both are 0 on other surfaces. `patience`: the bounds of q are so many times as high."""
+    """The first factors of u_j, by q_j, `[B, 1, H, W]`, from the differences `[B, 3, H, W]` and what is added to their
+    squares, `[B, 1, H, W]`: both are 0 on other surfaces. `patience`: the bounds of q are so many times as high."""
     (H, W), wide = difference.shape[2:], 2 * RECALL_CELL
     square = patience * (difference.square().sum(1, keepdim=True) + least)
     terms = F.pad(torch.cat([difference, square], dim=1), (0, -W % wide, 0, -H % wide))
@@ -158,6 +164,21 @@ def _unchanged(cells: Tensor, whole: float, none: float) -> Tensor:
     sums = 9 * F.avg_pool2d(cells, 3, stride=1, padding=1)
     q = sums[:, :3].square().sum(1, keepdim=True) / sums[:, 3:].clamp(min=1e-30)
     return ((none - q) / (none - whole)).clamp(0, 1)
+
+
+def white(difference: Tensor, least: Tensor) -> Tensor:
+    """The last factor of u_j, likewise, by r_j."""
+    H, W = difference.shape[2:]
+    square = difference.square().sum(1, keepdim=True) + least
+    difference, square = (F.pad(x, (0, -W % RECALL_CELL, 0, -H % RECALL_CELL)) for x in (difference, square))
+    beside = (difference[..., 0::2] * difference[..., 1::2]).sum(1, keepdim=True)
+    below = (difference[..., 0::2, :] * difference[..., 1::2, :]).sum(1, keepdim=True)
+    half = RECALL_CELL // 2
+    pairs = F.avg_pool2d(beside, (RECALL_CELL, half)), F.avg_pool2d(below, (half, RECALL_CELL))
+    x, y, square = (F.avg_pool2d(mean, 3, 1, 1) for mean in (*pairs, F.avg_pool2d(square, RECALL_CELL)))
+    r = x.minimum(y) / square.clamp(min=1e-30)
+    weight = ((RECALL_JOINED - r) / (RECALL_JOINED - RECALL_WHITE)).clamp(0, 1)
+    return F.interpolate(weight, scale_factor=RECALL_CELL)[:, :, :H, :W]
 
 
 def _root(light: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 #version 430
 // Look a kept frame up at the end of each pixel's path (ops.recall), and compare its light with this frame's: sums over cells
-// of RECALL_CELL² pixels, for `stays`. The path goes on by the motion found there.
+// of RECALL_CELL² pixels, and of products of pairs of pixels, for `stays`. The path goes on by the motion found there.
 #pragma constants FIRST RECALL_CELL RECALL_ROUNDING DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "alike.glsl"
@@ -12,6 +12,7 @@
 #pragma changes vec4 path               // [H, W] motion to the kept frame, share that resets left; not read by the FIRST
 #pragma writes vec4 found               // [H, W] its rgb, this share, or 0 where it shows another surface
 #pragma writes vec4 cells               // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] Σ d, Σ |d|² and what is added
+#pragma writes vec4 pairs               // likewise, Σ of the products of d with that beside, and with that below
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -37,5 +38,16 @@ void main() {
         term = vec4(d, dot(d, d) + least);
     }
     vec4 sum;
-    if (sum_cell(pixel, RECALL_CELL, term, sum)) cells[at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL)] = sum;
+    if (!sum_cell(pixel, RECALL_CELL, term, sum)) return;
+    vec4 products = vec4(0.0);
+    int first = int(gl_LocalInvocationID.y) * GROUP_X + int(gl_LocalInvocationID.x);
+    for (int k = 0; k < RECALL_CELL * RECALL_CELL / 2; ++k) {
+        int aside = first + k / (RECALL_CELL / 2) * GROUP_X + k % (RECALL_CELL / 2) * 2;
+        int below = first + k / RECALL_CELL * 2 * GROUP_X + k % RECALL_CELL;
+        products.x += dot(terms[aside].rgb, terms[aside + 1].rgb);
+        products.y += dot(terms[below].rgb, terms[below + GROUP_X].rgb);
+    }
+    int cell = at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL);
+    cells[cell] = sum;
+    pairs[cell] = products;
 }

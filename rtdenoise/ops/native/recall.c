@@ -16,6 +16,7 @@
 #define LESS 5
 #define FOUND 4   // rows of cells of which a thread keeps what it found
 #define SUMS 6    // likewise the sums
+#define OF_CELL 6 // of these: Σ d, Σ |d|², and of its products with that beside and with that below
 #define SAME 0x3f800000  // 1 as the high half of a word
 #define SUMMED 10 // channels of a footprint, and their weight
 
@@ -26,8 +27,8 @@ typedef struct {
     const uint32_t *const *kept;                   // K frames [H, W, words], two bfloat16 in each
     float *mean, *count, *footprint, *footprint_count;  // the last two are NULL where they are not wanted
     uint32_t *found;  // of a thread: [FOUND, K, 3 (red, green; blue, 1 or 0: same surface; s as float32), CELL, BLOCK]
-    float *cells;     // likewise: [SUMS, K, 4 (Σ d, Σ |d|²), BLOCK / CELL]
-    float depth_tolerance, normal_tolerance, alike, changed, wide_alike, wide_changed, speed, misplaced;
+    float *cells;     // likewise: [SUMS, K, OF_CELL, BLOCK / CELL]
+    float depth_tolerance, normal_tolerance, alike, changed, wide_alike, wide_changed, white, joined, speed, misplaced;
     int64_t plane;
     int K, H, W, rows, words;
     int from, n;  // the block: its first column, and how many it has
@@ -38,7 +39,7 @@ static inline uint32_t *found_of(Job j, int cell_row, int k) {
 }
 
 static inline float *cells_of(Job j, int cell_row, int k) {
-    return j.cells + ((int64_t)(cell_row % SUMS) * j.K + k) * 4 * (BLOCK / CELL);
+    return j.cells + ((int64_t)(cell_row % SUMS) * j.K + k) * OF_CELL * (BLOCK / CELL);
 }
 
 // The paths of a block of pixels: motion to the kept frame, and the share that the network has left of older light.
@@ -196,9 +197,10 @@ static inline void roots(Job j, int cell_row, Roots out) {
 
 // Sum up the differences between a kept frame and this one in a row of cells.
 static inline void compare(Job j, int cell_row, int k, Roots now) {
-    float sum[4][BLOCK] = {{0}};
+    float sum[OF_CELL][BLOCK] = {{0}}, apart[2][3][BLOCK + 1] = {{{0}}};  // of an even row and of the odd one below it
     for (int y = cell_row * CELL; y < MIN((cell_row + 1) * CELL, j.H); y++) {
         const uint32_t *found = found_of(j, cell_row, k) + y % CELL * BLOCK;
+        float (*mine)[BLOCK + 1] = apart[y % 2];
 #pragma omp simd
         for (int x = 0; x < j.n; x++) {
             uint32_t other = found[CELL * BLOCK + x];
@@ -206,12 +208,22 @@ static inline void compare(Job j, int cell_row, int k, Roots now) {
 #pragma GCC unroll 3
             for (int c = 0; c < 3; c++) {
                 float here = now[c][y % CELL][x], d = high(other) * (root(light[c]) - here);
+                mine[c][x] = d;
                 sum[c][x] += d;
                 sum[3][x] += d * d + high(other) * (float)ROUNDING * here * here;
             }
         }
+#pragma omp simd
+        for (int x = 0; x < j.n; x++) {
+            float beside = mine[0][x] * mine[0][x + 1] + mine[1][x] * mine[1][x + 1] + mine[2][x] * mine[2][x + 1];
+            sum[4][x] += x % 2 ? 0 : beside;
+        }
+        if (y % 2)
+#pragma omp simd
+            for (int x = 0; x < j.n; x++)
+                sum[5][x] += apart[0][0][x] * mine[0][x] + apart[0][1][x] * mine[1][x] + apart[0][2][x] * mine[2][x];
     }
-    for (int i = 0; i < 4; i++)
+    for (int i = 0; i < OF_CELL; i++)
         for (int x = 0; x < j.n; x += CELL) {
             float total = 0;
             for (int c = 0; c < CELL; c++) total += sum[i][x + c];
@@ -235,6 +247,23 @@ static inline void unchanged(Job j, int cell_row, int k, int side, float alike, 
             for (int i = 0; i < 3 * side; i++) sum[c] += column[c][x / side * side + i];
         float q = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]) / MAX(sum[3], 1e-30f);
         weight[x] *= MIN(MAX((changed - q) / (changed - alike), 0), 1);
+    }
+}
+
+// Likewise by that of light whose differences are white in a cell and those around it.
+static inline void white(Job j, int cell_row, int k, float *weight) {
+    int columns = (j.n + CELL - 1) / CELL;
+    float column[3][BLOCK / CELL + 2] = {{0}};  // sums, from a column before the first on
+    for (int i = MAX(cell_row - 1, 0); i < MIN(cell_row + 2, j.rows); i++)
+        for (int c = 0; c < 3; c++) {
+            const float *row = cells_of(j, i, k) + (3 + c) * (BLOCK / CELL);
+            for (int x = 0; x < columns; x++) column[c][1 + x] += row[x];
+        }
+    for (int x = 0; x < columns; x++) {
+        float sum[3];
+        for (int c = 0; c < 3; c++) sum[c] = column[c][x] + column[c][x + 1] + column[c][x + 2];
+        float r = 2 * MIN(sum[1], sum[2]) / MAX(sum[0], 1e-30f);
+        weight[x] *= MIN(MAX((j.joined - r) / (j.joined - j.white), 0), 1);
     }
 }
 
@@ -343,6 +372,7 @@ static inline void average(Job j, int cell_row, int first, int n) {
         for (int x = 0; x < BLOCK / CELL; x++) cell[x] = 1;
         unchanged(j, cell_row, k, 1, j.alike, j.changed, cell);
         unchanged(j, cell_row, k, WIDE, j.wide_alike, j.wide_changed, cell);
+        white(j, cell_row, k, cell);
         for (int x = 0; x < n; x++) weight[k][x] = cell[(first + x) / CELL];
     }
     for (int y = cell_row * CELL; y < MIN((cell_row + 1) * CELL, j.H); y++) {
@@ -387,7 +417,7 @@ void recall(const float *light, const float *motion, const float *depth, const f
             const uint8_t *uncovered, const float *lone, const float *misplaced, const uint32_t *const *kept, float *mean,
             float *count, float *footprint, float *footprint_count, uint32_t *found, float *cells,
             int K, int B, int H, int W, int words, float depth_tolerance, float normal_tolerance, float alike, float changed,
-            float wide_alike, float wide_changed, float speed, int threads) {
+            float wide_alike, float wide_changed, float white, float joined, float speed, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, wide = (rows + WIDE - 1) / WIDE, width = BLOCK - 2 * MARGIN;
 #pragma omp parallel for num_threads(threads) schedule(static)
@@ -397,8 +427,9 @@ void recall(const float *light, const float *motion, const float *depth, const f
                      footprint ? uncovered + b * plane : NULL, lone ? lone + 2 * b * plane : NULL, kept + (int64_t)b * K,
                      mean + 3 * b * plane, count + b * plane,
                      footprint ? footprint + 9 * b * plane : NULL, footprint ? footprint_count + b * plane : NULL,
-                     found + (int64_t)t * FOUND * K * 3 * CELL * BLOCK, cells + (int64_t)t * SUMS * K * BLOCK,
-                     depth_tolerance, normal_tolerance, alike, changed, wide_alike, wide_changed, speed, misplaced[b],
+                     found + (int64_t)t * FOUND * K * 3 * CELL * BLOCK, cells + (int64_t)t * SUMS * K * OF_CELL * (BLOCK / CELL),
+                     depth_tolerance, normal_tolerance, alike, changed, wide_alike, wide_changed, white, joined, speed,
+                     misplaced[b],
                      plane, K, H, W, rows, words, 0, 0};
             int top = (int64_t)wide * t / threads, bottom = (int64_t)wide * (t + 1) / threads;
             for (int left = 0; left < W; left += width) strip(j, top, bottom, left, MIN(width, W - left));

@@ -18,14 +18,16 @@ from ...constants import (
     RECALL_CHANGED,
     RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
+    RECALL_JOINED,
     RECALL_ROUNDING,
+    RECALL_WHITE,
     RECALL_WIDE_ALIKE,
     RECALL_WIDE_CHANGED,
     RECALL_WORDS,
 )
 from .compiler import library, pointer, pointers
 
-FOUND, SUMS, BLOCK = 4, 6, 256  # as in recall.c
+FOUND, SUMS, OF_CELL, BLOCK = 4, 6, 6, 256  # as in recall.c
 WORDS = 3  # likewise, found of a pixel in each kept frame
 
 
@@ -49,10 +51,10 @@ def recall(
     less = light.new_zeros(B) if misplaced is None else misplaced.expand(B, 1, 1, 1).contiguous()
     results = [light.new_empty(B, channels, H, W) for channels in ((3, 1, 9, 1) if footprint else (3, 1))]
     found = light.new_empty(threads, FOUND, K, WORDS, RECALL_CELL, BLOCK, dtype=torch.int32)
-    cells = light.new_empty(threads, SUMS, K, BLOCK)
+    cells = light.new_empty(threads, SUMS, K, OF_CELL, BLOCK // RECALL_CELL)
     kept = pointers(image for images in zip(*recent, strict=True) for image in images)
     outputs = [*map(pointer, results), *[None] * (4 - len(results))]
-    tests = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
+    tests = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED, RECALL_WHITE, RECALL_JOINED
     tolerances = map(c_float, (DEPTH_TOLERANCE, MIN_NORMAL_COSINE, *tests, RECALL_EDGE_SPEED))
     _compiled().recall(
         *map(pointer, now),

@@ -49,10 +49,24 @@ def _root(light):
 
 
 @triton.jit
+def _beside(d, CELL: tl.constexpr, COLUMNS: tl.constexpr):
+    """Sums over cells of the products of pixels in an even column and those beside them; d [CELL, cells, CELL]."""
+    even, odd = tl.split(tl.reshape(d, (CELL, COLUMNS // CELL, CELL // 2, 2)))
+    return tl.sum(tl.sum(even * odd, axis=2), axis=0)
+
+
+@triton.jit
+def _below(d, CELL: tl.constexpr, COLUMNS: tl.constexpr):
+    """Likewise of pixels in an even row and those below them."""
+    even, odd = tl.split(tl.permute(tl.reshape(d, (CELL // 2, 2, COLUMNS // CELL, CELL)), (0, 2, 3, 1)))
+    return tl.sum(tl.sum(even * odd, axis=2), axis=0)
+
+
+@triton.jit
 def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words, depth_tolerance, normal_tolerance,
              rounding, CELL: tl.constexpr, COLUMNS: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
-    """Sums over cells of the differences between each kept frame and this one, and of their squares with what is
-    added."""
+    """Sums over cells of the differences between each kept frame and this one, of their squares with what is added, and
+    of their products with that of the next pixel of a pair, beside and below."""
     plane, rows = tl.cast(H, tl.int64) * W, tl.cdiv(H, CELL)
     b, row = row_of(rows)
     cell = tl.program_id(0) * (COLUMNS // CELL) + tl.arange(0, COLUMNS // CELL)
@@ -79,10 +93,14 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
         r = tl.where(same, _root(red) - now_r, 0.0)
         g = tl.where(same, _root(green) - now_g, 0.0)
         a = tl.where(same, _root(blue) - now_b, 0.0)
-        of_frame = cells + (tl.cast(j, tl.int64) * B + b) * 4 * size + row * across + cell
+        of_frame = cells + (tl.cast(j, tl.int64) * B + b) * 6 * size + row * across + cell
         for k in tl.static_range(4):
             term = r if k == 0 else g if k == 1 else a if k == 2 else r * r + g * g + a * a + tl.where(same, least, 0.0)
             tl.store(of_frame + k * size, tl.sum(tl.sum(term, axis=2), axis=0), mask=cell < across)
+        aside = _beside(r, CELL, COLUMNS) + _beside(g, CELL, COLUMNS) + _beside(a, CELL, COLUMNS)
+        below = _below(r, CELL, COLUMNS) + _below(g, CELL, COLUMNS) + _below(a, CELL, COLUMNS)
+        tl.store(of_frame + 4 * size, aside, mask=cell < across)
+        tl.store(of_frame + 5 * size, below, mask=cell < across)
         u, v = onward(u, v, more_u, more_v, inside, FAR_AWAY)
 
 
@@ -199,7 +217,7 @@ def recall(
     B, _, H, W = light.shape
     K, h, w = len(recent), triton.cdiv(H, RECALL_CELL), triton.cdiv(W, RECALL_CELL)
     recent, words = stacked(recent)
-    cells = light.new_empty(K, B, 4, h, w)
+    cells = light.new_empty(K, B, 6, h, w)
     tolerances, far = (DEPTH_TOLERANCE, MIN_NORMAL_COSINE), {"CELL": RECALL_CELL, "FAR_AWAY": FAR_AWAY}
     counts = H, W, B, K, words
     _compare[triton.cdiv(W, COLUMNS), B * h](

@@ -6,7 +6,14 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
+from ...constants import (
+    RECALL_ALIKE,
+    RECALL_CHANGED,
+    RECALL_JOINED,
+    RECALL_WHITE,
+    RECALL_WIDE_ALIKE,
+    RECALL_WIDE_CHANGED,
+)
 from .common import BLOCK, grid, place
 
 
@@ -38,13 +45,20 @@ def _unchanged(r, g, b, square, whole, none):
 
 
 @triton.jit
-def _stays(cells, stays, H, W, B, alike, changed, wide_alike, wide_changed, BLOCK: tl.constexpr):
+def _white(beside, below, square, white, joined):
+    r = 2 * tl.minimum(beside, below) / tl.maximum(square, 1e-30)
+    return tl.minimum(tl.maximum((joined - r) / (joined - white), 0.0), 1.0)
+
+
+@triton.jit
+def _stays(cells, stays, H, W, B, alike, changed, wide_alike, wide_changed, white, joined, SUMS: tl.constexpr,
+           BLOCK: tl.constexpr):  # fmt: skip
     """How far light has stayed as it is in each of H × W cells, one kept frame a plane of programs. The four cells of a
-    wide one are computed together: they share what is read."""
+    wide one are computed together: they share what is read. With 6 SUMS products of neighbours tell, too."""
     b, i, j, exists = place(tl.cdiv(H, 2), tl.cdiv(W, 2), BLOCK)
     size = tl.cast(H, tl.int64) * W
     n = tl.cast(tl.program_id(2), tl.int64) * B + b
-    cells += n * 4 * size
+    cells += n * SUMS * size
     y, x = 2 * i, 2 * j
     r, r0, r1, r2, r3 = _around(cells, y - 2, x - 2, H, W, exists)
     g, g0, g1, g2, g3 = _around(cells + size, y - 2, x - 2, H, W, exists)
@@ -53,18 +67,30 @@ def _stays(cells, stays, H, W, B, alike, changed, wide_alike, wide_changed, BLOC
     wide = _unchanged(r, g, a, s, wide_alike, wide_changed)
     stays += n * size + y * W + x
     right, below = exists & (x + 1 < W), exists & (y + 1 < H)
-    tl.store(stays, wide * _unchanged(r0, g0, a0, s0, alike, changed), mask=exists)
-    tl.store(stays + 1, wide * _unchanged(r1, g1, a1, s1, alike, changed), mask=right)
-    tl.store(stays + W, wide * _unchanged(r2, g2, a2, s2, alike, changed), mask=below)
-    tl.store(stays + W + 1, wide * _unchanged(r3, g3, a3, s3, alike, changed), mask=right & below)
+    w0 = wide * _unchanged(r0, g0, a0, s0, alike, changed)
+    w1 = wide * _unchanged(r1, g1, a1, s1, alike, changed)
+    w2 = wide * _unchanged(r2, g2, a2, s2, alike, changed)
+    w3 = wide * _unchanged(r3, g3, a3, s3, alike, changed)
+    if SUMS == 6:
+        _, u0, u1, u2, u3 = _around(cells + 4 * size, y - 2, x - 2, H, W, exists)
+        _, v0, v1, v2, v3 = _around(cells + 5 * size, y - 2, x - 2, H, W, exists)
+        w0 *= _white(u0, v0, s0, white, joined)
+        w1 *= _white(u1, v1, s1, white, joined)
+        w2 *= _white(u2, v2, s2, white, joined)
+        w3 *= _white(u3, v3, s3, white, joined)
+    tl.store(stays, w0, mask=exists)
+    tl.store(stays + 1, w1, mask=right)
+    tl.store(stays + W, w2, mask=below)
+    tl.store(stays + W + 1, w3, mask=right & below)
 
 
 def unchanged(cells: Tensor, patience: float = 1.0) -> Tensor:
-    """`[K, B, 4, h, w]` sums of differences and of their squares, to `[K, B, h, w]` in [0, 1]. `patience`: as that of
-    `ops.recall.unchanged`."""
-    K, B, _, h, w = cells.shape
+    """`[K, B, 4 or 6, h, w]` sums of differences, of their squares, and of products of neighbours, to `[K, B, h, w]` in
+    [0, 1]. `patience`: as that of `ops.recall.unchanged`."""
+    K, B, sums, h, w = cells.shape
     stays = cells.new_empty(K, B, h, w)
     bounds = RECALL_ALIKE, RECALL_CHANGED, RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED
     tests = [patience * bound for bound in bounds]
-    _stays[*grid(B, triton.cdiv(h, 2), triton.cdiv(w, 2)), K](cells, stays, h, w, B, *tests, BLOCK=BLOCK)
+    tests += RECALL_WHITE, RECALL_JOINED
+    _stays[*grid(B, triton.cdiv(h, 2), triton.cdiv(w, 2)), K](cells, stays, h, w, B, *tests, SUMS=sums, BLOCK=BLOCK)
     return stays

@@ -1,0 +1,72 @@
+"""What is it worth to ask whether differences between frames are white, as noise is?
+
+    render="bpyenv/bin/python examples/blender/render.py"
+    $render shots/evening --set evening --frames 8                              # likewise the others
+    $render shots/evening-reference --set evening --frames 8 --samples 64 --seed 77
+    python bench/diagnosis/white.py shots/{evening,debris,...} data/standard/street ...
+
+PSNR at 1 sample a pixel of `hybrid`, of all frames but the first: history that `ops.recall.white` has not tested, and
+that it has. Shots of Cycles are read as `denoise` reads them; of sequences with references beauty is taken. Writes
+bench/results/white.json and the table of docs/notes/recall.md.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
+from bench import DOCS, RESULTS, harness
+
+# isort: split
+import tyro
+
+from bench.diagnosis.evened import MODES, read
+from bench.diagnosis.turned import errors, pictures, pictures_of_oidn
+from rtdenoise.ops.native import recall
+
+RESULT, PAGES = RESULTS / "white.json", (DOCS / "notes" / "recall.md",)
+BOUNDS = {"not asked": (1e8, 1e9), "asked": (recall.RECALL_WHITE, recall.RECALL_JOINED)}
+
+
+def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
+    rows = []
+    for shot in shots:
+        frames = read(shot)
+        rows.append({"shot": shot.name, "method": "OIDN"} | errors(frames, pictures_of_oidn(frames)))
+        for mode, ahead in MODES.items():
+            for told, bounds in BOUNDS.items():
+                with bounded(bounds):
+                    found = errors(frames, pictures(frames, "hybrid", ahead))
+                rows.append({"shot": shot.name, "method": mode, "white": told} | found)
+                print(rows[-1], flush=True)
+    harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+
+
+@contextmanager
+def bounded(bounds: tuple[float, float]) -> Iterator[None]:
+    """The op in C with other bounds."""
+    own = recall.RECALL_WHITE, recall.RECALL_JOINED
+    recall.RECALL_WHITE, recall.RECALL_JOINED = bounds
+    yield
+    recall.RECALL_WHITE, recall.RECALL_JOINED = own
+
+
+def tables(document: dict) -> dict[str, str]:
+    """Section `white`: frame and uncovered, as dB more than OIDN."""
+    found = {(row["shot"], row["method"], row.get("white")): row for row in document["rows"]}
+    keys = [(mode, told) for mode in MODES for told in BOUNDS]
+    lines = [f"| | {' | '.join(f'{mode}, {told}' for mode, told in keys)} |", "|---" * (len(keys) + 1) + "|"]
+    for shot in dict.fromkeys(shot for shot, *_ in found):
+        peer = found[shot, "OIDN", None]
+        regions = [x for x in ("frame", "uncovered") if peer[x] is not None and math.isfinite(peer[x])]
+        cells = [", ".join(f"{found[shot, *key][x] - peer[x]:+.2f}" for x in regions) for key in keys]
+        lines.append(f"| `{shot}` | {' | '.join(cells)} |")
+    return {"white": "\n".join(lines)}
+
+
+if __name__ == "__main__":
+    harness.run(main, __doc__)
