@@ -64,7 +64,7 @@ def record(pipeline: Pipeline, frames: list[Frame]) -> list[Recording]:
             result, history = pipeline.run(layers, history)
         recording.written, recording.image = _written(history), result.read()
         recordings.append(recording)
-        history = _with_empty_frames(history, pipeline.config.recent)
+        history = with_empty_frames(history, pipeline.config.recent)
     return recordings
 
 
@@ -109,7 +109,8 @@ def _written(history: History) -> Mapping[str, GpuArray]:
     return _images(replace(history, recent=history.recent[:1]))
 
 
-def _with_empty_frames(history: History, count: int) -> History:
+def with_empty_frames(history: History, count: int) -> History:
+    """A history with so many recent frames; those that it lacks are empty, and nothing is found in them."""
     empty = []
     for _ in range(count - len(history.recent)):
         empty.append(GpuArray.empty(history.denoised.buffer.ctx, history.recent[0].shape, np.uint32))
