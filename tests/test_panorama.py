@@ -57,7 +57,8 @@ def denoised(folder, turned, options):
 @pytest.mark.parametrize("options", [
     Options(model="default"), Options(layout="source", lights=True, model="default"), Options(offline=True),
     Options(signal="indirect", recombine=True, model="default"), Options(motion_blur=True, model="default"),
-], ids=["plain", "lights", "offline", "recombine", "motion-blur"])  # fmt: skip
+    Options(layout="source", lights=True, offline=True, model="default"),
+], ids=["plain", "lights", "offline", "recombine", "motion-blur", "offline-lights"])  # fmt: skip
 def test_a_panorama_has_no_seam(tmp_path, options):
     # Turned by half its width a panorama has its edges in the middle.
     whole, turned = (denoised(tmp_path, turn, options) for turn in (0, SIDE))

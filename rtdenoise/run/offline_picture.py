@@ -50,8 +50,9 @@ class Picture:
         )  # fmt: skip
 
     def read(self, number: int) -> np.ndarray:
-        """The picture of a frame, `[1, 3, H, W]`."""
-        return read_result(self._folder, self._sequence, self._sequence.numbers.index(number))
+        """The picture of a frame, `[1, 3, H, W]` of `Sequence.read_size`."""
+        stored = read_result(self._folder, self._sequence, self._sequence.numbers.index(number))
+        return np.stack([self._sequence.around(plane) for plane in stored[0]])[None]
 
     def remove(self, sequence: Sequence) -> None:
         """Remove the pictures, and the folder unless it holds anything else."""
