@@ -13,9 +13,8 @@ references are taken as they are, in beauty. Writes bench/results/evened.json an
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
 from bench import DOCS, RESULTS, harness
@@ -45,7 +44,7 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
         rows.append(told | {"method": "OIDN"} | errors(frames, pictures_of_oidn(frames)))
         for mode, ahead in MODES.items():
             for way, constant in WAYS.items():
-                with evening(constant):
+                with patch.object(hybrid, "EVENED_NOISE", constant):
                     found = errors(frames, pictures(frames, "hybrid", ahead))
                 rows.append(told | {"method": mode, "evened": way} | found)
                 print(rows[-1], flush=True)
@@ -56,14 +55,6 @@ def read(shot: Path) -> list[Frame]:
     if not Path(f"{shot}-reference").is_dir():
         return with_references(shot, "color")
     return paired(open_chosen(str(shot), Options())[0], f"{shot}-reference")
-
-
-@contextmanager
-def evening(constant: float) -> Iterator[None]:
-    """Light evened by another constant."""
-    own, hybrid.EVENED_NOISE = hybrid.EVENED_NOISE, constant
-    yield
-    hybrid.EVENED_NOISE = own
 
 
 def tables(document: dict) -> dict[str, str]:

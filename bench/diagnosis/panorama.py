@@ -16,6 +16,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
@@ -51,7 +52,7 @@ def main(shot: tyro.conf.Positional[Path]) -> None:
     for method, options in METHODS.items():
         for detect in (False, True):
             with tempfile.TemporaryDirectory() as folder:
-                denoise(str(shot), folder, Options(**{**vars(options), "detect_panorama": detect, "float32": True}))
+                denoise(str(shot), folder, replace(options, detect_panorama=detect, float32=True))
                 images = [frame.radiance for frame in open_sequence(folder)]
             rows.append(measured(method, images, truths) | {"joined": detect})
             print(rows[-1], flush=True)
