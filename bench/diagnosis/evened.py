@@ -3,6 +3,7 @@
     render="bpyenv/bin/python examples/blender/render.py"
     $render shots/snow --set snow --frames 8                                    # likewise the others
     $render shots/snow-reference --set snow --frames 8 --samples 64 --seed 77
+    $render shots/debris --set debris --frames 8 --width 480 --height 270       # with a reference of that size
     python bench/diagnosis/evened.py shots/{debris,isometric,...} data/standard/street ...
 
 PSNR at 1 sample a pixel of `hybrid`, of all frames but the first: where one frame has seen a pixel, its light is evened
